@@ -1,0 +1,1 @@
+"""Errors, consistency and figures of runs."""

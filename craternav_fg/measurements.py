@@ -1,0 +1,83 @@
+"""What one image says: rims in the ellipse chart, and the sun's tilt."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class RimSet:
+    """The measured rims of one frame, matched to catalogue craters.
+
+    Attributes
+    ----------
+    craters : ndarray of int, shape (n,)
+        Row of each rim's crater in the catalogue.
+    chart : ndarray, shape (n, 5)
+        Ellipse chart y = [m_x, m_y, ln(S_xx)/2, S_xy/S_xx, ln(S_yy - S_xy^2/S_xx)/2] in normalised
+        image coordinates (EQUATIONS: "the chart to optimise in"); m is the image ellipse's centre.
+    covariance : ndarray, shape (n, 5, 5)
+        Covariance of the chart, from each rim's own fit and the systematic floor.
+    """
+
+    craters: IntArray
+    chart: FloatArray
+    covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.craters)
+
+    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimSet":
+        """Return the rims of some rows (a mask or indices)."""
+        return RimSet(self.craters[rows], self.chart[rows], self.covariance[rows])
+
+    @classmethod
+    def empty(cls) -> "RimSet":
+        """Return a frame without craters."""
+        return cls(np.empty(0, dtype=np.int64), np.empty((0, 5)), np.empty((0, 5, 5)))
+
+
+@dataclass(frozen=True)
+class SunTilt:
+    """Tilt of the ground's illumination in one image.
+
+    Attributes
+    ----------
+    tilt_rad : float
+        Angle of the direction towards the sun along the ground, from the image's x axis to its y axis.
+    sigma_rad : float
+        Its standard deviation.
+    point : ndarray, shape (2,)
+        Image point, normalised, at which it holds.
+    direction : ndarray, shape (3,)
+        The direction in g whose image it is: the sun's along the level ground at that point,
+        s - (s.n) n, not necessarily a unit vector.
+    """
+
+    tilt_rad: float
+    sigma_rad: float
+    point: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True)
+class FrameMeasurement:
+    """All that one image says.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of exposure.
+    rims : RimSet
+        Possibly empty.
+    sun : SunTilt or None
+        None when the image does not tell.
+    """
+
+    stamp_ns: int
+    rims: RimSet
+    sun: SunTilt | None

@@ -1,0 +1,1 @@
+"""Simulated descents: motion, terrain, images, sensors. No estimator or detector may import it."""

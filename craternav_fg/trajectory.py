@@ -1,0 +1,85 @@
+"""Estimated or true motion of the lander, at the stamps of the images."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """What is known of the lander before the first image: a mean and independent Gaussian errors.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time at which it holds: that of the first image.
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    gV : ndarray, shape (3,)
+        Velocity relative to g, in g, m/s.
+    attitude_sigma_rad, position_sigma_m, velocity_sigma_m_s : float
+        Standard deviation per axis; attitude as a rotation vector in b.
+    angular_velocity_sigma_rad_s : float
+        Standard deviation per axis of the angular velocity, whose mean is what the gyro says.
+    gyro_bias_sigma_rad_s, accelerometer_bias_sigma_m_s2 : float
+        Turn-on biases, zero mean, per axis.
+    """
+
+    stamp_ns: int
+    gTb: FloatArray
+    gV: FloatArray
+    attitude_sigma_rad: float
+    position_sigma_m: float
+    velocity_sigma_m_s: float
+    angular_velocity_sigma_rad_s: float
+    gyro_bias_sigma_rad_s: float
+    accelerometer_bias_sigma_m_s2: float
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States of the lander, with covariances where they are estimates.
+
+    Attributes
+    ----------
+    stamps_ns : ndarray of int, shape (k,)
+        Strictly increasing.
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g.
+    gV : ndarray, shape (k, 3)
+        Velocity relative to g, in g, m/s.
+    bias : ndarray, shape (k, 6)
+        Gyro bias (rad/s), then accelerometer bias (m/s^2), in b.
+    pose_covariance : ndarray, shape (k, 6, 6), or None
+        Of the attitude error (rotation vector in b, rad), then the position error (in g, m):
+        R_true = R exp(phi), P_true = P + p.
+    velocity_covariance : ndarray, shape (k, 3, 3), or None
+        In g, m^2/s^2.
+    bias_covariance : ndarray, shape (k, 6, 6), or None
+        Gyro, then accelerometer.
+    """
+
+    stamps_ns: IntArray
+    gTb: FloatArray
+    gV: FloatArray
+    bias: FloatArray
+    pose_covariance: FloatArray | None = None
+    velocity_covariance: FloatArray | None = None
+    bias_covariance: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def gP(self) -> FloatArray:
+        """Positions in g, shape (k, 3), m."""
+        return self.gTb[:, :3, 3]
+
+    @property
+    def gRb(self) -> FloatArray:
+        """Attitudes, shape (k, 3, 3)."""
+        return self.gTb[:, :3, :3]

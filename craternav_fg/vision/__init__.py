@@ -1,0 +1,1 @@
+"""Rims and the sun's tilt from images."""

@@ -1,0 +1,1 @@
+"""The measurement equations of crater-edge navigation, each with its GTSAM factor."""

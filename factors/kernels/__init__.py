@@ -1,0 +1,1 @@
+"""Compiled residuals and Jacobians: numba and numpy only."""

@@ -1,0 +1,301 @@
+"""Image of a rim: dual conic, ellipse chart, conic coefficients.
+
+A rim is given in the camera frame by p (its centre), c1 = a l1 and c2 = b l2 (its semi-axes). Its dual
+conic in normalised coordinates is Q* = c1 c1' + c2 c2' - p p'. The chart of an image ellipse
+(u - m)' S^-1 (u - m) = 1 is
+
+    y = [m_x, m_y, ln(S_xx)/2, S_xy/S_xx, ln(S_yy - S_xy^2/S_xx)/2],
+
+a global, singularity-free parametrisation of all ellipses.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@njit(cache=True, error_model="numpy")
+def camera_pose(gTb: FloatArray, bTc: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotation gRc (3, 3) and position gPc (3,) of the camera."""
+    R = np.empty((3, 3))
+    P = np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = gTb[i, 0] * bTc[0, j] + gTb[i, 1] * bTc[1, j] + gTb[i, 2] * bTc[2, j]
+        P[i] = gTb[i, 0] * bTc[0, 3] + gTb[i, 1] * bTc[1, 3] + gTb[i, 2] * bTc[2, 3] + gTb[i, 3]
+    return R, P
+
+
+@njit(cache=True, error_model="numpy")
+def body_columns(J: FloatArray, bTc: FloatArray, out: FloatArray) -> None:
+    """Turn a Jacobian for the camera's twist [w, rho] into one for the body's: J Ad(bTc^-1).
+
+    Both twists perturb from the right, in GTSAM's order: R exp(w), t + R rho.
+    """
+    for r in range(J.shape[0]):
+        for j in range(3):
+            w = 0.0
+            rho = 0.0
+            for i in range(3):
+                w += J[r, i] * bTc[j, i]
+                rho += J[r, 3 + i] * bTc[j, i]
+            out[r, j] = w
+            out[r, 3 + j] = rho
+        # The camera's lever arm: rho_c = bRc' (rho_b + w_b x bPc).
+        tx, ty, tz = bTc[0, 3], bTc[1, 3], bTc[2, 3]
+        out[r, 0] += ty * out[r, 5] - tz * out[r, 4]
+        out[r, 1] += tz * out[r, 3] - tx * out[r, 5]
+        out[r, 2] += tx * out[r, 4] - ty * out[r, 3]
+
+
+@njit(cache=True, error_model="numpy")
+def rim_in_camera(
+    R: FloatArray, P: FloatArray, centre: FloatArray, axes: FloatArray, p: FloatArray, c: FloatArray
+) -> None:
+    """Write p (3,) and c (2, 3), the rim's centre and semi-axes in the camera frame.
+
+    `centre` (3,) and `axes` (2, 3) are the same in g; R (3, 3) is gRc, P (3,) is gPc.
+    """
+    for i in range(3):
+        p[i] = (
+            R[0, i] * (centre[0] - P[0]) + R[1, i] * (centre[1] - P[1]) + R[2, i] * (centre[2] - P[2])
+        )
+        for k in range(2):
+            c[k, i] = R[0, i] * axes[k, 0] + R[1, i] * axes[k, 1] + R[2, i] * axes[k, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def chart(p: FloatArray, c: FloatArray, y: FloatArray) -> bool:
+    """Write the chart y (5,) of a rim's image; False (y untouched) when that is no visible ellipse.
+
+    Visible: in front of the camera, wholly so (Q*_33 < 0), seen from above (p.n < 0).
+    """
+    q33 = c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2] - p[2] * p[2]
+    nx = c[0, 1] * c[1, 2] - c[0, 2] * c[1, 1]
+    ny = c[0, 2] * c[1, 0] - c[0, 0] * c[1, 2]
+    nz = c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0]
+    # The negated form is also False for NaN.
+    if not (p[2] > 0.0 and q33 < 0.0 and p[0] * nx + p[1] * ny + p[2] * nz < 0.0):
+        return False
+    i33 = 1.0 / q33
+    mx = (c[0, 0] * c[0, 2] + c[1, 0] * c[1, 2] - p[0] * p[2]) * i33
+    my = (c[0, 1] * c[0, 2] + c[1, 1] * c[1, 2] - p[1] * p[2]) * i33
+    sxx = mx * mx - (c[0, 0] * c[0, 0] + c[1, 0] * c[1, 0] - p[0] * p[0]) * i33
+    sxy = mx * my - (c[0, 0] * c[0, 1] + c[1, 0] * c[1, 1] - p[0] * p[1]) * i33
+    syy = my * my - (c[0, 1] * c[0, 1] + c[1, 1] * c[1, 1] - p[1] * p[1]) * i33
+    s = syy - sxy * sxy / sxx
+    if not (sxx > 0.0 and s > 0.0):
+        return False
+    y[0] = mx
+    y[1] = my
+    y[2] = 0.5 * np.log(sxx)
+    y[3] = sxy / sxx
+    y[4] = 0.5 * np.log(s)
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def chart_and_jacobian(p: FloatArray, c: FloatArray, y: FloatArray, J: FloatArray) -> bool:
+    """Write the chart y (5,) and its Jacobian J (5, 6) for the camera's right twist [w, rho].
+
+    dp = [p]x w - rho, dc_i = [c_i]x w, then the product rule. Returns False as `chart` does.
+    """
+    if not chart(p, c, y):
+        return False
+    i33 = 1.0 / (c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2] - p[2] * p[2])
+    mx, my = y[0], y[1]
+    sxx = np.exp(2.0 * y[2])
+    beta = y[3]
+    s = np.exp(2.0 * y[4])
+    q11 = (c[0, 0] * c[0, 0] + c[1, 0] * c[1, 0] - p[0] * p[0]) * i33
+    q12 = (c[0, 0] * c[0, 1] + c[1, 0] * c[1, 1] - p[0] * p[1]) * i33
+    q22 = (c[0, 1] * c[0, 1] + c[1, 1] * c[1, 1] - p[1] * p[1]) * i33
+    dv = np.zeros((3, 3))  # rows: dp, dc1, dc2
+    for d in range(6):
+        if d < 3:
+            i, j = (d + 1) % 3, (d + 2) % 3
+            for k in range(3):
+                v0 = p if k == 0 else c[k - 1]
+                # v x e_d
+                dv[k, d] = 0.0
+                dv[k, i] = v0[j]
+                dv[k, j] = -v0[i]
+        else:
+            for k in range(3):
+                for i in range(3):
+                    dv[k, i] = 0.0
+            dv[0, d - 3] = -1.0
+        d11 = 2.0 * (c[0, 0] * dv[1, 0] + c[1, 0] * dv[2, 0] - p[0] * dv[0, 0])
+        d22 = 2.0 * (c[0, 1] * dv[1, 1] + c[1, 1] * dv[2, 1] - p[1] * dv[0, 1])
+        d33 = 2.0 * (c[0, 2] * dv[1, 2] + c[1, 2] * dv[2, 2] - p[2] * dv[0, 2])
+        d12 = (
+            c[0, 0] * dv[1, 1] + c[0, 1] * dv[1, 0] + c[1, 0] * dv[2, 1] + c[1, 1] * dv[2, 0]
+            - p[0] * dv[0, 1] - p[1] * dv[0, 0]
+        )  # fmt: skip
+        d13 = (
+            c[0, 0] * dv[1, 2] + c[0, 2] * dv[1, 0] + c[1, 0] * dv[2, 2] + c[1, 2] * dv[2, 0]
+            - p[0] * dv[0, 2] - p[2] * dv[0, 0]
+        )  # fmt: skip
+        d23 = (
+            c[0, 1] * dv[1, 2] + c[0, 2] * dv[1, 1] + c[1, 1] * dv[2, 2] + c[1, 2] * dv[2, 1]
+            - p[1] * dv[0, 2] - p[2] * dv[0, 1]
+        )  # fmt: skip
+        dmx = (d13 - mx * d33) * i33
+        dmy = (d23 - my * d33) * i33
+        dsxx = 2.0 * mx * dmx - (d11 - q11 * d33) * i33
+        dsxy = mx * dmy + my * dmx - (d12 - q12 * d33) * i33
+        dsyy = 2.0 * my * dmy - (d22 - q22 * d33) * i33
+        J[0, d] = dmx
+        J[1, d] = dmy
+        J[2, d] = 0.5 * dsxx / sxx
+        J[3, d] = (dsxy - beta * dsxx) / sxx
+        J[4, d] = 0.5 * (dsyy - 2.0 * beta * dsxy + beta * beta * dsxx) / s
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def project_rims(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Charts (n, 5) of rims seen from a pose, and which of them are visible ellipses (n,).
+
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
+    centres : ndarray, shape (n, 3)
+        Rim centres in g, m.
+    axes : ndarray, shape (n, 2, 3)
+        Semi-axes a l1 and b l2 in g, m; n = l1 x l2 is outward.
+
+    Returns
+    -------
+    charts : ndarray, shape (n, 5)
+        NaN where not visible.
+    visible : ndarray of bool, shape (n,)
+        In front of the camera, wholly so, and seen from above. Not: within the image.
+    """
+    n = centres.shape[0]
+    R, P = camera_pose(gTb, bTc)
+    out = np.full((n, 5), np.nan)
+    visible = np.zeros(n, dtype=np.bool_)
+    p = np.empty(3)
+    c = np.empty((2, 3))
+    for i in range(n):
+        rim_in_camera(R, P, centres[i], axes[i], p, c)
+        visible[i] = chart(p, c, out[i])
+    return out, visible
+
+
+@njit(cache=True, error_model="numpy")
+def chart_jacobian(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Charts (n, 5), their Jacobians (n, 5, 6) for the body's right twist, and visibility (n,).
+
+    Parameters as in `project_rims`. Rows of rims that are not visible: NaN charts, zero Jacobians.
+    """
+    n = centres.shape[0]
+    R, P = camera_pose(gTb, bTc)
+    out = np.full((n, 5), np.nan)
+    jac = np.zeros((n, 5, 6))
+    visible = np.zeros(n, dtype=np.bool_)
+    p = np.empty(3)
+    c = np.empty((2, 3))
+    J = np.empty((5, 6))
+    for i in range(n):
+        rim_in_camera(R, P, centres[i], axes[i], p, c)
+        visible[i] = chart_and_jacobian(p, c, out[i], J)
+        if visible[i]:
+            body_columns(J, bTc, jac[i])
+    return out, jac, visible
+
+
+@njit(cache=True, error_model="numpy")
+def chart_to_conic(y: FloatArray) -> FloatArray:
+    """Conic q = (A, B, C, D, E, F), |q| = 1, of a chart (5,): eq. (3)."""
+    a = np.exp(2.0 * y[2])
+    s = np.exp(2.0 * y[4])
+    beta = y[3]
+    # S^-1 for S = [[a, a beta], [a beta, s + a beta^2]]
+    ixx = 1.0 / a + beta * beta / s
+    ixy = -beta / s
+    iyy = 1.0 / s
+    q = np.empty(6)
+    q[0] = ixx
+    q[1] = 2.0 * ixy
+    q[2] = iyy
+    q[3] = -2.0 * (ixx * y[0] + ixy * y[1])
+    q[4] = -2.0 * (ixy * y[0] + iyy * y[1])
+    q[5] = ixx * y[0] * y[0] + 2.0 * ixy * y[0] * y[1] + iyy * y[1] * y[1] - 1.0
+    norm = 0.0
+    for i in range(6):
+        norm += q[i] * q[i]
+    return q / np.sqrt(norm)
+
+
+@njit(cache=True, error_model="numpy")
+def conic_to_chart(q: FloatArray) -> FloatArray:
+    """Chart (5,) of a conic (A, B, C, D, E, F) of any sign and scale; NaN when it is no ellipse."""
+    y = np.full(5, np.nan)
+    det = 4.0 * q[0] * q[2] - q[1] * q[1]
+    if not det > 0.0:
+        return y
+    mx = (q[1] * q[4] - 2.0 * q[2] * q[3]) / det
+    my = (q[1] * q[3] - 2.0 * q[0] * q[4]) / det
+    # (u - m)' M (u - m) = k
+    k = -(q[5] + 0.5 * (q[3] * mx + q[4] * my))
+    sxx = 4.0 * k * q[2] / det
+    sxy = -2.0 * k * q[1] / det
+    syy = 4.0 * k * q[0] / det
+    s = syy - sxy * sxy / sxx
+    if not (sxx > 0.0 and s > 0.0):
+        return y
+    y[0] = mx
+    y[1] = my
+    y[2] = 0.5 * np.log(sxx)
+    y[3] = sxy / sxx
+    y[4] = 0.5 * np.log(s)
+    return y
+
+
+@njit(cache=True, error_model="numpy")
+def chart_to_conic_jacobian(y: FloatArray) -> FloatArray:
+    """Jacobian (6, 5) of `chart_to_conic` (the unit-norm conic) in the chart."""
+    a = np.exp(2.0 * y[2])
+    s = np.exp(2.0 * y[4])
+    beta, mx, my = y[3], y[0], y[1]
+    ixx = 1.0 / a + beta * beta / s
+    ixy = -beta / s
+    iyy = 1.0 / s
+    # Derivatives of (ixx, ixy, iyy) in y[2], y[3], y[4].
+    dxx = np.array([-2.0 / a, 2.0 * beta / s, -2.0 * beta * beta / s])
+    dxy = np.array([0.0, -1.0 / s, 2.0 * beta / s])
+    dyy = np.array([0.0, 0.0, -2.0 / s])
+    J = np.zeros((6, 5))
+    J[3, 0] = -2.0 * ixx
+    J[3, 1] = -2.0 * ixy
+    J[4, 0] = -2.0 * ixy
+    J[4, 1] = -2.0 * iyy
+    J[5, 0] = 2.0 * (ixx * mx + ixy * my)
+    J[5, 1] = 2.0 * (ixy * mx + iyy * my)
+    for k in range(3):
+        J[0, 2 + k] = dxx[k]
+        J[1, 2 + k] = 2.0 * dxy[k]
+        J[2, 2 + k] = dyy[k]
+        J[3, 2 + k] = -2.0 * (dxx[k] * mx + dxy[k] * my)
+        J[4, 2 + k] = -2.0 * (dxy[k] * mx + dyy[k] * my)
+        J[5, 2 + k] = dxx[k] * mx * mx + 2.0 * dxy[k] * mx * my + dyy[k] * my * my
+    q = np.empty(6)
+    q[0] = ixx
+    q[1] = 2.0 * ixy
+    q[2] = iyy
+    q[3] = -2.0 * (ixx * mx + ixy * my)
+    q[4] = -2.0 * (ixy * mx + iyy * my)
+    q[5] = ixx * mx * mx + 2.0 * ixy * mx * my + iyy * my * my - 1.0
+    norm = np.sqrt(np.sum(q * q))
+    u = q / norm
+    return (J - np.outer(u, u @ J)) / norm
