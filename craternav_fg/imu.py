@@ -1,34 +1,16 @@
-"""The IMU's log and its error model."""
+"""The IMU's log; its error model is that of the IMU factor."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.imu import ImuNoise
+
+__all__ = ["ImuLog", "ImuNoise"]
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class ImuNoise:
-    """Noise of one gyro and one accelerometer axis; continuous-time densities, as in EuRoC's sensor.yaml.
-
-    Attributes
-    ----------
-    gyro_density : float
-        Angular random walk, rad/s/sqrt(Hz).
-    accelerometer_density : float
-        Velocity random walk, m/s^2/sqrt(Hz).
-    gyro_walk : float
-        Bias random walk, rad/s^2/sqrt(Hz).
-    accelerometer_walk : float
-        Bias random walk, m/s^3/sqrt(Hz).
-    """
-
-    gyro_density: float
-    accelerometer_density: float
-    gyro_walk: float
-    accelerometer_walk: float
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,62 @@
+"""Crater-centre factor: the image ellipse's centre taken as the image of the crater's centre.
+
+Zero when they coincide, which perspective denies: this is the baseline of eq. (10), kept to compare with.
+"""
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors import validation
+from factors.custom import Loss, pose_factor
+from factors.kernels import stacked
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def crater_centre_factor(
+    key: int,
+    bTc: npt.ArrayLike,
+    centres: npt.ArrayLike,
+    points: npt.ArrayLike,
+    covariances: npt.ArrayLike,
+    loss: Loss = Loss(),  # noqa: B008 (immutable)
+) -> gtsam.CustomFactor:
+    """All crater centres of a frame as one factor of the body's pose.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4)
+        Mounting of the camera.
+    centres : array_like, shape (n, 3)
+        Crater centres in g, m.
+    points : array_like, shape (n, 2)
+        Centres of the image ellipses, normalised.
+    covariances : array_like, shape (n, 2, 2)
+        Of the points.
+    loss : Loss
+        Applied to each crater's 2-dimensional norm.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        With 2 n whitened rows.
+
+    Raises
+    ------
+    FactorError
+        Naming the field at fault.
+    """
+    bTc = validation.pose("bTc", bTc)
+    n = len(np.asarray(points))
+    centres = validation.array("centres", centres, (n, 3))
+    points = validation.array("points", points, (n, 2))
+    W = validation.whitening("covariances", covariances, n, 2)
+    kind, scale = loss.kind, loss.scale
+
+    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+        stacked.centre_residuals(gTb, bTc, centres, points, W, kind, scale, linearise, e, J)
+
+    return pose_factor(key, 2 * n, kernel)

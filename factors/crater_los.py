@@ -1,0 +1,104 @@
+"""Line-of-sight factor, eq. (11): the direction of the true crater centre, from the rim's conic.
+
+Zero when K n_c points to the crater's centre. It is contained in rows 2 to 4 of eq. (19): never put it on a
+crater that already has a conic-shape factor.
+"""
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors import validation
+from factors.custom import Loss, pose_factor
+from factors.kernels import conic, los, stacked
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Direction of a crater's true centre in c, and its covariance from the rim's.
+
+    Parameters
+    ----------
+    chart : ndarray, shape (5,)
+        Measured image of the rim.
+    covariance : ndarray, shape (5, 5)
+        Of the chart.
+    n_c : ndarray, shape (3,)
+        Outward normal of the rim's plane in the camera frame.
+
+    Returns
+    -------
+    direction : ndarray, shape (3,)
+        Unit vector.
+    direction_covariance : ndarray, shape (3, 3)
+        Rank 2: none along the direction.
+    """
+    q = conic.chart_to_conic(chart)
+    D = los.line_of_sight_jacobian(q, n_c) @ conic.chart_to_conic_jacobian(chart)
+    return los.line_of_sight(q, n_c), D @ covariance @ D.T
+
+
+def crater_los_factor(
+    key: int,
+    bTc: npt.ArrayLike,
+    centres: npt.ArrayLike,
+    normals: npt.ArrayLike,
+    charts: npt.ArrayLike,
+    covariances: npt.ArrayLike,
+    gRc_nominal: npt.ArrayLike,
+    loss: Loss = Loss(),  # noqa: B008 (immutable)
+) -> gtsam.CustomFactor:
+    """All lines of sight of a frame as one factor of the body's pose.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4)
+        Mounting of the camera.
+    centres, normals : array_like, shape (n, 3)
+        Crater centres, m, and outward unit normals, in g.
+    charts, covariances : array_like, shape (n, 5), (n, 5, 5)
+        Measured rims.
+    gRc_nominal : array_like, shape (3, 3)
+        Attitude at which the noise is evaluated and the tangents are laid; a few degrees do not matter.
+    loss : Loss
+        Applied to each crater's 2-dimensional norm.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        With 2 n whitened rows.
+
+    Raises
+    ------
+    FactorError
+        Naming the field at fault.
+    """
+    bTc = validation.pose("bTc", bTc)
+    n = len(np.asarray(charts))
+    centres = validation.array("centres", centres, (n, 3))
+    normals = validation.array("normals", normals, (n, 3))
+    charts = validation.array("charts", charts, (n, 5))
+    covariances = validation.array("covariances", covariances, (n, 5, 5))
+    gRc = validation.array("gRc_nominal", gRc_nominal, (3, 3))
+    conics = np.empty((n, 6))
+    bases = np.empty((n, 3, 2))
+    tangent_covariances = np.empty((n, 2, 2))
+    for i in range(n):
+        conics[i] = conic.chart_to_conic(charts[i])
+        direction, S = line_of_sight(charts[i], covariances[i], gRc.T @ normals[i])
+        # The two right singular vectors that are perpendicular to the direction.
+        bases[i] = np.linalg.svd(direction[None])[2][1:].T
+        tangent_covariances[i] = bases[i].T @ S @ bases[i]
+    tangent_covariances = 0.5 * (tangent_covariances + np.swapaxes(tangent_covariances, 1, 2))
+    W = validation.whitening("covariances", tangent_covariances, n, 2)
+    kind, scale = loss.kind, loss.scale
+
+    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+        stacked.los_residuals(
+            gTb, bTc, centres, normals, conics, bases, W, kind, scale, linearise, e, J
+        )
+
+    return pose_factor(key, 2 * n, kernel)

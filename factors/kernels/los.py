@@ -1,0 +1,101 @@
+"""Line of sight of the true crater centre from its image conic, eqs. (8), (9), (11)."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@njit(cache=True, error_model="numpy")
+def _adjugate(q: FloatArray, K: FloatArray) -> None:
+    """Write the adjugate of Q = [[A, B/2, D/2], [B/2, C, E/2], [D/2, E/2, F]]."""
+    A, B, C, D, E, F = q[0], 0.5 * q[1], q[2], 0.5 * q[3], 0.5 * q[4], q[5]
+    K[0, 0] = C * F - E * E
+    K[0, 1] = D * E - B * F
+    K[0, 2] = B * E - C * D
+    K[1, 1] = A * F - D * D
+    K[1, 2] = B * D - A * E
+    K[2, 2] = A * C - B * B
+    K[1, 0], K[2, 0], K[2, 1] = K[0, 1], K[0, 2], K[1, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def line_of_sight(q: FloatArray, n_c: FloatArray) -> FloatArray:
+    """Unit vector (3,) in c from the camera to the true crater centre: K n_c / |K n_c|, K = -4 adj(Q).
+
+    `q` (6,) is the conic (A, B, C, D, E, F) of any sign and scale, `n_c` (3,) the outward normal in c.
+    """
+    K = np.empty((3, 3))
+    _adjugate(q, K)
+    d = np.empty(3)
+    norm = 0.0
+    for i in range(3):
+        d[i] = -(K[i, 0] * n_c[0] + K[i, 1] * n_c[1] + K[i, 2] * n_c[2])
+        norm += d[i] * d[i]
+    return d / np.sqrt(norm)
+
+
+@njit(cache=True, error_model="numpy")
+def line_of_sight_jacobian(q: FloatArray, n_c: FloatArray) -> FloatArray:
+    """Jacobian (3, 6) of `line_of_sight` in the conic's six coefficients.
+
+    The adjugate is quadratic, so its derivative is exactly adj(Q + dQ) - adj(Q) - adj(dQ).
+    """
+    K = np.empty((3, 3))
+    K1 = np.empty((3, 3))
+    K2 = np.empty((3, 3))
+    _adjugate(q, K)
+    v = -(K @ n_c)
+    norm = np.sqrt(np.sum(v * v))
+    unit = v / norm
+    J = np.empty((3, 6))
+    for j in range(6):
+        dq = np.zeros(6)
+        dq[j] = 1.0
+        _adjugate(dq, K1)
+        _adjugate(q + dq, K2)
+        dv = -((K2 - K - K1) @ n_c)
+        J[:, j] = (dv - unit * np.sum(unit * dv)) / norm
+    return J
+
+
+@njit(cache=True, error_model="numpy")
+def los_residual(
+    p: FloatArray, n_c: FloatArray, q: FloatArray, basis: FloatArray, e: FloatArray, J: FloatArray
+) -> None:
+    """Write e (2,) = basis' (p/|p| - K n_c/|K n_c|) and J (2, 6) for the camera's right twist.
+
+    `p` (3,) is the crater's centre in c, `basis` (3, 2) spans the tangent at the measured direction.
+    """
+    K = np.empty((3, 3))
+    _adjugate(q, K)
+    v = -(K @ n_c)
+    vn = np.sqrt(np.sum(v * v))
+    pn = np.sqrt(np.sum(p * p))
+    vu = v / vn
+    pu = p / pn
+    for r in range(2):
+        e[r] = 0.0
+        for i in range(3):
+            e[r] += basis[i, r] * (pu[i] - vu[i])
+    dp = np.empty(3)
+    dn = np.empty(3)
+    for d in range(6):
+        dp[:] = 0.0
+        dn[:] = 0.0
+        if d < 3:
+            i, j = (d + 1) % 3, (d + 2) % 3
+            dp[i], dp[j] = p[j], -p[i]
+            dn[i], dn[j] = n_c[j], -n_c[i]
+        else:
+            dp[d - 3] = -1.0
+        dv = -(K @ dn)
+        along_p = np.sum(pu * dp)
+        along_v = np.sum(vu * dv)
+        for r in range(2):
+            J[r, d] = 0.0
+            for i in range(3):
+                J[r, d] += basis[i, r] * (
+                    (dp[i] - pu[i] * along_p) / pn - (dv[i] - vu[i] * along_v) / vn
+                )

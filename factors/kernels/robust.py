@@ -1,0 +1,49 @@
+"""Robust losses on the norm of one crater's whitened residual."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+
+NONE, HUBER, CAUCHY = 0, 1, 2
+
+
+@njit(cache=True, error_model="numpy")
+def loss_and_weight(d2: float, kind: int, scale: float) -> tuple[float, float]:
+    """Loss 2 rho and weight w of a squared norm d2.
+
+    The loss is d2 for `NONE`; `HUBER` is quadratic up to d = scale, then linear; `CAUCHY` is
+    scale^2 ln(1 + d2/scale^2). The weight is d(2 rho)/d(d2).
+    """
+    if kind == HUBER and d2 > scale * scale:
+        d = np.sqrt(d2)
+        return scale * (2.0 * d - scale), scale / d
+    if kind == CAUCHY:
+        r = d2 / (scale * scale)
+        return scale * scale * np.log1p(r), 1.0 / (1.0 + r)
+    return d2, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def apply_loss(e: FloatArray, J: FloatArray, kind: int, scale: float, linearise: bool) -> None:
+    """Scale one crater's whitened residual e (m,) and Jacobian J (m, 6) in place.
+
+    To linearise: sqrt(w) e and sqrt(w) J. For the error alone: e sqrt(2 rho)/|e|, so that half the
+    squared norm is the loss. Equal to GTSAM's `noiseModel.Robust` on a factor of this crater alone.
+    """
+    if kind == NONE:
+        return
+    d2 = 0.0
+    for i in range(e.shape[0]):
+        d2 += e[i] * e[i]
+    loss, weight = loss_and_weight(d2, kind, scale)
+    if linearise:
+        factor = np.sqrt(weight)
+        for i in range(e.shape[0]):
+            for j in range(J.shape[1]):
+                J[i, j] *= factor
+    else:
+        factor = np.sqrt(loss / d2) if d2 > 0.0 else 1.0
+    for i in range(e.shape[0]):
+        e[i] *= factor

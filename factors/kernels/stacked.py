@@ -1,0 +1,153 @@
+"""Residuals of all craters of a frame, whitened and robust per crater.
+
+Every kernel writes the residual e and, when `linearise` is set, the Jacobian J for the body's right twist
+[w, rho]. A crater that the pose cannot see as an ellipse (behind the camera, cut by its plane, from below)
+gets the residual `UNSEEN` in every row and no Jacobian: dearer than any visible one, so that an optimiser
+steps back, and without pull, so that it spoils no other crater.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from factors.kernels.conic import body_columns, camera_pose, chart, chart_and_jacobian, rim_in_camera
+from factors.kernels.los import los_residual
+from factors.kernels.robust import apply_loss
+
+FloatArray = npt.NDArray[np.float64]
+
+UNSEEN = 1e4
+
+
+@njit(cache=True, error_model="numpy")
+def _whiten(
+    raw: FloatArray, Jc: FloatArray, W: FloatArray, bTc: FloatArray, e: FloatArray, J: FloatArray,
+    kind: int, scale: float, linearise: bool,
+) -> None:  # fmt: skip
+    """Write W raw and W Jc (turned to the body), W lower triangular, with the loss applied."""
+    m = raw.shape[0]
+    for i in range(m):
+        e[i] = 0.0
+        for k in range(i + 1):
+            e[i] += W[i, k] * raw[k]
+    if linearise:
+        Jb = np.empty((m, 6))
+        body_columns(Jc, bTc, Jb)
+        for i in range(m):
+            for j in range(6):
+                J[i, j] = 0.0
+                for k in range(i + 1):
+                    J[i, j] += W[i, k] * Jb[k, j]
+    apply_loss(e, J, kind, scale, linearise)
+
+
+@njit(cache=True, error_model="numpy")
+def shape_residuals(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray,
+    whitening: FloatArray, kind: int, scale: float, linearise: bool, e: FloatArray, J: FloatArray,
+) -> None:  # fmt: skip
+    """Conic shape: zero when every predicted rim has the measured chart.
+
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
+        Rims in g, m.
+    charts : ndarray, shape (n, 5)
+        Measured.
+    whitening : ndarray, shape (n, 5, 5)
+        Lower triangular W with W S W' = 1.
+    kind, scale : int, float
+        Loss, see `robust`.
+    linearise : bool
+        Whether J is written.
+    e, J : ndarray, shape (5 n,), (5 n, 6)
+        Written.
+    """
+    R, P = camera_pose(gTb, bTc)
+    p = np.empty(3)
+    c = np.empty((2, 3))
+    raw = np.empty(5)
+    Jc = np.empty((5, 6))
+    for i in range(centres.shape[0]):
+        rim_in_camera(R, P, centres[i], axes[i], p, c)
+        seen = chart_and_jacobian(p, c, raw, Jc) if linearise else chart(p, c, raw)
+        ei, Ji = e[5 * i : 5 * i + 5], J[5 * i : 5 * i + 5]
+        if not seen:
+            ei[:] = UNSEEN
+            Ji[:] = 0.0
+            apply_loss(ei, Ji, kind, scale, linearise)
+            continue
+        for k in range(5):
+            raw[k] -= charts[i, k]
+        _whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
+
+
+@njit(cache=True, error_model="numpy")
+def centre_residuals(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, points: FloatArray,
+    whitening: FloatArray, kind: int, scale: float, linearise: bool, e: FloatArray, J: FloatArray,
+) -> None:  # fmt: skip
+    """Crater centres as points: zero when each one's image is the image ellipse's centre.
+
+    That is the assumption of the centre-based methods, eq. (10); it is wrong by the eccentricity of
+    perspective. `points` (n, 2) are normalised, `whitening` is (n, 2, 2); the rest as above.
+    """
+    R, P = camera_pose(gTb, bTc)
+    p = np.empty(3)
+    raw = np.empty(2)
+    Jc = np.zeros((2, 6))
+    for i in range(centres.shape[0]):
+        for k in range(3):
+            p[k] = 0.0
+            for j in range(3):
+                p[k] += R[j, k] * (centres[i, j] - P[j])
+        ei, Ji = e[2 * i : 2 * i + 2], J[2 * i : 2 * i + 2]
+        if not p[2] > 0.0:
+            ei[:] = UNSEEN
+            Ji[:] = 0.0
+            apply_loss(ei, Ji, kind, scale, linearise)
+            continue
+        u = p[0] / p[2]
+        v = p[1] / p[2]
+        raw[0] = u - points[i, 0]
+        raw[1] = v - points[i, 1]
+        # d(u, v) = [[1, 0, -u], [0, 1, -v]] / p_z ([p]x w - rho)
+        Jc[0, 0], Jc[0, 1], Jc[0, 2] = u * v, -1.0 - u * u, v
+        Jc[1, 0], Jc[1, 1], Jc[1, 2] = 1.0 + v * v, -u * v, -u
+        Jc[0, 3], Jc[0, 5] = -1.0 / p[2], u / p[2]
+        Jc[1, 4], Jc[1, 5] = -1.0 / p[2], v / p[2]
+        _whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
+
+
+@njit(cache=True, error_model="numpy")
+def los_residuals(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, normals: FloatArray, conics: FloatArray,
+    bases: FloatArray, whitening: FloatArray, kind: int, scale: float, linearise: bool,
+    e: FloatArray, J: FloatArray,
+) -> None:  # fmt: skip
+    """Lines of sight, eq. (11): zero when K n_c points to every crater's centre.
+
+    `normals` (n, 3) in g, `conics` (n, 6), `bases` (n, 3, 2) orthonormal tangents at the measured line
+    of sight, `whitening` (n, 2, 2); the rest as above.
+    """
+    R, P = camera_pose(gTb, bTc)
+    p = np.empty(3)
+    n_c = np.empty(3)
+    raw = np.empty(2)
+    Jc = np.empty((2, 6))
+    for i in range(centres.shape[0]):
+        for k in range(3):
+            p[k] = 0.0
+            n_c[k] = 0.0
+            for j in range(3):
+                p[k] += R[j, k] * (centres[i, j] - P[j])
+                n_c[k] += R[j, k] * normals[i, j]
+        ei, Ji = e[2 * i : 2 * i + 2], J[2 * i : 2 * i + 2]
+        if not (p[2] > 0.0 and p[0] * n_c[0] + p[1] * n_c[1] + p[2] * n_c[2] < 0.0):
+            ei[:] = UNSEEN
+            Ji[:] = 0.0
+            apply_loss(ei, Ji, kind, scale, linearise)
+            continue
+        los_residual(p, n_c, conics[i], bases[i], raw, Jc)
+        _whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)

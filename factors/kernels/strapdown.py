@@ -1,0 +1,279 @@
+"""Strapdown propagation of mean and covariance in the rotating frame g, eqs (26)-(28).
+
+Error state, 18: attitude (rotation vector in b, R_true = R exp(phi)), position and velocity (in g),
+angular velocity (in b), gyro bias, accelerometer bias. In `SPARSE` order the first nine and the six
+biases are propagated row by row; the angular velocity is what the last gyro row says of it.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+
+SIZE = 18
+ATTITUDE, POSITION, VELOCITY, RATE, GYRO_BIAS, ACCELEROMETER_BIAS = (
+    slice(0, 3),
+    slice(3, 6),
+    slice(6, 9),
+    slice(9, 12),
+    slice(12, 15),
+    slice(15, 18),
+)
+
+
+@njit(cache=True, error_model="numpy")
+def _rotation(w0: float, w1: float, w2: float, E: FloatArray) -> None:
+    """Write the rotation matrix E (3, 3) of a rotation vector."""
+    t2 = w0 * w0 + w1 * w1 + w2 * w2
+    if t2 > 1e-8:
+        t = np.sqrt(t2)
+        s = np.sin(t) / t
+        c = (1.0 - np.cos(t)) / t2
+    else:
+        s = 1.0 - t2 / 6.0
+        c = 0.5 - t2 / 24.0
+    E[0, 0] = 1.0 - c * (w1 * w1 + w2 * w2)
+    E[1, 1] = 1.0 - c * (w0 * w0 + w2 * w2)
+    E[2, 2] = 1.0 - c * (w0 * w0 + w1 * w1)
+    E[0, 1] = c * w0 * w1 - s * w2
+    E[1, 0] = c * w0 * w1 + s * w2
+    E[0, 2] = c * w0 * w2 + s * w1
+    E[2, 0] = c * w0 * w2 - s * w1
+    E[1, 2] = c * w1 * w2 - s * w0
+    E[2, 1] = c * w1 * w2 + s * w0
+
+
+@njit(cache=True, error_model="numpy")
+def _gravity_and_rotation(
+    P: FloatArray, V: FloatArray, mu: float, spin: FloatArray, out: FloatArray
+) -> None:
+    """Write the acceleration (3,) of eq. (26) without the specific force."""
+    s0, s1, s2 = spin[0], spin[1], spin[2]
+    r2 = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
+    k = mu / (r2 * np.sqrt(r2))
+    # -w x (2 V + w x P)
+    u0 = 2.0 * V[0] + s1 * P[2] - s2 * P[1]
+    u1 = 2.0 * V[1] + s2 * P[0] - s0 * P[2]
+    u2 = 2.0 * V[2] + s0 * P[1] - s1 * P[0]
+    out[0] = -k * P[0] - (s1 * u2 - s2 * u1)
+    out[1] = -k * P[1] - (s2 * u0 - s0 * u2)
+    out[2] = -k * P[2] - (s0 * u1 - s1 * u0)
+
+
+@njit(cache=True, error_model="numpy")
+def _times_transition(
+    M: FloatArray, N: FloatArray, A: FloatArray, C: FloatArray, B: FloatArray, RF: FloatArray, dt: float
+) -> None:
+    """Write N = F M (15, 15), F the transition over one row.
+
+    A (3, 3) turns the attitude error; C = dv/dphi; B = dv/dv - I and dv/dp side by side (3, 6);
+    RF = dv/dba. Position follows from velocity: dp = dt dv + dt/2 (change of v).
+    """
+    half = 0.5 * dt
+    for i in range(3):
+        i1, i2 = i, i + 3
+        for j in range(15):
+            phi = A[i, 0] * M[0, j] + A[i, 1] * M[1, j] + A[i, 2] * M[2, j] - dt * M[9 + i1, j]
+            # The gyro bias acts on the velocity through the row's mean attitude only: see `propagate`.
+            dv = (
+                C[i, 0] * (M[0, j] - half * M[9, j])
+                + C[i, 1] * (M[1, j] - half * M[10, j])
+                + C[i, 2] * (M[2, j] - half * M[11, j])
+                + B[i, 0] * M[6, j]
+                + B[i, 1] * M[7, j]
+                + B[i, 2] * M[8, j]
+                + B[i, 3] * M[3, j]
+                + B[i, 4] * M[4, j]
+                + B[i, 5] * M[5, j]
+                + RF[i, 0] * M[12, j]
+                + RF[i, 1] * M[13, j]
+                + RF[i, 2] * M[14, j]
+            )
+            N[i1, j] = phi
+            N[i2, j] = M[i2, j] + dt * M[6 + i, j] + half * dv
+            N[6 + i, j] = M[6 + i, j] + dv
+            N[9 + i, j] = M[9 + i, j]
+            N[12 + i, j] = M[12 + i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def propagate(
+    gTb: FloatArray,
+    gV: FloatArray,
+    bias: FloatArray,
+    covariance: FloatArray,
+    dt_s: FloatArray,
+    gyro: FloatArray,
+    accelerometer: FloatArray,
+    mu: float,
+    spin: FloatArray,
+    noise: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Propagate a state and its covariance through rows of an IMU log.
+
+    A row's specific force is a mean along turning axes; it counts with the first orders of the turn
+    inside the row, f + (w dt) x f / 2. Gravity and the frame's rotation act at the row's predicted
+    midpoint; the spin is removed from the attitude exactly.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    gV : ndarray, shape (3,)
+        Velocity relative to g, in g, m/s.
+    bias : ndarray, shape (6,)
+        Gyro (rad/s), accelerometer (m/s^2).
+    covariance : ndarray, shape (18, 18)
+        Of the error state.
+    dt_s : ndarray, shape (m,)
+        Durations of the rows, m >= 1.
+    gyro, accelerometer : ndarray, shape (m, 3)
+        Interval means of the inertial angular velocity (rad/s) and the specific force (m/s^2) in b.
+    mu : float
+        Gravitational parameter, m^3/s^2.
+    spin : ndarray, shape (3,)
+        Of the body in g, rad/s.
+    noise : ndarray, shape (4,)
+        Gyro and accelerometer densities, gyro and accelerometer bias walks.
+
+    Returns
+    -------
+    gTb : ndarray, shape (4, 4)
+    gV : ndarray, shape (3,)
+    rate : ndarray, shape (3,)
+        Inertial angular velocity in b, mean over the last row, rad/s.
+    covariance : ndarray, shape (18, 18)
+    """
+    R = gTb[:3, :3].copy()
+    P = gTb[:3, 3].copy()
+    V = gV.copy()
+    rate = np.zeros(3)
+    index = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17])
+    S = np.empty((15, 15))
+    for i in range(15):
+        for j in range(15):
+            S[i, j] = covariance[index[i], index[j]]
+    M = np.empty((15, 15))
+    E = np.empty((3, 3))
+    W = np.empty((3, 3))
+    RE = np.empty((3, 3))
+    A = np.empty((3, 3))
+    B = np.empty((3, 6))
+    C = np.empty((3, 3))
+    RF = np.empty((3, 3))
+    a = np.empty(3)
+    u = np.empty(3)
+    x = np.empty(3)
+    Pm = np.empty(3)
+    Vm = np.empty(3)
+    var_g, var_a = noise[0] ** 2, noise[1] ** 2
+    walk_g, walk_a = noise[2] ** 2, noise[3] ** 2
+    s0, s1, s2 = spin[0], spin[1], spin[2]
+    rows = dt_s.shape[0]
+    for k in range(rows):
+        dt = dt_s[k]
+        for i in range(3):
+            rate[i] = gyro[k, i] - bias[i]
+        t0, t1, t2 = rate[0] * dt, rate[1] * dt, rate[2] * dt
+        f0 = accelerometer[k, 0] - bias[3]
+        f1 = accelerometer[k, 1] - bias[4]
+        f2 = accelerometer[k, 2] - bias[5]
+        # u = f + t x f / 2 (velocity); x = f / 2 + t x f / 6 (position)
+        c0, c1, c2 = t1 * f2 - t2 * f1, t2 * f0 - t0 * f2, t0 * f1 - t1 * f0
+        u[0], u[1], u[2] = f0 + 0.5 * c0, f1 + 0.5 * c1, f2 + 0.5 * c2
+        x[0], x[1], x[2] = 0.5 * f0 + c0 / 6.0, 0.5 * f1 + c1 / 6.0, 0.5 * f2 + c2 / 6.0
+        v0 = R[0, 0] * u[0] + R[0, 1] * u[1] + R[0, 2] * u[2]
+        v1 = R[1, 0] * u[0] + R[1, 1] * u[1] + R[1, 2] * u[2]
+        v2 = R[2, 0] * u[0] + R[2, 1] * u[1] + R[2, 2] * u[2]
+        # The axes also turn against g's spin inside the row.
+        h = 0.5 * dt
+        w0 = v0 - h * (s1 * v2 - s2 * v1)
+        w1 = v1 - h * (s2 * v0 - s0 * v2)
+        w2 = v2 - h * (s0 * v1 - s1 * v0)
+
+        # Transition of the error, at the row's start.
+        r2 = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
+        kg = mu / (r2 * np.sqrt(r2))
+        spin2 = s0 * s0 + s1 * s1 + s2 * s2
+        for i in range(3):
+            for j in range(3):
+                B[i, 3 + j] = dt * (3.0 * kg * P[i] * P[j] / r2 - spin[i] * spin[j])
+                RF[i, j] = -dt * R[i, j]
+            B[i, i] = 0.0
+            B[i, 3 + i] += dt * (spin2 - kg)
+            # C = -R [u]x dt
+            C[i, 0] = -dt * (R[i, 1] * u[2] - R[i, 2] * u[1])
+            C[i, 1] = -dt * (R[i, 2] * u[0] - R[i, 0] * u[2])
+            C[i, 2] = -dt * (R[i, 0] * u[1] - R[i, 1] * u[0])
+        B[0, 1], B[1, 0] = 2.0 * dt * s2, -2.0 * dt * s2
+        B[0, 2], B[2, 0] = -2.0 * dt * s1, 2.0 * dt * s1
+        B[1, 2], B[2, 1] = 2.0 * dt * s0, -2.0 * dt * s0
+
+        _gravity_and_rotation(P, V, mu, spin, a)
+        for i in range(3):
+            force = w0 if i == 0 else (w1 if i == 1 else w2)
+            Pm[i] = P[i] + h * V[i] + 0.5 * h * h * (a[i] + force)
+            Vm[i] = V[i] + h * (a[i] + force)
+        _gravity_and_rotation(Pm, Vm, mu, spin, a)
+        for i in range(3):
+            force = w0 if i == 0 else (w1 if i == 1 else w2)
+            P[i] += dt * V[i] + dt * dt * (R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2] + 0.5 * a[i])
+            V[i] += dt * (force + a[i])
+
+        _rotation(t0, t1, t2, E)
+        _rotation(-dt * s0, -dt * s1, -dt * s2, W)
+        for i in range(3):
+            for j in range(3):
+                A[i, j] = E[j, i]
+                RE[i, j] = R[i, 0] * E[0, j] + R[i, 1] * E[1, j] + R[i, 2] * E[2, j]
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = W[i, 0] * RE[0, j] + W[i, 1] * RE[1, j] + W[i, 2] * RE[2, j]
+
+        _times_transition(S, M, A, C, B, RF, dt)
+        for i in range(15):
+            for j in range(i):
+                M[i, j], M[j, i] = M[j, i], M[i, j]
+        _times_transition(M, S, A, C, B, RF, dt)
+        for i in range(3):
+            S[i, i] += var_g * dt
+            S[3 + i, 3 + i] += var_a * dt * dt * dt / 3.0
+            S[3 + i, 6 + i] += 0.5 * var_a * dt * dt
+            S[6 + i, 3 + i] += 0.5 * var_a * dt * dt
+            S[6 + i, 6 + i] += var_a * dt
+            if k < rows - 1:
+                S[9 + i, 9 + i] += walk_g * dt
+                S[12 + i, 12 + i] += walk_a * dt
+
+    out = np.empty((18, 18))
+    for i in range(15):
+        for j in range(15):
+            out[index[i], index[j]] = 0.5 * (S[i, j] + S[j, i])
+    # Angular velocity: w = gyro - bg - n of the last row; n is also in that row's turn.
+    dt = dt_s[rows - 1]
+    for i in range(3):
+        for j in range(18):
+            if not 9 <= j < 12:
+                out[9 + i, j] = -out[12 + i, j]
+                out[j, 9 + i] = -out[12 + i, j]
+        for j in range(3):
+            out[9 + i, 9 + j] = out[12 + i, 12 + j]
+    for i in range(3):
+        out[9 + i, 9 + i] += var_g / dt
+        out[9 + i, i] += var_g
+        out[i, 9 + i] += var_g
+    for i in range(3):
+        out[12 + i, 12 + i] += walk_g * dt
+        out[15 + i, 15 + i] += walk_a * dt
+
+    # One Newton step back to the rotations undoes the rounding of the products.
+    T = np.eye(4)
+    for i in range(3):
+        for j in range(3):
+            E[i, j] = (3.0 if i == j else 0.0) - (R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j])
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = 0.5 * (R[i, 0] * E[0, j] + R[i, 1] * E[1, j] + R[i, 2] * E[2, j])
+        T[i, 3] = P[i]
+    return T, V, rate, out

@@ -1,0 +1,70 @@
+"""Sun-tilt factor, eq. (24): the direction of illumination in the image.
+
+Zero when the predicted tilt of the sun's ground azimuth is the measured one; the difference is wrapped.
+"""
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors import validation
+from factors.custom import pose_factor
+from factors.errors import FactorError
+from factors.kernels import sun
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def sun_tilt_factor(
+    key: int,
+    bTc: npt.ArrayLike,
+    direction: npt.ArrayLike,
+    tilt_rad: float,
+    sigma_rad: float,
+    point: npt.ArrayLike = (0.0, 0.0),
+) -> gtsam.CustomFactor:
+    """Tilt of the illumination in one image as a factor of the body's pose.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4)
+        Mounting of the camera.
+    direction : array_like, shape (3,)
+        In g: the sun's direction along the ground, s - (s.n) n (with the sun's own direction and the
+        point (0, 0), eq. (24) as printed, with atan2).
+    tilt_rad : float
+        Measured, from the image's x axis towards its y axis.
+    sigma_rad : float
+        Standard deviation at the view it was measured in. Where a pose turns the direction into the
+        line of sight (image direction shorter than `sun.FLOOR`) the tilt is undefined and the factor
+        is silent.
+    point : array_like, shape (2,)
+        Normalised image point.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        With one whitened row.
+
+    Raises
+    ------
+    FactorError
+        Naming the field at fault.
+    """
+    bTc = validation.pose("bTc", bTc)
+    direction = validation.array("direction", direction, (3,))
+    u, v = validation.array("point", point, (2,))
+    measured = float(validation.array("tilt_rad", tilt_rad, ()))
+    if not np.linalg.norm(direction) > 0.0:
+        raise FactorError("direction: expected a vector, found zero")
+    if not 0.0 < sigma_rad < np.inf:
+        raise FactorError(f"sigma_rad: expected a positive number, found {sigma_rad}")
+
+    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+        predicted, strength = sun.sun_tilt(gTb, bTc, direction, u, v, J)
+        J /= sigma_rad
+        e[0] = sun.wrap(predicted - measured) / sigma_rad if strength > 0.0 else 0.0
+
+    return pose_factor(key, 1, kernel)
