@@ -34,8 +34,8 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Everything an estimator may know of a descent.
+class Descent:
+    """What is known of a descent before any image is looked at.
 
     Attributes
     ----------
@@ -46,10 +46,6 @@ class Problem:
     imu_noise : ImuNoise
     initial : InitialState
         The prior, before the first frame.
-    start : Start
-        After the first frame: whoever begins from it must not use the first frame again.
-    frames : sequence of FrameMeasurement
-        In the order of time; the first one's stamp is the initial state's.
     """
 
     body: Body
@@ -58,6 +54,20 @@ class Problem:
     imu: ImuLog
     imu_noise: ImuNoise
     initial: InitialState
+
+
+@dataclass(frozen=True)
+class Problem(Descent):
+    """Everything an estimator may know of a descent.
+
+    Attributes
+    ----------
+    start : Start
+        After the first frame: whoever begins from its covariance must not use that frame again.
+    frames : sequence of FrameMeasurement
+        In the order of time; the first one's stamp is the initial state's.
+    """
+
     start: Start
     frames: Sequence[FrameMeasurement]
 

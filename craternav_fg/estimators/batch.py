@@ -1,0 +1,123 @@
+"""The batch smoother: all states from all data."""
+
+import itertools
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import B, V, X
+
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.graph import (
+    GraphOptions,
+    add_frame,
+    add_imu,
+    add_prior,
+    bias_covariance_ours,
+    bias_vector,
+    pose_covariance_in_g,
+    state_stamps,
+)
+from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+# Gravity changes by 1e-6 m/s^2 a metre on the Moon: a midpoint that moved by less is left alone.
+MIDPOINT_TOLERANCE_M = 10.0
+MAX_REBUILDS = 5
+
+
+class BatchSmoother:
+    """Levenberg-Marquardt over the whole descent, begun at the online smoother's result.
+
+    Parameters
+    ----------
+    options : GraphOptions
+        `rims="centre"` makes the centre-based baseline.
+    name : str
+        Under which its result is kept.
+    """
+
+    def __init__(self, options: GraphOptions = GraphOptions(), name: str = "smoother") -> None:  # noqa: B008
+        self.options = options
+        self.name = name
+
+    def estimate(self, problem: Problem) -> Trajectory:
+        """Estimate the state at every frame from all data, with marginal covariances.
+
+        Raises
+        ------
+        EstimationError
+            When the optimisation does not converge.
+        """
+        session = OnlineSmoother(self.options).run(problem)
+        values = session.smoothed_values()
+        midpoints = _midpoints(values)
+        for _ in range(MAX_REBUILDS):
+            graph = build_graph(problem, self.options, values)
+            result = levenberg_marquardt(graph, values)
+            if not result.converged:
+                raise EstimationError(f"{self.name}: no convergence in {result.iterations} iterations")
+            values = result.values
+            moved = _midpoints(values)
+            if np.abs(moved - midpoints).max(initial=0.0) < MIDPOINT_TOLERANCE_M:
+                break
+            midpoints = moved
+        return _trajectory(problem, graph, values, session.frame_numbers)
+
+
+def build_graph(
+    problem: Problem, options: GraphOptions, values: gtsam.Values
+) -> gtsam.NonlinearFactorGraph:
+    """Build the graph of a whole descent, gravity and biases linearised at given values.
+
+    Parameters
+    ----------
+    problem : Problem
+    options : GraphOptions
+    values : gtsam.Values
+        Of all states: each frame's, and those between.
+
+    Returns
+    -------
+    gtsam.NonlinearFactorGraph
+    """
+    graph = gtsam.NonlinearFactorGraph()
+    add_prior(graph, problem.initial)
+    add_frame(graph, problem, options, X(0), problem.frames[0])
+    number = 0
+    for before, frame in itertools.pairwise(problem.frames):
+        stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, options.keyframe_s)]
+        for begin_ns, end_ns in itertools.pairwise(stamps):
+            ends = [values.atPose3(X(i)).translation() for i in (number, number + 1)]
+            bias = bias_vector(values.atConstantBias(B(number)))
+            add_imu(graph, problem, number, int(begin_ns), int(end_ns), 0.5 * (ends[0] + ends[1]), bias)
+            number += 1
+        add_frame(graph, problem, options, X(number), frame)
+    return graph
+
+
+def _midpoints(values: gtsam.Values) -> FloatArray:
+    positions = gtsam.utilities.extractPose3(values)[:, 9:]
+    return np.asarray(0.5 * (positions[1:] + positions[:-1]))
+
+
+def _trajectory(
+    problem: Problem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, numbers: list[int]
+) -> Trajectory:
+    tree = bayes_tree(graph, values)
+    gTb = np.array([values.atPose3(X(n)).matrix() for n in numbers])
+    return Trajectory(
+        stamps_ns=np.array([frame.stamp_ns for frame in problem.frames], dtype=np.int64),
+        gTb=gTb,
+        gV=np.array([values.atVector(V(n)) for n in numbers]),
+        bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in numbers]),
+        pose_covariance=np.array(
+            [pose_covariance_in_g(tree.marginalCovariance(X(n)), T[:3, :3]) for n, T in zip(numbers, gTb, strict=True)]
+        ),
+        velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in numbers]),
+        bias_covariance=np.array([bias_covariance_ours(tree.marginalCovariance(B(n))) for n in numbers]),
+    )

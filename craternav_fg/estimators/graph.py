@@ -1,0 +1,150 @@
+"""The factor graph of a descent: priors, frames, IMU intervals."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import B, V, X
+
+from craternav_fg.estimators.base import Descent
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.trajectory import InitialState
+from factors.conic_shape import conic_shape_factor
+from factors.crater_centre import crater_centre_factor
+from factors.custom import Loss
+from factors.imu import imu_factor, preintegrate
+from factors.kernels import robust
+from factors.sun_tilt import sun_tilt_factor
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class GraphOptions:
+    """What the graph is made of.
+
+    Attributes
+    ----------
+    rims : {"chart", "centre"}
+        Measurement of a rim: its ellipse chart, or (the baseline) its ellipse's centre only.
+    loss : Loss
+        On each crater's whitened norm. Huber at 3.3 sigma, about the 95 % point of 5 dimensions.
+    keyframe_s : float
+        Longest interval between two states: gravity is constant within one.
+    """
+
+    rims: Literal["chart", "centre"] = "chart"
+    loss: Loss = Loss(robust.HUBER, 3.3)
+    keyframe_s: float = 1.0
+
+
+def add_prior(graph: gtsam.NonlinearFactorGraph, initial: InitialState) -> None:
+    """Add the priors of the first state."""
+    pose_sigmas = np.repeat([initial.attitude_sigma_rad, initial.position_sigma_m], 3)
+    bias_sigmas = np.repeat(
+        [initial.accelerometer_bias_sigma_m_s2, initial.gyro_bias_sigma_rad_s], 3
+    )  # GTSAM's order
+    diagonal = gtsam.noiseModel.Diagonal.Sigmas
+    graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(initial.gTb), diagonal(pose_sigmas)))
+    graph.push_back(
+        gtsam.PriorFactorVector(V(0), initial.gV, diagonal(np.full(3, initial.velocity_sigma_m_s)))
+    )
+    graph.push_back(
+        gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), diagonal(bias_sigmas))
+    )
+
+
+def add_frame(
+    graph: gtsam.NonlinearFactorGraph,
+    descent: Descent,
+    options: GraphOptions,
+    key: int,
+    frame: FrameMeasurement,
+    noise_scale: float = 1.0,
+) -> None:
+    """Add what one image says of the pose at `key`, its noise multiplied by `noise_scale`."""
+    rims = frame.rims
+    bTc = descent.camera.bTc
+    if len(rims):
+        centres = descent.catalog.centres[rims.craters]
+        S = noise_scale**2 * rims.covariance
+        if options.rims == "chart":
+            axes = descent.catalog.axes[rims.craters]
+            graph.push_back(conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss))
+        else:
+            points = rims.chart[:, :2]
+            graph.push_back(crater_centre_factor(key, bTc, centres, points, S[:, :2, :2], options.loss))
+    if frame.sun is not None:
+        sun = frame.sun
+        sigma_rad = noise_scale * sun.sigma_rad
+        graph.push_back(sun_tilt_factor(key, bTc, sun.direction, sun.tilt_rad, sigma_rad, sun.point))
+
+
+def add_imu(
+    graph: gtsam.NonlinearFactorGraph,
+    descent: Descent,
+    number: int,
+    begin_ns: int,
+    end_ns: int,
+    midpoint: FloatArray,
+    bias: FloatArray,
+) -> gtsam.PreintegratedCombinedMeasurements:
+    """Add the IMU factor from state `number` to the next.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    descent : Descent
+    number : int
+        Of the state at the beginning.
+    begin_ns, end_ns : int
+        The interval.
+    midpoint : ndarray, shape (3,)
+        Predicted position in g half-way, where gravity is taken.
+    bias : ndarray, shape (6,)
+        Gyro, then accelerometer: where the preintegration is linearised.
+
+    Returns
+    -------
+    gtsam.PreintegratedCombinedMeasurements
+    """
+    gravity = descent.body.gravity(midpoint)
+    rows = descent.imu.between(begin_ns, end_ns)
+    pim = preintegrate(descent.imu_noise, descent.body.spin_rad_s, gravity, *rows, bias)
+    i, j = number, number + 1
+    graph.push_back(imu_factor([X(i), V(i), X(j), V(j), B(i), B(j)], pim))
+    return pim
+
+
+def state_stamps(begin_ns: int, end_ns: int, longest_s: float) -> IntArray:
+    """Stamps of the states after `begin_ns` up to `end_ns`, evenly spaced, at most `longest_s` apart."""
+    n = max(1, int(np.ceil((end_ns - begin_ns) * 1e-9 / longest_s - 1e-9)))
+    return begin_ns + np.round(np.arange(1, n + 1) * ((end_ns - begin_ns) / n)).astype(np.int64)
+
+
+def insert_state(values: gtsam.Values, number: int, state: gtsam.NavState, bias: FloatArray) -> None:
+    """Insert pose, velocity and bias (6: gyro, accelerometer) of state `number`."""
+    values.insert(X(number), state.pose())
+    values.insert(V(number), state.velocity())
+    values.insert(B(number), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
+
+
+def bias_vector(bias: gtsam.imuBias.ConstantBias) -> FloatArray:
+    """Gyro, then accelerometer bias (6,): our order, not GTSAM's."""
+    return np.concatenate([bias.gyroscope(), bias.accelerometer()])
+
+
+def pose_covariance_in_g(covariance: FloatArray, gRb: FloatArray) -> FloatArray:
+    """Turn the position part of a pose covariance (6, 6) from GTSAM's body axes into g."""
+    J = np.eye(6)
+    J[3:, 3:] = gRb
+    return J @ covariance @ J.T
+
+
+def bias_covariance_ours(covariance: FloatArray) -> FloatArray:
+    """Reorder a bias covariance (6, 6) from GTSAM's (accelerometer, gyro) to ours."""
+    order = [3, 4, 5, 0, 1, 2]
+    return covariance[np.ix_(order, order)]
