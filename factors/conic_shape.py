@@ -22,7 +22,7 @@ def conic_shape_factor(
     axes: npt.ArrayLike,
     charts: npt.ArrayLike,
     covariances: npt.ArrayLike,
-    loss: Loss = Loss(),  # noqa: B008 (immutable)
+    loss: Loss = Loss(),
 ) -> gtsam.CustomFactor:
     """All rims of a frame as one factor of the body's pose.
 

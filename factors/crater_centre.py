@@ -20,7 +20,7 @@ def crater_centre_factor(
     centres: npt.ArrayLike,
     points: npt.ArrayLike,
     covariances: npt.ArrayLike,
-    loss: Loss = Loss(),  # noqa: B008 (immutable)
+    loss: Loss = Loss(),
 ) -> gtsam.CustomFactor:
     """All crater centres of a frame as one factor of the body's pose.
 

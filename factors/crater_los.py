@@ -15,7 +15,9 @@ from factors.kernels import conic, los, stacked
 FloatArray = npt.NDArray[np.float64]
 
 
-def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) -> tuple[FloatArray, FloatArray]:
+def line_of_sight(
+    chart: FloatArray, covariance: FloatArray, n_c: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Direction of a crater's true centre in c, and its covariance from the rim's.
 
     Parameters
@@ -47,7 +49,7 @@ def crater_los_factor(
     charts: npt.ArrayLike,
     covariances: npt.ArrayLike,
     gRc_nominal: npt.ArrayLike,
-    loss: Loss = Loss(),  # noqa: B008 (immutable)
+    loss: Loss = Loss(),
 ) -> gtsam.CustomFactor:
     """All lines of sight of a frame as one factor of the body's pose.
 
@@ -97,8 +99,6 @@ def crater_los_factor(
     kind, scale = loss.kind, loss.scale
 
     def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
-        stacked.los_residuals(
-            gTb, bTc, centres, normals, conics, bases, W, kind, scale, linearise, e, J
-        )
+        stacked.los_residuals(gTb, bTc, centres, normals, conics, bases, W, kind, scale, linearise, e, J)
 
     return pose_factor(key, 2 * n, kernel)

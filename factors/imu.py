@@ -51,7 +51,9 @@ class ImuNoise:
     def __post_init__(self) -> None:
         for field in fields(self):
             if not 0.0 < getattr(self, field.name) < np.inf:
-                raise FactorError(f"{field.name}: expected a positive number, found {getattr(self, field.name)}")
+                raise FactorError(
+                    f"{field.name}: expected a positive number, found {getattr(self, field.name)}"
+                )
 
 
 def preintegrate(
@@ -105,9 +107,7 @@ def preintegrate(
     params.setBiasAccCovariance(noise.accelerometer_walk**2 * eye)
     params.setIntegrationCovariance(INTEGRATION_VARIANCE * eye)
     params.setOmegaCoriolis(validation.array("spin", spin, (3,)))
-    pim = gtsam.PreintegratedCombinedMeasurements(
-        params, gtsam.imuBias.ConstantBias(b[3:], b[:3])
-    )
+    pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(b[3:], b[:3]))
     # A row's force is the mean along turning axes; GTSAM takes it along the axes at the row's beginning.
     f = f + 0.5 * np.cross((w - b[:3]) * dt[:, None], f - b[3:])
     for k in range(m):
@@ -115,9 +115,7 @@ def preintegrate(
     return pim
 
 
-def imu_factor(
-    keys: Sequence[int], pim: gtsam.PreintegratedCombinedMeasurements
-) -> gtsam.CombinedImuFactor:
+def imu_factor(keys: Sequence[int], pim: gtsam.PreintegratedCombinedMeasurements) -> gtsam.CombinedImuFactor:
     """IMU factor between two states; zero when the second is the first moved by the preintegration.
 
     Parameters

@@ -38,7 +38,9 @@ def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArr
     # Scaled to unit diagonal first: a chart's components differ by orders of magnitude.
     diagonal = np.einsum("nii->ni", S)
     if not (diagonal > 0.0).all():
-        raise FactorError(f"{name}: expected positive definite matrices, found a variance of {diagonal.min()}")
+        raise FactorError(
+            f"{name}: expected positive definite matrices, found a variance of {diagonal.min()}"
+        )
     scale = np.sqrt(diagonal)
     try:
         L = np.linalg.cholesky(S / (scale[:, :, None] * scale[:, None, :]))

@@ -75,7 +75,10 @@ class Problem(Descent):
 class Estimator(Protocol):
     """From measurements to a trajectory at the frames' stamps."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Under which its result is kept."""
+        ...
 
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate pose, velocity and biases, with covariances, at every frame."""

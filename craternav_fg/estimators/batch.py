@@ -41,7 +41,7 @@ class BatchSmoother:
         Under which its result is kept.
     """
 
-    def __init__(self, options: GraphOptions = GraphOptions(), name: str = "smoother") -> None:  # noqa: B008
+    def __init__(self, options: GraphOptions = GraphOptions(), name: str = "smoother") -> None:
         self.options = options
         self.name = name
 
@@ -69,9 +69,7 @@ class BatchSmoother:
         return _trajectory(problem, graph, values, session.frame_numbers)
 
 
-def build_graph(
-    problem: Problem, options: GraphOptions, values: gtsam.Values
-) -> gtsam.NonlinearFactorGraph:
+def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
     """Build the graph of a whole descent, gravity and biases linearised at given values.
 
     Parameters
@@ -116,7 +114,10 @@ def _trajectory(
         gV=np.array([values.atVector(V(n)) for n in numbers]),
         bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in numbers]),
         pose_covariance=np.array(
-            [pose_covariance_in_g(tree.marginalCovariance(X(n)), T[:3, :3]) for n, T in zip(numbers, gTb, strict=True)]
+            [
+                pose_covariance_in_g(tree.marginalCovariance(X(n)), T[:3, :3])
+                for n, T in zip(numbers, gTb, strict=True)
+            ]
         ),
         velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in numbers]),
         bias_covariance=np.array([bias_covariance_ours(tree.marginalCovariance(B(n))) for n in numbers]),

@@ -52,9 +52,7 @@ def add_prior(graph: gtsam.NonlinearFactorGraph, initial: InitialState) -> None:
     graph.push_back(
         gtsam.PriorFactorVector(V(0), initial.gV, diagonal(np.full(3, initial.velocity_sigma_m_s)))
     )
-    graph.push_back(
-        gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), diagonal(bias_sigmas))
-    )
+    graph.push_back(gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), diagonal(bias_sigmas)))
 
 
 def add_frame(

@@ -47,7 +47,7 @@ class OnlineSession:
     options : GraphOptions
     """
 
-    def __init__(self, descent: Descent, options: GraphOptions = GraphOptions()) -> None:  # noqa: B008
+    def __init__(self, descent: Descent, options: GraphOptions = GraphOptions()) -> None:
         self._descent = descent
         self._options = options
         params = gtsam.ISAM2Params()
@@ -184,7 +184,7 @@ class OnlineSmoother:
 
     name = "online"
 
-    def __init__(self, options: GraphOptions = GraphOptions()) -> None:  # noqa: B008
+    def __init__(self, options: GraphOptions = GraphOptions()) -> None:
         self.options = options
 
     def run(self, problem: Problem) -> OnlineSession:

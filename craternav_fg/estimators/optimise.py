@@ -63,7 +63,7 @@ class LmResult:
 
 
 def levenberg_marquardt(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: LmOptions = LmOptions()  # noqa: B008
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: LmOptions = LmOptions()
 ) -> LmResult:
     """Minimise the error of a graph.
 
@@ -109,9 +109,7 @@ def levenberg_marquardt(
     return LmResult(values, error, options.max_iterations, False)
 
 
-def _damped(
-    linear: gtsam.GaussianFactorGraph, keys: list[int], damping: float
-) -> gtsam.GaussianFactorGraph:
+def _damped(linear: gtsam.GaussianFactorGraph, keys: list[int], damping: float) -> gtsam.GaussianFactorGraph:
     """Add to a linear graph the damping of every variable."""
     damped = gtsam.GaussianFactorGraph()
     damped.push_back(linear)

@@ -19,7 +19,7 @@ NOISE_SCALES = (300.0, 30.0, 3.0, 1.0)
 def first_frame_map(
     descent: Descent,
     frame: FrameMeasurement,
-    options: GraphOptions = GraphOptions(),  # noqa: B008 (immutable)
+    options: GraphOptions = GraphOptions(),
 ) -> Start:
     """Pose at the first frame from the prior, all its craters and its sun tilt.
 

@@ -4,8 +4,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, Slerp
 
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
@@ -70,41 +68,21 @@ class Metrics:
         return asdict(self)
 
 
-def at_stamps(trajectory: Trajectory, stamps_ns: IntArray) -> Trajectory:
-    """Interpolate pose and velocity: cubic in position (its velocities are met), slerp in attitude.
+def errors(estimate: Trajectory, truth: Trajectory) -> Errors:
+    """Errors of an estimate against the truth.
 
     Raises
     ------
     EstimationError
-        When a stamp lies outside the trajectory.
+        When the two do not have the same stamps.
     """
-    known = trajectory.stamps_ns
-    if np.isin(stamps_ns, known).all():
-        rows = np.searchsorted(known, stamps_ns)
-        return Trajectory(stamps_ns, trajectory.gTb[rows], trajectory.gV[rows], trajectory.bias[rows])
-    if stamps_ns[0] < known[0] or stamps_ns[-1] > known[-1]:
-        raise EstimationError(
-            f"ground truth covers {known[0]} to {known[-1]} ns, frames {stamps_ns[0]} to {stamps_ns[-1]} ns"
-        )
-    t_known = (known - known[0]) * 1e-9
-    t = (stamps_ns - known[0]) * 1e-9
-    position = CubicHermiteSpline(t_known, trajectory.gP, trajectory.gV)
-    gTb = np.zeros((len(t), 4, 4))
-    gTb[:, :3, :3] = Slerp(t_known, Rotation.from_matrix(trajectory.gRb))(t).as_matrix()
-    gTb[:, :3, 3] = position(t)
-    gTb[:, 3, 3] = 1.0
-    bias = np.stack([np.interp(t, t_known, column) for column in trajectory.bias.T], axis=-1)
-    return Trajectory(stamps_ns, gTb, position.derivative()(t), bias)
-
-
-def errors(estimate: Trajectory, truth: Trajectory) -> Errors:
-    """Errors of an estimate against the truth, which is interpolated to the estimate's stamps."""
-    there = at_stamps(truth, estimate.stamps_ns)
-    turn = np.swapaxes(estimate.gRb, 1, 2) @ there.gRb
+    if not np.array_equal(estimate.stamps_ns, truth.stamps_ns):
+        raise EstimationError("estimate and ground truth have different stamps")
+    turn = np.swapaxes(estimate.gRb, 1, 2) @ truth.gRb
     return Errors(
         estimate.stamps_ns,
-        there.gP - estimate.gP,
-        there.gV - estimate.gV,
+        truth.gP - estimate.gP,
+        truth.gV - estimate.gV,
         frames.rotation_log(turn),
     )
 

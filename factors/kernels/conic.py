@@ -60,9 +60,7 @@ def rim_in_camera(
     `centre` (3,) and `axes` (2, 3) are the same in g; R (3, 3) is gRc, P (3,) is gPc.
     """
     for i in range(3):
-        p[i] = (
-            R[0, i] * (centre[0] - P[0]) + R[1, i] * (centre[1] - P[1]) + R[2, i] * (centre[2] - P[2])
-        )
+        p[i] = R[0, i] * (centre[0] - P[0]) + R[1, i] * (centre[1] - P[1]) + R[2, i] * (centre[2] - P[2])
         for k in range(2):
             c[k, i] = R[0, i] * axes[k, 0] + R[1, i] * axes[k, 1] + R[2, i] * axes[k, 2]
 

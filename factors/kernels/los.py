@@ -22,7 +22,7 @@ def _adjugate(q: FloatArray, K: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def line_of_sight(q: FloatArray, n_c: FloatArray) -> FloatArray:
-    """Unit vector (3,) in c from the camera to the true crater centre: K n_c / |K n_c|, K = -4 adj(Q).
+    """Give the unit vector (3,) in c to the true crater centre: K n_c / |K n_c|, K = -4 adj(Q).
 
     `q` (6,) is the conic (A, B, C, D, E, F) of any sign and scale, `n_c` (3,) the outward normal in c.
     """
@@ -96,6 +96,4 @@ def los_residual(
         for r in range(2):
             J[r, d] = 0.0
             for i in range(3):
-                J[r, d] += basis[i, r] * (
-                    (dp[i] - pu[i] * along_p) / pn - (dv[i] - vu[i] * along_v) / vn
-                )
+                J[r, d] += basis[i, r] * ((dp[i] - pu[i] * along_p) / pn - (dv[i] - vu[i] * along_v) / vn)

@@ -1,8 +1,8 @@
 """Strapdown propagation of mean and covariance in the rotating frame g, eqs (26)-(28).
 
 Error state, 18: attitude (rotation vector in b, R_true = R exp(phi)), position and velocity (in g),
-angular velocity (in b), gyro bias, accelerometer bias. In `SPARSE` order the first nine and the six
-biases are propagated row by row; the angular velocity is what the last gyro row says of it.
+angular velocity (in b), gyro bias, accelerometer bias. All but the angular velocity are propagated row
+by row; the angular velocity is what the last gyro row says of it.
 """
 
 import numpy as np
@@ -45,9 +45,7 @@ def _rotation(w0: float, w1: float, w2: float, E: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _gravity_and_rotation(
-    P: FloatArray, V: FloatArray, mu: float, spin: FloatArray, out: FloatArray
-) -> None:
+def _gravity_and_rotation(P: FloatArray, V: FloatArray, mu: float, spin: FloatArray, out: FloatArray) -> None:
     """Write the acceleration (3,) of eq. (26) without the specific force."""
     s0, s1, s2 = spin[0], spin[1], spin[2]
     r2 = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]

@@ -77,7 +77,11 @@ def test_jacobian_by_central_differences(altitude_m: float, tilt_deg: float, cir
 
 
 charts = st.tuples(
-    st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-6.0, -1.0), st.floats(-2.0, 2.0), st.floats(-6.0, -1.0)
+    st.floats(-0.5, 0.5),
+    st.floats(-0.5, 0.5),
+    st.floats(-6.0, -1.0),
+    st.floats(-2.0, 2.0),
+    st.floats(-6.0, -1.0),
 ).map(np.array)
 
 
@@ -92,7 +96,8 @@ def test_conic_jacobian_is_tangent_to_the_unit_sphere_and_right(y: np.ndarray) -
     assert_allclose(conic.chart_to_conic(y) @ J, 0.0, atol=1e-9)
     h = 1e-5
     numerical = np.stack(
-        [(conic.chart_to_conic(y + h * e) - conic.chart_to_conic(y - h * e)) / (2 * h) for e in np.eye(5)], axis=1
+        [(conic.chart_to_conic(y + h * e) - conic.chart_to_conic(y - h * e)) / (2 * h) for e in np.eye(5)],
+        axis=1,
     )
     assert_allclose(J, numerical, atol=1e-6 * max(1.0, np.abs(J).max()))
 
@@ -101,7 +106,9 @@ def test_hyperbola_and_hidden_rims_are_not_ellipses() -> None:
     assert np.isnan(conic.conic_to_chart(np.array([1.0, 0.0, -1.0, 0.0, 0.0, -1.0]))).all()
     view = make_view(0)
     args = (view.bTc, view.catalog.centres, view.catalog.axes)
-    turned = view.gTb @ view.bTc @ frames.pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3)) @ frames.inverse(view.bTc)
+    turned = (
+        view.gTb @ view.bTc @ frames.pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3)) @ frames.inverse(view.bTc)
+    )
     assert not conic.project_rims(turned, *args)[1].any()
     inside = view.gTb.copy()
     inside[:3, 3] -= 2 * (view.gTb[:3, 3] - view.catalog.centres.mean(axis=0))

@@ -147,7 +147,12 @@ def test_loss_equals_one_gtsam_robust_factor_per_crater(kind: int, name: str) ->
 
 def test_unseen_crater_is_dear_but_without_pull() -> None:
     view = make_view(2)
-    away = view.gTb @ view.bTc @ gtsam.Pose3(gtsam.Rot3.Rx(np.pi), np.zeros(3)).matrix() @ np.linalg.inv(view.bTc)
+    away = (
+        view.gTb
+        @ view.bTc
+        @ gtsam.Pose3(gtsam.Rot3.Rx(np.pi), np.zeros(3)).matrix()
+        @ np.linalg.inv(view.bTc)
+    )
     for name in ("shape", "los", "centre"):
         factor = FACTORS[name](view, Loss())
         J, b = factor.linearize(values_at(away)).jacobian()
@@ -182,7 +187,9 @@ def test_jacobian_has_the_rows_that_were_declared(view: View) -> None:
         ("covariances", lambda a: -a, "covariances: expected positive definite"),
         ("covariances", lambda a: a + np.triu(np.ones((5, 5)), 1), "covariances: expected symmetric"),
         pytest.param("bTc", lambda a: 2.0 * a, "bTc: expected a homogeneous matrix", id="scaled"),
-        pytest.param("bTc", lambda a: a @ np.diag([1.0, 1, -1, 1]), "bTc: expected a homogeneous", id="mirrored"),
+        pytest.param(
+            "bTc", lambda a: a @ np.diag([1.0, 1, -1, 1]), "bTc: expected a homogeneous", id="mirrored"
+        ),
     ],
 )
 def test_bad_measurements_are_refused(field: str, change: Callable[..., np.ndarray], message: str) -> None:
@@ -201,7 +208,11 @@ def test_bad_measurements_are_refused(field: str, change: Callable[..., np.ndarr
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"sigma_rad": 0.0}, "sigma_rad"), ({"tilt_rad": np.inf}, "tilt_rad"), ({"direction": np.zeros(3)}, "direction")],
+    [
+        ({"sigma_rad": 0.0}, "sigma_rad"),
+        ({"tilt_rad": np.inf}, "tilt_rad"),
+        ({"direction": np.zeros(3)}, "direction"),
+    ],
 )
 def test_bad_tilts_are_refused(change: dict[str, object], message: str) -> None:
     arguments: dict[str, object] = {"direction": np.ones(3), "tilt_rad": 0.1, "sigma_rad": 0.1} | change

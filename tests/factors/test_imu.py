@@ -21,7 +21,9 @@ RATE_HZ = 100
 
 def angular_velocity(t: np.ndarray) -> np.ndarray:
     """Inertial angular velocity in b, rad/s."""
-    return np.stack([1e-3 + 4e-3 * np.sin(0.05 * t), -8e-4 + 3e-3 * np.cos(0.083 * t), 2e-3 * np.sin(0.02 * t)], axis=-1)
+    return np.stack(
+        [1e-3 + 4e-3 * np.sin(0.05 * t), -8e-4 + 3e-3 * np.cos(0.083 * t), 2e-3 * np.sin(0.02 * t)], axis=-1
+    )
 
 
 def specific_force(t: np.ndarray) -> np.ndarray:
@@ -29,7 +31,9 @@ def specific_force(t: np.ndarray) -> np.ndarray:
     return np.stack([0.3 * np.sin(0.03 * t), 0.2 * np.cos(0.05 * t), 2.5 + 0.5 * np.sin(0.01 * t)], axis=-1)
 
 
-def truth(times_s: np.ndarray, gRb0: Rotation, gP0: np.ndarray, gV0: np.ndarray) -> tuple[Rotation, np.ndarray]:
+def truth(
+    times_s: np.ndarray, gRb0: Rotation, gP0: np.ndarray, gV0: np.ndarray
+) -> tuple[Rotation, np.ndarray]:
     """Integrate eqs. (26), (27) by DOP853; attitude and position at the times."""
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
@@ -83,7 +87,13 @@ def test_600_s_against_dop853() -> None:
 def one_interval(rows: int = 50) -> gtsam.PreintegratedCombinedMeasurements:
     gyro, force = interval_means(3.0, rows)
     return preintegrate(
-        NOISE, SPIN, MOON.gravity(np.array([1.79e6, 0, 0])), np.full(rows, 0.01), gyro, force, np.full(6, 1e-4)
+        NOISE,
+        SPIN,
+        MOON.gravity(np.array([1.79e6, 0, 0])),
+        np.full(rows, 0.01),
+        gyro,
+        force,
+        np.full(6, 1e-4),
     )
 
 

@@ -1,0 +1,229 @@
+"""The command line `craternav`."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from craternav_fg.config import load_scenario
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import CraternavError
+from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.evaluation.run_folder import MARKER, Run, read_run
+from craternav_fg.evaluation.runs import write_reconstruction
+from craternav_fg.files import replacing_folder
+from craternav_fg.reconstruction import Progress as Report
+from craternav_fg.simulation.scenario import simulate as simulate_scenario
+
+app = typer.Typer(
+    help="Reconstruct a planetary landing from crater rims and an IMU.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+err = Console(stderr=True)
+out = Console()
+
+DEMO_DATASET = "dataset"
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, nothing else.")]
+EstimatorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--estimator", "-e", help=f"One of {', '.join(ESTIMATORS)}; may be repeated.  [default: all]"
+    ),
+]
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")] = Path("runs/demo"),
+    scenario: Annotated[
+        str, typer.Option(help="Name of a built-in scenario, or a TOML file.")
+    ] = "lunar_descent",
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a descent, reconstruct it with every estimator, and compare them."""
+    began_s = time.perf_counter()
+    case = load_scenario(scenario)
+    with replacing_folder(output, marker=MARKER) as folder, _bar() as report:
+        simulate_scenario(
+            case, folder / DEMO_DATASET, progress=lambda done, total: report("simulated frames", done, total)
+        )
+        summary = write_reconstruction(
+            Dataset.open(folder / DEMO_DATASET),
+            folder,
+            tuple(ESTIMATORS),
+            label=DEMO_DATASET,
+            began_s=began_s,
+            progress=report,
+        )
+    _show_run(output, summary, as_json)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
+    case = load_scenario(scenario)
+    with _bar() as report:
+        simulate_scenario(case, output, progress=lambda done, total: report("simulated frames", done, total))
+    if as_json:
+        out.print_json(json.dumps({"dataset": str(output)}))
+    else:
+        out.print(f"data set: [bold]{output}[/]  (next: craternav reconstruct {output} -o RUN)")
+
+
+@app.command()
+def reconstruct(
+    data: Annotated[Path, typer.Argument(help="Folder of the data set.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")],
+    estimators: EstimatorOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Reconstruct the trajectory of a data set."""
+    began_s = time.perf_counter()
+    names = tuple(dict.fromkeys(estimators or ESTIMATORS))
+    for name in names:
+        estimator(name)
+    dataset = Dataset.open(data)
+    with replacing_folder(output, marker=MARKER) as folder, _bar() as report:
+        summary = write_reconstruction(
+            dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report
+        )
+    _show_run(output, summary, as_json)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Compare the estimators of one or more runs."""
+    loaded = [read_run(path) for path in runs]
+    if as_json:
+        result = {
+            str(run.path): {
+                name: {**run.metrics["estimators"][name], "from_smoother_rms_m": _from_smoother(run, name)}
+                for name in run.trajectories
+            }
+            for run in loaded
+        }
+        out.print_json(json.dumps(result))
+        return
+    table = _table()
+    table.caption = f"{table.caption}; off: RMS distance from the smoother"
+    table.add_column("off m", justify="right", no_wrap=True)
+    for run in loaded:
+        if len(loaded) > 1:
+            table.add_section()
+            table.add_row(f"[bold]{run.path}[/]")
+        for name in run.trajectories:
+            row = _row(name, run.metrics["estimators"][name])
+            table.add_row(*row, _number(_from_smoother(run, name)))
+    out.print(table)
+
+
+def _from_smoother(run: Run, name: str) -> float | None:
+    """RMS distance of an estimator's positions from the smoother's: there without ground truth, too."""
+    if "smoother" not in run.trajectories:
+        return None
+    step = run.trajectories[name].gP - run.trajectories["smoother"].gP
+    return float(np.sqrt(np.mean(np.sum(step**2, axis=1))))
+
+
+def _show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        out.print_json(json.dumps(summary))
+        return
+    table = _table()
+    for name, values in summary["estimators"].items():
+        table.add_row(*_row(name, values))
+    out.print(table)
+    counts = np.array(summary["craters_per_frame"])
+    blind = np.flatnonzero(counts == 0)
+    out.print(
+        f"{len(counts)} frames, {counts.min()} to {counts.max()} rims in each, {summary['wall_s']:.0f} s"
+    )
+    if len(blind):
+        out.print(
+            f"[yellow]{len(blind)} frames without a catalogue crater (the first: frame {blind[0]}): "
+            "there the trajectory rests on the IMU, and its covariance grows.[/]"
+        )
+    for path in sorted(folder.glob("*")):
+        what = sorted(p.name for p in path.iterdir()) if path.name == "figures" else []
+        out.print(f"  {path}{'/: ' + ', '.join(what) if what else ''}", highlight=False, soft_wrap=True)
+
+
+def _table() -> Table:
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        header_style="bold",
+        caption="errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6",
+        caption_justify="left",
+    )
+    table.add_column("estimator", no_wrap=True)
+    for heading in ("RMS m", "end m", "RMS m/s", "RMS deg", "end deg", "ANEES"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _row(name: str, values: dict[str, Any]) -> list[str]:
+    fields = (
+        "position_rms_m",
+        "position_final_m",
+        "velocity_rms_m_s",
+        "attitude_rms_deg",
+        "attitude_final_deg",
+        "anees",
+    )
+    return [name, *(_number(values[field]) for field in fields)]
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+@contextmanager
+def _bar() -> Iterator[Report]:
+    """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
+    columns = (TextColumn("{task.description:24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
+        tasks: dict[str, TaskID] = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            # One bar for all estimators: their name changes, their number does not.
+            kind = what.split()[0]
+            if kind not in tasks:
+                tasks[kind] = progress.add_task(what, total=total)
+            progress.update(tasks[kind], description=what, completed=done, total=total)
+
+        yield report
+
+
+def main() -> None:
+    """Run the command line: a known error is one line on stderr and exit code 2."""
+    try:
+        app()
+    except CraternavError as error:
+        err.print(f"craternav: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

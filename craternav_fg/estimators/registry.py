@@ -1,0 +1,38 @@
+"""The estimators by name."""
+
+from collections.abc import Callable
+
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Estimator
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.dead_reckoning import DeadReckoning
+from craternav_fg.estimators.ekf import ekf, ekf_paper
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.online import OnlineSmoother
+
+
+def _centre_smoother() -> Estimator:
+    return BatchSmoother(GraphOptions(rims="centre"), "centre_smoother")
+
+
+ESTIMATORS: dict[str, Callable[[], Estimator]] = {
+    "smoother": BatchSmoother,
+    "online": OnlineSmoother,
+    "ekf": ekf,
+    "ekf_paper": ekf_paper,
+    "centre_smoother": _centre_smoother,
+    "dead_reckoning": DeadReckoning,
+}
+
+
+def estimator(name: str) -> Estimator:
+    """Make an estimator.
+
+    Raises
+    ------
+    EstimationError
+        When there is none of that name.
+    """
+    if name not in ESTIMATORS:
+        raise EstimationError(f"unknown estimator {name!r}; expected one of {', '.join(ESTIMATORS)}")
+    return ESTIMATORS[name]()

@@ -1,0 +1,239 @@
+"""Figures of a run."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure, SubFigure
+from scipy.stats import chi2
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalog import Catalog, chart_to_pixels
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+# Okabe and Ito's colours, told apart by most eyes; the same estimator has the same colour everywhere.
+COLOURS = {
+    "smoother": "#0072B2",
+    "online": "#56B4E9",
+    "ekf": "#009E73",
+    "ekf_paper": "#E69F00",
+    "centre_smoother": "#D55E00",
+    "dead_reckoning": "#7F7F7F",
+}
+OTHER = "#CC79A7"
+
+
+def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims: Sequence[int]) -> Figure:
+    """Position and attitude error of every estimator, and the rims per frame, over time."""
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    position, attitude, count = figure.subplots(3, 1, sharex=True, height_ratios=[3, 3, 1])
+    for name, trajectory in trajectories.items():
+        e = errors(trajectory, truth)
+        position.semilogy(
+            _seconds(e.stamps_ns),
+            np.linalg.norm(e.position_m, axis=1),
+            color=COLOURS.get(name, OTHER),
+            label=name,
+        )
+        attitude.semilogy(
+            _seconds(e.stamps_ns),
+            np.degrees(np.linalg.norm(e.attitude_rad, axis=1)),
+            color=COLOURS.get(name, OTHER),
+            label=name,
+        )
+    position.set_ylabel("position error, m")
+    attitude.set_ylabel("attitude error, deg")
+    position.legend(ncols=3, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, 1.2), frameon=False)
+    count.step(_seconds(truth.stamps_ns), rims, where="mid", color="k", lw=1.2)
+    count.set_ylabel("rims")
+    count.set_ylim(bottom=0)
+    count.set_xlabel("time, s")
+    for axes in (position, attitude, count):
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.01)
+    return figure
+
+
+def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Figure:
+    """Pose NEES of every estimator over time, beside the interval in which an honest one stays."""
+    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    axes = figure.subplots()
+    low, high = (float(chi2.ppf(p, 6)) for p in (0.025, 0.975))
+    axes.axhspan(low, high, color="k", alpha=0.1, label="95 % of honest NEES (6 dof)")
+    for name, trajectory in trajectories.items():
+        if trajectory.pose_covariance is None:
+            continue
+        values = nees(errors(trajectory, truth).pose, trajectory.pose_covariance)
+        label = f"{name} (mean {values.mean():.3g})"
+        axes.semilogy(_seconds(trajectory.stamps_ns), values, color=COLOURS.get(name, OTHER), label=label)
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("NEES of the pose")
+    axes.grid(alpha=0.3)
+    axes.margins(x=0.01)
+    axes.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return figure
+
+
+def draw_bounds(name: str, trajectory: Trajectory, truth: Trajectory) -> Figure:
+    """Each component of an estimator's pose error with its 3-sigma bounds; position in east, north, up."""
+    e = errors(trajectory, truth)
+    assert trajectory.pose_covariance is not None
+    lat, lon = frames.latitude_longitude(truth.gP)
+    eRg = np.swapaxes(frames.east_north_up(lat, lon), 1, 2)
+    position = np.einsum("kij,kj->ki", eRg, e.position_m)
+    S = eRg @ trajectory.pose_covariance[:, 3:, 3:] @ np.swapaxes(eRg, 1, 2)
+    position_sigma = np.sqrt(np.einsum("kii->ki", S))
+    attitude = np.degrees(e.attitude_rad)
+    attitude_sigma = np.degrees(np.sqrt(np.einsum("kii->ki", trajectory.pose_covariance[:, :3, :3])))
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    grid = figure.subplots(3, 2, sharex=True)
+    t = _seconds(e.stamps_ns)
+    for i in range(3):
+        labels = (f"{('east', 'north', 'up')[i]}, m", f"{'xyz'[i]} in b, deg")
+        for axes, value, sigma, label in zip(
+            grid[i], (position, attitude), (position_sigma, attitude_sigma), labels, strict=True
+        ):
+            axes.fill_between(t, -3 * sigma[:, i], 3 * sigma[:, i], color=COLOURS.get(name, OTHER), alpha=0.2)
+            axes.plot(t, value[:, i], color=COLOURS.get(name, OTHER), lw=1.3)
+            limit = 1.15 * max(np.percentile(3 * sigma[:, i], 95), np.abs(value[:, i]).max())
+            axes.set_ylim(-limit, limit)
+            axes.set_ylabel(label)
+            axes.grid(alpha=0.3)
+            axes.margins(x=0.01)
+    grid[0, 0].set_title(f"{name}: position error and 3 sigma")
+    grid[0, 1].set_title("attitude error and 3 sigma")
+    for axes in grid[2]:
+        axes.set_xlabel("time, s")
+    return figure
+
+
+def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Catalog, body: Body) -> Figure:
+    """Ground track over the crater map, and altitude against downrange."""
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1])
+    lines = [("estimate", trajectory.gP, COLOURS["smoother"], "-")]
+    if truth is not None:
+        lines.append(("truth", truth.gP, "k", ":"))
+    # Great circle through both ends: downrange along it, crossrange to its left.
+    first, last = (P / np.linalg.norm(P) for P in (trajectory.gP[0], trajectory.gP[-1]))
+    pole = np.cross(first, last)
+    pole /= np.linalg.norm(pole)
+    ahead = np.cross(pole, first)
+
+    def ranges_km(P: FloatArray) -> tuple[FloatArray, FloatArray]:
+        unit = P / np.linalg.norm(P, axis=-1, keepdims=True)
+        radius_km = body.radius_m / 1e3
+        return radius_km * np.arctan2(unit @ ahead, unit @ first), radius_km * np.arcsin(unit @ pole)
+
+    for label, P, colour, style in lines:
+        x, y = ranges_km(P)
+        below.plot(x, y, style, color=colour, label=label)
+        above.plot(x, body.altitude_m(P) / 1e3, style, color=colour, label=label)
+    x, y = ranges_km(catalog.centres)
+    left, right = below.get_xlim()
+    reach = min(0.25 * (right - left), 0.5 * float(body.altitude_m(trajectory.gP[0])) / 1e3)
+    near = (x > left) & (x < right) & (np.abs(y) < reach)
+    # Downrange and crossrange components of the major axes.
+    local = x[:, None] / (body.radius_m / 1e3)
+    forward = np.cos(local) * ahead - np.sin(local) * first
+    major = catalog.gRl[:, :, 0]
+    angle = np.degrees(np.arctan2(major @ pole, np.einsum("ni,ni->n", major, forward)))
+    below.add_collection(
+        EllipseCollection(
+            2e-3 * catalog.semi_major_m[near],
+            2e-3 * catalog.semi_minor_m[near],
+            angle[near],
+            units="xy",
+            offsets=np.stack([x, y], axis=-1)[near],
+            transOffset=below.transData,
+            facecolors="none",
+            edgecolors="0.6",
+            linewidths=0.6,
+        )
+    )
+    below.set_ylim(-reach, reach)
+    below.set_xlim(left, right)
+    below.set_aspect("equal", adjustable="box")
+    below.set_xlabel("downrange, km")
+    below.set_ylabel("crossrange, km")
+    above.set_ylabel("altitude, km")
+    above.legend(frameon=False)
+    for axes in (above, below):
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def draw_rims(axes: Axes, image: npt.NDArray[np.uint8], frame: FrameMeasurement, camera: Camera) -> None:
+    """Draw a frame's image with its measured rims and the direction towards the sun."""
+    axes.imshow(image, cmap="gray", vmin=0, vmax=255)
+    centres, S = chart_to_pixels(camera, frame.rims.chart)
+    angle = np.linspace(0.0, 2.0 * np.pi, 90)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    for m, shape in zip(centres, S, strict=True):
+        x, y = m[:, None] + np.linalg.cholesky(shape) @ circle
+        axes.plot(x, y, color="#F0E442", lw=1.0)
+    if frame.sun is not None:
+        length = 0.07 * camera.width_px
+        x, y = camera.pixels(frame.sun.point)
+        dx, dy = length * np.cos(frame.sun.tilt_rad), length * np.sin(frame.sun.tilt_rad)
+        axes.annotate(
+            "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "->", "color": "#D55E00", "lw": 1.5}
+        )
+    axes.set_xlim(-0.5, camera.width_px - 0.5)
+    axes.set_ylim(camera.height_px - 0.5, -0.5)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def draw_overview(
+    images: Sequence[tuple[npt.NDArray[np.uint8], FrameMeasurement]],
+    trajectories: Mapping[str, Trajectory],
+    truth: Trajectory,
+    camera: Camera,
+    body: Body,
+) -> Figure:
+    """Show a run at a glance: some frames with their rims above every estimator's position error."""
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    top: SubFigure
+    bottom: SubFigure
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1.0, 1.1], squeeze=False)[:, 0]
+    altitude_km = dict(zip(truth.stamps_ns.tolist(), body.altitude_m(truth.gP) / 1e3, strict=True))
+    for axes, (image, frame) in zip(top.subplots(1, len(images), squeeze=False)[0], images, strict=True):
+        draw_rims(axes, image, frame, camera)
+        axes.set_title(f"{altitude_km[frame.stamp_ns]:.0f} km, {len(frame.rims)} rims", fontsize=10)
+    axes = bottom.subplots()
+    for name, trajectory in trajectories.items():
+        e = errors(trajectory, truth)
+        axes.semilogy(
+            _seconds(e.stamps_ns),
+            np.linalg.norm(e.position_m, axis=1),
+            color=COLOURS.get(name, OTHER),
+            label=name,
+        )
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("position error, m")
+    axes.grid(alpha=0.3)
+    axes.margins(x=0.01)
+    axes.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG."""
+    FigureCanvasAgg(figure)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def _seconds(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
+    return (stamps_ns - stamps_ns[0]) * 1e-9

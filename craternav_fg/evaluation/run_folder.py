@@ -1,0 +1,244 @@
+"""A run on disk: what `reconstruct` writes and `compare`, notebooks and other tools read.
+
+metrics.json        errors of every estimator, wall time
+truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in g)
+states.parquet      every estimator's states with covariances, one row per frame
+residuals.parquet   every rim against every estimator's pose, one row per rim and estimator
+figures/            PNG
+run.toml            what was run on what, with versions
+"""
+
+import importlib.metadata
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import craternav_fg
+from craternav_fg import frames
+from craternav_fg.camera import Camera
+from craternav_fg.catalog import Catalog
+from craternav_fg.errors import InputError
+from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.reconstruction import Reconstruction
+from craternav_fg.trajectory import Trajectory
+from factors.kernels import conic
+
+FloatArray = npt.NDArray[np.float64]
+
+MARKER = "run.toml"
+METRICS = "metrics.json"
+STATES = "states.parquet"
+RESIDUALS = "residuals.parquet"
+TRUTH = "truth"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run read back.
+
+    Attributes
+    ----------
+    path : Path
+        Its folder.
+    metrics : dict
+        What metrics.json holds.
+    trajectories : mapping of str to Trajectory
+        By estimator.
+    truth : Trajectory or None
+    """
+
+    path: Path
+    metrics: dict[str, Any]
+    trajectories: Mapping[str, Trajectory]
+    truth: Trajectory | None
+
+
+def write_run(
+    folder: Path,
+    result: Reconstruction,
+    *,
+    dataset: str,
+    camera: Camera,
+    catalog: Catalog,
+    truth: Trajectory | None,
+    wall_s: float,
+) -> dict[str, Any]:
+    """Write a run into an existing folder, all but its figures.
+
+    Parameters
+    ----------
+    folder : Path
+    result : Reconstruction
+    dataset : str
+        Where the data set is, as run.toml tells it.
+    camera : Camera
+    catalog : Catalog
+    truth : Trajectory or None
+        For the errors.
+    wall_s : float
+        Wall time of the whole command so far.
+
+    Returns
+    -------
+    dict
+        What metrics.json holds.
+    """
+    estimators = {name: metrics(t, truth).as_dict() for name, t in result.trajectories.items()}
+    summary = {
+        "wall_s": wall_s,
+        "times_s": dict(result.times_s),
+        "craters_per_frame": [len(frame.rims) for frame in result.frames],
+        "estimators": estimators,
+    }
+    (folder / METRICS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    every = dict(result.trajectories) if truth is None else {TRUTH: truth, **result.trajectories}
+    for name, trajectory in every.items():
+        write_tum(folder / f"{name}.tum", trajectory)
+    pq.write_table(_states(every), folder / STATES)
+    pq.write_table(_residuals(result.trajectories, result.frames, camera, catalog), folder / RESIDUALS)
+    versions = {name: importlib.metadata.version(name) for name in ("gtsam", "numpy", "numba")}
+    lines = [
+        "# What was run; json.dumps quotes strings as TOML does.",
+        f"craternav_fg = {json.dumps(craternav_fg.__version__)}",
+        f"dataset = {json.dumps(dataset)}",
+        f"estimators = {json.dumps(list(result.trajectories))}",
+        "",
+        "[versions]",
+        *(f"{name} = {json.dumps(version)}" for name, version in versions.items()),
+    ]
+    (folder / MARKER).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return summary
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory as evo's TUM format: time in s, position in m, quaternion x y z w."""
+    q = np.roll(frames.to_quaternion_wxyz(trajectory.gRb), -1, axis=1)
+    rows = []
+    for stamp, P, quaternion in zip(trajectory.stamps_ns, trajectory.gP, q, strict=True):
+        seconds, rest = divmod(int(stamp), 1_000_000_000)
+        numbers = " ".join(repr(float(x)) for x in (*P, *quaternion))
+        rows.append(f"{seconds}.{rest:09d} {numbers}\n")
+    path.write_text("".join(rows), encoding="ascii")
+
+
+def read_run(folder: Path | str) -> Run:
+    """Read a run.
+
+    Raises
+    ------
+    InputError
+        When the folder is none, or a file of it is missing or damaged.
+    """
+    path = Path(folder)
+    if not (path / MARKER).is_file():
+        raise InputError(path, f"expected a run's folder, found no {MARKER} in it")
+    try:
+        summary = json.loads((path / METRICS).read_text(encoding="utf-8"))
+        table = pq.read_table(path / STATES)
+    except FileNotFoundError as error:
+        raise InputError(Path(str(error.filename)), "is missing from the run") from None
+    except (json.JSONDecodeError, pa.ArrowInvalid, OSError) as error:
+        raise InputError(path, f"is damaged: {error}") from None
+    names = table["estimator"].to_pylist()
+    trajectories = {}
+    for name in dict.fromkeys(names):
+        rows = np.flatnonzero([other == name for other in names])
+        trajectories[name] = _trajectory(table.take(pa.array(rows)))
+    truth = trajectories.pop(TRUTH, None)
+    return Run(path, summary, trajectories, truth)
+
+
+def _states(trajectories: Mapping[str, Trajectory]) -> pa.Table:
+    columns: dict[str, list[pa.Array]] = {}
+
+    def add(name: str, array: pa.Array) -> None:
+        columns.setdefault(name, []).append(array)
+
+    for name, t in trajectories.items():
+        k = len(t)
+        add("estimator", pa.array([name] * k))
+        add("stamp_ns", pa.array(t.stamps_ns))
+        add("position_m", _vectors(t.gP))
+        add("quaternion_wxyz", _vectors(frames.to_quaternion_wxyz(t.gRb)))
+        add("velocity_m_s", _vectors(t.gV))
+        add("bias", _vectors(t.bias))
+        for field, size in (("pose_covariance", 36), ("velocity_covariance", 9), ("bias_covariance", 36)):
+            value = getattr(t, field)
+            missing = pa.nulls(k, pa.list_(pa.float64(), size))
+            add(field, missing if value is None else _vectors(value.reshape(k, size)))
+    return pa.table({name: pa.chunked_array(parts) for name, parts in columns.items()})
+
+
+def _vectors(rows: FloatArray) -> pa.Array:
+    flat = pa.array(np.ascontiguousarray(rows).ravel(), pa.float64())
+    return pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])
+
+
+def _trajectory(table: pa.Table) -> Trajectory:
+    k = len(table)
+
+    def numbers(name: str, *shape: int) -> FloatArray | None:
+        column = table[name].combine_chunks()
+        if column.null_count:
+            return None
+        return np.array(column.flatten().to_numpy(zero_copy_only=False)).reshape(k, *shape)
+
+    gTb = np.tile(np.eye(4), (k, 1, 1))
+    gTb[:, :3, :3] = frames.from_quaternion_wxyz(_required(numbers("quaternion_wxyz", 4)))
+    gTb[:, :3, 3] = _required(numbers("position_m", 3))
+    return Trajectory(
+        table["stamp_ns"].to_numpy(),
+        gTb,
+        _required(numbers("velocity_m_s", 3)),
+        _required(numbers("bias", 6)),
+        numbers("pose_covariance", 6, 6),
+        numbers("velocity_covariance", 3, 3),
+        numbers("bias_covariance", 6, 6),
+    )
+
+
+def _required(array: FloatArray | None) -> FloatArray:
+    assert array is not None
+    return array
+
+
+def _residuals(
+    trajectories: Mapping[str, Trajectory],
+    measured: tuple[FrameMeasurement, ...],
+    camera: Camera,
+    catalog: Catalog,
+) -> pa.Table:
+    """Whitened chart residuals (measured minus predicted) of every rim at every estimator's pose."""
+    stamps = np.concatenate([np.full(len(f.rims), f.stamp_ns) for f in measured])
+    craters = np.concatenate([f.rims.craters for f in measured])
+    parts = []
+    for name, trajectory in trajectories.items():
+        whitened = [np.empty((0, 5))]
+        for frame, gTb in zip(measured, trajectory.gTb, strict=True):
+            rims = frame.rims
+            predicted, _ = conic.project_rims(
+                gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]
+            )
+            L = np.linalg.cholesky(rims.covariance)
+            whitened.append(np.linalg.solve(L, (rims.chart - predicted)[..., None])[..., 0])
+        e = np.concatenate(whitened)
+        parts.append(
+            pa.table(
+                {
+                    "estimator": pa.array([name] * len(e)),
+                    "stamp_ns": pa.array(stamps.astype(np.int64)),
+                    "crater_id": pa.array([catalog.identifiers[row] for row in craters]),
+                    "whitened": _vectors(e),
+                    "chi2": pa.array(np.sum(e**2, axis=1)),
+                }
+            )
+        )
+    return pa.concat_tables(parts)

@@ -1,0 +1,76 @@
+"""A run: reconstruct a data set and write all that comes out of it."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from craternav_fg.dataset import Dataset
+from craternav_fg.evaluation import figures
+from craternav_fg.evaluation.run_folder import write_run
+from craternav_fg.reconstruction import Progress, Reconstruction, reconstruct
+
+OVERVIEW_FRAMES = 3
+
+
+def write_reconstruction(
+    dataset: Dataset,
+    folder: Path,
+    names: Sequence[str],
+    *,
+    label: str,
+    began_s: float,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Reconstruct a data set into an existing folder: results, metrics, figures.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    folder : Path
+        See `craternav_fg.evaluation.run_folder` for what is written.
+    names : sequence of str
+        Estimators.
+    label : str
+        Where the data set is, as run.toml tells it.
+    began_s : float
+        `time.perf_counter()` at the beginning of the whole command.
+    progress : callable, optional
+
+    Returns
+    -------
+    dict
+        What metrics.json holds.
+    """
+    result = reconstruct(dataset, names, progress=progress)
+    _draw(dataset, result, folder / "figures")
+    return write_run(
+        folder,
+        result,
+        dataset=label,
+        camera=dataset.camera,
+        catalog=dataset.catalog,
+        truth=dataset.truth,
+        wall_s=time.perf_counter() - began_s,
+    )
+
+
+def _draw(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
+    best = next(iter(result.trajectories))
+    trajectory = result.trajectories[best]
+    drawn = {"descent": figures.draw_descent(trajectory, dataset.truth, dataset.catalog, dataset.body)}
+    if dataset.truth is not None:
+        rims = [len(frame.rims) for frame in result.frames]
+        drawn["errors"] = figures.draw_errors(result.trajectories, dataset.truth, rims)
+        drawn["consistency"] = figures.draw_consistency(result.trajectories, dataset.truth)
+        drawn[f"bounds_{best}"] = figures.draw_bounds(best, trajectory, dataset.truth)
+        if dataset.rims is None:
+            rows = np.linspace(0, len(dataset) - 1, min(OVERVIEW_FRAMES, len(dataset))).astype(int)
+            images = [(dataset.image(int(k)), result.frames[k]) for k in rows]
+            drawn["overview"] = figures.draw_overview(
+                images, result.trajectories, dataset.truth, dataset.camera, dataset.body
+            )
+    for name, figure in drawn.items():
+        figures.save(figure, folder / f"{name}.png")
