@@ -1,0 +1,55 @@
+"""Short simulated descents with analytic rims, for estimator tests."""
+
+from pathlib import Path
+
+from craternav_fg.config import Crater, CraterList, Scenario, load_scenario
+from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.start import first_frame_map
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.trajectory import Trajectory
+
+# Places (east, north, km) and sizes (km) of craters below a lander that looks ahead.
+CRATERS = [
+    (0.0, 2.0, 1.9, 1.6, 35.0),
+    (6.0, 6.0, 2.2, 1.8, 110.0),
+    (-5.0, -7.0, 2.0, 1.7, 70.0),
+    (-9.0, 5.0, 1.6, 1.3, 10.0),
+    (4.0, -6.0, 1.5, 1.2, 150.0),
+]
+
+
+def scenario(*, duration_s: float = 100.0, craters: int = 5, **sections: object) -> Scenario:
+    """Paper's third case cut to its last part: 40 km to 20 km, with more craters in view."""
+    case = load_scenario("paper_case3")
+    start = case.trajectory.start.model_copy(
+        update={"altitude_m": 40e3, "downrange_m": -0.1e3 * duration_s, "ground_speed_m_s": 150.0}
+    )
+    end = case.trajectory.end.model_copy(update={"altitude_m": 20e3, "ground_speed_m_s": 50.0})
+    attitude = case.trajectory.attitude.model_copy(
+        update={
+            "start_pitch_deg": 12.0,
+            "end_pitch_deg": 3.0,
+            "oscillation_deg": (1.0, 1.5, 2.0),
+            "oscillation_period_s": (37.0, 53.0, 71.0),
+        }
+    )
+    trajectory = case.trajectory.model_copy(
+        update={"duration_s": duration_s, "start": start, "end": end, "attitude": attitude}
+    )
+    placed = tuple(
+        Crater(east_m=1e3 * e, north_m=1e3 * n, semi_major_m=1e3 * a, semi_minor_m=1e3 * b, angle_deg=angle)
+        for e, n, a, b, angle in CRATERS[:craters]
+    )
+    listed = CraterList(source="list", crater=placed)
+    return case.model_copy(update={"trajectory": trajectory, "craters": listed, **sections})
+
+
+def problem(folder: Path, case: Scenario, trial: int) -> tuple[Problem, Trajectory]:
+    """Simulate a trial, write it, read it back; the truth is for the test alone."""
+    data = Dataset.open(simulate(case, folder / f"trial{trial}", trial=trial))
+    descent = Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
+    assert data.rims is not None
+    assert data.truth is not None
+    start = first_frame_map(descent, data.rims[0])
+    return Problem(**vars(descent), start=start, frames=data.rims), data.truth

@@ -1,0 +1,206 @@
+"""Start, online and batch smoother on simulated descents."""
+
+import dataclasses
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+
+from craternav_fg import frames
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.graph import GraphOptions, state_stamps
+from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
+from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
+from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.estimators.start import first_frame_map
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.trajectory import Trajectory
+from tests.descents import problem, scenario
+
+TRIALS = 12
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Trajectory]]:
+    """Descents of 40 s, 21 frames, from the paper's initial errors."""
+    folder = tmp_path_factory.mktemp("trials")
+    return [problem(folder, scenario(duration_s=40.0), trial) for trial in range(TRIALS)]
+
+
+def mean_nees(pairs: list[tuple[Trajectory, Trajectory]], frame: int) -> float:
+    values = []
+    for estimate, truth in pairs:
+        assert estimate.pose_covariance is not None
+        values.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[frame])
+    return float(np.mean(values))
+
+
+def interval(n: int) -> tuple[float, float]:
+    """99.8 % interval of the mean of n pose NEES."""
+    return float(chi2.ppf(0.001, 6 * n) / n), float(chi2.ppf(0.999, 6 * n) / n)
+
+
+def test_start_reaches_the_optimum_from_25_deg_and_4_km(tmp_path: Path) -> None:
+    """Every start's error is explained by its covariance; none is left in another minimum."""
+    case = scenario(duration_s=2.0)
+    values = []
+    for trial in range(40):
+        p, truth = problem(tmp_path, case, trial)
+        there = Trajectory(truth.stamps_ns[:1], truth.gTb[:1], truth.gV[:1], truth.bias[:1])
+        start = dataclasses.replace(
+            there, gTb=p.start.gTb[None], pose_covariance=p.start.pose_covariance[None]
+        )
+        values.append(nees(errors(start, there).pose, p.start.pose_covariance[None])[0])
+    low, high = interval(len(values))
+    assert max(values) < chi2.ppf(1 - 1e-6, 6)
+    assert low < np.mean(values) < high
+
+
+def test_start_without_measurements_is_the_prior(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    start = first_frame_map(p, FrameMeasurement(p.initial.stamp_ns, RimSet.empty(), None))
+    assert_allclose(start.gTb, p.initial.gTb, atol=1e-6)
+    sigmas = np.repeat([p.initial.attitude_sigma_rad, p.initial.position_sigma_m], 3)
+    assert_allclose(np.sqrt(np.diag(start.pose_covariance)), sigmas, rtol=1e-6)
+
+
+def test_online_and_batch_are_consistent(trials: list[tuple[Problem, Trajectory]]) -> None:
+    online = [(OnlineSmoother().estimate(p), truth) for p, truth in trials]
+    batch = [(BatchSmoother().estimate(p), truth) for p, truth in trials]
+    low, high = interval(TRIALS)
+    for pairs in (online, batch):
+        for frame in (5, 12, 20):
+            assert low < mean_nees(pairs, frame) < high
+    # Retrospect: at the first frames the batch knows what came later.
+    rms = [
+        np.sqrt(np.mean([np.sum(errors(*pair).position_m[1] ** 2) for pair in pairs]))
+        for pairs in (online, batch)
+    ]
+    assert rms[1] < 0.8 * rms[0]
+
+
+def test_batch_ends_where_online_ends(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """The last online estimate has all data: it is the batch's, up to what iSAM2 leaves unrelinearised."""
+    p, _ = trials[0]
+    online, batch = OnlineSmoother().estimate(p), BatchSmoother().estimate(p)
+    assert online.pose_covariance is not None
+    assert batch.pose_covariance is not None
+    sigma = np.sqrt(np.diag(batch.pose_covariance[-1]))
+    step = np.concatenate(
+        [frames.rotation_log(online.gRb[-1].T @ batch.gRb[-1]), online.gP[-1] - batch.gP[-1]]
+    )
+    assert (np.abs(step) < 0.05 * sigma).all()
+    assert_allclose(
+        online.pose_covariance[-1], batch.pose_covariance[-1], atol=0.05 * np.outer(sigma, sigma).max()
+    )
+
+
+def test_covariance_is_the_inverse_of_the_dense_information(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[1]
+    short = dataclasses.replace(p, frames=p.frames[:3])
+    values = OnlineSmoother().run(short).smoothed_values()
+    graph = build_graph(short, GraphOptions(), values)
+    result = levenberg_marquardt(graph, values)
+    tree = bayes_tree(graph, result.values)
+    ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
+    A, _ = graph.linearize(result.values).jacobian(ordering)
+    # Column scaling keeps the inversion of radians beside metres accurate.
+    scale = np.linalg.norm(A, axis=0)
+    R = np.linalg.qr(A / scale, mode="r")
+    inverse = np.linalg.inv(R) / scale[:, None]
+    offset = 0
+    for i in range(ordering.size()):
+        key = ordering.at(i)
+        size = {"x": 6, "v": 3, "b": 6}[chr(gtsam.Symbol(key).chr())]
+        if key == X(1):
+            rows = inverse[offset : offset + size]
+            expected = rows @ rows.T
+            spread = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+            assert_allclose(tree.marginalCovariance(key) / spread, expected / spread, atol=1e-6)
+            return
+        offset += size
+    pytest.fail("no state 1")
+
+
+def test_frames_without_craters_only_widen_the_covariance(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, truth = trials[2]
+    blind = [
+        FrameMeasurement(f.stamp_ns, RimSet.empty(), None) if k > 10 else f for k, f in enumerate(p.frames)
+    ]
+    p = dataclasses.replace(p, frames=blind)
+    for name in ("online", "ekf", "smoother"):
+        estimate, seeing = estimator(name).estimate(p), estimator(name).estimate(trials[2][0])
+        assert estimate.pose_covariance is not None
+        assert seeing.pose_covariance is not None
+        spread, less = (np.trace(t.pose_covariance[:, 3:, 3:], axis1=1, axis2=2) for t in (estimate, seeing))
+        assert (spread[12:] > 1.2 * less[12:]).all()
+        assert spread[-1] > 3.0 * less[-1]
+        assert nees(errors(estimate, truth).pose, estimate.pose_covariance)[-1] < chi2.ppf(1 - 1e-5, 6)
+
+
+def test_one_wrong_match_does_not_pull_the_smoother(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """Two rims of a frame change their craters; the loss per crater holds them at arm's length."""
+    p, truth = trials[3]
+    frame = p.frames[8]
+    swapped = frame.rims.craters.copy()
+    swapped[[0, 1]] = swapped[[1, 0]]
+    wrong = dataclasses.replace(frame, rims=dataclasses.replace(frame.rims, craters=swapped))
+    clean = BatchSmoother().estimate(p)
+    pulled = BatchSmoother().estimate(dataclasses.replace(p, frames=[*p.frames[:8], wrong, *p.frames[9:]]))
+    assert clean.pose_covariance is not None
+    sigma = np.sqrt(np.trace(clean.pose_covariance[8][3:, 3:]))
+    assert np.linalg.norm(pulled.gP[8] - clean.gP[8]) < 2.0 * sigma
+    assert np.linalg.norm(errors(pulled, truth).position_m[8]) < 5.0 * sigma
+
+
+def test_session_refuses_a_frame_from_the_past(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    session = OnlineSession(p)
+    session.begin(p.frames[0], p.start)
+    with pytest.raises(EstimationError, match="not later"):
+        session.update(p.frames[0])
+
+
+def test_prediction_changes_nothing_and_matches_dead_reckoning(
+    trials: list[tuple[Problem, Trajectory]],
+) -> None:
+    p, _ = trials[0]
+    session = OnlineSession(p)
+    session.begin(p.frames[0], p.start)
+    before = session.state
+    predicted = session.predict(p.frames[1].stamp_ns)
+    assert session.state is before
+    assert np.linalg.norm(predicted.gTb[:3, 3] - before.gTb[:3, 3]) > 10.0
+    session.update(FrameMeasurement(p.frames[1].stamp_ns, RimSet.empty(), None))
+    assert_allclose(session.state.gTb[:3, 3], predicted.gTb[:3, 3], atol=0.5)
+    sigma = np.sqrt(np.diag(predicted.covariance)[:9])
+    assert_allclose(np.sqrt(np.diag(session.state.covariance)[:9]), sigma, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "longest", "expected"),
+    [(0, 10, 1.0, [10]), (0, 2_000_000_000, 1.0, [10**9, 2 * 10**9]), (5, 1_500_000_005, 1.0, None)],
+)
+def test_state_stamps(begin: int, end: int, longest: float, expected: list[int] | None) -> None:
+    stamps = state_stamps(begin, end, longest)
+    assert stamps[-1] == end
+    assert (np.diff([begin, *stamps]) <= longest * 1e9).all()
+    if expected is not None:
+        assert stamps.tolist() == expected
+    else:
+        assert len(stamps) == 2
+
+
+def test_registry_names_what_there_is() -> None:
+    assert list(ESTIMATORS) == ["smoother", "online", "ekf", "ekf_paper", "centre_smoother", "dead_reckoning"]
+    for name in ESTIMATORS:
+        assert estimator(name).name == name
+    with pytest.raises(EstimationError, match=r"unknown estimator 'nobody'.*smoother"):
+        estimator("nobody")
