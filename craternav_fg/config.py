@@ -1,0 +1,315 @@
+"""Scenario files in TOML: their models, and how they are found."""
+
+import importlib.resources
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.errors import InputError
+from craternav_fg.frames import pose, rotation_exp
+from craternav_fg.imu import ImuNoise
+from craternav_fg.sections import Positive, Section, Vector, load_toml
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class BodySection(Section):
+    """Target body: a sphere with central gravity."""
+
+    name: Annotated[str, Field(min_length=1)]
+    radius_m: Positive
+    mu_m3_s2: Positive
+    spin_rad_s: Vector
+    """Spin vector in g."""
+
+    def body(self) -> Body:
+        """Give the body described."""
+        return Body(self.name, self.radius_m, self.mu_m3_s2, self.spin_rad_s)
+
+
+class CameraSection(Section):
+    """Pinhole camera with square pixels, principal point in the image's middle."""
+
+    width_px: Annotated[int, Field(ge=16, le=16384)]
+    height_px: Annotated[int, Field(ge=16, le=16384)]
+    field_of_view_deg: Annotated[float, Field(gt=0.0, lt=170.0)]
+    """Across the image's width."""
+    rotation_vector_deg: Vector
+    """Mounting: turns camera axes into body axes."""
+    lever_arm_m: Vector
+    """Mounting: position of the camera in b."""
+
+    def camera(self) -> Camera:
+        """Give the camera described."""
+        focal_px = 0.5 * self.width_px / math.tan(0.5 * math.radians(self.field_of_view_deg))
+        bTc = pose(rotation_exp(np.radians(self.rotation_vector_deg)), np.array(self.lever_arm_m))
+        return Camera(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            fx_px=focal_px,
+            fy_px=focal_px,
+            cx_px=0.5 * (self.width_px - 1),
+            cy_px=0.5 * (self.height_px - 1),
+            bTc=bTc,
+        )
+
+
+class ImuSection(Section):
+    """IMU at the origin of b, in the units of data sheets."""
+
+    rate_hz: Annotated[float, Field(ge=10.0, le=10000.0)]
+    gyro_arw_deg_sqrt_h: Positive
+    """Angular random walk."""
+    gyro_bias_deg_h: Positive
+    """Standard deviation of the turn-on bias, per axis."""
+    gyro_bias_walk_deg_h_sqrt_h: Positive
+    """Standard deviation that the bias gains in an hour."""
+    accelerometer_noise_ug_sqrt_hz: Positive
+    """Density of the white noise."""
+    accelerometer_bias_ug: Positive
+    """Standard deviation of the turn-on bias, per axis."""
+    accelerometer_bias_walk_ug_sqrt_h: Positive
+    """Standard deviation that the bias gains in an hour."""
+
+    def noise(self) -> ImuNoise:
+        """Give the densities in SI units."""
+        micro_g = 1e-6 * STANDARD_GRAVITY_M_S2
+        return ImuNoise(
+            gyro_density=math.radians(self.gyro_arw_deg_sqrt_h) / 60.0,
+            accelerometer_density=self.accelerometer_noise_ug_sqrt_hz * micro_g,
+            gyro_walk=math.radians(self.gyro_bias_walk_deg_h_sqrt_h) / 3600.0 / 60.0,
+            accelerometer_walk=self.accelerometer_bias_walk_ug_sqrt_h * micro_g / 60.0,
+        )
+
+    @property
+    def gyro_bias_rad_s(self) -> float:
+        """Turn-on bias, rad/s."""
+        return math.radians(self.gyro_bias_deg_h) / 3600.0
+
+    @property
+    def accelerometer_bias_m_s2(self) -> float:
+        """Turn-on bias, m/s^2."""
+        return self.accelerometer_bias_ug * 1e-6 * STANDARD_GRAVITY_M_S2
+
+
+class Boundary(Section):
+    """State at one end of the descent."""
+
+    altitude_m: Positive
+    downrange_m: float
+    """Along the ground from the landing site, positive beyond it."""
+    vertical_speed_m_s: float
+    """Positive upwards."""
+    ground_speed_m_s: float
+    """Of the sub-lander point, along the heading."""
+    vertical_acceleration_m_s2: float
+    """Second derivative of the altitude."""
+    ground_acceleration_m_s2: float
+    """Derivative of the ground speed."""
+
+
+class AttitudeSection(Section):
+    """Attitude relative to the local level frame (x forward, y right, z down)."""
+
+    start_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
+    """Off nadir, positive when z looks ahead."""
+    end_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
+    oscillation_deg: Vector
+    """Amplitudes about x, y and z."""
+    oscillation_period_s: tuple[Positive, Positive, Positive]
+
+
+class TrajectorySection(Section):
+    """A descent along a great circle to the landing site."""
+
+    site_latitude_deg: Annotated[float, Field(gt=-89.0, lt=89.0)]
+    site_longitude_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    heading_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    """At the site, from north towards east."""
+    duration_s: Positive
+    frame_interval_s: Positive
+    start: Boundary
+    end: Boundary
+    attitude: AttitudeSection
+
+
+class SunSection(Section):
+    """Direction towards the sun at the landing site, when the descent begins."""
+
+    elevation_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    azimuth_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    """From north towards east."""
+
+
+class InitialErrorSection(Section):
+    """Standard deviations of the initial state's error, per axis."""
+
+    attitude_deg: Positive
+    position_m: Positive
+    velocity_m_s: Positive
+    angular_velocity_deg_s: Positive
+
+
+class RandomCraters(Section):
+    """Craters drawn along the ground track."""
+
+    source: Literal["random"]
+    density: Positive
+    """k of the size distribution: k r^-2 craters larger than r on a unit of area."""
+    min_apparent_px: Positive
+    """Smallest semi-minor axis, from the lowest altitude at which the crater is in view."""
+    max_apparent_px: Positive
+    """Largest semi-major axis, from the highest altitude at which the crater is in view."""
+    reach: Positive
+    """Half-width of the corridor along the ground track, in altitudes."""
+    separation: Annotated[float, Field(ge=1.0)]
+    """Centres are this many times the sum of their semi-major axes apart, at least."""
+    min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
+    """Axis ratios b/a are uniform from here to 1."""
+
+
+class CraterFile(Section):
+    """Craters of a catalogue with Robbins' column names."""
+
+    source: Literal["file"]
+    path: Annotated[str, Field(min_length=1)]
+    """Relative to the scenario file."""
+
+
+class Crater(Section):
+    """One crater, placed from the landing site."""
+
+    east_m: float
+    north_m: float
+    semi_major_m: Positive
+    semi_minor_m: Positive
+    angle_deg: float
+    """Of the major axis, from local east towards north."""
+    height_m: float = 0.0
+    """Of the rim above the reference sphere."""
+
+    @model_validator(mode="after")
+    def _axes_in_order(self) -> "Crater":
+        if self.semi_minor_m > self.semi_major_m:
+            raise ValueError(f"semi_minor_m {self.semi_minor_m} exceeds semi_major_m {self.semi_major_m}")
+        return self
+
+
+class CraterList(Section):
+    """Craters named one by one."""
+
+    source: Literal["list"]
+    crater: Annotated[tuple[Crater, ...], Field(min_length=1)]
+
+
+class TerrainSection(Section):
+    """Ground between and inside the craters."""
+
+    slope: NotNegative
+    """RMS slope that the octave of 100 m contributes along one axis."""
+    hurst: Annotated[float, Field(gt=0.0, le=1.0)]
+    """Growth of height with length; below 1 the ground is rougher the closer one looks."""
+    coarsest_m: Positive
+    """Longest wave, rounded down to a power of two."""
+    depth_scatter: Annotated[float, Field(ge=0.0, lt=1.0)]
+    """Floors are raised by up to this part of their depth, at random."""
+
+
+class RenderSection(Section):
+    """Light and image sensor."""
+
+    samples: Annotated[int, Field(ge=1, le=8)]
+    """Rays along each side of a pixel."""
+    lunar_lambert: Annotated[float, Field(ge=0.0, le=1.0)]
+    """Share of the Lommel-Seeliger law; the rest is Lambert's."""
+    sun_radius_deg: Positive
+    """Half the angle under which the sun appears."""
+    flat_level: Annotated[float, Field(gt=0.0, lt=1.0)]
+    """Brightness of level ground at the site, as a part of full scale."""
+    psf_sigma_px: NotNegative
+    """Gaussian blur of the optics."""
+    full_well_e: NotNegative
+    """Electrons at full scale: fewer give more shot noise; 0 for no noise at all."""
+    read_noise_e: NotNegative
+    """Standard deviation of the read-out noise, electrons."""
+
+
+class MeasurementSection(Section):
+    """Measured rims and sun tilts in place of images."""
+
+    edge_sigma_px: Positive
+    """Of each edge point, across the edge."""
+    points_per_rim: Annotated[int, Field(ge=6)]
+    min_semi_minor_px: Positive
+    """Smaller rims are not measured."""
+    sun_tilt_sigma_deg: Positive
+
+
+class Scenario(Section):
+    """One simulated case."""
+
+    seed: Annotated[int, Field(ge=0)]
+    body: BodySection
+    camera: CameraSection
+    imu: ImuSection
+    trajectory: TrajectorySection
+    sun: SunSection
+    initial_error: InitialErrorSection
+    craters: Annotated[RandomCraters | CraterFile | CraterList, Field(discriminator="source")]
+    terrain: TerrainSection | None = None
+    """Needed for images and for random craters, which stand in it."""
+    render: RenderSection | None = None
+    """Given: the data set holds images."""
+    measurements: MeasurementSection | None = None
+    """Given: the data set holds measured rims and no images."""
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> "Scenario":
+        if (self.render is None) == (self.measurements is None):
+            raise ValueError("expected either a table [render] or a table [measurements]")
+        if self.terrain is None and (self.render is not None or self.craters.source == "random"):
+            raise ValueError("expected a table [terrain] for [render] and for random craters")
+        return self
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """Read a scenario: a file, or a built-in one by its name.
+
+    Parameters
+    ----------
+    name : str or Path
+        Path of a TOML file, or the stem of one in the package `scenarios`.
+
+    Raises
+    ------
+    InputError
+        When there is no such scenario, or it is wrong (see `load_toml`).
+    """
+    path = Path(name)
+    if path.suffix != ".toml" and not path.is_file():
+        path = built_in_scenarios().get(str(name), path)
+        if path.suffix != ".toml":
+            known = ", ".join(built_in_scenarios())
+            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}")
+    scenario = load_toml(path, Scenario)
+    if isinstance(scenario.craters, CraterFile):
+        resolved = str((path.parent / scenario.craters.path).resolve())
+        scenario = scenario.model_copy(update={"craters": CraterFile(source="file", path=resolved)})
+    return scenario
+
+
+def built_in_scenarios() -> dict[str, Path]:
+    """Paths of the scenarios that come with the package, by name."""
+    folder = importlib.resources.files("scenarios")
+    return {
+        Path(entry.name).stem: Path(str(entry))
+        for entry in sorted(folder.iterdir(), key=lambda entry: entry.name)
+        if entry.name.endswith(".toml")
+    }

@@ -1,0 +1,124 @@
+"""dataset.toml: format version, body, initial state."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import numpy as np
+from pydantic import Field
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.config import BodySection
+from craternav_fg.dataset import layout
+from craternav_fg.errors import InputError
+from craternav_fg.sections import Positive, Section, Vector, line_of, load_toml, read_text
+from craternav_fg.trajectory import InitialState
+
+
+class _Initial(Section):
+    stamp_ns: Annotated[int, Field(ge=0)]
+    position_m: Vector
+    attitude_wxyz: tuple[float, float, float, float]
+    velocity_m_s: Vector
+    attitude_sigma_rad: Positive
+    position_sigma_m: Positive
+    velocity_sigma_m_s: Positive
+    angular_velocity_sigma_rad_s: Positive
+    gyro_bias_sigma_rad_s: Positive
+    accelerometer_bias_sigma_m_s2: Positive
+
+
+class _Description(Section):
+    format_version: int
+    body: BodySection
+    initial: _Initial
+
+
+def read_description(path: Path) -> tuple[Body, InitialState]:
+    """Read dataset.toml.
+
+    Raises
+    ------
+    InputError
+        When it is missing or wrong, or of a format version from the future.
+    """
+    text = read_text(path)
+    _check_version(path, text)
+    model = load_toml(path, _Description)
+    initial = model.initial
+    norm = float(np.linalg.norm(initial.attitude_wxyz))
+    if abs(norm - 1.0) > 1e-6:
+        _fail(path, text, "attitude_wxyz", f"expected a unit quaternion, its length is {norm:.9g}")
+    range_m = float(np.linalg.norm(initial.position_m))
+    if range_m < 0.5 * model.body.radius_m:
+        problem = f"expected metres from the body's centre, found {range_m:g} m: deep in the body"
+        _fail(path, text, "position_m", problem)
+    R = frames.from_quaternion_wxyz(np.array(initial.attitude_wxyz))
+    return model.body.body(), InitialState(
+        stamp_ns=initial.stamp_ns,
+        gTb=frames.pose(R, np.array(initial.position_m)),
+        gV=np.array(initial.velocity_m_s),
+        attitude_sigma_rad=initial.attitude_sigma_rad,
+        position_sigma_m=initial.position_sigma_m,
+        velocity_sigma_m_s=initial.velocity_sigma_m_s,
+        angular_velocity_sigma_rad_s=initial.angular_velocity_sigma_rad_s,
+        gyro_bias_sigma_rad_s=initial.gyro_bias_sigma_rad_s,
+        accelerometer_bias_sigma_m_s2=initial.accelerometer_bias_sigma_m_s2,
+    )
+
+
+def description_toml(body: Body, initial: InitialState) -> str:
+    """Text of dataset.toml."""
+    q = frames.to_quaternion_wxyz(initial.gTb[:3, :3])
+    # A JSON string without control characters is a TOML string too.
+    name = '"' + body.name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    lines = [
+        f"format_version = {layout.FORMAT_VERSION}",
+        "",
+        "[body]",
+        f"name = {name}",
+        f"radius_m = {float(body.radius_m)!r}",
+        f"mu_m3_s2 = {float(body.mu_m3_s2)!r}",
+        f"spin_rad_s = {_list(body.spin_rad_s)}",
+        "",
+        "[initial]",
+        f"stamp_ns = {initial.stamp_ns}",
+        f"position_m = {_list(initial.gTb[:3, 3])}",
+        f"attitude_wxyz = {_list(q)}",
+        f"velocity_m_s = {_list(initial.gV)}",
+    ]
+    for key in (
+        "attitude_sigma_rad",
+        "position_sigma_m",
+        "velocity_sigma_m_s",
+        "angular_velocity_sigma_rad_s",
+        "gyro_bias_sigma_rad_s",
+        "accelerometer_bias_sigma_m_s2",
+    ):
+        lines.append(f"{key} = {float(getattr(initial, key))!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _list(values: object) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in np.asarray(values, dtype=np.float64)) + "]"
+
+
+def _check_version(path: Path, text: str) -> None:
+    """Refuse a later format before its keys are called unknown."""
+    try:
+        version = tomllib.loads(text).get("format_version")
+    except tomllib.TOMLDecodeError:
+        return
+    if isinstance(version, int) and version != layout.FORMAT_VERSION:
+        later = ": written by a later version" if version > layout.FORMAT_VERSION else ""
+        raise InputError(
+            path,
+            f"expected {layout.FORMAT_VERSION}, found {version}{later}",
+            line=line_of(text, ["format_version"]),
+            column="format_version",
+        )
+
+
+def _fail(path: Path, text: str, key: str, problem: str) -> NoReturn:
+    raise InputError(path, problem, line=line_of(text, ["initial", key]), column=f"initial.{key}")

@@ -1,0 +1,85 @@
+"""Grey PNG images: checks without decoding, reading and writing."""
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.errors import InputError
+
+ImageArray = npt.NDArray[np.uint8]
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+_COLOUR_TYPES = {2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
+
+
+def check_image(path: Path, width_px: int, height_px: int) -> None:
+    """Check that a file is a whole 8-bit grey PNG of a size, by its first and last bytes.
+
+    Raises
+    ------
+    InputError
+        When it is missing or something else.
+    """
+    if not path.is_file():
+        raise InputError(path, "image is missing")
+    with path.open("rb") as stream:
+        head = stream.read(33)
+        stream.seek(max(path.stat().st_size - len(_END), 0))
+        tail = stream.read()
+    if not head.startswith(_SIGNATURE):
+        raise InputError(path, "expected a PNG image")
+    if len(head) < 33 or tail != _END:
+        raise InputError(path, "image is truncated")
+    width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
+    if (width, height) != (width_px, height_px):
+        raise InputError(
+            path, f"expected {width_px} x {height_px} px as in sensor.yaml, found {width} x {height}"
+        )
+    if colour != 0 or depth != 8:
+        found = _COLOUR_TYPES.get(colour, "grey")
+        raise InputError(path, f"expected an 8-bit grey image, found {depth}-bit {found}")
+
+
+def read_image(path: Path, width_px: int, height_px: int) -> ImageArray:
+    """Read an image, shape (height, width).
+
+    Raises
+    ------
+    InputError
+        When it is missing, damaged or something else than an 8-bit grey PNG of that size.
+    """
+    check_image(path, width_px, height_px)
+    data = path.read_bytes()
+    _check_chunks(path, data)
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.shape != (height_px, width_px):
+        raise InputError(path, "image is damaged")
+    return image.astype(np.uint8, copy=False)
+
+
+def write_image(path: Path, image: ImageArray) -> None:
+    """Write an image, shape (height, width), as PNG."""
+    # Level 1: noise hardly compresses, and higher levels cost seconds over a descent.
+    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    path.write_bytes(data.tobytes())
+
+
+def _check_chunks(path: Path, data: bytes) -> None:
+    """Raise for a chunk that is cut or damaged: the decoder would fill in black rows."""
+    at = len(_SIGNATURE)
+    while at < len(data):
+        if at + 12 > len(data):
+            raise InputError(path, "image is truncated")
+        (length,) = struct.unpack(">I", data[at : at + 4])
+        body = data[at + 4 : at + 8 + length]
+        stored = data[at + 8 + length : at + 12 + length]
+        if len(stored) < 4:
+            raise InputError(path, "image is truncated")
+        if zlib.crc32(body) != struct.unpack(">I", stored)[0]:
+            raise InputError(path, "image is damaged: a checksum is wrong")
+        at += 12 + length

@@ -1,0 +1,190 @@
+"""The sensor.yaml files of camera and IMU, with EuRoC's keys."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from pydantic import Field
+
+from craternav_fg.camera import Camera
+from craternav_fg.errors import InputError
+from craternav_fg.imu import ImuNoise
+from craternav_fg.sections import Positive, Section, line_of, read_text, validate
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class _Matrix(Section):
+    cols: Literal[4]
+    rows: Literal[4]
+    data: Annotated[tuple[float, ...], Field(min_length=16, max_length=16)]
+
+
+class _CameraFile(Section):
+    sensor_type: Literal["camera"]
+    comment: str | None = None
+    T_BS: _Matrix
+    rate_hz: Positive
+    resolution: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+    camera_model: Literal["pinhole"]
+    intrinsics: tuple[Positive, Positive, float, float]
+    distortion_model: str | None = None
+    distortion_coefficients: tuple[float, ...] = ()
+
+
+class _ImuFile(Section):
+    sensor_type: Literal["imu"]
+    comment: str | None = None
+    T_BS: _Matrix
+    rate_hz: Positive
+    gyroscope_noise_density: Positive
+    gyroscope_random_walk: Positive
+    accelerometer_noise_density: Positive
+    accelerometer_random_walk: Positive
+
+
+def read_camera(path: Path) -> Camera:
+    """Read the camera's sensor.yaml.
+
+    Raises
+    ------
+    InputError
+        When it is wrong, the lens distorts, or the intrinsics don't fit the resolution.
+    """
+    text = read_text(path)
+    model = validate(path, _parse(path, text), _CameraFile, text=text)
+    if any(model.distortion_coefficients):
+        raise InputError(
+            path,
+            f"expected zeros (undistort the images first), found {list(model.distortion_coefficients)}",
+            line=line_of(text, ["distortion_coefficients"]),
+            column="distortion_coefficients",
+        )
+    (width, height), (fx, fy, cx, cy) = model.resolution, model.intrinsics
+    if not (0.0 <= cx <= width - 1 and 0.0 <= cy <= height - 1):
+        raise InputError(
+            path,
+            f"expected the principal point inside the {width} x {height} image, found ({cx:g}, {cy:g})",
+            line=line_of(text, ["intrinsics"]),
+            column="intrinsics",
+        )
+    if not (0.1 <= fx / width <= 100.0 and 0.1 <= fy / height <= 100.0):
+        raise InputError(
+            path,
+            f"expected focal lengths in px that fit the {width} x {height} image, found {fx:g} and {fy:g}",
+            line=line_of(text, ["intrinsics"]),
+            column="intrinsics",
+        )
+    return Camera(width, height, fx, fy, cx, cy, _mounting(path, text, model.T_BS))
+
+
+def read_imu_noise(path: Path) -> ImuNoise:
+    """Read the IMU's sensor.yaml.
+
+    Raises
+    ------
+    InputError
+        When it is wrong, or the IMU is not at the origin of b, along its axes.
+    """
+    text = read_text(path)
+    model = validate(path, _parse(path, text), _ImuFile, text=text)
+    if not np.array_equal(_mounting(path, text, model.T_BS), np.eye(4)):
+        raise InputError(
+            path,
+            "expected the identity: b is the IMU's frame",
+            line=line_of(text, ["T_BS"]),
+            column="T_BS",
+        )
+    return ImuNoise(
+        gyro_density=model.gyroscope_noise_density,
+        accelerometer_density=model.accelerometer_noise_density,
+        gyro_walk=model.gyroscope_random_walk,
+        accelerometer_walk=model.accelerometer_random_walk,
+    )
+
+
+def camera_yaml(camera: Camera, rate_hz: float) -> str:
+    """Text of the camera's sensor.yaml."""
+    return _dump(
+        {
+            "sensor_type": "camera",
+            "comment": "pixel (0, 0) is the centre of the top-left pixel",
+            "T_BS": _matrix(camera.bTc),
+            "rate_hz": rate_hz,
+            "resolution": [camera.width_px, camera.height_px],
+            "camera_model": "pinhole",
+            "intrinsics": [float(v) for v in (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)],
+            "distortion_model": "radial-tangential",
+            "distortion_coefficients": [0.0, 0.0, 0.0, 0.0],
+        }
+    )
+
+
+def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
+    """Text of the IMU's sensor.yaml."""
+    return _dump(
+        {
+            "sensor_type": "imu",
+            "comment": "each row is the mean over the interval that ends at its stamp",
+            "T_BS": _matrix(np.eye(4)),
+            "rate_hz": rate_hz,
+            "gyroscope_noise_density": noise.gyro_density,
+            "gyroscope_random_walk": noise.gyro_walk,
+            "accelerometer_noise_density": noise.accelerometer_density,
+            "accelerometer_random_walk": noise.accelerometer_walk,
+        }
+    )
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    # OpenCV's directive, which is no YAML, stands at the head of some files.
+    if text.startswith("%YAML:"):
+        text = "#" + text
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        raise InputError(
+            path, f"expected YAML: {getattr(error, 'problem', None) or error}", line=mark and mark.line + 1
+        ) from None
+    if not isinstance(data, dict):
+        raise InputError(path, "expected keys and values")
+    return {str(key): _numbers(value) for key, value in data.items()}
+
+
+def _numbers(value: Any) -> Any:
+    """YAML 1.1 takes 1e-05, without a point, for a text; here it is a number."""
+    if isinstance(value, dict):
+        return {str(key): _numbers(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_numbers(item) for item in value]
+    if isinstance(value, str) and value[:1] in set("+-.0123456789"):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def _mounting(path: Path, text: str, matrix: _Matrix) -> FloatArray:
+    T = np.array(matrix.data).reshape(4, 4)
+    R = T[:3, :3]
+    rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise InputError(
+            path,
+            "expected a rotation and a translation, last row 0 0 0 1",
+            line=line_of(text, ["T_BS"]),
+            column="T_BS",
+        )
+    return T
+
+
+def _matrix(T: FloatArray) -> dict[str, Any]:
+    return {"cols": 4, "rows": 4, "data": [float(v) for v in T.ravel()]}
+
+
+def _dump(data: dict[str, Any]) -> str:
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)

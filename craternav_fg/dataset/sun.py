@@ -1,0 +1,34 @@
+"""Direction towards the sun over time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SunVectors:
+    """Unit vectors towards the sun in g, at some times.
+
+    Attributes
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Strictly increasing.
+    vectors : ndarray, shape (n, 3)
+    """
+
+    stamps_ns: IntArray
+    vectors: FloatArray
+
+    def at(self, stamp_ns: int) -> FloatArray:
+        """Give the unit vector (3,) in g at a time, interpolated; beyond the ends, that of the nearer end."""
+        last = len(self.stamps_ns) - 1
+        k = int(np.searchsorted(self.stamps_ns, stamp_ns, side="right")) - 1
+        if k < 0 or k >= last:
+            return self.vectors[min(max(k, 0), last)]
+        share = (stamp_ns - self.stamps_ns[k]) / (self.stamps_ns[k + 1] - self.stamps_ns[k])
+        between = (1.0 - share) * self.vectors[k] + share * self.vectors[k + 1]
+        return np.asarray(between / np.linalg.norm(between))

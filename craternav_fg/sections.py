@@ -1,0 +1,132 @@
+"""Text files with keys and values (TOML, YAML) checked against models: errors name file, line and key."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from craternav_fg.errors import InputError
+
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0)]
+M = TypeVar("M", bound="Section")
+
+
+class Section(BaseModel):
+    """A table of a configuration file: no unknown keys, no conversion of types, no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def load_toml(path: Path, model: type[M]) -> M:
+    """Read a TOML file into a model.
+
+    Parameters
+    ----------
+    path : Path
+    model : type
+        Subclass of `Section`.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or no TOML, or a key is unknown, missing, of the wrong type or out of
+        range: names the file, the line where it can be told, and the key.
+    """
+    text = read_text(path)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, f"expected TOML: {error}") from None
+    return validate(path, data, model, text=text)
+
+
+def read_text(path: Path) -> str:
+    """Text of a UTF-8 file, or `InputError`."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(path, "file is missing") from None
+    except IsADirectoryError:
+        raise InputError(path, "expected a file, found a folder") from None
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"expected a text file in UTF-8: {error.reason}") from None
+
+
+def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> M:
+    """Check parsed data against a model; `text` is the file's, to find lines in.
+
+    Raises
+    ------
+    InputError
+        As `load_toml`.
+    """
+    try:
+        # JSON, because strict validation of Python objects refuses lists for tuples.
+        return model.model_validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        # A key that is misspelt is both unknown and missing; the first says where it is.
+        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+    keys = [str(key) for key in first["loc"]]
+    if len(keys) > 1 and keys[0] == "craters" and keys[1] in ("random", "file", "list"):
+        del keys[1]  # the name of the chosen alternative, which is not in the file
+    raise InputError(path, _problem(first), line=line_of(text, keys), column=".".join(keys) or None) from None
+
+
+def line_of(text: str, keys: list[str]) -> int | None:
+    """1-based line of a key in TOML or flat YAML text; of the table around it when the key is not there."""
+    table: list[str] = []
+    counts: dict[str, int] = {}
+    best: tuple[int, int] | None = None
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.strip()
+        if line.startswith("["):
+            name = line.strip("[]").split("]")[0].strip()
+            table = [part.strip() for part in name.split(".")]
+            if line.startswith("[["):
+                counts[name] = counts.get(name, -1) + 1
+                table.append(str(counts[name]))
+            found = table
+        else:
+            for separator in "=:":
+                key, mark, _ = line.partition(separator)
+                if mark and key.strip().replace("_", "").isalnum():
+                    break
+            else:
+                continue
+            found = [*table, key.strip()]
+        depth = len(found)
+        if keys[:depth] == found and (best is None or depth > best[0]):
+            best = (depth, number)
+    return None if best is None else best[1]
+
+
+def _problem(error: Any) -> str:
+    found = error["input"]
+    match error["type"]:
+        case "extra_forbidden":
+            return "unknown key"
+        case "missing" | "union_tag_not_found":
+            return "key is missing"
+        case "value_error":
+            return str(error["ctx"]["error"])
+        case _:
+            message = str(error["msg"]).replace("Input should be", "expected")
+            what = "a table" if isinstance(found, dict) else json.dumps(found, default=str)
+            return (
+                f"{message[:1].lower()}{message[1:]}, found {what if len(what) < 60 else what[:57] + '...'}"
+            )
+
+
+def _keys_in_file(data: Any, location: tuple[int | str, ...]) -> list[str]:
+    """Where an error is; without the names of alternatives, which pydantic adds and no file has."""
+    keys: list[str] = []
+    for position, key in enumerate(location):
+        inside = isinstance(data, list) if isinstance(key, int) else isinstance(data, dict) and key in data
+        if inside or position == len(location) - 1:
+            keys.append(str(key))
+            data = data[key] if inside else None
+    return keys

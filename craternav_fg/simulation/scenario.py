@@ -1,0 +1,203 @@
+"""From a scenario to a data set on disk."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalog import Catalog
+from craternav_fg.catalog_files import import_catalog
+from craternav_fg.config import (
+    Crater,
+    CraterFile,
+    CraterList,
+    MeasurementSection,
+    RandomCraters,
+    Scenario,
+    TrajectorySection,
+)
+from craternav_fg.dataset import SunVectors, write_dataset
+from craternav_fg.errors import CraternavError
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.simulation import sensors
+from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
+from craternav_fg.simulation.relief import Relief, ReliefOptions
+from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+from craternav_fg.simulation.trajectory import Descent
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+SUN_INTERVAL_NS = 10_000_000_000
+
+
+def simulate(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    trial: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Simulate a descent and write its data set.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    folder : Path
+        Replaced when it is empty or a data set.
+    trial : int, optional
+        Number of a Monte Carlo trial: with the scenario's seed it determines all randomness.
+    progress : callable, optional
+        Called with the frames done and their number.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        When the folder holds something else, or the scenario's crater file is wrong.
+    CraternavError
+        When the trajectory leads into the ground.
+    """
+    seed = np.random.SeedSequence(scenario.seed, spawn_key=() if trial is None else (trial,))
+    # One stream per subject, so that a change in one leaves the others as they were.
+    crater_rng, imu_rng, initial_rng, frame_rng = (np.random.default_rng(s) for s in seed.spawn(4))
+    body, camera = scenario.body.body(), scenario.camera.camera()
+    try:
+        descent = Descent(body, scenario.trajectory)
+    except ValueError as error:
+        raise CraternavError(f"scenario: [trajectory]: {error}") from None
+    stamps = frame_stamps(scenario.trajectory)
+    motion = descent.evaluate(np.multiply(stamps, 1e-9))
+    sun = sun_vectors(scenario, body, int(stamps[-1]))
+    relief = _relief(scenario, body, crater_rng)
+    catalog = _craters(scenario, body, motion.gP, relief, crater_rng)
+
+    ideal = sensors.ideal_imu(descent, sensors.imu_stamps(scenario.imu, 0, int(stamps[-1])), 0)
+    imu, bias = sensors.corrupt_imu(ideal, scenario.imu, imu_rng)
+    initial = sensors.initial_state(
+        motion.gTb[0], motion.gV[0], int(stamps[0]), scenario.initial_error, scenario.imu, initial_rng
+    )
+    poses = motion.gTb
+
+    def done(frame: int) -> None:
+        if progress is not None:
+            progress(frame + 1, len(stamps))
+
+    def images() -> Iterator[npt.NDArray[np.uint8]]:
+        assert relief is not None
+        renderer = _renderer(scenario, camera, catalog, relief)
+        for k, stamp in enumerate(stamps.tolist()):
+            yield renderer.render(poses[k], sun.at(stamp), frame_rng)
+            done(k)
+
+    def rims(options: MeasurementSection) -> Iterator[FrameMeasurement]:
+        for k, stamp in enumerate(stamps.tolist()):
+            yield sensors.measure(
+                poses[k],
+                stamp,
+                sun.at(stamp),
+                camera=camera,
+                catalog=catalog,
+                prior_gP=initial.gTb[:3, 3],
+                options=options,
+                rng=frame_rng,
+            )
+            done(k)
+
+    return write_dataset(
+        folder,
+        body=body,
+        camera=camera,
+        catalog=catalog,
+        imu=imu,
+        imu_noise=scenario.imu.noise(),
+        initial=initial,
+        sun=sun,
+        stamps_ns=stamps,
+        images=None if scenario.render is None else images(),
+        rims=None if scenario.measurements is None else list(rims(scenario.measurements)),
+        truth=Trajectory(stamps, poses, motion.gV, bias[np.searchsorted(imu.stamps_ns, stamps)]),
+    )
+
+
+def frame_stamps(options: TrajectorySection) -> npt.NDArray[np.int64]:
+    """Stamps of the images, from 0 to the end of the descent, ns."""
+    count = math.floor(options.duration_s / options.frame_interval_s + 1e-9) + 1
+    return np.round(np.arange(count) * options.frame_interval_s * 1e9).astype(np.int64)
+
+
+def sun_vectors(scenario: Scenario, body: Body, end_ns: int) -> SunVectors:
+    """Direction towards the sun, which is fixed inertially, from 0 to the end."""
+    elevation, azimuth = math.radians(scenario.sun.elevation_deg), math.radians(scenario.sun.azimuth_deg)
+    level = math.cos(elevation)
+    enu = np.array([level * math.sin(azimuth), level * math.cos(azimuth), math.sin(elevation)])
+    stamps = np.append(np.arange(0, end_ns, SUN_INTERVAL_NS, dtype=np.int64), end_ns)
+    turned = frames.rotation_exp(np.multiply.outer(-stamps * 1e-9, np.array(body.spin_rad_s)))
+    return SunVectors(stamps, turned @ (_site(scenario.trajectory) @ enu))
+
+
+def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief | None:
+    terrain = scenario.terrain
+    if terrain is None:
+        return None
+    options = ReliefOptions(
+        slope=terrain.slope,
+        hurst=terrain.hurst,
+        coarsest_m=terrain.coarsest_m,
+        seed=int(rng.integers(2**31)),
+    )
+    return Relief(body, _site(scenario.trajectory)[:, 2], options)
+
+
+def _craters(
+    scenario: Scenario, body: Body, track: FloatArray, relief: Relief | None, rng: np.random.Generator
+) -> Catalog:
+    match scenario.craters:
+        case RandomCraters() as random:
+            assert relief is not None
+            options = CraterFieldOptions(
+                focal_px=scenario.camera.camera().focal_px, **random.model_dump(exclude={"source"})
+            )
+            return random_craters(rng, body, track, options, relief)
+        case CraterFile() as file:
+            return import_catalog(Path(file.path), body)[0]
+        case CraterList() as named:
+            return _named_craters(named.crater, _site(scenario.trajectory), body)
+
+
+def _named_craters(craters: Sequence[Crater], gRe: FloatArray, body: Body) -> Catalog:
+    places = np.array([[c.east_m, c.north_m, body.radius_m] for c in craters])
+    lat, lon = frames.latitude_longitude(places @ gRe.T)
+    return Catalog(
+        identifiers=tuple(f"C{i + 1}" for i in range(len(craters))),
+        latitude_rad=lat,
+        longitude_rad=lon,
+        semi_major_m=np.array([c.semi_major_m for c in craters]),
+        semi_minor_m=np.array([c.semi_minor_m for c in craters]),
+        angle_rad=np.radians([c.angle_deg for c in craters]),
+        height_m=np.array([c.height_m for c in craters]),
+        body=body,
+    )
+
+
+def _renderer(scenario: Scenario, camera: Camera, catalog: Catalog, relief: Relief) -> Renderer:
+    assert scenario.terrain is not None
+    assert scenario.render is not None
+    terrain = Terrain(catalog, relief, TerrainOptions(depth_scatter=scenario.terrain.depth_scatter))
+    options = scenario.render.model_dump(exclude={"sun_radius_deg"})
+    sun_radius_rad = math.radians(scenario.render.sun_radius_deg)
+    return Renderer(camera, terrain, RenderOptions(sun_radius_rad=sun_radius_rad, **options))
+
+
+def _site(options: TrajectorySection) -> FloatArray:
+    return frames.east_north_up(np.radians(options.site_latitude_deg), np.radians(options.site_longitude_deg))

@@ -1,0 +1,271 @@
+"""CSV tables with named columns: read fast, refused with file, line and column."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+
+from craternav_fg.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+Kind = Literal["integer", "number", "text"]
+_ARROW = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string()}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes
+    ----------
+    name : str
+        As in the header, without '#' and unit.
+    kind : {"integer", "number", "text"}
+        Numbers are finite, integers are written without a point, texts are not empty.
+    unit : str or None
+        What the header may say in brackets after the name.
+    optional : bool
+        The column may be missing.
+    may_be_empty : bool
+        Empty cells are read as NaN (numbers only).
+    """
+
+    name: str
+    kind: Kind = "number"
+    unit: str | None = None
+    optional: bool = False
+    may_be_empty: bool = False
+
+    @property
+    def heading(self) -> str:
+        """Name and unit as they stand in a header."""
+        return self.name if self.unit is None else f"{self.name} [{self.unit}]"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that was read; it knows where it came from.
+
+    Attributes
+    ----------
+    path : Path
+    columns : dict of str to ndarray or list of str
+        Float64 for numbers, int64 for integers; optional columns only when they are there.
+    """
+
+    path: Path
+    columns: Mapping[str, Any]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def numbers(self, *names: str) -> FloatArray:
+        """Numeric columns side by side, shape (n, len(names))."""
+        return np.stack([self.columns[name] for name in names], axis=-1)
+
+    def line(self, row: int) -> int:
+        """1-based line of the file in which a row stands."""
+        with self.path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream)
+            next(reader)
+            count = -1
+            for cells in reader:
+                count += bool(cells)
+                if count == row:
+                    return reader.line_num
+        return row + 2
+
+    def fail(self, row: int, column: str, problem: str) -> NoReturn:
+        """Raise the `InputError` of one cell."""
+        raise InputError(self.path, problem, line=self.line(row), column=column)
+
+    def require_increasing(self, column: str) -> None:
+        """Raise `InputError` at the first stamp that is not larger than the one before it."""
+        stamps = self.columns[column]
+        bad = np.flatnonzero(np.diff(stamps) <= 0)
+        if len(bad):
+            row = int(bad[0]) + 1
+            self.fail(
+                row,
+                column,
+                f"expected a stamp after the previous row's {stamps[row - 1]}, found {stamps[row]}",
+            )
+
+
+def read_table(path: Path, columns: Sequence[Column], *, ignored: Sequence[str] = ()) -> Table:
+    """Read a CSV file with a header.
+
+    Parameters
+    ----------
+    path : Path
+    columns : sequence of Column
+        All that may occur, in any order.
+    ignored : sequence of str
+        Further column names that may occur and are not read.
+
+    Returns
+    -------
+    Table
+        Possibly without rows.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, a column is missing or unknown, or a cell is not of its kind.
+    """
+    names, found = _read_header(path, columns, ignored)
+    by_name = {column.name: column for column in found}
+    try:
+        table = pa_csv.read_csv(
+            path,
+            read_options=pa_csv.ReadOptions(column_names=names, skip_rows=1),
+            convert_options=pa_csv.ConvertOptions(
+                column_types={column.name: _ARROW[column.kind] for column in found},
+                include_columns=[column.name for column in found],
+                null_values=[""],
+                strings_can_be_null=True,
+                quoted_strings_can_be_null=True,
+            ),
+        )
+        data = {name: _from_arrow(table[name], column) for name, column in by_name.items()}
+    except (pa.ArrowInvalid, _EmptyCellError):
+        # Only here, where it matters which cell it was, is the slow way taken.
+        data = _read_slowly(path, names, by_name)
+    result = Table(path, data)
+    for column in found:
+        if column.kind == "number" and not column.may_be_empty:
+            bad = np.flatnonzero(~np.isfinite(data[column.name]))
+            if len(bad):
+                row = int(bad[0])
+                result.fail(row, column.name, f"expected a finite number, found {data[column.name][row]}")
+    return result
+
+
+def write_table(path: Path, columns: Sequence[Column], data: Sequence[Any], *, comment: bool = False) -> None:
+    """Write a CSV file; numbers read back exactly.
+
+    Parameters
+    ----------
+    path : Path
+    columns : sequence of Column
+    data : sequence of array_like
+        One per column, of equal lengths.
+    comment : bool
+        Begin the header with '#', as EuRoC does.
+    """
+    texts = []
+    for column, values in zip(columns, data, strict=True):
+        if column.kind == "number":
+            texts.append([repr(float(v)) for v in values])
+        elif column.kind == "integer":
+            texts.append([str(int(v)) for v in values])
+        else:
+            texts.append([str(v) for v in values])
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(("#" if comment else "") + ",".join(column.heading for column in columns) + "\n")
+        csv.writer(stream, lineterminator="\n").writerows(zip(*texts, strict=True))
+
+
+class _EmptyCellError(Exception):
+    """A cell is empty that must not be."""
+
+
+def _from_arrow(values: pa.ChunkedArray, column: Column) -> Any:
+    if values.null_count and not column.may_be_empty:
+        raise _EmptyCellError
+    if column.kind == "text":
+        return values.to_pylist()
+    array = values.to_numpy()
+    return np.ascontiguousarray(array, dtype=np.int64 if column.kind == "integer" else np.float64)
+
+
+def _read_header(
+    path: Path, columns: Sequence[Column], ignored: Sequence[str]
+) -> tuple[list[str], list[Column]]:
+    if not path.is_file():
+        raise InputError(path, "file is missing")
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            cells = next(csv.reader(stream), [])
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"expected a text file in UTF-8: {error.reason}", line=1) from None
+    by_name = {column.name: column for column in columns}
+    expected = ", ".join(column.name for column in columns if not column.optional)
+    names: list[str] = []
+    for cell in cells:
+        name, bracket, unit = cell.strip().removeprefix("#").strip().partition(" [")
+        if name not in by_name and name not in ignored:
+            raise InputError(
+                path, f"expected only the columns {expected}, found another one", line=1, column=name
+            )
+        if name in names:
+            raise InputError(path, "expected each column once, found this one twice", line=1, column=name)
+        wanted = by_name[name].unit if name in by_name else None
+        if bracket and wanted is not None and unit.rstrip("]") != wanted:
+            raise InputError(
+                path, f"expected the unit [{wanted}], found [{unit.rstrip(']')}]", line=1, column=name
+            )
+        names.append(name)
+    for column in columns:
+        if not column.optional and column.name not in names:
+            raise InputError(
+                path, f"expected the columns {expected}, this one is missing", line=1, column=column.name
+            )
+    return names, [by_name[name] for name in names if name in by_name]
+
+
+def _read_slowly(path: Path, names: list[str], by_name: Mapping[str, Column]) -> dict[str, Any]:
+    data: dict[str, list[Any]] = {name: [] for name in by_name}
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        reader = csv.reader(stream)
+        try:
+            next(reader)
+            for cells in reader:
+                if not cells:
+                    continue
+                if len(cells) != len(names):
+                    raise InputError(
+                        path, f"expected {len(names)} columns, found {len(cells)}", line=reader.line_num
+                    )
+                for name, cell in zip(names, cells, strict=True):
+                    if name in by_name:
+                        data[name].append(_cell(path, reader.line_num, by_name[name], cell.strip()))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(
+                path, f"expected text in UTF-8, separated by commas: {error}", line=reader.line_num + 1
+            ) from None
+    return {
+        name: values
+        if by_name[name].kind == "text"
+        else np.array(values, dtype=np.int64 if by_name[name].kind == "integer" else np.float64)
+        for name, values in data.items()
+    }
+
+
+def _cell(path: Path, line: int, column: Column, cell: str) -> Any:
+    if not cell and column.may_be_empty:
+        return np.nan
+    if column.kind == "text" and cell:
+        return cell
+    try:
+        # Python also reads 1_000 and digits of other scripts as numbers.
+        if "_" in cell or not cell.isascii():
+            pass
+        elif column.kind == "integer":
+            value = int(cell)
+            if -(2**63) <= value < 2**63:
+                return value
+        elif column.kind == "number":
+            return float(cell)
+    except ValueError:
+        pass
+    article = "an integer" if column.kind == "integer" else f"a {column.kind}"
+    raise InputError(path, f"expected {article}, found {cell!r}", line=line, column=column.name)

@@ -1,0 +1,269 @@
+"""Each way to spoil a data set gives one line that names the file, the place and what was found."""
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from craternav_fg.dataset import Dataset, layout
+from craternav_fg.errors import InputError
+from tests.dataset.samples import FRAMES_NS, START_NS
+
+SECOND = int(FRAMES_NS[1])
+
+
+def cell(name, line, column, value):
+    """Spoil one cell of a CSV file."""
+
+    def spoil(folder):
+        def change(cells):
+            cells[column] = value
+            return [",".join(cells)]
+
+        folder.edit_line(name, line, change)
+
+    return spoil
+
+
+def edit(name, old, new):
+    return lambda folder: folder.edit(name, old, new)
+
+
+def remove(name):
+    return lambda folder: (folder.path / name).unlink()
+
+
+def drop_lines(name, first, last):
+    def spoil(folder):
+        lines = (folder.path / name).read_text().splitlines()
+        (folder.path / name).write_text("\n".join(lines[: first - 1] + lines[last:]) + "\n")
+
+    return spoil
+
+
+def image(name, change):
+    path = f"{layout.IMAGES}/{name}.png"
+    return lambda folder: (folder.path / path).write_bytes(change((folder.path / path).read_bytes()))
+
+
+def encoded(shape, dtype=np.uint8):
+    return lambda _: cv2.imencode(".png", np.zeros(shape, dtype))[1].tobytes()
+
+
+def swap_axes(folder):
+    def change(cells):
+        cells[3], cells[4] = cells[4], cells[3]
+        return [",".join(cells)]
+
+    folder.edit_line(layout.CRATERS, 2, change)
+
+
+TOML, CAM, IMU = layout.DESCRIPTION, layout.CAMERA_DATA, layout.IMU_DATA
+CASES = {
+    "no description": (remove(TOML), [TOML, "file is missing"]),
+    "no camera": (remove(layout.CAMERA_SENSOR), [layout.CAMERA_SENSOR, "file is missing"]),
+    "no frames' table": (remove(CAM), [CAM, "file is missing"]),
+    "no IMU log": (remove(IMU), [IMU, "file is missing"]),
+    "no craters": (remove(layout.CRATERS), [layout.CRATERS, "file is missing"]),
+    "no sun": (remove(layout.SUN), [layout.SUN, "file is missing"]),
+    "column missing": (edit(IMU, "a_RS_S_y [m s^-2],", ""), [f"{IMU}:1", "a_RS_S_y", "missing"]),
+    "column too many": (edit(IMU, "a_RS_S_y [", "a_RS_S_q [m],a_RS_S_y ["), [f"{IMU}:1", "a_RS_S_q"]),
+    "column twice": (edit(IMU, "a_RS_S_y [", "a_RS_S_x ["), [f"{IMU}:1", "a_RS_S_x", "twice"]),
+    "other unit": (edit(IMU, "[rad s^-1]", "[deg s^-1]"), [f"{IMU}:1", "w_RS_S_x", "[deg s^-1]"]),
+    "too few cells": (edit(IMU, f"\n{START_NS + 30_000_000},", "\n"), [f"{IMU}:4", "expected 7", "found 6"]),
+    "no number": (cell(IMU, 7, 2, "fast"), [f"{IMU}:7", "w_RS_S_y", "'fast'"]),
+    "empty cell": (cell(IMU, 7, 2, ""), [f"{IMU}:7", "w_RS_S_y", "''"]),
+    "nan": (cell(IMU, 8, 3, "nan"), [f"{IMU}:8", "w_RS_S_z", "finite", "nan"]),
+    "inf": (cell(IMU, 8, 4, "-inf"), [f"{IMU}:8", "a_RS_S_x", "finite", "-inf"]),
+    "stamp no integer": (cell(IMU, 9, 0, "1.5e18"), [f"{IMU}:9", "timestamp", "integer", "'1.5e18'"]),
+    "stamp not in 64 bit": (cell(IMU, 9, 0, "9" * 25), [f"{IMU}:9", "timestamp", "integer"]),
+    "stamp repeated": (cell(IMU, 9, 0, str(START_NS + 70_000_000)), [f"{IMU}:9", "timestamp", "previous"]),
+    "stamp goes back": (cell(CAM, 3, 0, str(START_NS - 1)), [f"{CAM}:3", "timestamp", str(START_NS - 1)]),
+    "IMU gap": (drop_lines(IMU, 12, 22), [f"{IMU}:12", "timestamp", "0.120 s", str(START_NS + 100_000_000)]),
+    "IMU log begins late": (drop_lines(IMU, 2, 9), [IMU, "over the frames", str(START_NS + 80_000_000)]),
+    "IMU log ends early": (drop_lines(IMU, 39, 42), [IMU, "over the frames", str(FRAMES_NS[2])]),
+    "IMU log of one row": (drop_lines(IMU, 3, 42), [IMU, "two rows", "1"]),
+    "no frames": (drop_lines(CAM, 2, 4), [CAM, "one frame"]),
+    "image in another folder": (cell(CAM, 3, 1, "../x.png"), [f"{CAM}:3", "filename", "../x.png"]),
+    "image missing": (remove(f"{layout.IMAGES}/{SECOND}.png"), [f"{SECOND}.png", "missing"]),
+    "image truncated": (image(SECOND, lambda data: data[:-100]), [f"{SECOND}.png", "truncated"]),
+    "image empty": (image(SECOND, lambda _: b""), [f"{SECOND}.png", "PNG"]),
+    "image is a JPEG": (image(SECOND, lambda _: b"\xff\xd8\xff" + b"0" * 90), [f"{SECOND}.png", "PNG"]),
+    "image of another size": (image(SECOND, encoded((64, 48))), [f"{SECOND}.png", "64 x 48", "48 x 64"]),
+    "image in colour": (image(SECOND, encoded((48, 64, 3))), [f"{SECOND}.png", "8-bit grey", "colour"]),
+    "image of 16 bit": (image(SECOND, encoded((48, 64), np.uint16)), [f"{SECOND}.png", "16-bit grey"]),
+    "principal point outside": (
+        edit(layout.CAMERA_SENSOR, "31.1", "131.1"),
+        [f"{layout.CAMERA_SENSOR}:11", "intrinsics", "64 x 48", "131.1"],
+    ),
+    "focal length in metres": (
+        edit(layout.CAMERA_SENSOR, "71.3", "0.05"),
+        [f"{layout.CAMERA_SENSOR}:11", "intrinsics", "0.05"],
+    ),
+    "distorted": (
+        edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[-0.28, 0.07, 0.0, 0.0]\n"),
+        [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "-0.28"],
+    ),
+    "fisheye": (
+        edit(layout.CAMERA_SENSOR, "pinhole", "omni"),
+        [f"{layout.CAMERA_SENSOR}:", "camera_model", "'pinhole'", "omni"],
+    ),
+    "mounting no rotation": (
+        edit(layout.IMU_SENSOR, "[1.0, 0.0,", "[2.0, 0.0,"),
+        [f"{layout.IMU_SENSOR}:3", "T_BS", "rotation"],
+    ),
+    "IMU off the origin": (
+        edit(layout.IMU_SENSOR, "[1.0, 0.0, 0.0, 0.0,", "[1.0, 0.0, 0.0, 0.5,"),
+        [f"{layout.IMU_SENSOR}:3", "T_BS", "identity"],
+    ),
+    "noise of zero": (
+        edit(layout.IMU_SENSOR, "gyroscope_random_walk: 1.0e-09", "gyroscope_random_walk: 0.0"),
+        [f"{layout.IMU_SENSOR}:", "gyroscope_random_walk", "greater than 0"],
+    ),
+    "no YAML": (edit(layout.IMU_SENSOR, "rate_hz", "  - ["), [layout.IMU_SENSOR, "YAML"]),
+    "empty catalogue": (drop_lines(layout.CRATERS, 2, 3), [layout.CRATERS, "at least one crater"]),
+    "negative axis": (
+        cell(layout.CRATERS, 2, 3, "-2.0"),
+        [f"{layout.CRATERS}:2", "DIAM_ELLI_MAJOR_IMG", "-2"],
+    ),
+    "swapped axes": (swap_axes, [f"{layout.CRATERS}:2", "DIAM_ELLI_MINOR_IMG", "2.469", "major"]),
+    "crater twice": (
+        cell(layout.CRATERS, 2, 0, '"B, the second"'),
+        [f"{layout.CRATERS}:3", "CRATER_ID", "B, the"],
+    ),
+    "latitude out of range": (
+        cell(layout.CRATERS, 2, 1, "91"),
+        [f"{layout.CRATERS}:2", "LAT_ELLI_IMG", "-90 to 90", "91"],
+    ),
+    "sun not unit": (cell(layout.SUN, 3, 1, "0.5"), [f"{layout.SUN}:3", "s_x", "unit vector"]),
+    "sun for a part only": (
+        cell(layout.SUN, 3, 0, str(SECOND)),
+        [layout.SUN, "over the frames", str(SECOND)],
+    ),
+    "truth's quaternion": (cell(layout.TRUTH, 3, 4, "2.0"), [f"{layout.TRUTH}:3", "q_RS_w", "unit"]),
+    "truth for a part only": (drop_lines(layout.TRUTH, 4, 4), [layout.TRUTH, "over the frames"]),
+    "no TOML": (edit(TOML, "[body]", "[body"), [TOML, "TOML", "line 3"]),
+    "unknown key": (edit(TOML, "mu_m3_s2", "mu_km3_s2"), [f"{TOML}:6", "body.mu_km3_s2", "unknown key"]),
+    "unknown table": (edit(TOML, "[initial]", "[extra]\n[initial]"), [f"{TOML}:9", "extra", "unknown key"]),
+    "key missing": (
+        edit(TOML, "position_sigma_m", "# "),
+        [f"{TOML}:", "initial.position_sigma_m", "missing"],
+    ),
+    "number with underscores": (cell(IMU, 7, 2, "1_0"), [f"{IMU}:7", "w_RS_S_y", "1_0"]),
+    "wrong type": (
+        edit(TOML, "radius_m = 1737400.0", 'radius_m = "1737400"'),
+        [f"{TOML}:5", "body.radius_m", "valid number", '"1737400"'],
+    ),
+    "boolean for a number": (
+        edit(TOML, "position_sigma_m = 4000.0", "position_sigma_m = true"),
+        [f"{TOML}:", "initial.position_sigma_m", "true"],
+    ),
+    "two numbers for three": (
+        edit(TOML, "spin_rad_s = [1e-07, ", "spin_rad_s = ["),
+        [f"{TOML}:7", "body.spin_rad_s", "missing"],
+    ),
+    "nan in TOML": (edit(TOML, "4000.0", "nan"), [f"{TOML}:", "initial.position_sigma_m", "finite"]),
+    "negative sigma": (edit(TOML, "4000.0", "-1.0"), [f"{TOML}:", "position_sigma_m", "greater than 0"]),
+    "future format": (
+        lambda folder: folder.edit(TOML, "format_version = 1", "format_version = 2\nnew_key = 1"),
+        [f"{TOML}:1: format_version", "expected 1", "found 2", "later"],
+    ),
+    "initial state not at the first frame": (
+        edit(TOML, str(START_NS), str(SECOND)),
+        [TOML, "initial.stamp_ns", str(START_NS), str(SECOND)],
+    ),
+    "attitude not unit": (
+        edit(TOML, "attitude_wxyz = [", "attitude_wxyz = [1"),
+        [f"{TOML}:12", "initial.attitude_wxyz", "unit quaternion"],
+    ),
+    "position in kilometres": (
+        edit(TOML, "position_m = [1750000.0", "position_m = [1750.0"),
+        [f"{TOML}:11", "initial.position_m", "metres"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_named(case, folder):
+    spoil, expected = CASES[case]
+    Dataset.open(folder.path)
+    spoil(folder)
+    with pytest.raises(InputError) as caught:
+        Dataset.open(folder.path)
+    text = str(caught.value)
+    assert text.startswith(str(folder.path))
+    assert "\n" not in text
+    for part in expected:
+        assert part in text
+
+
+def test_a_damaged_image_is_found_when_it_is_read(folder):
+    path = folder.path / layout.IMAGES / f"{SECOND}.png"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    opened = Dataset.open(folder.path)
+    opened.image(0)
+    with pytest.raises(InputError, match=rf"{SECOND}\.png: image is damaged: a checksum"):
+        opened.image(1)
+
+
+def test_an_image_cut_in_the_middle_is_found_when_it_is_read(folder):
+    path = folder.path / layout.IMAGES / f"{SECOND}.png"
+    data = path.read_bytes()
+    opened = Dataset.open(folder.path)
+    path.write_bytes(data[: len(data) // 2] + data[-12:])
+    with pytest.raises(InputError, match=rf"{SECOND}\.png: image is"):
+        opened.image(1)
+
+
+def test_images_are_not_needed_beside_rims(rims_folder):
+    assert not (rims_folder.path / layout.IMAGES).exists()
+    assert Dataset.open(rims_folder.path).rims is not None
+
+
+def spoiled(change):
+    def spoil(folder):
+        table = pq.read_table(folder.path / layout.RIMS).to_pylist()
+        schema = pq.read_schema(folder.path / layout.RIMS)
+        change(table)
+        pq.write_table(pa.Table.from_pylist(table, schema), folder.path / layout.RIMS)
+
+    return spoil
+
+
+def set_cell(row, name, value):
+    return spoiled(lambda rows: rows[row].__setitem__(name, value))
+
+
+RIM_CASES = {
+    "no Parquet": (lambda f: (f.path / layout.RIMS).write_text("x"), [layout.RIMS, "Parquet"]),
+    "unknown crater": (set_cell(1, "crater_id", "C"), [layout.RIMS, "crater_id", "row 2", "'C'"]),
+    "unknown stamp": (set_cell(1, "timestamp", 5), [layout.RIMS, "timestamp", "5"]),
+    "empty cell": (set_cell(1, "crater_id", None), [layout.RIMS, "crater_id", "empty"]),
+    "nan": (set_cell(1, "chart", [0.0, 0.0, np.nan, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
+    "covariance": (set_cell(1, "covariance", [0.0] * 25), [layout.RIMS, "covariance", "positive definite"]),
+    "rim twice": (spoiled(lambda rows: rows.append(rows[0])), [layout.RIMS, "once"]),
+    "tilt's sigma": (cell(layout.TILTS, 2, 2, "0.0"), [f"{layout.TILTS}:2", "sigma", "0.0"]),
+    "tilt's stamp": (cell(layout.TILTS, 2, 0, "7"), [layout.TILTS, "timestamp", "7"]),
+}
+
+
+@pytest.mark.parametrize("case", RIM_CASES)
+def test_bad_rims_are_named(case, rims_folder):
+    spoil, expected = RIM_CASES[case]
+    Dataset.open(rims_folder.path)
+    spoil(rims_folder)
+    with pytest.raises(InputError) as caught:
+        Dataset.open(rims_folder.path)
+    text = str(caught.value)
+    assert text.startswith(str(rims_folder.path))
+    assert "\n" not in text
+    for part in expected:
+        assert part in text
+
+
+def test_a_data_set_that_is_none():
+    with pytest.raises(InputError, match=r"nowhere: expected a data set's folder"):
+        Dataset.open("nowhere")

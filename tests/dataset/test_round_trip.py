@@ -1,0 +1,180 @@
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+from craternav_fg.dataset import Dataset, SunVectors, layout, write_dataset
+from craternav_fg.errors import InputError
+from craternav_fg.tables import read_table, write_table
+from tests.dataset.samples import FRAMES_NS, START_NS, parts, random_images, random_rims
+
+
+def exact(found, expected):
+    np.testing.assert_array_equal(found, expected, strict=True)
+
+
+def test_everything_reads_back_as_it_was(tmp_path):
+    rng = np.random.default_rng(7)
+    given, images = parts(rng), random_images(rng)
+    write_dataset(tmp_path / "data", images=images, **given)
+    data = Dataset.open(tmp_path / "data")
+    assert data.body == given["body"]
+    camera = given["camera"]
+    assert (data.camera.width_px, data.camera.height_px) == (64, 48)
+    exact(data.camera.matrix, camera.matrix)
+    exact(data.camera.bTc, camera.bTc)
+    assert data.imu_noise == given["imu_noise"]
+    exact(data.imu.stamps_ns, given["imu"].stamps_ns)
+    exact(data.imu.gyro, given["imu"].gyro)
+    exact(data.imu.accelerometer, given["imu"].accelerometer)
+    exact(data.stamps_ns, FRAMES_NS)
+    exact(data.sun.vectors, given["sun"].vectors)
+    exact(data.truth.gP, given["truth"].gP)
+    exact(data.truth.gV, given["truth"].gV)
+    exact(data.truth.bias, given["truth"].bias)
+    exact(data.initial.gV, given["initial"].gV)
+    # Matrices become quaternions, radians degrees: equal to rounding.
+    np.testing.assert_allclose(data.truth.gRb, given["truth"].gRb, rtol=0.0, atol=4e-16)
+    np.testing.assert_allclose(data.initial.gTb, given["initial"].gTb, rtol=1e-15, atol=4e-16)
+    for name in ("position_sigma_m", "attitude_sigma_rad", "gyro_bias_sigma_rad_s", "stamp_ns"):
+        assert getattr(data.initial, name) == getattr(given["initial"], name)
+    assert data.catalog.identifiers == given["catalog"].identifiers
+    for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m"):
+        np.testing.assert_allclose(
+            getattr(data.catalog, name), getattr(given["catalog"], name), rtol=4e-16, atol=0.0
+        )
+    assert data.rims is None
+    for k, image in enumerate(images):
+        exact(data.image(k), image)
+
+
+def test_a_copy_of_what_was_read_reads_the_same(with_images, tmp_path):
+    """What a second process reads is what the first one read: no digit is lost on the way."""
+    first = Dataset.open(with_images)
+    second = Dataset.open(shutil.copytree(with_images, tmp_path / "copy"))
+    exact(second.initial.gTb, first.initial.gTb)
+    exact(second.catalog.axes, first.catalog.axes)
+    exact(second.truth.gTb, first.truth.gTb)
+
+
+def test_rims_read_back_as_they_were(tmp_path):
+    rng = np.random.default_rng(8)
+    given, rims = parts(rng), random_rims(rng)
+    write_dataset(tmp_path / "data", rims=rims, **given)
+    data = Dataset.open(tmp_path / "data")
+    assert len(data.rims) == len(data) == 3
+    for found, expected in zip(data.rims, rims, strict=True):
+        assert found.stamp_ns == expected.stamp_ns
+        exact(found.rims.craters, expected.rims.craters)
+        exact(found.rims.chart, expected.rims.chart)
+        exact(found.rims.covariance, expected.rims.covariance)
+        assert (found.sun is None) == (expected.sun is None)
+        if found.sun is not None:
+            assert (found.sun.tilt_rad, found.sun.sigma_rad) == (-3.0, 0.17)
+            exact(found.sun.point, expected.sun.point)
+            # Along the ground below the craters seen, or below the initial position.
+            craters = found.rims.craters
+            up = data.catalog.normals[craters].sum(axis=0) if len(craters) else data.initial.gTb[:3, 3]
+            assert abs(found.sun.direction @ up) < 1e-6 * np.linalg.norm(up)
+            # Still towards the sun.
+            assert found.sun.direction @ data.sun.at(found.stamp_ns) > 0.0
+
+
+def test_truth_at_other_times_is_interpolated(folder):
+    stamps = START_NS + np.arange(-1, 6) * 90_000_000
+    t = (stamps - START_NS) * 1e-9
+    angle = 0.3 * t
+    columns = [stamps, 2e6 + 10.0 * t**2, 5.0 * t, np.zeros_like(t)]
+    columns += [np.cos(angle / 2), np.sin(angle / 2), 0 * t, 0 * t]
+    columns += [20.0 * t, np.full_like(t, 5.0), 0 * t, *([0.01 * t] * 6)]
+    write_table(folder.path / layout.TRUTH, layout.TRUTH_COLUMNS, columns)
+    truth = Dataset.open(folder.path).truth
+    at = (FRAMES_NS - START_NS) * 1e-9
+    np.testing.assert_array_equal(truth.stamps_ns, FRAMES_NS)
+    np.testing.assert_allclose(truth.gP[:, 0] - 2e6, 10.0 * at**2, atol=1e-8)
+    np.testing.assert_allclose(truth.gV[:, 0], 20.0 * at, atol=1e-6)
+    np.testing.assert_allclose(truth.gRb[:, 2, 1], np.sin(0.3 * at), atol=1e-12)
+    np.testing.assert_allclose(truth.bias[:, 5], 0.01 * at, atol=1e-12)
+
+
+def test_truth_is_optional(folder):
+    (folder.path / layout.TRUTH).unlink()
+    assert Dataset.open(folder.path).truth is None
+
+
+def test_files_as_euroc_writes_them_are_read(folder):
+    """CRLF, OpenCV's YAML directive, exponents without a point, spaces in the header."""
+    folder.edit(layout.IMU_SENSOR, "sensor_type", "%YAML:1.0\nsensor_type")
+    folder.edit(layout.IMU_SENSOR, "1.0e-09", "1e-09")
+    path = folder.path / layout.TRUTH
+    header, *rows = path.read_text().splitlines()
+    path.write_bytes("\r\n".join([header.replace(",", ", "), *rows, ""]).encode())
+    data = Dataset.open(folder.path)
+    assert data.imu_noise.gyro_walk == 1e-9
+    assert len(data.truth) == 3
+
+
+def test_one_sun_vector_holds_throughout(folder):
+    folder.edit_line(layout.SUN, 3, lambda cells: [])
+    sun = Dataset.open(folder.path).sun
+    exact(sun.at(FRAMES_NS[0] - 10**12), sun.at(FRAMES_NS[2] + 10**12))
+
+
+def test_the_sun_between_two_rows_is_between_them():
+    sun = SunVectors(np.array([0, 100]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    np.testing.assert_allclose(sun.at(50), [np.sqrt(0.5), np.sqrt(0.5), 0.0])
+    exact(sun.at(0), sun.vectors[0])
+    exact(sun.at(100), sun.vectors[1])
+
+
+def test_an_interrupted_write_leaves_nothing(tmp_path):
+    rng = np.random.default_rng(9)
+
+    def images():
+        yield from random_images(rng)[:2]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(tmp_path / "data", images=images(), **parts(rng))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_write_leaves_the_old_data_set(folder):
+    before = sorted(p.name for p in folder.path.rglob("*"))
+    rng = np.random.default_rng(9)
+
+    def images():
+        yield from random_images(rng)[:1]
+        raise RuntimeError("disk full")
+
+    with pytest.raises(RuntimeError, match="disk full"):
+        write_dataset(folder.path, images=images(), **parts(rng))
+    assert sorted(p.name for p in folder.path.rglob("*")) == before
+    assert [p.name for p in folder.path.parent.iterdir()] == [folder.path.name]
+    Dataset.open(folder.path)
+
+
+def test_a_folder_of_somebody_else_is_not_overwritten(tmp_path):
+    rng = np.random.default_rng(9)
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"holds no dataset\.toml"):
+        write_dataset(tmp_path, images=random_images(rng), **parts(rng))
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_images_and_rims_exclude_each_other(tmp_path):
+    rng = np.random.default_rng(9)
+    with pytest.raises(ValueError, match="either"):
+        write_dataset(tmp_path / "data", **parts(rng))
+
+
+def test_a_long_imu_log_is_read_fast(tmp_path):
+    n = 60_000
+    rng = np.random.default_rng(10)
+    stamps = 10_000_000 * np.arange(n)
+    path = tmp_path / "data.csv"
+    write_table(path, layout.IMU_COLUMNS, [stamps, *rng.standard_normal((6, n))], comment=True)
+    begin = time.perf_counter()
+    assert len(read_table(path, layout.IMU_COLUMNS)) == n
+    assert time.perf_counter() - begin < 1.0
