@@ -28,7 +28,7 @@ demo: $(VENV)/.core  ## simulate a lunar descent, reconstruct it, compare the es
 	$(BIN)/craternav demo
 
 test: $(VENV)/.dev  ## run every test and the notebooks
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 lint: $(VENV)/.dev  ## style, types, import contract
 	$(BIN)/ruff check .
