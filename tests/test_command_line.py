@@ -1,0 +1,209 @@
+"""The whole way, from images, through the command line; and what it says of bad input."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evo.core import metrics as evo_metrics
+from evo.tools import file_interface
+
+from craternav_fg.config import load_scenario
+from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.registry import ESTIMATORS
+from craternav_fg.evaluation.run_folder import read_run
+
+FIELDS = {
+    "position_rms_m",
+    "position_final_m",
+    "velocity_rms_m_s",
+    "attitude_rms_deg",
+    "attitude_final_deg",
+    "anees",
+    "frames",
+}
+
+
+def craternav(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own."""
+    command = [sys.executable, "-m", "craternav_fg.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def short_scenario(folder: Path, **changes: str) -> Path:
+    """Write the demo's scenario, cut to its first 20 s."""
+    import scenarios
+
+    text = (Path(scenarios.__file__).parent / "lunar_descent.toml").read_text()
+    for key, value in {"duration_s": "20.0", **changes}.items():
+        text, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
+        assert count
+    # The first 20 s of 300 s: the end's state is that of the long descent there.
+    case = load_scenario("lunar_descent").trajectory
+    T = 20.0
+    end = {
+        "altitude_m": case.start.altitude_m + case.start.vertical_speed_m_s * T,
+        "downrange_m": case.start.downrange_m + case.start.ground_speed_m_s * T,
+        "vertical_speed_m_s": case.start.vertical_speed_m_s,
+        "ground_speed_m_s": case.start.ground_speed_m_s,
+    }
+    head, tail = text.split("[trajectory.end]")
+    for key, value in end.items():
+        tail = re.sub(rf"^{key} = \S+", f"{key} = {value!r}", tail, count=1, flags=re.MULTILINE)
+    path = folder / "short.toml"
+    path.write_text(f"{head}[trajectory.end]{tail}")
+    return path
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """Run the demo on six images; its run folder and what it printed."""
+    folder = tmp_path_factory.mktemp("demo")
+    done = craternav("demo", "--scenario", short_scenario(folder), "-o", folder / "run")
+    assert done.returncode == 0, done.stderr
+    return folder / "run", done
+
+
+def test_demo_writes_a_run_and_says_where(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    run, done = demo
+    summary = json.loads((run / "metrics.json").read_text())
+    assert list(summary["estimators"]) == list(ESTIMATORS)
+    assert summary["wall_s"] > 0.0
+    for name, values in summary["estimators"].items():
+        assert set(values) == FIELDS
+        assert values["frames"] == 6
+        assert name in done.stdout
+        assert (run / f"{name}.tum").is_file()
+    for path in ("dataset", "figures", "metrics.json", "states.parquet", "residuals.parquet", "run.toml"):
+        assert (run / path).exists()
+        assert str(run / path) in done.stdout
+    for path in (run / "figures").iterdir():
+        assert path.stat().st_size > 10_000
+
+
+def test_demo_finds_the_lander_from_25_deg_and_4_km(
+    demo: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    """Nothing but the images can have told it: the prior is off by degrees and kilometres."""
+    run, _ = demo
+    data = Dataset.open(run / "dataset")
+    assert data.truth is not None
+    assert np.linalg.norm(data.initial.gTb[:3, 3] - data.truth.gP[0]) > 1000.0
+    estimators = json.loads((run / "metrics.json").read_text())["estimators"]
+    for name in ("smoother", "online", "ekf"):
+        assert estimators[name]["position_rms_m"] < 60.0
+        assert estimators[name]["attitude_rms_deg"] < 0.1
+        assert estimators[name]["anees"] < 20.0
+    assert min(json.loads((run / "metrics.json").read_text())["craters_per_frame"]) >= 3
+
+
+def test_reconstruct_in_a_new_process_gives_the_demo_s_numbers(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    run, _ = demo
+    done = craternav("reconstruct", run / "dataset", "-o", tmp_path / "again", "--json")
+    assert done.returncode == 0, done.stderr
+    first = json.loads((run / "metrics.json").read_text())["estimators"]
+    again = json.loads(done.stdout)["estimators"]
+    for name, values in first.items():
+        for field, value in values.items():
+            assert again[name][field] == pytest.approx(value, rel=1e-9, abs=1e-9), (name, field)
+
+
+def test_evo_reads_the_trajectories(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    run, _ = demo
+    truth = file_interface.read_tum_trajectory_file(run / "truth.tum")
+    for name, values in json.loads((run / "metrics.json").read_text())["estimators"].items():
+        estimate = file_interface.read_tum_trajectory_file(run / f"{name}.tum")
+        for relation, field in (
+            (evo_metrics.PoseRelation.translation_part, "position_rms_m"),
+            (evo_metrics.PoseRelation.rotation_angle_deg, "attitude_rms_deg"),
+        ):
+            ape = evo_metrics.APE(relation)
+            ape.process_data((truth, estimate))
+            rms = ape.get_statistic(evo_metrics.StatisticsType.rmse)
+            assert rms == pytest.approx(values[field], rel=1e-6, abs=1e-9)
+    command = [Path(sys.executable).with_name("evo_ape"), "tum", run / "truth.tum", run / "smoother.tum"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "rmse" in done.stdout
+
+
+def test_run_reads_back(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    run, _ = demo
+    back = read_run(run)
+    assert list(back.trajectories) == list(ESTIMATORS)
+    assert back.truth is not None
+    smoother = back.trajectories["smoother"]
+    assert smoother.pose_covariance is not None
+    assert (np.linalg.eigvalsh(smoother.pose_covariance) > 0.0).all()
+    assert smoother.stamps_ns.tolist() == back.truth.stamps_ns.tolist()
+
+
+def test_compare_prints_and_tells_json(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    run, _ = demo
+    done = craternav("compare", run, run)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("dead_reckoning") == 2
+    result = json.loads(craternav("compare", run, "--json").stdout)[str(run)]
+    assert result["smoother"]["from_smoother_rms_m"] == 0.0
+    assert result["dead_reckoning"]["from_smoother_rms_m"] > 0.0
+
+
+def test_simulate_and_one_estimator_from_measured_rims(tmp_path: Path) -> None:
+    assert craternav("simulate", "paper_case3", "-o", tmp_path / "data").returncode == 0
+    done = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "ekf", "--json")
+    assert done.returncode == 0, done.stderr
+    assert list(json.loads(done.stdout)["estimators"]) == ["ekf"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("reconstruct", "nowhere", "-o", "run"), "nowhere: expected a data set's folder"),
+        (("reconstruct", "nowhere", "-o", "run", "-e", "magic"), "unknown estimator 'magic'"),
+        (("simulate", "no_such_case", "-o", "data"), "no_such_case"),
+        (("compare", "nowhere"), "nowhere: expected a run's folder"),
+        (("demo", "--scenario", "bad.toml", "-o", "run"), "bad.toml:2: colour"),
+    ],
+    ids=["data", "estimator", "scenario", "run", "key"],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.toml").write_text('seed = 1\ncolour = "red"\n')
+    done = craternav(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.toml"]
+
+
+def test_a_damaged_image_leaves_nothing_half_written(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    import shutil
+
+    data = tmp_path / "data"
+    shutil.copytree(demo[0] / "dataset", data)
+    image = sorted((data / "mav0/cam0/data").iterdir())[3]
+    image.write_bytes(image.read_bytes()[:20_000])
+    done = craternav("reconstruct", data, "-o", tmp_path / "run")
+    assert done.returncode == 2
+    assert image.name in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_somebody_else_s_folder_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1.tex").write_text("precious")
+    done = craternav("simulate", "paper_case3", "-o", tmp_path / "thesis")
+    assert done.returncode == 2
+    assert "not overwritten" in done.stderr
+    assert (tmp_path / "thesis" / "chapter1.tex").read_text() == "precious"

@@ -1,0 +1,196 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from craternav_fg.camera import Camera
+from craternav_fg.vision.ellipse_fit import (
+    FitFailure,
+    FitOptions,
+    RimFit,
+    fit_rim,
+    floor_covariance,
+    normalised_chart,
+    pixel_chart,
+    refine_rim,
+)
+
+CAMERA = Camera(1024, 1024, 1267.0, 1267.0, 511.5, 511.5)
+WIDE = Camera(1024, 768, 1267.0, 1100.0, 500.0, 400.0)
+BARE = FitOptions(floor_px=0.0, floor_share=0.0)
+FULL = (0.0, 2.0 * np.pi)
+
+
+def rim(a, b, turn, count=60, arc=FULL, centre=(300.0, 420.0)):
+    """Points (n, 2) of an ellipse and its normals there."""
+    t = np.linspace(*arc, count, endpoint=False)
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    normals = np.column_stack([np.cos(t) / a, np.sin(t) / b])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack([a * np.cos(t), b * np.sin(t)]) @ R.T + centre, normals @ R.T
+
+
+def chart_of(a, b, turn, camera, centre=(300.0, 420.0)):
+    """Chart from the covariance of the rim's points, independent of the fit."""
+    points, _ = rim(a, b, turn, 4096, centre=centre)
+    u = (points - [camera.cx_px, camera.cy_px]) / [camera.fx_px, camera.fy_px]
+    S = 2.0 * np.cov(u.T, bias=True)
+    return np.array(
+        [*u.mean(axis=0), 0.5 * np.log(S[0, 0]), S[0, 1] / S[0, 0],
+         0.5 * np.log(S[1, 1] - S[0, 1] ** 2 / S[0, 0])]
+    )  # fmt: skip
+
+
+def monte_carlo(rng, a, b, turn, sigma_px, runs, arc=FULL):
+    points, normals = rim(a, b, turn, arc=arc)
+    truth = chart_of(a, b, turn, CAMERA)
+    errors, covariances = [], []
+    for _ in range(runs):
+        fit = fit_rim(points + normals * rng.normal(0.0, sigma_px, (len(points), 1)), CAMERA, BARE)
+        if isinstance(fit, RimFit):
+            errors.append(fit.chart - truth)
+            covariances.append(fit.covariance)
+    return np.array(errors), np.array(covariances)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    b=st.floats(6.0, 150.0), ratio=st.floats(1.0, 2.5), turn=st.floats(0.0, np.pi),
+    x=st.floats(0.0, 1000.0), y=st.floats(0.0, 700.0),
+)  # fmt: skip
+def test_perfect_points_give_their_ellipse_under_unequal_focal_lengths(b, ratio, turn, x, y):
+    points, _ = rim(ratio * b, b, turn, centre=(x, y))
+    fit = fit_rim(points, WIDE)
+    assert isinstance(fit, RimFit)
+    np.testing.assert_allclose(
+        fit.chart, chart_of(ratio * b, b, turn, WIDE, (x, y)), atol=2e-6 * max(1.0, b / 10.0)
+    )
+    assert fit.arc_share == 1.0
+    assert fit.point_count == 60
+    np.testing.assert_allclose(pixel_chart(fit.chart, WIDE), fit.chart_px, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("a", "b", "turn"), [(8.0, 8.0, 0.0), (12.0, 8.0, 0.6), (18.0, 15.0, 2.0)])
+def test_small_ellipses_are_unbiased_and_consistent(a, b, turn):
+    errors, covariances = monte_carlo(np.random.default_rng(5), a, b, turn, 0.5, 5000)
+    assert len(errors) > 4990
+    bias = np.mean(errors / np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)), axis=0)
+    # The Monte Carlo's own standard deviation is 0.014.
+    assert np.max(np.abs(bias)) < 0.05
+    distance2 = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+    assert 0.9 < distance2.mean() / 5.0 < 1.2
+    assert np.mean(distance2 < chi2.ppf(0.95, 5)) > 0.91
+
+
+def test_half_a_rim_is_consistent():
+    errors, covariances = monte_carlo(np.random.default_rng(6), 45.0, 38.0, 0.4, 0.3, 1500, arc=(0.5, 3.9))
+    assert len(errors) == 1500
+    distance2 = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+    assert 0.9 < distance2.mean() / 5.0 < 1.25
+
+
+def test_outliers_do_not_move_the_ellipse():
+    rng = np.random.default_rng(7)
+    points, normals = rim(40.0, 33.0, 1.1, 80)
+    points = points + normals * rng.normal(0.0, 0.2, (80, 1))
+    clean = fit_rim(points, CAMERA, BARE)
+    wrong = [10, 11, 12, 13, 14, 15, 27, 39, 48, 60, 69]
+    points[wrong] += rng.uniform(4.0, 8.0, (11, 1)) * rng.choice([-1.0, 1.0], (11, 1)) * normals[wrong]
+    spoilt = fit_rim(points, CAMERA, BARE)
+    assert isinstance(clean, RimFit)
+    assert isinstance(spoilt, RimFit)
+    assert spoilt.point_count <= 69
+    sigma = np.sqrt(np.diag(spoilt.covariance))
+    assert np.all(np.abs(spoilt.chart - clean.chart) < 1.5 * sigma)
+
+
+def test_errors_shared_by_neighbours_enlarge_the_covariance():
+    rng = np.random.default_rng(8)
+    points, normals = rim(40.0, 36.0, 0.0, 96)
+    white = rng.normal(size=(400, 96))
+    shared = np.repeat(rng.normal(size=(400, 24)), 4, axis=1)
+    sizes = []
+    for noise in (white, shared):
+        fits = [fit_rim(points + 0.3 * e[:, None] * normals, CAMERA, BARE) for e in noise]
+        sizes.append(np.mean([f.covariance[0, 0] for f in fits if isinstance(f, RimFit)]))
+    assert 1.7 < sizes[1] / sizes[0] < 4.5
+
+
+def test_uncertain_points_count_less():
+    rng = np.random.default_rng(9)
+    points, normals = rim(30.0, 26.0, 0.3)
+    ratio = np.where(np.arange(60) % 2 == 0, 1.0, 10.0)
+    truth = chart_of(30.0, 26.0, 0.3, CAMERA)
+    plain, weighed = [], []
+    for _ in range(200):
+        noisy = points + normals * (0.1 * ratio * rng.normal(size=60))[:, None]
+        for fit, out in ((fit_rim(noisy, CAMERA), plain), (fit_rim(noisy, CAMERA, None, ratio), weighed)):
+            assert isinstance(fit, RimFit)
+            out.append(fit.chart - truth)
+    assert np.std(weighed, axis=0)[2] < 0.6 * np.std(plain, axis=0)[2]
+
+
+def test_an_unknown_common_motion_of_the_points_is_estimated():
+    rng = np.random.default_rng(10)
+    points, normals = rim(30.0, 25.0, 0.2, 80)
+    side = normals @ [0.6, 0.8]
+    keep = np.abs(side) > 0.15
+    # What a wrong level does to crossings: the less the slope across the rim, the farther they move.
+    lever = (normals / side[:, None])[keep]
+    points = points[keep] + 0.3 * lever + normals[keep] * rng.normal(0.0, 0.05, (np.count_nonzero(keep), 1))
+    start = pixel_chart(chart_of(30.0, 25.0, 0.2, CAMERA), CAMERA)
+    ones = np.ones(len(points))
+    truth = start[:2]
+    without = refine_rim(points, start, CAMERA, BARE, ones)
+    given_lever = refine_rim(points, start, CAMERA, BARE, ones, lever, 1.0)
+    assert isinstance(without, RimFit)
+    assert isinstance(given_lever, RimFit)
+    assert np.hypot(*(without.chart_px[:2] - truth)) > 0.25
+    assert np.hypot(*(given_lever.chart_px[:2] - truth)) < 0.08
+
+
+def test_what_does_not_determine_an_ellipse_is_refused():
+    rng = np.random.default_rng(11)
+    points, normals = rim(30.0, 25.0, 0.2, 60)
+    assert fit_rim(points[:8], CAMERA) is FitFailure.TOO_FEW_POINTS
+    short, _ = rim(30.0, 25.0, 0.2, 60, arc=(0.0, 1.9))
+    assert fit_rim(short, CAMERA) in (FitFailure.SHORT_ARC, FitFailure.NO_ELLIPSE)
+    line = np.column_stack([np.linspace(0.0, 100.0, 40), np.linspace(3.0, 60.0, 40)])
+    for jitter in (0.0, 0.3):
+        assert isinstance(fit_rim(line + rng.normal(0.0, 1.0, line.shape) * jitter, CAMERA), FitFailure)
+    assert isinstance(fit_rim(np.full((40, 2), 7.0), CAMERA), FitFailure)
+    assert isinstance(fit_rim(points + normals * rng.normal(0.0, 15.0, (60, 1)), CAMERA), FitFailure)
+
+
+def test_floor_displaces_the_rim_by_its_size():
+    """Charts drawn from the floor: centre, axes and the shape's turn scatter by the floor's length."""
+    rng = np.random.default_rng(12)
+    for a, b, turn in [(30.0, 30.0, 0.0), (40.0, 25.0, 0.7)]:
+        y = pixel_chart(chart_of(a, b, turn, CAMERA), CAMERA)
+        cov = floor_covariance(y, 0.1, 0.002)
+        length = 0.1 + 0.002 * b
+        draws = rng.multivariate_normal(y, cov, 20000)
+        sxx = np.exp(2.0 * draws[:, 2])
+        sxy = draws[:, 3] * sxx
+        S = np.stack([sxx, sxy, sxy, np.exp(2.0 * draws[:, 4]) + draws[:, 3] * sxy], axis=-1).reshape(
+            -1, 2, 2
+        )
+        np.testing.assert_allclose(np.std(draws[:, :2], axis=0), length, rtol=0.03)
+        c = np.array([np.cos(turn), np.sin(turn)])
+        d = np.array([-np.sin(turn), np.cos(turn)])
+        reach = [np.sqrt(np.einsum("i,nij,j->n", e, S, e)) for e in (c, d)]
+        np.testing.assert_allclose([np.std(r) for r in reach], length, rtol=0.05)
+        # Half-way between the axes a circle's radius scatters as on them.
+        if a == b:
+            e = (c + d) / np.sqrt(2.0)
+            np.testing.assert_allclose(np.std(np.sqrt(np.einsum("i,nij,j->n", e, S, e))), length, rtol=0.05)
+
+
+def test_chart_conversion_is_that_of_the_points():
+    for camera in (CAMERA, WIDE):
+        y = chart_of(33.0, 21.0, 1.0, camera)
+        pixels = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
+        chart_px = chart_of(33.0, 21.0, 1.0, pixels)
+        np.testing.assert_allclose(normalised_chart(chart_px, camera)[0], y, atol=1e-9)
+        np.testing.assert_allclose(pixel_chart(y, camera), chart_px, atol=1e-7)

@@ -1,0 +1,161 @@
+import numpy as np
+import pytest
+
+from craternav_fg.catalog import Catalog
+from craternav_fg.vision.guided import GuidedFrontEnd, GuidedOptions
+from tests.vision import scene
+
+
+@pytest.fixture(scope="module")
+def view():
+    """One scene: catalogue, true pose, sun, image."""
+    rng = np.random.default_rng(3)
+    catalog = scene.craters(rng)
+    gTb, sun_g = scene.pose(), scene.sun()
+    return catalog, gTb, sun_g, scene.render(catalog, gTb, sun_g, rng)
+
+
+def check(rims, catalog, gTb, mean_px=0.12):
+    truth = scene.true_charts(catalog, gTb, rims.craters)
+    centre, major, minor = scene.semi_axes_px(rims.chart)
+    true_centre, true_major, true_minor = scene.semi_axes_px(truth)
+    assert np.mean(np.linalg.norm(centre - true_centre, axis=1)) < mean_px
+    assert np.mean(np.abs(major - true_major)) < mean_px
+    assert np.mean(np.abs(minor - true_minor)) < mean_px
+    # The systematic part, which no number of rims or frames takes away.
+    assert abs(np.mean(major - true_major)) < 0.08
+    assert abs(np.mean(minor - true_minor)) < 0.08
+    assert np.linalg.norm(np.mean(centre - true_centre, axis=0)) < 0.06
+    e = rims.chart - truth
+    distance2 = np.einsum("ni,ni->n", e, np.linalg.solve(rims.covariance, e[..., None])[..., 0])
+    assert np.mean(distance2) / 5.0 < 3.0
+    return e
+
+
+def visible(catalog, gTb):
+    return catalog.visible(scene.camera(), gTb, min_semi_minor_px=12.0, margin_px=3.0)[0]
+
+
+def test_a_good_prediction(view):
+    catalog, gTb, sun_g, image = view
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(image, 7, gTb, scene.covariance(0.5), sun_g)
+    assert out.stamp_ns == 7
+    assert len(out.rims) >= 0.95 * len(visible(catalog, gTb)) >= 15
+    check(out.rims, catalog, gTb)
+
+
+@pytest.mark.parametrize(("elevation_deg", "tilt_deg"), [(15.0, 0.0), (60.0, 0.0), (35.0, 25.0)])
+def test_low_sun_high_sun_and_an_oblique_view(elevation_deg, tilt_deg):
+    rng = np.random.default_rng(4)
+    catalog = scene.craters(rng, half=0.28)
+    gTb, sun_g = scene.pose(1.2, tilt_deg), scene.sun(elevation_deg, 200.0)
+    image = scene.render(catalog, gTb, sun_g, rng)
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(
+        image, 0, scene.moved(gTb, [0.002, -0.001, 0.001]), scene.covariance(1.5), sun_g
+    )
+    assert len(out.rims) >= 0.9 * len(visible(catalog, gTb)) >= 9
+    check(out.rims, catalog, gTb, 0.2)
+
+
+# Errors of 30 px, told honestly, and not told at all.
+@pytest.mark.parametrize(("right_px", "down_px", "sigma_px"), [(-20.0, 22.0, 15.0), (24.0, 18.0, 0.5)])
+def test_a_prediction_thirty_pixels_off(view, right_px, down_px, sigma_px):
+    catalog, gTb, sun_g, image = view
+    focal = scene.camera().focal_px
+    wrong = scene.moved(gTb, [down_px / focal, right_px / focal, 0.005], [15.0, -10.0, 60.0])
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(image, 0, wrong, scene.covariance(sigma_px), sun_g)
+    assert len(out.rims) >= 0.95 * len(visible(catalog, gTb))
+    check(out.rims, catalog, gTb)
+
+
+def test_the_result_does_not_follow_the_prediction(view):
+    catalog, gTb, sun_g, image = view
+    front_end = GuidedFrontEnd(scene.camera(), catalog)
+    poses = [scene.moved(gTb, [1.5e-3, 0.0, 0.0]), scene.moved(gTb, [-1.5e-3, 0.0, 0.0], [0.0, 40.0, 0.0])]
+    a, b = (front_end.measure(image, 0, p, scene.covariance(2.0), sun_g).rims for p in poses)
+    both, i, j = np.intersect1d(a.craters, b.craters, return_indices=True)
+    assert len(both) >= 0.9 * len(visible(catalog, gTb))
+    sigma = np.sqrt(np.diagonal(a.covariance[i], axis1=1, axis2=2))
+    assert np.mean(np.abs(a.chart[i] - b.chart[j]) / sigma) < 0.3
+
+
+def test_what_is_not_there_is_not_measured(view):
+    """Half of the catalogue is not in the image; then one crater stands 7 px beside its place."""
+    catalog, gTb, sun_g, image = view
+    rng = np.random.default_rng(5)
+    absent = scene.craters(rng)
+    angle = np.zeros(24)
+    both = Catalog(
+        tuple(f"{k}" for k in range(48)),
+        *(
+            np.concatenate([getattr(catalog, name), getattr(absent, name)])
+            for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m")
+        ),
+        np.concatenate([catalog.angle_rad, angle]),
+        np.concatenate([catalog.height_m, absent.height_m]),
+        catalog.body,
+    )
+    front_end = GuidedFrontEnd(scene.camera(), both)
+    rims = front_end.measure(image, 0, gTb, scene.covariance(1.0), sun_g).rims
+    assert np.count_nonzero(rims.craters >= 24) <= 1
+    present = visible(catalog, gTb)
+    assert np.count_nonzero(rims.craters < 24) >= 0.9 * len(present)
+
+    row = int(present[0])
+    longitude = catalog.longitude_rad.copy()
+    longitude[row] += 7.0 * scene.ALTITUDE_M / scene.camera().focal_px / scene.MOON.radius_m
+    shifted = Catalog(
+        catalog.identifiers, catalog.latitude_rad, longitude, catalog.semi_major_m, catalog.semi_minor_m,
+        catalog.angle_rad, catalog.height_m, catalog.body,
+    )  # fmt: skip
+    rims = GuidedFrontEnd(scene.camera(), shifted).measure(image, 0, gTb, scene.covariance(4.0), sun_g).rims
+    assert row not in rims.craters
+    assert len(rims) >= 0.9 * len(present) - 1
+
+
+def test_rough_ground_enlarges_the_covariance():
+    rng = np.random.default_rng(6)
+    catalog = scene.craters(rng)
+    gTb, sun_g = scene.pose(), scene.sun()
+    front_end = GuidedFrontEnd(scene.camera(), catalog)
+    size = []
+    for roughness in (0.0, 0.05):
+        image = scene.render(catalog, gTb, sun_g, rng, roughness=roughness)
+        rims = front_end.measure(image, 0, gTb, scene.covariance(1.0), sun_g).rims
+        e = rims.chart - scene.true_charts(catalog, gTb, rims.craters)
+        distance2 = np.einsum("ni,ni->n", e, np.linalg.solve(rims.covariance, e[..., None])[..., 0])
+        assert np.mean(distance2) / 5.0 < 2.5
+        assert len(rims) >= 0.85 * len(visible(catalog, gTb))
+        size.append(np.median(rims.covariance[:, 0, 0]))
+    assert size[1] > 2.0 * size[0]
+
+
+@pytest.mark.parametrize("kind", ["noise", "black", "white", "night"])
+def test_an_image_without_craters_has_no_rims(view, kind):
+    catalog, gTb, sun_g, _ = view
+    size = (scene.SIZE_PX, scene.SIZE_PX)
+    rng = np.random.default_rng(8)
+    image = {
+        "noise": lambda: rng.normal(110.0, 2.0, size),
+        "black": lambda: np.zeros(size),
+        "white": lambda: np.full(size, 255),
+        "night": lambda: rng.normal(20.0, 1.0, size),
+    }[kind]()
+    light = -sun_g if kind == "night" else sun_g
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(
+        np.clip(image, 0, 255).astype(np.uint8), 3, gTb, scene.covariance(2.0), light
+    )
+    assert len(out.rims) == 0
+    assert out.rims.chart.shape == (0, 5)
+    assert out.rims.covariance.shape == (0, 5, 5)
+    assert out.sun is None
+
+
+def test_no_catalogue_crater_in_view(view):
+    catalog, gTb, sun_g, image = view
+    options = GuidedOptions(min_semi_minor_px=400.0)
+    out = GuidedFrontEnd(scene.camera(), catalog, options).measure(
+        image, 0, gTb, scene.covariance(1.0), sun_g
+    )
+    assert len(out.rims) == 0
+    assert out.sun is not None

@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+
+from craternav_fg.vision.sun import measure_sun_tilt
+from tests.vision import scene
+
+
+def error_deg(measured, gTb):
+    """Measured tilt less that of its direction, seen from the true pose at the image centre."""
+    x, y, _ = gTb[:3, :3].T @ measured.direction
+    return np.rad2deg(np.angle(np.exp(1j * (measured.tilt_rad - np.arctan2(y, x)))))
+
+
+def picture(elevation_deg=35.0, azimuth_deg=40.0, heading_rad=0.3, tilt_deg=0.0, seed=1):
+    rng = np.random.default_rng(seed)
+    gTb, sun_g = scene.pose(heading_rad, tilt_deg), scene.sun(elevation_deg, azimuth_deg)
+    catalog = scene.craters(rng, 12)
+    return gTb, sun_g, scene.render(catalog, gTb, sun_g, rng, roughness=0.03)
+
+
+@pytest.mark.parametrize(
+    ("elevation_deg", "azimuth_deg", "heading_rad", "tilt_deg"),
+    [(12.0, 10.0, 0.3, 0.0), (30.0, 130.0, 2.0, 0.0), (55.0, 250.0, 4.0, 0.0), (30.0, 60.0, 1.0, 20.0)],
+)
+def test_tilt_within_its_sigma(elevation_deg, azimuth_deg, heading_rad, tilt_deg):
+    gTb, sun_g, image = picture(elevation_deg, azimuth_deg, heading_rad, tilt_deg)
+    measured = measure_sun_tilt(image, scene.camera(), scene.MOON, gTb, sun_g)
+    assert measured is not None
+    assert abs(error_deg(measured, gTb)) < 3.0 * np.rad2deg(measured.sigma_rad)
+    assert np.rad2deg(measured.sigma_rad) < 6.0
+
+
+def test_direction_is_along_the_ground_below_the_image_centre():
+    gTb, sun_g, image = picture(tilt_deg=20.0)
+    measured = measure_sun_tilt(image, scene.camera(), scene.MOON, gTb, sun_g)
+    assert measured is not None
+    np.testing.assert_array_equal(measured.point, [0.0, 0.0])
+    # The tilted camera looks at the site.
+    assert abs(measured.direction @ scene.SITE[:, 2]) < 1e-6
+    across = np.cross(sun_g, scene.SITE[:, 2])
+    assert abs(measured.direction @ across) < 1e-6
+    assert measured.direction @ sun_g > 0.0
+
+
+@pytest.mark.parametrize("turn_deg", [-40.0, 25.0, 60.0])
+def test_a_wrong_heading_of_the_prediction_does_not_enter(turn_deg):
+    gTb, sun_g, image = picture(seed=2)
+    wrong = scene.moved(gTb, [0.0, 0.0, np.deg2rad(turn_deg)])
+    measured = measure_sun_tilt(image, scene.camera(), scene.MOON, wrong, sun_g)
+    assert measured is not None
+    assert abs(error_deg(measured, gTb)) < 8.0
+
+
+def test_sigma_grows_with_obliqueness_attitude_and_faint_shading():
+    camera = scene.camera()
+    gTb, sun_g, image = picture()
+    straight = measure_sun_tilt(image, camera, scene.MOON, gTb, sun_g)
+    unsure = measure_sun_tilt(image, camera, scene.MOON, gTb, sun_g, attitude_sigma_rad=0.2)
+    pose, sun_oblique, oblique_image = picture(tilt_deg=30.0)
+    oblique = measure_sun_tilt(oblique_image, camera, scene.MOON, pose, sun_oblique)
+    faint = 100.0 + 0.04 * (image - 110.0) + np.random.default_rng(0).normal(0.0, 2.0, image.shape)
+    noisy_image = np.clip(faint, 0, 255).astype(np.uint8)
+    noisy = measure_sun_tilt(noisy_image, camera, scene.MOON, gTb, sun_g)
+    assert straight is not None
+    assert unsure is not None
+    assert oblique is not None
+    assert unsure.sigma_rad > 2.0 * straight.sigma_rad
+    assert oblique.sigma_rad > 1.5 * straight.sigma_rad
+    assert noisy is None or noisy.sigma_rad > 2.0 * straight.sigma_rad
+
+
+def test_undefined_without_shading():
+    camera = scene.camera()
+    gTb, sun_g, image = picture()
+    zenith = scene.SITE[:, 2]
+    assert measure_sun_tilt(image, camera, scene.MOON, gTb, zenith) is None
+    assert measure_sun_tilt(image, camera, scene.MOON, gTb, -sun_g) is None
+    assert measure_sun_tilt(np.full_like(image, 90), camera, scene.MOON, gTb, sun_g) is None
+    away = scene.moved(gTb, [np.pi, 0.0, 0.0])
+    assert measure_sun_tilt(image, camera, scene.MOON, away, sun_g) is None
