@@ -25,7 +25,7 @@ from craternav_fg.dataset import SunVectors, write_dataset
 from craternav_fg.errors import CraternavError
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation import sensors
-from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
+from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
@@ -80,7 +80,7 @@ def simulate(
     motion = descent.evaluate(np.multiply(stamps, 1e-9))
     sun = sun_vectors(scenario, body, int(stamps[-1]))
     relief = _relief(scenario, body, crater_rng)
-    catalog = _craters(scenario, body, motion.gP, relief, crater_rng)
+    catalog, clutter = _craters(scenario, body, motion.gP, relief, crater_rng)
 
     ideal = sensors.ideal_imu(descent, sensors.imu_stamps(scenario.imu, 0, int(stamps[-1])), 0)
     imu, bias = sensors.corrupt_imu(ideal, scenario.imu, imu_rng)
@@ -95,7 +95,7 @@ def simulate(
 
     def images() -> Iterator[npt.NDArray[np.uint8]]:
         assert relief is not None
-        renderer = _renderer(scenario, camera, catalog, relief)
+        renderer = _renderer(scenario, camera, catalog, relief, clutter)
         for k, stamp in enumerate(stamps.tolist()):
             yield renderer.render(poses[k], sun.at(stamp), frame_rng)
             done(k)
@@ -161,18 +161,22 @@ def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief 
 
 def _craters(
     scenario: Scenario, body: Body, track: FloatArray, relief: Relief | None, rng: np.random.Generator
-) -> Catalog:
+) -> tuple[Catalog, Catalog | None]:
+    """Craters of the catalogue, and those that only the ground has."""
     match scenario.craters:
         case RandomCraters() as random:
             assert relief is not None
             options = CraterFieldOptions(
                 focal_px=scenario.camera.camera().focal_px, **random.model_dump(exclude={"source"})
             )
-            return random_craters(rng, body, track, options, relief)
+            catalog = random_craters(rng, body, track, options, relief)
+            if scenario.render is None:
+                return catalog, None
+            return catalog, random_clutter(rng, body, track, options, catalog)
         case CraterFile() as file:
-            return import_catalog(Path(file.path), body)[0]
+            return import_catalog(Path(file.path), body)[0], None
         case CraterList() as named:
-            return _named_craters(named.crater, _site(scenario.trajectory), body)
+            return _named_craters(named.crater, _site(scenario.trajectory), body), None
 
 
 def _named_craters(craters: Sequence[Crater], gRe: FloatArray, body: Body) -> Catalog:
@@ -190,13 +194,16 @@ def _named_craters(craters: Sequence[Crater], gRe: FloatArray, body: Body) -> Ca
     )
 
 
-def _renderer(scenario: Scenario, camera: Camera, catalog: Catalog, relief: Relief) -> Renderer:
+def _renderer(
+    scenario: Scenario, camera: Camera, catalog: Catalog, relief: Relief, clutter: Catalog | None
+) -> Renderer:
     assert scenario.terrain is not None
     assert scenario.render is not None
-    terrain = Terrain(catalog, relief, TerrainOptions(depth_scatter=scenario.terrain.depth_scatter))
-    options = scenario.render.model_dump(exclude={"sun_radius_deg"})
+    options = TerrainOptions(depth_scatter=scenario.terrain.depth_scatter)
+    terrain = Terrain(catalog, relief, options, clutter)
+    render = scenario.render.model_dump(exclude={"sun_radius_deg"})
     sun_radius_rad = math.radians(scenario.render.sun_radius_deg)
-    return Renderer(camera, terrain, RenderOptions(sun_radius_rad=sun_radius_rad, **options))
+    return Renderer(camera, terrain, RenderOptions(sun_radius_rad=sun_radius_rad, **render))
 
 
 def _site(options: TrajectorySection) -> FloatArray:

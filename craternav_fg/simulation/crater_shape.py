@@ -1,0 +1,164 @@
+"""Shape of a crater: sizes by diameter, and the profile from the floor over the rim crest to the ground."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.body import Body
+
+FloatArray = npt.NDArray[np.float64]
+
+# Diameter at which lunar craters turn from simple bowls to shallow complex ones (Pike 1977), km.
+COMPLEX_KM = 15.0
+# A crater's flank has met the ground at this many radii.
+REACH = 2.3
+# Half-widths of the rounding of the crest's outer side and of the floor, in radii.
+CREST = 0.06
+FLOOR = 0.35
+# Other craters' flanks are suppressed this far from a crest, roughness twice as far, in radii.
+PROTECTED = 0.25
+# Roughness near a crater stays under this part of its radius: more would bend the crest's own rounding.
+ROUGHNESS = 0.04
+
+
+def rim_height_m(radius_m: FloatArray) -> FloatArray:
+    """Height (n,) of the rim crest over the ground around it, by radius (n,): Pike (1977)."""
+    D = 2e-3 * np.asarray(radius_m)
+    # The complex law is scaled to meet the simple one.
+    return 1e3 * np.where(
+        D < COMPLEX_KM, 0.036 * D**1.014, 0.036 * COMPLEX_KM**1.014 * (D / COMPLEX_KM) ** 0.399
+    )
+
+
+def depth_m(radius_m: FloatArray) -> FloatArray:
+    """Depth (n,) of the floor under the rim crest, by radius (n,): Pike (1977)."""
+    D = 2e-3 * np.asarray(radius_m)
+    return 1e3 * np.where(
+        D < COMPLEX_KM, 0.196 * D**1.010, 0.196 * COMPLEX_KM**1.010 * (D / COMPLEX_KM) ** 0.301
+    )
+
+
+def crest_height_over_centre_ground_m(
+    semi_major_m: FloatArray, semi_minor_m: FloatArray, body: Body
+) -> FloatArray:
+    """`height_m` (n,) of rims that stand in ground level with the reference sphere.
+
+    The rim is planar and the ground falls away under it: the plane's height at its centre is the
+    crest's height over the ground, less the sagitta of the sphere at the mean rim radius.
+    """
+    sagitta_m = (semi_major_m**2 + semi_minor_m**2) / (4.0 * body.radius_m)
+    return rim_height_m(np.sqrt(semi_major_m * semi_minor_m)) - sagitta_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smoothstep(t: float) -> float:
+    """0 below 0, 1 above 1, smooth between."""
+    t = min(max(t, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def protection(x: float) -> float:
+    """0 with zero slope on a crest, 1 from `PROTECTED` radii off it."""
+    return smoothstep(abs(x) / PROTECTED)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def roughness(x: float, rough: float, radius: float) -> float:
+    """Part of a roughness height that stays at x radii off the crest of a crater; 0 with zero slope on it."""
+    limited = rough / np.sqrt(1.0 + (rough / (ROUGHNESS * radius)) ** 2)
+    return smoothstep(0.5 * abs(x) / PROTECTED) * limited
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def crater_profile(rho: float, depth: float, rim: float) -> float:
+    """Height over the crest plane at a distance rho, in radii, from the centre of a crater.
+
+    Slope zero and the curvature continuous on the crest, rho = 1: a grid then locates it without bias.
+    """
+    x = rho - 1.0
+    if x > 0.0:
+        return -rim * (1.0 - (1.0 + np.sqrt(x * x + CREST * CREST) - CREST) ** -3)
+    # The width c of the crest's inner side that gives both sides one curvature.
+    floor = np.sqrt(1.0 + FLOOR * FLOOR) - FLOOR
+    q = depth / (floor * np.sqrt(1.0 + FLOOR * FLOOR)) * CREST / (3.0 * rim)
+    c = q / np.sqrt(1.0 - 2.0 * q)
+    y = 1.0 - (np.sqrt(x * x + c * c) - c) / (np.sqrt(1.0 + c * c) - c)
+    return -depth * (1.0 - (np.sqrt(y * y + FLOOR * FLOOR) - FLOOR) / floor)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def coverage(rho: float) -> float:
+    """How far a crater replaces the ground at a distance rho, in radii: 1 up to the crest, 0 from `REACH`."""
+    return 1.0 - smoothstep((rho - 1.15) / (REACH - 1.15))
+
+
+@njit(cache=True, error_model="numpy")
+def ground_levels(
+    normals: FloatArray,
+    axes: FloatArray,
+    shape: FloatArray,
+    crest: FloatArray,
+    tangent: FloatArray,
+    radius_m: float,
+    heights: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Express the ground at each crater's centre under the flanks of larger ones: share * relief + flank.
+
+    Parameters
+    ----------
+    normals : ndarray, shape (n, 3)
+        Outward unit normals at the centres, largest crater first.
+    axes : ndarray, shape (n, 2, 3)
+        Semi-axes a l1 and b l2, m, in the frame of `normals`.
+    shape : ndarray, shape (n, 2)
+        Depth and height of the crest over the ground, m.
+    crest : ndarray, shape (n,)
+        Height of the rim's plane over the ground at the centre, m.
+    tangent : ndarray, shape (n, 5)
+        Plane coordinates x, y of the centres, relief there, its gradient.
+    radius_m : float
+        Of the sphere.
+    heights : ndarray, shape (n,)
+        Of the rim planes over the sphere, m. NaN: written, the crater then stands in its ground.
+
+    Returns
+    -------
+    share, flank : ndarray, shape (n,)
+        Share 1 and flank 0 away from larger craters.
+    """
+    n = normals.shape[0]
+    share = np.ones(n)
+    flank = np.zeros(n)
+    for i in range(n):
+        for j in range(i):
+            cosine = 0.0
+            X = 0.0
+            Y = 0.0
+            aa = 0.0
+            bb = 0.0
+            for k in range(3):
+                cosine += normals[j, k] * normals[i, k]
+                X += axes[j, 0, k] * normals[i, k]
+                Y += axes[j, 1, k] * normals[i, k]
+                aa += axes[j, 0, k] ** 2
+                bb += axes[j, 1, k] ** 2
+            if cosine <= 0.5:
+                continue
+            p = radius_m + heights[j]
+            # X and Y carry one factor of a and b already.
+            rho = p / cosine * np.sqrt((X / aa) ** 2 + (Y / bb) ** 2)
+            if rho >= REACH:
+                continue
+            plane = p * (1.0 / cosine - 1.0) + heights[j]
+            w = coverage(rho)
+            share[i] *= 1.0 - w
+            rough = tangent[i, 2] - tangent[j, 2]
+            for k in range(2):
+                rough -= tangent[j, 3 + k] * (tangent[i, k] - tangent[j, k])
+            rough = roughness(rho - 1.0, rough, (aa * bb) ** 0.25)
+            target = plane + crater_profile(rho, shape[j, 0], shape[j, 1]) + rough
+            flank[i] += w * (target - flank[i])
+        if np.isnan(heights[i]):
+            heights[i] = share[i] * tangent[i, 2] + flank[i] + crest[i]
+    return share, flank

@@ -1,0 +1,256 @@
+"""Rays through the height field: where they meet the ground, its normal, the light it sends back.
+
+Everything happens in the site frame s of `relief`: a ground point is (x, y, R) times (R + height)/|(x, y, R)|
+with x, y its coordinates in the gnomonic plane. Grids are passed as in `terrain.Levels`.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+MAX_STEPS = 400
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _height(x: float, y: float, heights: Float32Array, slots: IntArray, frames: FloatArray) -> float:
+    """Height at a plane point from the finest grid around it, bilinear; 0 beyond all grids."""
+    n = heights.shape[1]
+    for k in range(slots.shape[0]):
+        u = (x - frames[k, 1]) / frames[k, 0]
+        v = (y - frames[k, 2]) / frames[k, 0]
+        if u >= 1.0 and v >= 1.0 and u < n - 2 and v < n - 2:
+            i = int(u)
+            j = int(v)
+            u -= i
+            v -= j
+            s = slots[k]
+            return (1.0 - v) * ((1.0 - u) * heights[s, j, i] + u * heights[s, j, i + 1]) + v * (
+                (1.0 - u) * heights[s, j + 1, i] + u * heights[s, j + 1, i + 1]
+            )
+    return 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slopes(
+    x: float, y: float, heights: Float32Array, slots: IntArray, frames: FloatArray
+) -> tuple[float, float, float]:
+    """Slopes along x and y, bilinear between central differences, and the spacing of their grid."""
+    n = heights.shape[1]
+    for k in range(slots.shape[0]):
+        c = frames[k, 0]
+        u = (x - frames[k, 1]) / c
+        v = (y - frames[k, 2]) / c
+        if u >= 1.0 and v >= 1.0 and u < n - 2 and v < n - 2:
+            i = int(u)
+            j = int(v)
+            u -= i
+            v -= j
+            h = heights[slots[k]]
+            gx = (1.0 - v) * ((1.0 - u) * (h[j, i + 1] - h[j, i - 1]) + u * (h[j, i + 2] - h[j, i])) + v * (
+                (1.0 - u) * (h[j + 1, i + 1] - h[j + 1, i - 1]) + u * (h[j + 1, i + 2] - h[j + 1, i])
+            )
+            gy = (1.0 - v) * (
+                (1.0 - u) * (h[j + 1, i] - h[j - 1, i]) + u * (h[j + 1, i + 1] - h[j - 1, i + 1])
+            ) + v * ((1.0 - u) * (h[j + 2, i] - h[j, i]) + u * (h[j + 2, i + 1] - h[j, i + 1]))
+            return 0.5 * gx / c, 0.5 * gy / c, c
+    return 0.0, 0.0, 2.0 * frames[slots.shape[0] - 1, 0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _surface(
+    gx: float,
+    gy: float,
+    heights: Float32Array,
+    slots: IntArray,
+    frames: FloatArray,
+    radius: float,
+    point: FloatArray,
+    normal: FloatArray,
+) -> float:
+    """Write the ground point and its unit normal (3,), site frame; return the spacing of its grid."""
+    hx, hy, cell = _slopes(gx, gy, heights, slots, frames)
+    s = np.sqrt(gx * gx + gy * gy + radius * radius)
+    # Gradient of |p| - R - h(x(p), y(p)), with grad x = k (e_x - x/R e_z).
+    k = s / (radius + _height(gx, gy, heights, slots, frames))
+    point[0] = gx / k
+    point[1] = gy / k
+    point[2] = radius / k
+    normal[0] = gx / s - k * hx
+    normal[1] = gy / s - k * hy
+    normal[2] = radius / s + k * (hx * gx + hy * gy) / radius
+    normal /= np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+    return cell
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def surfaces(
+    hits: FloatArray,
+    heights: Float32Array,
+    slots: IntArray,
+    frames: FloatArray,
+    radius: float,
+    points: FloatArray,
+    normals: FloatArray,
+) -> None:
+    """Write ground points and normals (n, 3), site frame, of plane points (n, 2); NaN in the sky."""
+    for r in range(hits.shape[0]):
+        if np.isnan(hits[r, 0]):
+            points[r, :] = np.nan
+            normals[r, :] = np.nan
+        else:
+            _surface(hits[r, 0], hits[r, 1], heights, slots, frames, radius, points[r], normals[r])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace(
+    P: FloatArray,
+    R: FloatArray,
+    intrinsics: FloatArray,
+    points_px: FloatArray,
+    heights: Float32Array,
+    slots: IntArray,
+    frames: FloatArray,
+    radius: float,
+    top: float,
+    slope: float,
+    hits: FloatArray,
+) -> None:
+    """Write plane coordinates `hits` (n, 2) where rays through pixels (n, 2) meet the ground; NaN in the sky.
+
+    P (3,), R (3, 3): pose of the camera in the site frame. Steps are as long as the steepest slope allows.
+    """
+    fx, fy, cx, cy = intrinsics
+    tolerance = 0.002 * frames[0, 0]
+    near = 0.5 * frames[0, 0]
+    pp = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
+    for r in range(points_px.shape[0]):
+        hits[r, 0] = np.nan
+        hits[r, 1] = np.nan
+        u = (points_px[r, 0] - cx) / fx
+        v = (points_px[r, 1] - cy) / fy
+        dx = R[0, 0] * u + R[0, 1] * v + R[0, 2]
+        dy = R[1, 0] * u + R[1, 1] * v + R[1, 2]
+        dz = R[2, 0] * u + R[2, 1] * v + R[2, 2]
+        norm = np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx /= norm
+        dy /= norm
+        dz /= norm
+        pd = P[0] * dx + P[1] * dy + P[2] * dz
+        root = pd * pd - pp + (radius + top) ** 2
+        if root < 0.0 or pd >= 0.0:
+            continue
+        end = -pd + np.sqrt(root)
+        t = max(0.0, -pd - np.sqrt(root))
+        # Last points known above and below the ground, and the heights over it.
+        t_above, f_above = t, 0.0
+        t_below, f_below = -1.0, 0.0
+        for step in range(MAX_STEPS):
+            x, y, z = P[0] + t * dx, P[1] + t * dy, P[2] + t * dz
+            if t > end or z <= 0.0:
+                break
+            scale = radius / z
+            p = np.sqrt(x * x + y * y + z * z)
+            gx, gy = x * scale, y * scale
+            f = p - radius - _height(gx, gy, heights, slots, frames)
+            # Where two grids meet, the ground may step past a height without taking it.
+            if abs(f) < tolerance or (t_below >= 0.0 and t_below - t_above < tolerance):
+                hits[r, 0] = gx
+                hits[r, 1] = gy
+                break
+            if f < 0.0:
+                if step == 0:
+                    break
+                t_below, f_below = t, f
+            elif t_below < 0.0:
+                t_next = t
+                if step > 0 and f < near and f < f_above:
+                    t_next = t + f * (t - t_above) / (f_above - f)
+                if t_next <= t or t_next > t + 4.0 * near:
+                    sink = abs(x * dx + y * dy + z * dz) / p
+                    run = scale * np.sqrt((dx - x * dz / z) ** 2 + (dy - y * dz / z) ** 2)
+                    t_next = t + f / (sink + slope * run)
+                t_above, f_above = t, f
+                t = t_next
+                continue
+            else:
+                t_above, f_above = t, f
+            # Bracketed: false position, and halving where that would stall.
+            share = 0.5 if step % 3 == 2 else f_above / (f_above - f_below)
+            t = t_above + share * (t_below - t_above)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sunlight(
+    x: float,
+    y: float,
+    z: float,
+    cell: float,
+    sun: FloatArray,
+    sun_radius: float,
+    heights: Float32Array,
+    slots: IntArray,
+    frames: FloatArray,
+    radius: float,
+    top: float,
+    slope: float,
+) -> float:
+    """Part of the sun's disc that a ground point (site frame) sees over the terrain."""
+    seen = 1.0
+    t = 1.5 * cell
+    for _ in range(MAX_STEPS):
+        qx, qy, qz = x + t * sun[0], y + t * sun[1], z + t * sun[2]
+        if qz <= 0.0:
+            break
+        p = np.sqrt(qx * qx + qy * qy + qz * qz)
+        if p > radius + top:
+            break
+        scale = radius / qz
+        # The bilinear ground may stand a little over the point it is seen from.
+        f = p - radius - _height(qx * scale, qy * scale, heights, slots, frames) + 0.04 * cell
+        seen = min(seen, 0.5 + 0.5 * f / (t * sun_radius))
+        if seen <= 0.0:
+            return 0.0
+        climb = (qx * sun[0] + qy * sun[1] + qz * sun[2]) / p
+        run = scale * np.sqrt((sun[0] - qx * sun[2] / qz) ** 2 + (sun[1] - qy * sun[2] / qz) ** 2)
+        closing = slope * run - climb
+        if closing <= 0.0 and f > sun_radius * t:
+            break
+        t += max(0.7 * cell, f / max(closing, 1e-3))
+    return seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shade(
+    P: FloatArray,
+    hits: FloatArray,
+    sun: FloatArray,
+    sun_radius: float,
+    lommel: float,
+    heights: Float32Array,
+    slots: IntArray,
+    frames: FloatArray,
+    radius: float,
+    top: float,
+    slope: float,
+    light: Float32Array,
+) -> None:
+    """Write the brightness (n,) of ground points (n, 2): Lunar-Lambert, 0 in the sky."""
+    q = np.empty(3)
+    n = np.empty(3)
+    for r in range(hits.shape[0]):
+        light[r] = 0.0
+        if np.isnan(hits[r, 0]):
+            continue
+        cell = _surface(hits[r, 0], hits[r, 1], heights, slots, frames, radius, q, n)
+        mu0 = n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]
+        if mu0 <= 0.0:
+            continue
+        vx, vy, vz = P[0] - q[0], P[1] - q[1], P[2] - q[2]
+        mu = (n[0] * vx + n[1] * vy + n[2] * vz) / np.sqrt(vx * vx + vy * vy + vz * vz)
+        mu = max(mu, 0.0)
+        seen = _sunlight(q[0], q[1], q[2], cell, sun, sun_radius, heights, slots, frames, radius, top, slope)
+        light[r] = seen * mu0 * (2.0 * lommel / (mu0 + mu) + 1.0 - lommel)

@@ -1,0 +1,199 @@
+"""Fractal relief of the ground: a seeded function of position on the body, the same for every frame.
+
+Heights are a sum of octaves of cubic B-spline noise. The lattices of all octaves lie in one gnomonic
+plane, the plane that touches the sphere at the landing site: a straight line of sight is a straight
+line there, so rays through the height field need no approximation of the body's curvature.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+# Slope of unit-variance B-spline noise on a lattice of spacing 1: sqrt(int B'^2 int B^2).
+SLOPE_OF_UNIT_NOISE = float(np.sqrt(2.0 / 3.0 * 151.0 / 315.0))
+
+
+@dataclass(frozen=True)
+class ReliefOptions:
+    """Roughness of the ground.
+
+    Attributes
+    ----------
+    slope : float
+        RMS slope that the octave of 100 m contributes along one axis; 0 gives a smooth sphere.
+    hurst : float
+        Growth of height with length; below 1 the ground is rougher the closer one looks.
+    coarsest_m : float
+        Lattice spacing of the coarsest octave, rounded down to a power of two.
+    seed : int
+        Another seed, other ground.
+    """
+
+    slope: float = 0.012
+    hurst: float = 0.85
+    coarsest_m: float = 8192.0
+    seed: int = 0
+
+
+def _noise(i: IntArray, j: IntArray, octave: int, seed: int) -> Float32Array:
+    """Unit-variance random numbers of lattice points, from a hash of their integer coordinates."""
+    h = i.astype(np.uint32) * np.uint32(0x9E3779B1)
+    h = h ^ (j.astype(np.uint32) * np.uint32(0x85EBCA77))
+    h = h + np.uint32((octave * 0xC2B2AE3D + seed * 0x27D4EB2F) & 0xFFFFFFFF)
+    h ^= h >> np.uint32(16)
+    h *= np.uint32(0x7FEB352D)
+    h ^= h >> np.uint32(15)
+    h *= np.uint32(0x846CA68B)
+    h ^= h >> np.uint32(16)
+    scale = 2.0 * np.sqrt(3.0) / 2.0**32
+    return (h.astype(np.float64) * scale - np.sqrt(3.0)).astype(np.float32)
+
+
+def _refine(c: Float32Array) -> Float32Array:
+    """Halve the spacing of B-spline control points along axis 0 (Lane-Riesenfeld), ends dropped.
+
+    Row 0 of the result lies at row 1 of the input.
+    """
+    out = np.empty((2 * (len(c) - 2), *c.shape[1:]), np.float32)
+    out[0::2] = 0.125 * (c[:-2] + c[2:]) + 0.75 * c[1:-1]
+    out[1::2] = 0.5 * (c[1:-1] + c[2:])
+    return out
+
+
+def _evaluate_half(c: Float32Array) -> Float32Array:
+    """Values along axis 0 at control points and half-way between them; row 0 lies at row 1 of the input."""
+    out = np.empty((2 * (len(c) - 3), *c.shape[1:]), np.float32)
+    out[0::2] = (c[:-3] + c[2:-1]) * np.float32(1 / 6) + c[1:-2] * np.float32(4 / 6)
+    out[1::2] = (c[:-3] + c[3:]) * np.float32(1 / 48) + (c[1:-2] + c[2:-1]) * np.float32(23 / 48)
+    return out
+
+
+def _spline_weights(f: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weights and their derivatives (4, n) of the four control points around a fraction f (n,)."""
+    g = 1.0 - f
+    w = np.stack([g**3, 3 * f**3 - 6 * f**2 + 4, 3 * g**3 - 6 * g**2 + 4, f**3]) / 6.0
+    d = np.stack([-3 * g**2, 9 * f**2 - 12 * f, -9 * g**2 + 12 * g, 3 * f**2]) / 6.0
+    return w, d
+
+
+class Relief:
+    """Heights of the ground without craters, in the gnomonic plane of the landing site.
+
+    Plane coordinates: x east, y north at the site, m; the direction (x, y, R) of the site frame s.
+
+    Parameters
+    ----------
+    body : Body
+        The sphere.
+    site_g : ndarray, shape (3,)
+        Any point above the landing site, in g. The terrain is good to 45 deg from it.
+    options : ReliefOptions
+        Roughness.
+    """
+
+    def __init__(self, body: Body, site_g: FloatArray, options: ReliefOptions) -> None:
+        self.body = body
+        self.options = options
+        self.gRs = frames.east_north_up(*frames.latitude_longitude(np.asarray(site_g, dtype=np.float64)))
+        self._coarsest = int(np.floor(np.log2(options.coarsest_m)))
+
+    def plane(self, gP: FloatArray) -> FloatArray:
+        """Plane coordinates (..., 2), m, of points (..., 3) in g; NaN beyond the site's hemisphere."""
+        s = np.asarray(gP) @ self.gRs
+        depth = np.where(s[..., 2:] > 0.0, s[..., 2:], np.nan)
+        return np.asarray(self.body.radius_m * s[..., :2] / depth)
+
+    def amplitude_m(self, octave: int) -> float:
+        """Return the standard deviation of the lattice values of the octave with spacing 2**octave m."""
+        spacing_m = 2.0**octave
+        slope = self.options.slope * (spacing_m / 100.0) ** (self.options.hurst - 1.0)
+        return float(slope * spacing_m / SLOPE_OF_UNIT_NOISE)
+
+    def at(self, xy: FloatArray, shortest_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Heights (n,), m, and their gradients (n, 2) at plane points, from the longer octaves only.
+
+        Parameters
+        ----------
+        xy : ndarray, shape (n, 2)
+            Plane coordinates, m.
+        shortest_m : ndarray, shape (n,)
+            Octaves with a smaller lattice spacing are left out.
+        """
+        height = np.zeros(len(xy))
+        gradient = np.zeros((len(xy), 2))
+        for octave in range(self._coarsest, -16, -1):
+            rows = np.flatnonzero(2.0**octave >= shortest_m)
+            if len(rows) == 0 or self.options.slope == 0.0:
+                break
+            base = np.floor(xy[rows] / 2.0**octave)
+            wx, dx = _spline_weights(xy[rows, 0] / 2.0**octave - base[:, 0])
+            wy, dy = _spline_weights(xy[rows, 1] / 2.0**octave - base[:, 1])
+            first = base.astype(np.int64) - 1
+            steps = np.arange(4)[:, None]
+            c = _noise(
+                (first[:, 0] + steps)[None], (first[:, 1] + steps)[:, None], octave, self.options.seed
+            ) * self.amplitude_m(octave)
+            height[rows] += np.einsum("yxn,yn,xn->n", c, wy, wx)
+            gradient[rows, 0] += np.einsum("yxn,yn,xn->n", c, wy, dx) / 2.0**octave
+            gradient[rows, 1] += np.einsum("yxn,yn,xn->n", c, dy, wx) / 2.0**octave
+        return height, gradient
+
+    def grid(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
+        """Heights (cells, cells), m, rows along y, at the plane points 2**exponent * (first + index).
+
+        Parameters
+        ----------
+        exponent : int
+            Grid spacing 2**exponent m; the shortest octave has twice that.
+        first : tuple of int
+            Column and row of the first grid point.
+        cells : int
+            Even number of grid points along a side.
+        fade : int
+            The shortest octave fades out over this many cells from the border, so that a coarser
+            grid continues this one without a seam.
+        """
+        if self.options.slope == 0.0 or exponent >= self._coarsest:
+            return np.zeros((cells, cells), np.float32)
+        # First lattice point needed at each octave: two more on either side than its grid covers.
+        octaves = range(self._coarsest, exponent, -1)
+        total: Float32Array | None = None
+        lo = np.zeros(2, dtype=np.int64)
+        for octave in octaves:
+            step = 2 ** (octave - exponent)
+            need_lo = np.floor_divide(first, step) - 3
+            need_hi = np.floor_divide(np.asarray(first) + cells, step) + 4
+            shape = need_hi - need_lo
+            if total is None:
+                total = np.zeros((int(shape[1]), int(shape[0])), np.float32)
+            else:
+                total = _refine(_refine(total).T).T
+                cut = need_lo - 2 * (lo + 1)
+                total = np.ascontiguousarray(total[cut[1] : cut[1] + shape[1], cut[0] : cut[0] + shape[0]])
+            lo = need_lo
+            i = lo[0] + np.arange(shape[0])
+            j = lo[1] + np.arange(shape[1])
+            noise = _noise(i[None, :], j[:, None], octave, self.options.seed)
+            noise *= np.float32(self.amplitude_m(octave))
+            if octave == exponent + 1:
+                noise *= _border(i * step - first[0], cells, fade)
+                noise *= _border(j * step - first[1], cells, fade)[:, None]
+            total += noise
+        assert total is not None
+        values = _evaluate_half(_evaluate_half(total).T).T
+        x0, y0 = np.asarray(first) - 2 * (lo + 1)
+        return np.ascontiguousarray(values[y0 : y0 + cells, x0 : x0 + cells])
+
+
+def _border(position: IntArray, cells: int, fade: int) -> Float32Array:
+    """Weight 0 at the border of a grid, 1 from `fade` cells inside it."""
+    inside = np.minimum(position - 4, cells - 5 - position)
+    return np.clip(inside / fade, 0.0, 1.0).astype(np.float32)

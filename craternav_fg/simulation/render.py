@@ -1,0 +1,190 @@
+"""Images of the terrain as the lander's camera takes them."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.camera import Camera
+from craternav_fg.simulation import rays
+from craternav_fg.simulation.terrain import Levels, Terrain
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+Image = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Light and sensor.
+
+    Attributes
+    ----------
+    samples : int
+        Rays along each side of a pixel; the cost grows with the square.
+    lunar_lambert : float
+        Share of the Lommel-Seeliger law; the rest is Lambert's.
+    sun_radius_rad : float
+        Half the angle under which the sun appears: the softness of shadows.
+    flat_level : float
+        Brightness of level ground at the site, seen from above, as a part of full scale.
+    psf_sigma_px : float
+        Gaussian blur of the optics; 0 for none.
+    full_well_e : float
+        Electrons at full scale: fewer give more shot noise; 0 for none.
+    read_noise_e : float
+        Standard deviation of the read-out noise in electrons.
+    """
+
+    samples: int = 1
+    lunar_lambert: float = 0.55
+    sun_radius_rad: float = 0.00465
+    flat_level: float = 0.4
+    psf_sigma_px: float = 0.7
+    full_well_e: float = 15000.0
+    read_noise_e: float = 20.0
+
+
+class Renderer:
+    """Takes images of a terrain with a camera.
+
+    Parameters
+    ----------
+    camera : Camera
+        Pinhole, with its mounting on the lander.
+    terrain : Terrain
+        What it looks at.
+    options : RenderOptions
+        Light and sensor.
+    """
+
+    def __init__(self, camera: Camera, terrain: Terrain, options: RenderOptions) -> None:
+        self.camera = camera
+        self.terrain = terrain
+        self.options = options
+        n = options.samples
+        x = (np.arange(n * camera.width_px) + 0.5) / n - 0.5
+        y = (np.arange(n * camera.height_px) + 0.5) / n - 0.5
+        self._points_px = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+    def render(self, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> Image:
+        """Image (height_px, width_px), 8 bit grey, from the lander's pose.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose of the lander in g.
+        sun_g : ndarray, shape (3,)
+            Unit vector towards the sun in g.
+        rng : Generator
+            Sensor noise.
+        """
+        options = self.options
+        light = self.radiance(gTb, sun_g)
+        if options.psf_sigma_px > 0.0:
+            blurred = cv2.GaussianBlur(light, (0, 0), options.psf_sigma_px, borderType=cv2.BORDER_REPLICATE)
+            light = blurred.astype(np.float32, copy=False)
+        mu0 = max(float(sun_g @ self.terrain.relief.gRs[:, 2]), 0.01)
+        flat = mu0 * (2.0 * options.lunar_lambert / (mu0 + 1.0) + 1.0 - options.lunar_lambert)
+        signal = light * np.float32(options.flat_level / flat)
+        if options.full_well_e > 0.0:
+            electrons = signal * np.float32(options.full_well_e)
+            sigma = np.sqrt(np.minimum(electrons, options.full_well_e) + options.read_noise_e**2)
+            electrons += sigma * rng.standard_normal(electrons.shape, dtype=np.float32)
+            signal = electrons / np.float32(options.full_well_e)
+        return np.clip(np.rint(255.0 * signal), 0.0, 255.0).astype(np.uint8)
+
+    def radiance(self, gTb: FloatArray, sun_g: FloatArray) -> Float32Array:
+        """Brightness (height_px, width_px) before optics and sensor; white ground under the sun is 1."""
+        camera, n = self.camera, self.options.samples
+        levels = self._levels(gTb)
+        hits = self._hits(gTb, self._points_px, levels)
+        light = np.empty(len(hits), np.float32)
+        _, P = self._camera_pose(gTb)
+        sun = self.terrain.relief.gRs.T @ np.asarray(sun_g, dtype=np.float64)
+
+        def work(lo: int, hi: int) -> None:
+            rays.shade(
+                P, hits[lo:hi], sun, self.options.sun_radius_rad, self.options.lunar_lambert,
+                levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
+                levels.top_m, levels.slope, light[lo:hi],
+            )  # fmt: skip
+
+        self.terrain.run(work, len(hits))
+        image = light.reshape(camera.height_px, n, camera.width_px, n)
+        return np.ascontiguousarray(image.mean(axis=(1, 3)) if n > 1 else image[:, 0, :, 0])
+
+    def ground_points(self, gTb: FloatArray, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where rays through pixels meet the ground as rendered, and the normals used to shade it.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose of the lander in g.
+        points_px : ndarray, shape (n, 2)
+            Pixels, with fractions.
+
+        Returns
+        -------
+        points, normals : ndarray, shape (n, 3)
+            In g, m, and unit length; NaN in the sky.
+        """
+        levels = self._levels(gTb)
+        hits = self._hits(gTb, np.ascontiguousarray(points_px, dtype=np.float64), levels)
+        points = np.empty((len(hits), 3))
+        normals = np.empty((len(hits), 3))
+        rays.surfaces(
+            hits, levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
+            points, normals,
+        )  # fmt: skip
+        gRs = self.terrain.relief.gRs
+        return points @ gRs.T, normals @ gRs.T
+
+    def _camera_pose(self, gTb: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rotation and position of the camera in the site frame."""
+        gTc = self.camera.gTc(np.asarray(gTb, dtype=np.float64))
+        sRg = self.terrain.relief.gRs.T
+        return np.ascontiguousarray(sRg @ gTc[:3, :3]), np.ascontiguousarray(sRg @ gTc[:3, 3])
+
+    def _hits(self, gTb: FloatArray, points_px: FloatArray, levels: Levels) -> FloatArray:
+        camera = self.camera
+        R, P = self._camera_pose(gTb)
+        intrinsics = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
+        hits = np.empty((len(points_px), 2))
+
+        def work(lo: int, hi: int) -> None:
+            rays.trace(
+                P, R, intrinsics, points_px[lo:hi], levels.heights_m, levels.slots, levels.frames_m,
+                self.terrain.body.radius_m, levels.top_m, levels.slope, hits[lo:hi],
+            )  # fmt: skip
+
+        self.terrain.run(work, len(points_px))
+        return hits
+
+    def _levels(self, gTb: FloatArray) -> Levels:
+        """Grids for the view from a pose: where a coarse raster of directions meets the bare sphere."""
+        camera = self.camera
+        R, P = self._camera_pose(gTb)
+        radius = self.terrain.body.radius_m
+        x = np.linspace(-0.5, camera.width_px - 0.5, 17)
+        y = np.linspace(-0.5, camera.height_px - 0.5, 17)
+        uv = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+        directions = np.concatenate([uv, np.ones((len(uv), 1))], axis=1)
+        directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)) @ R.T
+        pd = directions @ P
+        root = pd**2 - P @ P + radius**2
+        height = np.linalg.norm(P) - radius
+        # Rays that miss the body still bound the view: they end where they pass closest to it.
+        distance = np.where(root >= 0.0, -pd - np.sqrt(np.maximum(root, 0.0)), -pd)
+        distance = np.clip(distance, 0.5 * height, 25.0 * height)
+        ground = P + distance[:, None] * directions
+        plane = radius * ground[:, :2] / ground[:, 2:]
+        closest = int(np.argmin(distance))
+        margin = 0.02 * height
+        return self.terrain.levels(
+            plane.min(axis=0) - margin,
+            plane.max(axis=0) + margin,
+            plane[closest],
+            float(distance[closest]) / camera.focal_px,
+        )
