@@ -14,7 +14,7 @@ RZ180 = np.diag([-1.0, -1.0, 1.0])
 
 
 def view(rng, tilt_rad, range_m, axes_m):
-    """Body pose, crater (centre, gRl, semi-axes) and its exact conic, the camera `tilt_rad` off the normal."""
+    """Body pose, crater (centre, gRl, semi-axes) and its exact conic, from `tilt_rad` off the normal."""
     gRl = Rotation.random(random_state=rng).as_matrix()
     gL = rng.normal(size=3) * 1e6
     azimuth = rng.uniform(0, 2 * np.pi)

@@ -1,0 +1,27 @@
+"""Dead reckoning: the start carried on by the IMU alone."""
+
+import itertools
+
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Problem
+from craternav_fg.trajectory import Trajectory
+
+
+class DeadReckoning:
+    """Inertial navigation without images: what every other estimator has to beat."""
+
+    name = "dead_reckoning"
+
+    def estimate(self, problem: Problem) -> Trajectory:
+        """Propagate the start and its covariance to every frame.
+
+        Raises
+        ------
+        ValueError
+            When the IMU log does not cover the frames.
+        """
+        stamps = [frame.stamp_ns for frame in problem.frames]
+        states = [filter_state.begin(problem)]
+        for begin_ns, end_ns in itertools.pairwise(stamps):
+            states.append(filter_state.propagate(states[-1], problem, begin_ns, end_ns))
+        return filter_state.trajectory(stamps, states)

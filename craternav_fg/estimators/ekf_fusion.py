@@ -1,0 +1,119 @@
+"""Fusion of sub-filters, eq. (29), and what it has to be to count a shared prior once.
+
+Two cases. Sub-filters that run on their own are combined as estimates (`combine`, eq. (29) itself).
+Sub-filters that updated one common prior are combined in that prior's whitened coordinates
+(`fuse_updates`): with the prior's covariance L L' and errors L e, the prior's information is the
+identity, whatever the states' units.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Rule = Literal["paper-fed-back", "exact", "covariance-intersection"]
+
+
+@dataclass(frozen=True)
+class Update:
+    """A sub-filter's measurement, linear and whitened: residual = A error + white unit noise.
+
+    Attributes
+    ----------
+    A : ndarray, shape (m, k)
+        For the first k entries of the error state; the others don't enter.
+    residual : ndarray, shape (m,)
+        Measured minus predicted at the prior's mean, whitened.
+    """
+
+    A: FloatArray
+    residual: FloatArray
+
+
+def square_root(covariance: FloatArray) -> FloatArray:
+    """Lower triangular L with L L' = covariance, for states of very different units.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the covariance is not positive definite.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale)))
+
+
+def fuse_updates(
+    covariance: FloatArray, updates: Sequence[Update], rule: Rule
+) -> tuple[FloatArray, FloatArray]:
+    """Fuse sub-filters that each updated the same prior with their own measurement.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n)
+        Of the common prior.
+    updates : sequence of Update
+        One per sub-filter, at least one, all on the same k first states.
+    rule : {"exact", "paper-fed-back", "covariance-intersection"}
+        "exact": information sum Lambda_i - (N - 1) Lambda_prior, equal to one central update.
+        "paper-fed-back": sum Lambda_i as eq. (29), the prior counted N times.
+        "covariance-intersection": mean of the Lambda_i (weights 1/N), safe for any correlation.
+
+    Returns
+    -------
+    delta : ndarray, shape (n,)
+        Correction of the prior's mean.
+    covariance : ndarray, shape (n, n)
+        Of the fused estimate.
+    """
+    k = updates[0].A.shape[1]
+    L = square_root(covariance)
+    count = len(updates)
+    # Whitened information of sub-filter i: I + A_i' A_i on the first k states, I on the others (L is
+    # lower triangular, so the first k states depend on the first k whitened ones only).
+    gain = np.zeros((k, k))
+    vector = np.zeros(k)
+    for update in updates:
+        A = update.A @ L[:k, :k]
+        gain += A.T @ A
+        vector += A.T @ update.residual
+    if rule == "exact":
+        prior = 1.0
+    elif rule == "paper-fed-back":
+        prior = float(count)
+    else:
+        prior = 1.0
+        gain /= count
+        vector /= count
+    # inv of a small factor, not a triangular solve: LAPACK's starts threads whatever the size.
+    inverse = np.linalg.inv(np.linalg.cholesky(prior * np.eye(k) + gain))
+    root = L / np.sqrt(prior)
+    root[:, :k] = L[:, :k] @ inverse.T
+    delta = root[:, :k] @ (inverse @ vector)
+    out: FloatArray = root @ root.T
+    return delta, out
+
+
+def combine(deltas: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Combine estimates as if their errors were independent: eq. (29).
+
+    Parameters
+    ----------
+    deltas : ndarray, shape (N, n)
+        The estimates, as error-state vectors from a common reference.
+    covariances : ndarray, shape (N, n, n)
+
+    Returns
+    -------
+    delta : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+    """
+    scale = np.sqrt(np.mean(np.diagonal(covariances, axis1=1, axis2=2), axis=0))
+    white = np.linalg.inv(np.linalg.cholesky(covariances / np.outer(scale, scale)))
+    total = np.einsum("kij,kil->jl", white, white)
+    vector = np.einsum("kij,ki->j", white, np.einsum("kij,kj->ki", white, deltas / scale))
+    inverse = np.linalg.inv(np.linalg.cholesky(total))
+    root = scale[:, None] * inverse.T
+    return root @ (inverse @ vector), root @ root.T
