@@ -1,7 +1,7 @@
 """The distributed extended Kalman filter: one sub-filter per crater, eqs (25)-(29)."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -78,17 +78,23 @@ class DistributedEkf:
         ValueError
             When the IMU log does not cover the frames.
         """
-        states = [filter_state.begin(problem)]
+        base = filter_state.begin(problem)
+        states = [base]
         # Under "paper" every crater in view has a state of its own; else all share the published one.
         filters = dict.fromkeys(problem.frames[0].rims.craters.tolist(), states[0])
         fusion = self.options.fusion
         for last, frame in itertools.pairwise(problem.frames):
-            prior = filter_state.propagate(states[-1], problem, last.stamp_ns, frame.stamp_ns)
+            prior = filter_state.propagate(base, problem, last.stamp_ns, frame.stamp_ns)
             if fusion == "paper":
                 filters = self._step_each(filters, prior, last.stamp_ns, frame, problem)
-                states.append(_combined(list(filters.values())) if filters else prior)
+                fused = _combined(list(filters.values())) if filters else prior
+                # (29) counts the past that n sub-filters share n times. It is published as it is, but
+                # a later sub-filter that began with it would trust itself for ever.
+                base = replace(fused, covariance=max(len(filters), 1) * fused.covariance)
+                states.append(fused)
             else:
-                states.append(self._update(prior, frame, problem, fusion))
+                base = self._update(prior, frame, problem, fusion)
+                states.append(base)
         return filter_state.trajectory([frame.stamp_ns for frame in problem.frames], states)
 
     def _step_each(
@@ -101,7 +107,8 @@ class DistributedEkf:
     ) -> dict[int, FilterState]:
         """Carry every sub-filter to a frame and update it by its own crater and the sun.
 
-        Sub-filters end when their crater leaves the view; a new crater's begins from the fused state.
+        Sub-filters end when their crater leaves the view; a new crater's begins from the fused state,
+        its covariance multiplied by the number of sub-filters that were fused.
         """
         out = {}
         for row, crater in enumerate(frame.rims.craters.tolist()):
@@ -116,7 +123,7 @@ class DistributedEkf:
         self, prior: FilterState, frame: FrameMeasurement, problem: Problem, rule: Rule
     ) -> FilterState:
         options = self.options
-        if not len(frame.rims):
+        if not len(frame.rims) and frame.sun is None:
             return prior
         delta = np.zeros(len(prior.covariance))
         covariance = prior.covariance
@@ -140,8 +147,6 @@ class DistributedEkf:
                 A, residual, usable = A[keep], residual[keep], usable[keep]
             root = np.sqrt(factors)
             updates = [Update(A[i] / root[i], residual[i] / root[i]) for i in np.flatnonzero(usable)]
-            if not updates:
-                return point
             sun = linearise_sun(point.gTb, frame.sun, problem.camera)
             if sun is not None:
                 sun_A = sun.A.copy()
@@ -149,7 +154,9 @@ class DistributedEkf:
                 sun = Update(sun_A, sun.residual + sun_A @ delta[POSE])
                 # A central filter uses the sun once; sub-filters that don't know each other, each.
                 users = 1 if rule == "exact" else len(updates)
-                updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)]
+                updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
+            if not updates:
+                return point
             delta, covariance = fuse_updates(prior.covariance, updates, rule)
         return prior.moved(delta, covariance)
 

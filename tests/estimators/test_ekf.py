@@ -373,3 +373,31 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
     phi = frames.rotation_log(expected.gTb[:3, :3].T @ out.gRb[1])
     np.testing.assert_allclose(phi / sigma[:3], 0.0, atol=1e-6)
     np.testing.assert_allclose((out.gP[1] - expected.gTb[:3, 3]) / sigma[3:], 0.0, atol=1e-6)
+
+
+def test_a_new_sub_filter_does_not_inherit_a_past_that_was_counted_twice(world):
+    """Craters that take turns make every sub-filter a newcomer: (29) must not feed back through them."""
+
+    def taking_turns(estimator, seed):
+        p = draw(world, np.random.default_rng(seed))
+        frames = [
+            dataclasses.replace(f, rims=f.rims.take(f.rims.craters % 2 == k % 2))
+            for k, f in enumerate(p.frames)
+        ]
+        return nees(estimator.estimate(dataclasses.replace(p, frames=frames)), world)[-1]
+
+    apart = DistributedEkf("x", dataclasses.replace(PLAIN, fusion="paper"))
+    together = DistributedEkf("x", dataclasses.replace(PLAIN, fusion="paper-fed-back"))
+    values = [np.mean([taking_turns(e, 300 + run) for run in range(4)]) for e in (apart, together)]
+    assert values[0] < 30.0 < values[1]
+
+
+def test_a_frame_with_the_sun_alone_still_measures_it(world, problem):
+    with_sun = DistributedEkf("x", PLAIN)
+    only_sun = [problem.frames[0]] + [dataclasses.replace(f, rims=RimSet.empty()) for f in problem.frames[1:]]
+    nothing = [dataclasses.replace(f, sun=None) for f in only_sun]
+    spread = [
+        np.trace(with_sun.estimate(dataclasses.replace(problem, frames=f)).pose_covariance[-1, :3, :3])
+        for f in (only_sun, nothing)
+    ]
+    assert spread[0] < spread[1]
