@@ -1,0 +1,231 @@
+"""An ellipse through edge points, in the ellipse chart, with its covariance.
+
+The fit starts from the approximate-mean-square fit (`cv2.fitEllipseAMS`) and minimises the points'
+distances to the ellipse by Gauss-Newton under a redescending loss. It runs in the chart of pixel
+coordinates; an anisotropic scale turns that chart into the one of normalised coordinates, component
+by component.
+
+The distance is that of f = sqrt((x - m)' S^-1 (x - m)) - 1, divided by its gradient: exact for
+circles. The usual Sampson distance, of f^2 + 2 f, falls short by e^2 / 2R and shrinks small ellipses.
+What bias is left is the second-order one of the estimating equation, and is subtracted; errors are
+taken to lie along the normals, as they do for edges searched along normals.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.camera import Camera
+from craternav_fg.vision import ellipse_kernel
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How an ellipse is fitted to edge points, and what is known beside the points' scatter.
+
+    Attributes
+    ----------
+    min_points : int
+        Fewer points (or fewer that the robust loss leaves) are no fit.
+    min_arc_share : float
+        Shortest part of the rim, of 1, that the points must cover; no fit is of use under a third.
+    max_gap_rad : float
+        Longest step between neighbouring points that still counts as covered.
+    max_sigma_share : float
+        Largest standard deviation of an axis, relative to it: above, the points do not determine it.
+    min_scatter_px : float
+        Lower bound of the points' standard deviation: keeps perfect points from an infinite weight.
+    floor_px, floor_share : float
+        Systematic floor on centre, semi-axes and rotation: floor_px + floor_share b.
+    """
+
+    min_points: int = 16
+    min_arc_share: float = 0.36
+    max_gap_rad: float = 0.45
+    max_sigma_share: float = 0.1
+    min_scatter_px: float = 0.03
+    floor_px: float = 0.025
+    floor_share: float = 0.001
+
+
+@dataclass(frozen=True)
+class RimFit:
+    """An ellipse fitted to edge points.
+
+    Attributes
+    ----------
+    chart : ndarray, shape (5,)
+        Ellipse chart in normalised image coordinates, bias removed.
+    covariance : ndarray, shape (5, 5)
+        Of the chart: the points' scatter and the systematic floor.
+    chart_px : ndarray, shape (5,)
+        The same ellipse's chart in pixel coordinates.
+    rms_px : float
+        Of the points' distances, under the robust weights.
+    point_count : int
+        Points that the robust loss kept.
+    arc_share : float
+        Part of the rim they cover.
+    """
+
+    chart: FloatArray
+    covariance: FloatArray
+    chart_px: FloatArray
+    rms_px: float
+    point_count: int
+    arc_share: float
+
+
+class FitFailure(Enum):
+    """Why points gave no ellipse."""
+
+    TOO_FEW_POINTS = "too few points"
+    SHORT_ARC = "the points cover too little of the rim"
+    NO_ELLIPSE = "the points do not determine an ellipse"
+
+
+def fit_rim(
+    points_px: FloatArray,
+    camera: Camera,
+    options: FitOptions | None = None,
+    sigma_ratio: FloatArray | None = None,
+) -> RimFit | FitFailure:
+    """Fit an ellipse to edge points.
+
+    Parameters
+    ----------
+    points_px : ndarray, shape (n, 2)
+        Edge points, pixels. If they follow the rim, errors that neighbours share are noticed.
+    camera : Camera
+        Turns pixels into normalised coordinates.
+    options : FitOptions, optional
+    sigma_ratio : ndarray, shape (n,), optional
+        The points' standard deviations relative to one another; equal if not given.
+
+    Returns
+    -------
+    RimFit or FitFailure
+        The failure when the points do not determine an ellipse.
+    """
+    options = options or FitOptions()
+    points = np.ascontiguousarray(points_px, dtype=np.float64)
+    if len(points) < options.min_points:
+        return FitFailure.TOO_FEW_POINTS
+    ratio = (
+        np.ones(len(points)) if sigma_ratio is None else np.ascontiguousarray(sigma_ratio, dtype=np.float64)
+    )
+    (cx, cy), (axis1, axis2), angle_deg = cv2.fitEllipseAMS(points.astype(np.float32))
+    if not (min(axis1, axis2) > 0.0 and np.all(np.isfinite([cx, cy, axis1, axis2, angle_deg]))):
+        return FitFailure.NO_ELLIPSE
+    start = _geometric_to_chart(cx, cy, 0.5 * axis1, 0.5 * axis2, np.deg2rad(angle_deg))
+    return refine_rim(points, start, camera, options, ratio)
+
+
+def refine_rim(
+    points: FloatArray,
+    start_px: FloatArray,
+    camera: Camera,
+    options: FitOptions,
+    sigma_ratio: FloatArray,
+    lever: FloatArray | None = None,
+    lever_sigma: float = 1.0,
+) -> RimFit | FitFailure:
+    """Fit as `fit_rim`, from a given start and with an unknown that moves all points.
+
+    Parameters
+    ----------
+    points, camera, options, sigma_ratio
+        As in `fit_rim`.
+    start_px : ndarray, shape (5,)
+        Chart in pixel coordinates.
+    lever : ndarray, shape (n, 2), optional
+        Motion of the points, px, per unit of an unknown that is estimated beside the ellipse.
+    lever_sigma : float
+        Prior standard deviation of that unknown, about 0.
+    """
+    if len(points) < options.min_points:
+        return FitFailure.TOO_FEW_POINTS
+    ok, y, cov, rms, kept, arc = ellipse_kernel.fit(
+        points, sigma_ratio, np.zeros_like(points) if lever is None else lever, lever_sigma, start_px,
+        options.min_scatter_px, options.max_gap_rad,
+    )  # fmt: skip
+    if not ok or np.sqrt(max(cov[2, 2], cov[4, 4])) > options.max_sigma_share:
+        return FitFailure.NO_ELLIPSE
+    if kept < options.min_points:
+        return FitFailure.TOO_FEW_POINTS
+    if arc < options.min_arc_share:
+        return FitFailure.SHORT_ARC
+    cov = cov + floor_covariance(y, options.floor_px, options.floor_share)
+    chart, scale = normalised_chart(y, camera)
+    return RimFit(chart, cov * np.outer(scale, scale), y, rms, kept, arc)
+
+
+def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Chart (..., 5) in normalised coordinates of a chart in pixels, and the derivative's diagonal (5,)."""
+    scale = np.array([1.0 / camera.fx_px, 1.0 / camera.fy_px, 1.0, camera.fx_px / camera.fy_px, 1.0])
+    offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
+    return (chart_px - offset) * scale, scale
+
+
+def pixel_chart(chart: FloatArray, camera: Camera) -> FloatArray:
+    """Chart (..., 5) in pixel coordinates of a chart in normalised coordinates."""
+    scale = np.array([camera.fx_px, camera.fy_px, 1.0, camera.fy_px / camera.fx_px, 1.0])
+    offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
+    return np.asarray(chart * scale + offset)
+
+
+@njit(cache=True, error_model="numpy")
+def floor_covariance(y: FloatArray, floor_px: float, floor_share: float) -> FloatArray:
+    """Covariance (5, 5) of a pixel chart from a systematic error of centre, semi-axes and rotation.
+
+    Each has the standard deviation floor_px + floor_share b; the rotation as the length (a - b) dphi.
+    The root A of S then changes by a symmetric matrix; its element off the diagonal has half the
+    variance of those on it, so that the floor of a circle does not depend on the axes' direction.
+    """
+    sxx = np.exp(2.0 * y[2])
+    beta = y[3]
+    s = np.exp(2.0 * y[4])
+    sxy = beta * sxx
+    syy = s + beta * sxy
+    half = 0.5 * (sxx - syy)
+    root = np.sqrt(half * half + sxy * sxy)
+    mean = 0.5 * (sxx + syy)
+    a = np.sqrt(mean + root)
+    b = np.sqrt(max(mean - root, 1e-12))
+    phi = 0.5 * np.arctan2(sxy, half)
+    c, d = np.cos(phi), np.sin(phi)
+    floor = floor_px + floor_share * b
+    out = np.zeros((5, 5))
+    out[0, 0] = floor * floor
+    out[1, 1] = floor * floor
+    # Columns: change of S (xx, xy, yy) with a, b and the element off the diagonal.
+    for k in range(3):
+        if k == 0:
+            dxx, dxy, dyy, var = 2.0 * a * c * c, 2.0 * a * c * d, 2.0 * a * d * d, 1.0
+        elif k == 1:
+            dxx, dxy, dyy, var = 2.0 * b * d * d, -2.0 * b * c * d, 2.0 * b * c * c, 1.0
+        else:
+            dxx, dxy, dyy, var = (
+                -2.0 * (a + b) * c * d, (a + b) * (c * c - d * d), 2.0 * (a + b) * c * d, 0.5
+            )  # fmt: skip
+        g = np.array(
+            [0.5 * dxx / sxx, (dxy - beta * dxx) / sxx, 0.5 * (dyy - 2 * beta * dxy + beta * beta * dxx) / s]
+        )
+        for i in range(3):
+            for j in range(3):
+                out[2 + i, 2 + j] += var * floor * floor * g[i] * g[j]
+    return out
+
+
+def _geometric_to_chart(cx: float, cy: float, r1: float, r2: float, phi: float) -> FloatArray:
+    c, d = np.cos(phi), np.sin(phi)
+    sxx = (r1 * c) ** 2 + (r2 * d) ** 2
+    sxy = (r1**2 - r2**2) * c * d
+    syy = (r1 * d) ** 2 + (r2 * c) ** 2
+    return np.array([cx, cy, 0.5 * np.log(sxx), sxy / sxx, 0.5 * np.log(syy - sxy**2 / sxx)])

@@ -1,0 +1,370 @@
+"""Rims of catalogue craters in an image, searched where a predicted pose puts them.
+
+The prediction may be wrong by tens of pixels: one shift common to all rims is searched first, then the
+predicted pose is corrected with the rims themselves, and only then is each rim judged by itself.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from craternav_fg.camera import Camera
+from craternav_fg.catalog import Catalog
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.vision import crest, edges, photometry
+from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, pixel_chart, refine_rim
+from craternav_fg.vision.photometry import LevelMap
+from craternav_fg.vision.pose_correction import corrected_pose, squared_distance, variance_factor
+from craternav_fg.vision.sun import SunOptions, measure_sun_tilt
+from factors.kernels import conic
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+ImageArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class GuidedOptions:
+    """How rims are searched and which are believed.
+
+    Attributes
+    ----------
+    min_semi_minor_px : float
+        Smaller rims are left out.
+    margin_px : float
+        Distance the predicted rim must keep from the image's border.
+    psf_px : float
+        Standard deviation of the point-spread function: its effect on the edge is removed.
+    smooth_px, smooth_share : float
+        Smoothing along the rim's normals: smooth_px, at least smooth_share radii. Less texture and
+        noise, but more of the crest's asymmetry to remove.
+    level_sigma : float
+        Relative standard deviation of the level ground's brightness at a single rim: regional slope,
+        albedo. It is estimated beside the ellipse.
+    max_shift_px : float
+        Farthest common shift that is searched; also where several rims are missing, whatever the
+        prediction's covariance says.
+    shift_sigmas : float
+        Searched radius in standard deviations of the predicted rims.
+    min_gain : float
+        Least shading gain across a rim part that is searched.
+    min_step : float
+        Least relative step of brightness across an edge, for a gain of 1.
+    min_found_share : float
+        Least share of the searched normals with an edge.
+    max_rms_px, max_rms_share : float
+        Largest scatter of a rim's edge points: max_rms_px + max_rms_share b.
+    first_reach, second_reach : tuple of float
+        Half length of the searched normals, before and after the pose is corrected by the rims:
+        pixels, and share of the semi-minor axis.
+    gate_probability : float
+        A true rim passes the chi-square gate with this probability.
+    fit : FitOptions
+        Of the ellipse fit, with the systematic floor.
+    sun : SunOptions
+        Of the sun's tilt.
+    """
+
+    min_semi_minor_px: float = 12.0
+    margin_px: float = 3.0
+    psf_px: float = 0.7
+    smooth_px: float = 0.4
+    smooth_share: float = 0.02
+    level_sigma: float = 0.02
+    max_shift_px: float = 48.0
+    shift_sigmas: float = 3.5
+    min_gain: float = 0.12
+    min_step: float = 0.02
+    min_found_share: float = 0.55
+    max_rms_px: float = 0.6
+    max_rms_share: float = 0.03
+    first_reach: tuple[float, float] = (2.5, 0.12)
+    second_reach: tuple[float, float] = (1.5, 0.08)
+    gate_probability: float = 0.9999
+    fit: FitOptions = field(default_factory=FitOptions)
+    sun: SunOptions = field(default_factory=SunOptions)
+
+
+# Darker level ground, of 255, has no contrast to offer.
+_DARK = 6.0
+# The common shift needs no more rims than these.
+_SEARCHED_RIMS = 60
+_ANGLES: FloatArray = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False, dtype=np.float64)
+# Fewer rims cannot prove a prediction wrong.
+_MIN_LOST_RIMS = 3
+# Steps across the rim are taken over this share of the radius to both sides.
+_STEP_SHARE = 0.12
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What is predicted of the rims of one frame: rows (n,) and quantities in pixels."""
+
+    rows: IntArray
+    charts: FloatArray
+    charts_px: FloatArray
+    gain_px: FloatArray
+    level: FloatArray
+    jacobians: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def take(self, keep: IntArray) -> "_Scene":
+        return _Scene(
+            self.rows[keep], self.charts[keep], self.charts_px[keep], self.gain_px[keep], self.level[keep],
+            self.jacobians[keep],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Result:
+    """Measured rims, the pose they correct the prediction to, and how many were expected."""
+
+    rims: RimSet
+    gTb: FloatArray
+    expected: int
+
+
+class GuidedFrontEnd:
+    """Measures catalogue rims and the sun's tilt in images, guided by predicted poses.
+
+    Parameters
+    ----------
+    camera : Camera
+    catalog : Catalog
+    options : GuidedOptions, optional
+    """
+
+    def __init__(self, camera: Camera, catalog: Catalog, options: GuidedOptions | None = None) -> None:
+        self.camera = camera
+        self.catalog = catalog
+        self.options = options or GuidedOptions()
+        self._bias = crest.crossing_table()
+
+    def measure(
+        self,
+        image: npt.NDArray[np.uint8],
+        stamp_ns: int,
+        gTb: FloatArray,
+        pose_covariance: FloatArray,
+        sun_g: FloatArray,
+    ) -> FrameMeasurement:
+        """Measure one image.
+
+        Parameters
+        ----------
+        image : ndarray of uint8, shape (H, W)
+        stamp_ns : int
+            Time of exposure.
+        gTb : ndarray, shape (4, 4)
+            Predicted pose of the lander.
+        pose_covariance : ndarray, shape (6, 6)
+            Of the prediction, positive definite: attitude error (rotation vector in b, rad), position
+            error in g, m.
+        sun_g : ndarray, shape (3,)
+            Unit vector towards the sun in g.
+
+        Returns
+        -------
+        FrameMeasurement
+            Its rim set is empty, its sun None, when the image shows neither.
+        """
+        turn = np.eye(6)
+        turn[3:, 3:] = gTb[:3, :3].T
+        prior = turn @ pose_covariance @ turn.T
+        pixels = np.ascontiguousarray(image, dtype=np.float32)
+        levels = LevelMap(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
+        result = self._attempt(pixels, gTb, prior, sun_g, levels)
+        if 2 * len(result.rims) < result.expected and result.expected >= _MIN_LOST_RIMS:
+            # The prediction may be worse than its covariance says; several rims must agree to that.
+            lost_rad = 0.5 * self.options.max_shift_px / self.camera.focal_px
+            wide = self._attempt(pixels, gTb, prior + np.diag([lost_rad**2] * 3 + [0.0] * 3), sun_g, levels)
+            if len(wide.rims) >= max(len(result.rims) + 1, _MIN_LOST_RIMS, wide.expected // 2):
+                result = wide
+        attitude_rad = 0.0 if len(result.rims) >= _MIN_LOST_RIMS else np.sqrt(np.max(np.diag(prior)[:3]))
+        sun = measure_sun_tilt(
+            image, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad
+        )
+        return FrameMeasurement(stamp_ns, result.rims, sun)
+
+    def _attempt(
+        self, image: ImageArray, gTb: FloatArray, prior: FloatArray, sun_g: FloatArray, levels: LevelMap
+    ) -> "_Result":
+        """Measure the rims, taking `prior`, the covariance of the body's right twist, at its word."""
+        opt = self.options
+        scene = self._predict(self._visible(gTb, opt.margin_px), gTb, sun_g, levels)
+        if len(scene) == 0:
+            return _Result(RimSet.empty(), gTb, 0)
+        motion = self._motion(scene)
+        common = motion.mean(axis=0)
+        radius_px = opt.shift_sigmas * float(_spread_px(common[None], prior)[0])
+        own_px = _spread_px(motion - common, prior)
+        pose = gTb
+        if radius_px > 1.5 or np.max(own_px) > 0.6:
+            pose = self._aligned(image, gTb, prior, sun_g, levels, common, min(radius_px, opt.max_shift_px))
+            scene = self._predict(self._visible(pose, opt.margin_px), pose, sun_g, levels)
+        if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach[0]:
+            rough, chart, covariance = self._fit_all(image, scene, opt.first_reach)
+            if len(rough) > 0:
+                pose, _ = corrected_pose(gTb, prior, pose, rough.jacobians, chart - rough.charts, covariance)
+                scene = self._predict(self._visible(pose, opt.margin_px), pose, sun_g, levels)
+        expected = len(scene)
+        scene, chart, covariance = self._fit_all(image, scene, opt.second_reach)
+        if len(scene) == 0:
+            return _Result(RimSet.empty(), gTb, expected)
+        return self._judged(gTb, prior, pose, scene, chart, covariance, expected)
+
+    def _aligned(
+        self,
+        image: ImageArray,
+        gTb: FloatArray,
+        prior: FloatArray,
+        sun_g: FloatArray,
+        levels: LevelMap,
+        common: FloatArray,
+        radius_px: float,
+    ) -> FloatArray:
+        """Pose corrected by the rims' shifts: one of all, moving as `common` (2, 6), then each its own."""
+        opt = self.options
+        # Rims beyond the border may turn out to be within it.
+        scene = self._predict(self._visible(gTb, -radius_px), gTb, sun_g, levels)
+        motion = self._motion(scene)
+        reach_px = np.minimum(opt.shift_sigmas * _spread_px(motion - common, prior) + 1.5, opt.max_shift_px)
+        shift = self._common_shift(image, scene, radius_px)
+        shifts = self._rim_shifts(image, scene, shift, reach_px)
+        noise = np.tile(np.eye(2), (len(shifts), 1, 1))
+        return corrected_pose(gTb, prior, gTb, motion, shifts, noise)[0]
+
+    def _judged(
+        self,
+        gTb: FloatArray,
+        prior: FloatArray,
+        pose: FloatArray,
+        scene: "_Scene",
+        chart: FloatArray,
+        covariance: FloatArray,
+        expected: int,
+    ) -> "_Result":
+        """Gate fitted rims against the prediction and against the pose that they support together."""
+        centres, axes = self.catalog.centres[scene.rows], self.catalog.axes[scene.rows]
+        residual, H = chart - scene.charts, scene.jacobians
+        for scaled in (False, True):
+            pose, spread = corrected_pose(gTb, prior, pose, H, residual, covariance)
+            best, H, _ = conic.chart_jacobian(pose, self.camera.bTc, centres, axes)
+            residual = chart - best
+            common2 = squared_distance(residual, covariance + H @ spread @ np.swapaxes(H, 1, 2))
+            if not scaled:
+                covariance = covariance * variance_factor(common2, 5)
+        first, H, seen = conic.chart_jacobian(gTb, self.camera.bTc, centres, axes)
+        first[~seen] = np.inf
+        prior2 = squared_distance(chart - first, covariance + H @ prior @ np.swapaxes(H, 1, 2))
+        limit = chi2.ppf(self.options.gate_probability, 5)
+        keep = (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
+        return _Result(RimSet(scene.rows[keep], chart[keep], covariance[keep]), pose, expected)
+
+    def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
+        least = self.options.min_semi_minor_px
+        return self.catalog.visible(self.camera, gTb, min_semi_minor_px=least, margin_px=margin_px)[0]
+
+    def _motion(self, scene: "_Scene") -> FloatArray:
+        """Differentiate the rims' centres, px, for the body's right twist: (n, 2, 6)."""
+        return np.array([[self.camera.fx_px], [self.camera.fy_px]]) * scene.jacobians[:, :2]
+
+    def _predict(self, rows: IntArray, gTb: FloatArray, sun_g: FloatArray, levels: LevelMap) -> "_Scene":
+        """Predict rims from a pose; all of `rows` are taken to be visible."""
+        centres = self.catalog.centres[rows]
+        charts, H, seen = conic.chart_jacobian(gTb, self.camera.bTc, centres, self.catalog.axes[rows])
+        rows, centres, charts, H = rows[seen], centres[seen], charts[seen], H[seen]
+        gTc = self.camera.gTc(gTb)
+        view = gTc[:3, 3] - centres
+        view /= np.linalg.norm(view, axis=-1, keepdims=True)
+        brightness, gain = photometry.level_ground(self.catalog.normals[rows], sun_g, view)
+        centres_c = (centres - gTc[:3, 3]) @ gTc[:3, :3]
+        points = centres_c[:, :2] / centres_c[:, 2:]
+        gain_c = gain @ gTc[:3, :3]
+        radius_m = np.sqrt(self.catalog.semi_major_m[rows] * self.catalog.semi_minor_m[rows])
+        gain_px = (gain_c[:, :2] - points * gain_c[:, 2:]) * (radius_m / centres_c[:, 2])[:, None]
+        gain_px *= [self.camera.fx_px, self.camera.fy_px]
+        level = brightness * levels.ratio(points)
+        lit = level > _DARK
+        return _Scene(
+            rows[lit], charts[lit], pixel_chart(charts[lit], self.camera), np.ascontiguousarray(gain_px[lit]),
+            level[lit], H[lit],
+        )  # fmt: skip
+
+    def _common_shift(self, image: ImageArray, scene: "_Scene", radius_px: float) -> FloatArray:
+        """One shift (2,) of all rims, px: coarse to fine on sun-signed brightness steps."""
+        minor = np.exp(np.minimum(scene.charts_px[:, 2], scene.charts_px[:, 4]))
+        order = np.argsort(-minor * np.linalg.norm(scene.gain_px, axis=-1), kind="stable")[:_SEARCHED_RIMS]
+        start = np.zeros(2)
+        radius = radius_px
+        for factor in (4, 2, 1):
+            if factor > 1 and radius_px < 4.0 * factor:
+                continue
+            small = image
+            if factor > 1:
+                size = (image.shape[1] // factor, image.shape[0] // factor)
+                whole = image[: size[1] * factor, : size[0] * factor]
+                small = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+            charts = scene.charts_px[order].copy()
+            charts[:, :2] = (charts[:, :2] + 0.5) / factor - 0.5
+            charts[:, 2] -= np.log(factor)
+            charts[:, 4] -= np.log(factor)
+            best, _ = edges.search_shift(
+                small, charts, scene.gain_px[order] / factor, scene.level[order], _ANGLES, start / factor,
+                radius / factor, 1.0, _STEP_SHARE, 1.0,
+            )  # fmt: skip
+            start = best * factor
+            radius = 1.5 * factor
+        return start
+
+    def _rim_shifts(
+        self, image: ImageArray, scene: "_Scene", shift: FloatArray, reach_px: FloatArray
+    ) -> FloatArray:
+        """Shift (n, 2) of each rim, px, about the common one."""
+        out = np.empty((len(scene.rows), 2))
+        for i in range(len(out)):
+            one = slice(i, i + 1)
+            half = np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])) / 2.0
+            reach = min(reach_px[i], half)
+            step = max(0.5, reach / 8.0)
+            out[i], _ = edges.search_shift(
+                image, scene.charts_px[one], scene.gain_px[one], scene.level[one], _ANGLES, shift, reach,
+                step, _STEP_SHARE, 1.0,
+            )  # fmt: skip
+        return out
+
+    def _fit_all(
+        self, image: ImageArray, scene: "_Scene", reach: tuple[float, float]
+    ) -> tuple["_Scene", FloatArray, FloatArray]:
+        """Those rims of a scene whose edges bear a fit, their charts (n, 5) and covariances."""
+        opt = self.options
+        found: list[int] = []
+        fits: list[RimFit] = []
+        for i in range(len(scene)):
+            minor_px = float(np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])))
+            count = int(np.clip(2.0 * minor_px, 56, 160))
+            points, ratio, lever, tried, _ = edges.trace_rim(
+                image, scene.charts_px[i], scene.gain_px[i], scene.level[i], reach[0] + reach[1] * minor_px,
+                opt.smooth_share, opt.smooth_px, opt.psf_px, opt.min_gain, opt.min_step, count,
+                self._bias, crest.BLUR, crest.GAIN,
+            )  # fmt: skip
+            if tried < 0.4 * count or len(points) < opt.min_found_share * tried:
+                continue
+            fit = refine_rim(points, scene.charts_px[i], self.camera, opt.fit, ratio, lever, opt.level_sigma)
+            if isinstance(fit, FitFailure) or fit.rms_px > opt.max_rms_px + opt.max_rms_share * minor_px:
+                continue
+            found.append(i)
+            fits.append(fit)
+        chart = np.array([f.chart for f in fits]).reshape(-1, 5)
+        covariance = np.array([f.covariance for f in fits]).reshape(-1, 5, 5)
+        return scene.take(np.array(found, dtype=np.int64)), chart, covariance
+
+
+def _spread_px(motion: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Largest standard deviation (n,) of points that move by `motion` (n, 2, 6) with the pose."""
+    return np.sqrt(np.linalg.eigvalsh(motion @ covariance @ np.swapaxes(motion, 1, 2))[:, -1])

@@ -1,0 +1,234 @@
+"""The tilt of the ground's illumination in the image.
+
+Relief without preferred direction, lit obliquely, has brightness gradients along the shading gain G
+(see `photometry`) three times as strong, in square, as across it: the structure tensor's axis is that
+of G. Gradients are taken to the ground with the predicted pose and each place's G is turned to a
+common axis; what is left is the azimuth by which the prediction is wrong. Which way along the axis the
+sun is follows from the mean unit gradient, which points away from it.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.measurements import SunTilt
+from craternav_fg.vision.photometry import ground_points, level_ground
+
+FloatArray = npt.NDArray[np.float64]
+
+# A prediction worse than this does not tell one side from the other.
+_SENSE_RAD = 0.5
+# Effect of an attitude error on the tilt, through the foreshortening.
+_ATTITUDE_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class SunOptions:
+    """How the sun's tilt is measured, and how well it is trusted.
+
+    Attributes
+    ----------
+    blur_px : float
+        Gaussian blur before gradients are taken: suppresses sensor noise.
+    block_px : int
+        Side of the blocks whose scatter tells the standard deviation.
+    min_blocks : int
+        Fewer usable blocks say nothing.
+    min_gain : float
+        Least shading gain of a usable block.
+    min_emission : float
+        Least cosine of a usable block's emission angle.
+    min_anisotropy : float
+        Least (l1 - l2) / (l1 + l2) of the structure tensor; isotropic relief gives 1/2.
+    min_contrast : float
+        Least rms gradient, in shares of the brightness per pixel.
+    floor_rad : float
+        Systematic standard deviation, looking straight down.
+    floor_oblique_rad : float
+        The same for an emission angle whose sine is 1, added in quadrature in proportion.
+    max_sigma_rad : float
+        Larger standard deviations are no measurement.
+    """
+
+    blur_px: float = 1.5
+    block_px: int = 64
+    min_blocks: int = 12
+    min_gain: float = 0.15
+    min_emission: float = 0.25
+    min_anisotropy: float = 0.08
+    min_contrast: float = 0.002
+    floor_rad: float = float(np.deg2rad(1.5))
+    floor_oblique_rad: float = float(np.deg2rad(8.0))
+    max_sigma_rad: float = float(np.deg2rad(25.0))
+
+
+def measure_sun_tilt(
+    image: npt.NDArray[np.uint8],
+    camera: Camera,
+    body: Body,
+    gTb: FloatArray,
+    sun_g: FloatArray,
+    options: SunOptions | None = None,
+    attitude_sigma_rad: float = 0.0,
+) -> SunTilt | None:
+    """Measure the direction in the image of the sun's azimuth along the ground, at the image centre.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (H, W)
+    camera : Camera
+    body : Body
+        Sphere about the origin of g.
+    gTb : ndarray, shape (4, 4)
+        Predicted pose.
+    sun_g : ndarray, shape (3,)
+        Unit vector towards the sun in g.
+    options : SunOptions, optional
+    attitude_sigma_rad : float
+        Standard deviation of the predicted attitude. It enters the tilt's through the foreshortening,
+        and decides whether the prediction may tell the sense of an axis if the brightness does not.
+
+    Returns
+    -------
+    SunTilt or None
+        None when the image does not tell: no relief in sight, no shading gain, the sun at the zenith
+        or below the horizon, or an axis that its own scatter leaves undecided.
+    """
+    options = options or SunOptions()
+    gTc = camera.gTc(gTb)
+    gRc, gPc = gTc[:3, :3], gTc[:3, 3]
+    point = np.zeros(2)
+    foot, hit = ground_points(gRc, gPc, point[None], body.radius_m)
+    if not hit[0]:
+        return None
+    normal = foot[0] / np.linalg.norm(foot[0])
+    azimuth = sun_g - (sun_g @ normal) * normal
+    if sun_g @ normal <= 0.0 or np.linalg.norm(azimuth) < 0.05:
+        return None
+    blocks = _block_gradients(image, camera, body, gRc, gPc, sun_g, options)
+    if blocks is None:
+        return None
+    tensors, units = blocks
+    if len(tensors) < options.min_blocks:
+        return None
+    turn, sigma, sign = _axis(tensors, units, options)
+    if not np.isfinite(sigma) or (sign == 0.0 and attitude_sigma_rad > _SENSE_RAD):
+        return None
+    range_m = float(np.linalg.norm(gPc - foot[0]))
+    sine = float(np.linalg.norm(np.cross(normal, gPc - foot[0]))) / range_m
+    systematic = (options.floor_rad, options.floor_oblique_rad * sine, _ATTITUDE_SHARE * attitude_sigma_rad)
+    sigma = float(np.linalg.norm([sigma, *systematic]))
+    measured = frames.rotation_exp(normal * turn) @ azimuth * (sign or 1.0)
+    s = gRc.T @ measured
+    x, y = s[0] - point[0] * s[2], s[1] - point[1] * s[2]
+    strength = float(np.hypot(x, y) / np.linalg.norm(s))
+    sigma /= max(strength, 1e-3)
+    if sigma > options.max_sigma_rad:
+        return None
+    return SunTilt(float(np.arctan2(y, x)), sigma, point, azimuth)
+
+
+def _block_gradients(
+    image: npt.NDArray[np.uint8],
+    camera: Camera,
+    body: Body,
+    gRc: FloatArray,
+    gPc: FloatArray,
+    sun_g: FloatArray,
+    options: SunOptions,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Structure tensors (n, 2, 2) and mean unit gradients (n, 2) of blocks, on the ground.
+
+    The first axis of each is the predicted shading gain's, the second is turned by 90 deg about the
+    outward normal.
+    """
+    size = options.block_px
+    rows, columns = image.shape[0] // size, image.shape[1] // size
+    if rows == 0 or columns == 0:
+        return None
+    used = image[: rows * size, : columns * size]
+    smooth = cv2.GaussianBlur(used, (0, 0), options.blur_px, dst=None).astype(np.float32)
+    # Two pixels of the blurred image share most of their noise: every second one will do.
+    smooth = smooth[::2, ::2]
+    half = size // 2
+    gx, gy = np.zeros_like(smooth), np.zeros_like(smooth)
+    gx[:, 1:-1] = np.float32(0.25) * (smooth[:, 2:] - smooth[:, :-2])
+    gy[1:-1] = np.float32(0.25) * (smooth[2:] - smooth[:-2])
+
+    def per_block(values: npt.NDArray[np.float32]) -> FloatArray:
+        cells = values.reshape(rows, half, columns, half)
+        return np.asarray(cells.mean(axis=(1, 3), dtype=np.float64).ravel())
+
+    length = np.sqrt(gx * gx + gy * gy) + np.float32(1e-6)
+    J = np.stack([per_block(gx * gx), per_block(gx * gy), per_block(gy * gy)], axis=-1)
+    unit = np.stack([per_block(gx / length), per_block(gy / length)], axis=-1)
+    level = per_block(smooth)
+    centre_px = np.stack(
+        np.meshgrid((np.arange(columns) + 0.5) * size - 0.5, (np.arange(rows) + 0.5) * size - 0.5), axis=-1
+    ).reshape(-1, 2)
+    points = camera.normalised(centre_px)
+    ground, hit = ground_points(gRc, gPc, points, body.radius_m)
+    normals = ground / np.linalg.norm(ground, axis=-1, keepdims=True)
+    view = gPc - ground
+    range_m = np.linalg.norm(view, axis=-1)
+    view /= range_m[:, None]
+    _, gain = level_ground(normals, sun_g, view)
+    strength = np.linalg.norm(gain, axis=-1)
+    contrast = np.sqrt(J[:, 0] + J[:, 2]) / np.maximum(level, 1.0)
+    keep = (
+        hit
+        & (np.sum(normals * view, axis=-1) > options.min_emission)
+        & (strength > options.min_gain)
+        & (contrast > options.min_contrast)
+        & (level < 245.0)
+    )
+    if not np.any(keep):
+        return None
+    t1 = gain[keep] / strength[keep, None]
+    t2 = np.cross(normals[keep], t1)
+    # Image motion, px, of a metre along each tangent: B (n, 2, 2), columns t1, t2.
+    depth = (ground[keep] - gPc) @ gRc[:, 2]
+    B = np.empty((len(t1), 2, 2))
+    for k, tangent in enumerate((t1, t2)):
+        c = tangent @ gRc
+        B[:, 0, k] = camera.fx_px * (c[:, 0] - points[keep, 0] * c[:, 2]) / depth
+        B[:, 1, k] = camera.fy_px * (c[:, 1] - points[keep, 1] * c[:, 2]) / depth
+    tensor = np.empty((len(t1), 2, 2))
+    tensor[:, 0, 0], tensor[:, 1, 1] = J[keep, 0], J[keep, 2]
+    tensor[:, 0, 1] = tensor[:, 1, 0] = J[keep, 1]
+    # Gradients go to the ground by B'; blocks count by their relief, not by their brightness or size.
+    tensors = np.swapaxes(B, 1, 2) @ tensor @ B
+    tensors /= np.sqrt(np.trace(tensors, axis1=1, axis2=2))[:, None, None] + 1e-300
+    norm = np.median(np.trace(tensors, axis1=1, axis2=2))
+    units = np.einsum("nki,nk->ni", B, unit[keep])
+    units /= np.sqrt(np.abs(np.linalg.det(B)))[:, None]
+    return tensors / max(float(norm), 1e-300), units
+
+
+def _axis(tensors: FloatArray, units: FloatArray, options: SunOptions) -> tuple[float, float, float]:
+    """Turn of the axis against the prediction, rad, its standard deviation (inf: none), and its sense.
+
+    The sense is 1 as predicted, -1 opposite, 0 if undecided.
+    """
+    cos2 = tensors[:, 0, 0] - tensors[:, 1, 1]
+    sin2 = 2.0 * tensors[:, 0, 1]
+    trace = tensors[:, 0, 0] + tensors[:, 1, 1]
+    c, s, total = cos2.sum(), sin2.sum(), trace.sum()
+    anisotropy = float(np.hypot(c, s) / total)
+    if not anisotropy > options.min_anisotropy:
+        return 0.0, np.inf, 1.0
+    turn = 0.5 * np.arctan2(s, c)
+    # Scatter of the blocks across the axis.
+    across = -np.sin(2.0 * turn) * cos2 + np.cos(2.0 * turn) * sin2
+    sigma = 0.5 * float(np.sqrt(np.sum(across**2))) / (anisotropy * total)
+    along = units @ np.array([np.cos(turn), np.sin(turn)])
+    mean = float(along.mean())
+    scatter = float(along.std() / np.sqrt(len(along)))
+    # The gradient points away from the sun.
+    sign = -float(np.sign(mean)) if abs(mean) > 3.0 * scatter else 0.0
+    return float(turn), sigma, sign

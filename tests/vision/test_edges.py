@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+
+from craternav_fg.vision import crest, edges
+
+LEVEL = 100.0
+CENTRE = np.array([61.3, 58.8])
+CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
+# Gain towards -x: walls facing +x, on the left, are dark.
+GAIN = np.array([-20.0, 0.0])
+NO_BIAS = np.zeros((len(crest.BLUR), len(crest.GAIN)))
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+
+
+def rim_image(centre=CENTRE, contrast=0.5):
+    """Brightness with an edge on the rim of CHART: level on it, antisymmetric about it."""
+    v, u = np.mgrid[0:128, 0:128]
+    x = (u - centre[0]) / 20.0
+    y = (v - centre[1] - 0.2 * (u - centre[0])) / 17.0
+    r = np.hypot(x, y) + 1e-12
+    # Distance to the rim, and the normal's x.
+    gx, gy = (x / 20.0 - 0.2 * y / 17.0) / r, y / 17.0 / r
+    distance = (r - 1.0) / np.hypot(gx, gy)
+    shape = -np.tanh(distance / 2.0) * np.exp(-0.5 * (distance / 8.0) ** 2)
+    return (LEVEL * (1.0 + contrast * gx / np.hypot(gx, gy) * shape)).astype(np.float32)
+
+
+def trace(image, chart=CHART, min_gain=0.12, level=LEVEL):
+    return edges.trace_rim(
+        image, chart, GAIN, level, 4.0, 0.02, 0.4, 0.0, min_gain, 0.02, 72, NO_BIAS, crest.BLUR, crest.GAIN
+    )
+
+
+def off_px(points):
+    """Distance (n,) of points to the rim of CHART, to first order."""
+    x = points - CENTRE
+    u, v = x[:, 0] / 20.0, (x[:, 1] - 0.2 * x[:, 0]) / 17.0
+    r = np.hypot(u, v)
+    return (r - 1.0) / np.hypot((u / 20.0 - 0.2 * v / 17.0) / r, v / 17.0 / r)
+
+
+def test_points_lie_on_the_rim_though_predicted_beside_it():
+    chart = np.add(CHART, [1.5, -1.0, 0.03, 0.0, -0.02])
+    points, ratio, lever, tried, _ = trace(rim_image(), chart)
+    assert len(points) == len(ratio) == len(lever)
+    assert len(points) >= 0.95 * tried >= 55
+    assert np.max(np.abs(off_px(points))) < 0.06
+
+
+def test_no_points_where_the_light_runs_along_the_rim():
+    points, ratio, _, tried, _ = trace(rim_image(), min_gain=0.5)
+    assert 40 <= tried < 60
+    x = points - CENTRE
+    normals = np.column_stack([x[:, 0] / 400.0, x[:, 1] / 289.0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    assert np.min(np.abs(normals[:, 0])) > 0.2
+    assert np.max(ratio) / np.min(ratio) > 1.3
+
+
+def test_the_wrong_sense_of_shading_has_no_edge():
+    points, _, _, tried, _ = trace(rim_image(contrast=-0.5))
+    assert tried >= 55
+    assert len(points) < 0.1 * tried
+
+
+def test_lever_is_the_motion_of_the_points_with_the_level():
+    image = rim_image()
+    points, _, lever, _, _ = trace(image)
+    brighter, _, _, _, _ = trace(image / np.float32(1.01))
+    assert len(points) == len(brighter)
+    # A level raised by 1 % is an image dimmed by 1 %.
+    moved = (brighter - points) / 0.01
+    inner = np.linalg.norm(lever, axis=1) < np.median(np.linalg.norm(lever, axis=1))
+    np.testing.assert_allclose(moved[inner], lever[inner], rtol=0.1, atol=0.3)
+
+
+def test_saturated_and_missing_parts_give_no_points():
+    image = rim_image()
+    image[:, 64:] = 255.0
+    points, _, _, _, _ = trace(image)
+    assert len(points) > 15
+    assert np.all(points[:, 0] < 64.0)
+    border, _, _, tried, _ = trace(rim_image()[:, :64].copy())
+    assert np.all(border[:, 0] < 64.0)
+    assert 10 < tried < 45
+
+
+def test_an_overexposed_wall_gives_no_points():
+    image = np.minimum(1.9 * rim_image(contrast=0.6), 255.0).astype(np.float32)
+    points, _, _, tried, _ = trace(image, level=1.9 * LEVEL)
+    # The bright wall is on the right.
+    assert np.all(points[:, 0] < CENTRE[0] + 16.0)
+    assert 0.4 * tried < len(points) < 0.8 * tried
+
+
+@pytest.mark.parametrize("shift", [(3.0, -4.0), (-6.0, 5.0), (0.0, 0.0)])
+def test_common_shift(shift):
+    image = rim_image(CENTRE + shift)
+    best, score = edges.search_shift(
+        image, CHART[None], GAIN[None], np.array([LEVEL]), ANGLES, np.zeros(2), 8.0, 1.0, 0.12, 1.0
+    )
+    np.testing.assert_array_equal(best, shift)
+    assert score > 0.1
+
+
+@pytest.mark.parametrize("gain", [-2.0, 1.5])
+@pytest.mark.parametrize("blur", [0.05, 0.1])
+def test_crest_table_against_a_rendered_crater(gain, blur):
+    """Blur the canonical crater's brightness along a line and look where it meets the level."""
+    rho = np.linspace(0.2, 2.0, 9001)
+    slope = crest.slopes(rho)
+    assert abs(np.interp(1.0, rho, slope)) < 1e-6
+    light = np.maximum((1.0 + gain * slope) / np.sqrt(1.0 + slope**2), 0.0)
+    x = np.linspace(0.8, 1.3, 501)
+    weight = np.exp(-0.5 * ((x[:, None] - rho) / blur) ** 2)
+    excess = np.sign(gain) * (weight @ light / weight.sum(axis=1) - 1.0)
+    crossing = x[np.flatnonzero((excess[:-1] > 0.0) & (excess[1:] <= 0.0))[0]]
+    table = crest.crossing_table()
+    i = int(np.argmin(np.abs(crest.BLUR - blur)))
+    j = int(np.argmin(np.abs(crest.GAIN - gain)))
+    at = np.interp(blur, crest.BLUR, table[:, j])
+    assert crest.GAIN[j] == gain
+    assert abs(table[i, j] - at) < 0.02
+    assert abs(at - (crossing - 1.0)) < 0.003
