@@ -173,6 +173,18 @@ class RandomCraters(Section):
     """Centres are this many times the sum of their semi-major axes apart, at least."""
     min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
     """Axis ratios b/a are uniform from here to 1."""
+    clutter_px: tuple[Positive, Positive]
+    """Smallest and largest apparent size of the rendered craters that the catalogue does not have."""
+
+    @model_validator(mode="after")
+    def _sizes_rise(self) -> "RandomCraters":
+        for name, (small, large) in (
+            ("apparent", (self.min_apparent_px, self.max_apparent_px)),
+            ("clutter", self.clutter_px),
+        ):
+            if not small < large:
+                raise ValueError(f"{name} sizes must rise, found {small} to {large}")
+        return self
 
 
 class CraterFile(Section):

@@ -13,10 +13,14 @@ from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.estimators.start import first_frame_map
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
+from craternav_fg.vision.acquire import acquire
 from craternav_fg.vision.guided import GuidedFrontEnd
 
 # Called with what is being done, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
+
+# The guided front end recovers a prediction that is wrong by so much all over the image.
+GUIDED_REACH_PX = 30.0
 
 
 @dataclass(frozen=True)
@@ -119,12 +123,23 @@ def _measure(
 def _measure_first(
     dataset: Dataset, descent: Descent, front_end: GuidedFrontEnd
 ) -> tuple[FrameMeasurement, Start]:
-    """Measure the first image from the prior, and once more from the start that this gives."""
+    """Measure the first image from the prior, and once more from the start that this gives.
+
+    A prior too poor for the guided front end is first searched through for the pose that explains the
+    image; what is found there guides, but is no measurement.
+    """
     initial = dataset.initial
     stamp = initial.stamp_ns
     image, sun = dataset.image(0), dataset.sun.at(stamp)
-    variances = np.repeat([initial.attitude_sigma_rad**2, initial.position_sigma_m**2], 3)
-    frame = front_end.measure(image, stamp, initial.gTb, np.diag(variances), sun)
+    gTb = initial.gTb
+    covariance = np.diag(np.repeat([initial.attitude_sigma_rad**2, initial.position_sigma_m**2], 3))
+    altitude_m = max(float(dataset.body.altitude_m(gTb[:3, 3])), initial.position_sigma_m)
+    spread_rad = np.hypot(initial.attitude_sigma_rad, initial.position_sigma_m / altitude_m)
+    if 3.0 * spread_rad * dataset.camera.focal_px > GUIDED_REACH_PX:
+        found = acquire(image, dataset.camera, dataset.catalog, gTb, covariance, sun)
+        if found is not None:
+            gTb, covariance = found.gTb, found.pose_covariance
+    frame = front_end.measure(image, stamp, gTb, covariance, sun)
     start = first_frame_map(descent, frame)
     frame = front_end.measure(image, stamp, start.gTb, start.pose_covariance, sun)
     return frame, first_frame_map(descent, frame)

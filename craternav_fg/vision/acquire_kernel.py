@@ -1,0 +1,261 @@
+"""Kernels of the search for a pose: maximum a posteriori poses of pairs, and pairs of a pose."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from factors.kernels import conic
+from factors.kernels.sun import sun_tilt, wrap
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# A true pair of rim and crater, 5 degrees of freedom, is hardly ever further apart (chi-square, 0.9997).
+PAIR_GATE = 23.0
+_ITERATIONS = 4
+
+
+@njit(cache=True, error_model="numpy")
+def solve(N: FloatArray, g: FloatArray, x: FloatArray) -> None:
+    """Solve N x = g for a positive definite N (n, n), by Cholesky, scaled to a unit diagonal."""
+    n = g.shape[0]
+    L = np.empty((n, n))
+    for i in range(n):
+        x[i] = g[i] / np.sqrt(N[i, i])
+        for j in range(i + 1):
+            total = N[i, j] / np.sqrt(N[i, i] * N[j, j])
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+    for i in range(n):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n):
+        x[i] /= np.sqrt(N[i, i])
+
+
+@njit(cache=True, error_model="numpy")
+def prior_terms(prior: FloatArray, W: FloatArray, pose: FloatArray, N: FloatArray, g: FloatArray) -> float:
+    """Write normal matrix (6, 6) and gradient (6,) of the prior for the right twist; return its cost."""
+    e = np.zeros(6)
+    D = np.zeros((6, 6))
+    M = np.zeros((3, 3))
+    for i in range(3):
+        e[3 + i] = pose[i, 3] - prior[i, 3]
+        for j in range(3):
+            D[3 + i, 3 + j] = pose[i, j]
+            for k in range(3):
+                M[i, j] += prior[k, i] * pose[k, j]
+    # The rotation's logarithm, and its derivative for a right perturbation.
+    sine2 = 0.0
+    for i in range(3):
+        e[i] = 0.5 * (M[(i + 2) % 3, (i + 1) % 3] - M[(i + 1) % 3, (i + 2) % 3])
+        sine2 += e[i] * e[i]
+    sine = np.sqrt(sine2)
+    angle = np.arctan2(sine, 0.5 * (M[0, 0] + M[1, 1] + M[2, 2] - 1.0))
+    c = 1.0 / 12.0
+    if angle > 1e-3:
+        c = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / (angle * angle)
+    for i in range(3):
+        e[i] *= angle / sine if sine > 1e-9 else 1.0
+    for i in range(3):
+        D[i, i] = 1.0 - c * angle * angle
+        for j in range(3):
+            D[i, j] += c * e[i] * e[j]
+        D[i, (i + 1) % 3] -= 0.5 * e[(i + 2) % 3]
+        D[i, (i + 2) % 3] += 0.5 * e[(i + 1) % 3]
+    cost = 0.0
+    N[:] = 0.0
+    g[:] = 0.0
+    for a in range(6):
+        for b in range(6):
+            cost += e[a] * W[a, b] * e[b]
+            for i in range(6):
+                g[i] += D[a, i] * W[a, b] * e[b]
+                for j in range(6):
+                    N[i, j] += D[a, i] * W[a, b] * D[b, j]
+    return cost
+
+
+@njit(cache=True, error_model="numpy")
+def move(pose: FloatArray, delta: FloatArray) -> None:
+    """Move a pose by a right twist [w, rho], in place: R exp(w), t + R rho."""
+    angle2 = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2
+    angle = np.sqrt(angle2)
+    a = np.sin(angle) / angle if angle > 1e-6 else 1.0
+    b = (1.0 - np.cos(angle)) / angle2 if angle > 1e-6 else 0.5
+    E = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            E[i, j] = b * delta[i] * delta[j]
+        E[i, i] += 1.0 - b * angle2
+        E[i, (i + 1) % 3] -= a * delta[(i + 2) % 3]
+        E[i, (i + 2) % 3] += a * delta[(i + 1) % 3]
+    row = np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            row[j] = pose[i, j]
+        for j in range(3):
+            pose[i, 3] += row[j] * delta[3 + j]
+            pose[i, j] = row[0] * E[0, j] + row[1] * E[1, j] + row[2] * E[2, j]
+
+
+@njit(cache=True, error_model="numpy")
+def map_poses(
+    prior: FloatArray, W: FloatArray, start: FloatArray, bTc: FloatArray, centres: FloatArray,
+    axes: FloatArray, gains: FloatArray, charts: FloatArray, weights: FloatArray, tilts: FloatArray,
+    tilt_weight: float, crater: IntArray, rim: IntArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Maximum a posteriori poses from rims, sun and prior by Gauss-Newton.
+
+    Parameters
+    ----------
+    prior, W : ndarray, shape (4, 4) and (6, 6)
+        Prior pose gTb and the inverse of its covariance.
+    start : ndarray, shape (h, 4, 4)
+        Where to begin.
+    bTc, centres, axes, gains, charts, weights, tilts : ndarray
+        Mounting of the camera; see `acquire_match.Craters` and `acquire_match.Rims`.
+    tilt_weight : float
+        Inverse variance of a tilt, shared out among a pose's rims: their errors are common.
+    crater, rim : ndarray of int, shape (h, k)
+        The pairs that each pose rests on.
+
+    Returns
+    -------
+    gTb : ndarray, shape (h, 4, 4)
+    information : ndarray, shape (h, 6, 6)
+        For the right twist at the last linearisation.
+    cost : ndarray, shape (h,)
+        Squared Mahalanobis norm of all residuals; inf when a rim came out of sight.
+    """
+    poses = start.copy()
+    informations = np.empty((start.shape[0], 6, 6))
+    costs = np.empty(start.shape[0])
+    p, c, d = np.empty(3), np.empty((2, 3)), np.empty(3)
+    y, J, H, T = np.empty(5), np.empty((5, 6)), np.empty((5, 6)), np.empty((1, 6))
+    g, delta = np.empty(6), np.empty(6)
+    each = tilt_weight / crater.shape[1]
+    for h in range(start.shape[0]):
+        pose, N = poses[h], informations[h]
+        for iteration in range(_ITERATIONS + 1):
+            cost = prior_terms(prior, W, pose, N, g)
+            R, P = conic.camera_pose(pose, bTc)
+            for k in range(crater.shape[1]):
+                m, i = crater[h, k], rim[h, k]
+                conic.rim_in_camera(R, P, centres[m], axes[m], p, c)
+                if not conic.chart_and_jacobian(p, c, y, J):
+                    cost = np.inf
+                    break
+                conic.body_columns(J, bTc, H)
+                for a in range(5):
+                    for b in range(5):
+                        w, r = weights[i, a, b], y[b] - charts[i, b]
+                        cost += w * r * (y[a] - charts[i, a])
+                        for s in range(6):
+                            g[s] += H[a, s] * w * r
+                            for t in range(6):
+                                N[s, t] += H[a, s] * w * H[b, t]
+                for s in range(3):
+                    d[s] = gains[m, s]
+                tilt, strength = sun_tilt(pose, bTc, d, charts[i, 0], charts[i, 1], T)
+                if strength > 0.0:
+                    off = wrap(tilt - tilts[i])
+                    cost += each * off * off
+                    for s in range(6):
+                        g[s] += each * T[0, s] * off
+                        for t in range(6):
+                            N[s, t] += each * T[0, s] * T[0, t]
+            costs[h] = cost
+            if iteration == _ITERATIONS or cost == np.inf:
+                break
+            solve(N, g, delta)
+            for s in range(6):
+                delta[s] = -delta[s]
+            move(pose, delta)
+    return poses, informations, costs
+
+
+@njit(cache=True, error_model="numpy")
+def nearest(
+    gTb: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
+    charts: FloatArray, rim_covariance: FloatArray, reach: FloatArray,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """For each rim the crater that a pose with its covariance (6, 6, right twist) puts nearest to it.
+
+    Returns
+    -------
+    crater : ndarray of int, shape (n,)
+        -1 when none passes the gate, or when another rim is nearer to the same crater.
+    distance2 : ndarray, shape (n,)
+        Squared Mahalanobis distance of the charts.
+    """
+    count = charts.shape[0]
+    crater = np.full(count, -1, np.int64)
+    distance2 = np.full(count, PAIR_GATE)
+    taken = np.full(centres.shape[0], -1, np.int64)
+    R, P = conic.camera_pose(gTb, bTc)
+    p, c = np.empty(3), np.empty((2, 3))
+    y, J, H = np.empty(5), np.empty((5, 6)), np.empty((5, 6))
+    HC, spread, total = np.empty((5, 6)), np.empty((5, 5)), np.empty((5, 5))
+    r, x = np.empty(5), np.empty(5)
+    for m in range(centres.shape[0]):
+        conic.rim_in_camera(R, P, centres[m], axes[m], p, c)
+        if not conic.chart(p, c, y) or np.abs(y[0]) > reach[0] or np.abs(y[1]) > reach[1]:
+            continue
+        conic.chart_and_jacobian(p, c, y, J)
+        conic.body_columns(J, bTc, H)
+        for a in range(5):
+            for t in range(6):
+                HC[a, t] = 0.0
+                for s in range(6):
+                    HC[a, t] += H[a, s] * covariance[s, t]
+            for b in range(5):
+                spread[a, b] = 0.0
+                for t in range(6):
+                    spread[a, b] += HC[a, t] * H[b, t]
+        for i in range(count):
+            # Cheap bounds first: each component by itself.
+            near = True
+            for a in range(5):
+                r[a] = y[a] - charts[i, a]
+                near = near and r[a] * r[a] < PAIR_GATE * (spread[a, a] + rim_covariance[i, a, a])
+            if not near:
+                continue
+            for a in range(5):
+                for b in range(5):
+                    total[a, b] = spread[a, b] + rim_covariance[i, a, b]
+            solve(total, r, x)
+            d2 = 0.0
+            for a in range(5):
+                d2 += r[a] * x[a]
+            if d2 < distance2[i] and (taken[m] < 0 or d2 < distance2[taken[m]]):
+                if taken[m] >= 0:
+                    crater[taken[m]] = -1
+                    distance2[taken[m]] = PAIR_GATE
+                if crater[i] >= 0:
+                    taken[crater[i]] = -1
+                taken[m] = i
+                crater[i] = m
+                distance2[i] = d2
+    return crater, distance2
+
+
+@njit(cache=True, error_model="numpy")
+def support(
+    poses: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
+    charts: FloatArray, rim_covariance: FloatArray, reach: FloatArray,
+) -> IntArray:  # fmt: skip
+    """Count the rims (h,) for which `nearest` names a crater."""
+    out = np.zeros(poses.shape[0], np.int64)
+    for k in range(poses.shape[0]):
+        crater, _ = nearest(poses[k], covariance[k], bTc, centres, axes, charts, rim_covariance, reach)
+        for i in range(crater.shape[0]):
+            if crater[i] >= 0:
+                out[k] += 1
+    return out

@@ -1,0 +1,28 @@
+"""The notebooks run from top to bottom on a run that the tests make."""
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from tests.test_command_line import craternav, short_scenario
+
+NOTEBOOKS = Path(__file__).parent.parent / "notebooks"
+
+
+def test_01_descent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = craternav("demo", "--scenario", short_scenario(tmp_path), "-o", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    monkeypatch.setenv("CRATERNAV_RUN", str(tmp_path / "run"))
+    notebook = nbformat.read(NOTEBOOKS / "01_descent.ipynb", as_version=4)
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOKS)}}).execute()
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
+def test_notebooks_keep_their_outputs_and_stay_small(path: Path) -> None:
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.outputs for cell in code[1:])
+    assert path.stat().st_size < 300_000
+    assert sum(cell.source.count("\n") + 1 for cell in code) <= 150
