@@ -161,9 +161,16 @@ def refine_rim(
         return FitFailure.TOO_FEW_POINTS
     if arc < options.min_arc_share:
         return FitFailure.SHORT_ARC
-    cov = cov + floor_covariance(y, options.floor_px, options.floor_share)
     chart, scale = normalised_chart(y, camera)
-    return RimFit(chart, cov * np.outer(scale, scale), y, rms, kept, arc)
+    covariance = cov * np.outer(scale, scale) + systematic_covariance(chart, camera, options)
+    return RimFit(chart, covariance, y, rms, kept, arc)
+
+
+def systematic_covariance(chart: FloatArray, camera: Camera, options: FitOptions) -> FloatArray:
+    """Covariance (5, 5) of a chart (5,), in normalised coordinates, from the systematic floor alone."""
+    _, scale = normalised_chart(chart, camera)
+    floor = floor_covariance(pixel_chart(chart, camera), options.floor_px, options.floor_share)
+    return np.asarray(floor * np.outer(scale, scale))
 
 
 def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:

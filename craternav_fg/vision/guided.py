@@ -15,7 +15,14 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.vision import crest, edges, photometry
-from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, pixel_chart, refine_rim
+from craternav_fg.vision.ellipse_fit import (
+    FitFailure,
+    FitOptions,
+    RimFit,
+    pixel_chart,
+    refine_rim,
+    systematic_covariance,
+)
 from craternav_fg.vision.photometry import LevelMap
 from craternav_fg.vision.pose_correction import corrected_pose, squared_distance, variance_factor
 from craternav_fg.vision.sun import SunOptions, measure_sun_tilt
@@ -62,6 +69,10 @@ class GuidedOptions:
         pixels, and share of the semi-minor axis.
     gate_probability : float
         A true rim passes the chi-square gate with this probability.
+    sightings : float
+        Frames that show a crater, about. The systematic part of its rim's error is nearly the same in
+        all of them and does not average out, which those who fuse the frames cannot know: in the
+        covariance that is given away it counts this many times. 1 is honest for a single image.
     fit : FitOptions
         Of the ellipse fit, with the systematic floor.
     sun : SunOptions
@@ -84,6 +95,7 @@ class GuidedOptions:
     first_reach: tuple[float, float] = (2.5, 0.12)
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
+    sightings: float = 10.0
     fit: FitOptions = field(default_factory=FitOptions)
     sun: SunOptions = field(default_factory=SunOptions)
 
@@ -264,7 +276,10 @@ class GuidedFrontEnd:
         prior2 = squared_distance(chart - first, covariance + H @ prior @ np.swapaxes(H, 1, 2))
         limit = chi2.ppf(self.options.gate_probability, 5)
         keep = (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
-        return _Result(RimSet(scene.rows[keep], chart[keep], covariance[keep]), pose, expected)
+        rows = np.flatnonzero(keep)
+        repeated = [systematic_covariance(chart[i], self.camera, self.options.fit) for i in rows]
+        more = (self.options.sightings - 1.0) * np.array(repeated).reshape(-1, 5, 5)
+        return _Result(RimSet(scene.rows[keep], chart[keep], covariance[keep] + more), pose, expected)
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
         least = self.options.min_semi_minor_px

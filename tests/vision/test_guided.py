@@ -5,6 +5,9 @@ from craternav_fg.catalog import Catalog
 from craternav_fg.vision.guided import GuidedFrontEnd, GuidedOptions
 from tests.vision import scene
 
+# Each image stands for itself here: the covariance is that of a single frame.
+SINGLE = GuidedOptions(sightings=1.0)
+
 
 @pytest.fixture(scope="module")
 def view():
@@ -38,7 +41,7 @@ def visible(catalog, gTb):
 
 def test_a_good_prediction(view):
     catalog, gTb, sun_g, image = view
-    out = GuidedFrontEnd(scene.camera(), catalog).measure(image, 7, gTb, scene.covariance(0.5), sun_g)
+    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(image, 7, gTb, scene.covariance(0.5), sun_g)
     assert out.stamp_ns == 7
     assert len(out.rims) >= 0.95 * len(visible(catalog, gTb)) >= 15
     check(out.rims, catalog, gTb)
@@ -50,7 +53,7 @@ def test_low_sun_high_sun_and_an_oblique_view(elevation_deg, tilt_deg):
     catalog = scene.craters(rng, half=0.28)
     gTb, sun_g = scene.pose(1.2, tilt_deg), scene.sun(elevation_deg, 200.0)
     image = scene.render(catalog, gTb, sun_g, rng)
-    out = GuidedFrontEnd(scene.camera(), catalog).measure(
+    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(
         image, 0, scene.moved(gTb, [0.002, -0.001, 0.001]), scene.covariance(1.5), sun_g
     )
     assert len(out.rims) >= 0.9 * len(visible(catalog, gTb)) >= 9
@@ -63,14 +66,16 @@ def test_a_prediction_thirty_pixels_off(view, right_px, down_px, sigma_px):
     catalog, gTb, sun_g, image = view
     focal = scene.camera().focal_px
     wrong = scene.moved(gTb, [down_px / focal, right_px / focal, 0.005], [15.0, -10.0, 60.0])
-    out = GuidedFrontEnd(scene.camera(), catalog).measure(image, 0, wrong, scene.covariance(sigma_px), sun_g)
+    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(
+        image, 0, wrong, scene.covariance(sigma_px), sun_g
+    )
     assert len(out.rims) >= 0.95 * len(visible(catalog, gTb))
     check(out.rims, catalog, gTb)
 
 
 def test_the_result_does_not_follow_the_prediction(view):
     catalog, gTb, sun_g, image = view
-    front_end = GuidedFrontEnd(scene.camera(), catalog)
+    front_end = GuidedFrontEnd(scene.camera(), catalog, SINGLE)
     poses = [scene.moved(gTb, [1.5e-3, 0.0, 0.0]), scene.moved(gTb, [-1.5e-3, 0.0, 0.0], [0.0, 40.0, 0.0])]
     a, b = (front_end.measure(image, 0, p, scene.covariance(2.0), sun_g).rims for p in poses)
     both, i, j = np.intersect1d(a.craters, b.craters, return_indices=True)
@@ -95,7 +100,7 @@ def test_what_is_not_there_is_not_measured(view):
         np.concatenate([catalog.height_m, absent.height_m]),
         catalog.body,
     )
-    front_end = GuidedFrontEnd(scene.camera(), both)
+    front_end = GuidedFrontEnd(scene.camera(), both, SINGLE)
     rims = front_end.measure(image, 0, gTb, scene.covariance(1.0), sun_g).rims
     assert np.count_nonzero(rims.craters >= 24) <= 1
     present = visible(catalog, gTb)
@@ -108,7 +113,11 @@ def test_what_is_not_there_is_not_measured(view):
         catalog.identifiers, catalog.latitude_rad, longitude, catalog.semi_major_m, catalog.semi_minor_m,
         catalog.angle_rad, catalog.height_m, catalog.body,
     )  # fmt: skip
-    rims = GuidedFrontEnd(scene.camera(), shifted).measure(image, 0, gTb, scene.covariance(4.0), sun_g).rims
+    rims = (
+        GuidedFrontEnd(scene.camera(), shifted, SINGLE)
+        .measure(image, 0, gTb, scene.covariance(4.0), sun_g)
+        .rims
+    )
     assert row not in rims.craters
     assert len(rims) >= 0.9 * len(present) - 1
 
@@ -128,7 +137,7 @@ def test_position_covariance_is_in_g(view):
     east = scene.SITE[:, 0]
     cov = scene.covariance(0.3, 1.0)
     cov[3:, 3:] += 300.0**2 * np.outer(east, east)
-    front_end = GuidedFrontEnd(scene.camera(), pair)
+    front_end = GuidedFrontEnd(scene.camera(), pair, SINGLE)
     rims = front_end.measure(image, 0, scene.moved(gTb, [0.0] * 3, 450.0 * east), cov, sun_g).rims
     assert len(rims) == 2
     assert np.all(np.abs(rims.chart - scene.true_charts(pair, gTb, rims.craters)) < 0.03)
@@ -141,7 +150,7 @@ def test_position_covariance_is_in_g(view):
 def test_a_single_rim_must_lie_where_the_covariance_allows(view):
     catalog, gTb, sun_g, image = view
     one = subset(catalog, visible(catalog, gTb)[:1])
-    front_end = GuidedFrontEnd(scene.camera(), one)
+    front_end = GuidedFrontEnd(scene.camera(), one, SINGLE)
     beside = scene.moved(gTb, [2.0 / scene.camera().focal_px, 0.0, 0.0])
     assert len(front_end.measure(image, 0, beside, scene.covariance(2.0, 1.0), sun_g).rims) == 1
     assert len(front_end.measure(image, 0, beside, scene.covariance(0.2, 1.0), sun_g).rims) == 0
@@ -155,7 +164,11 @@ def test_bright_ground_about_a_crater_does_not_move_its_rim(view):
     v, u = np.mgrid[0 : scene.SIZE_PX, 0 : scene.SIZE_PX]
     near = np.exp(-0.5 * (np.hypot(u - centre[row, 0], v - centre[row, 1]) / (3.0 * major[row])) ** 2)
     albedo = np.clip(np.round(image * (1.0 + 0.06 * near)), 0, 255).astype(np.uint8)
-    rims = GuidedFrontEnd(scene.camera(), catalog).measure(albedo, 0, gTb, scene.covariance(1.0), sun_g).rims
+    rims = (
+        GuidedFrontEnd(scene.camera(), catalog, SINGLE)
+        .measure(albedo, 0, gTb, scene.covariance(1.0), sun_g)
+        .rims
+    )
     found = np.flatnonzero(rims.craters == rows[row])
     assert len(found) == 1
     measured, _, _ = scene.semi_axes_px(rims.chart[found])
@@ -166,7 +179,7 @@ def test_rough_ground_enlarges_the_covariance():
     rng = np.random.default_rng(6)
     catalog = scene.craters(rng)
     gTb, sun_g = scene.pose(), scene.sun()
-    front_end = GuidedFrontEnd(scene.camera(), catalog)
+    front_end = GuidedFrontEnd(scene.camera(), catalog, SINGLE)
     size = []
     for roughness in (0.0, 0.05):
         image = scene.render(catalog, gTb, sun_g, rng, roughness=roughness)
@@ -191,7 +204,7 @@ def test_an_image_without_craters_has_no_rims(view, kind):
         "night": lambda: rng.normal(20.0, 1.0, size),
     }[kind]()
     light = -sun_g if kind == "night" else sun_g
-    out = GuidedFrontEnd(scene.camera(), catalog).measure(
+    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(
         np.clip(image, 0, 255).astype(np.uint8), 3, gTb, scene.covariance(2.0), light
     )
     assert len(out.rims) == 0
@@ -208,3 +221,22 @@ def test_no_catalogue_crater_in_view(view):
     )
     assert len(out.rims) == 0
     assert out.sun is not None
+
+
+def test_a_systematic_error_that_repeats_counts_as_often(view):
+    """Fusing n frames of equal covariance S divides it by n: what repeats must survive that."""
+    catalog, gTb, sun_g, image = view
+    once, often = (
+        GuidedFrontEnd(scene.camera(), catalog, GuidedOptions(sightings=n)).measure(
+            image, 0, gTb, scene.covariance(0.5), sun_g
+        )
+        for n in (1.0, 9.0)
+    )
+    assert np.array_equal(once.rims.chart, often.rims.chart)
+    floor_px = np.sqrt(
+        np.diagonal(often.rims.covariance - once.rims.covariance, axis1=1, axis2=2)[:, 0] / 8.0
+    )
+    floor_px *= scene.camera().fx_px
+    _, _, minor = scene.semi_axes_px(once.rims.chart)
+    fit = GuidedOptions().fit
+    np.testing.assert_allclose(floor_px, fit.floor_px + fit.floor_share * minor, rtol=0.02)
