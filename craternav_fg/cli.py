@@ -35,6 +35,7 @@ err = Console(stderr=True)
 out = Console()
 
 DEMO_DATASET = "dataset"
+LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, nothing else.")]
 EstimatorOption = Annotated[
@@ -125,7 +126,6 @@ def compare(
         out.print_json(json.dumps(result))
         return
     table = _table()
-    table.caption = f"{table.caption}; off: RMS distance from the smoother"
     table.add_column("off m", justify="right", no_wrap=True)
     for run in loaded:
         if len(loaded) > 1:
@@ -135,6 +135,7 @@ def compare(
             row = _row(name, run.metrics["estimators"][name])
             table.add_row(*row, _number(_from_smoother(run, name)))
     out.print(table)
+    out.print(f"{LEGEND}; off: RMS distance from the smoother")
 
 
 def _from_smoother(run: Run, name: str) -> float | None:
@@ -153,6 +154,7 @@ def _show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     for name, values in summary["estimators"].items():
         table.add_row(*_row(name, values))
     out.print(table)
+    out.print(LEGEND)
     counts = np.array(summary["craters_per_frame"])
     blind = np.flatnonzero(counts == 0)
     out.print(
@@ -169,12 +171,7 @@ def _show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
 
 
 def _table() -> Table:
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        header_style="bold",
-        caption="errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6",
-        caption_justify="left",
-    )
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
     table.add_column("estimator", no_wrap=True)
     for heading in ("RMS m", "end m", "RMS m/s", "RMS deg", "end deg", "ANEES"):
         table.add_column(heading, justify="right", no_wrap=True)

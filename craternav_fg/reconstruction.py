@@ -13,7 +13,7 @@ from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.estimators.start import first_frame_map
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
-from craternav_fg.vision.acquire import acquire
+from craternav_fg.vision.acquire import acquire, image_spread_px
 from craternav_fg.vision.guided import GuidedFrontEnd
 
 # Called with what is being done, how much of it is done, and how much there is.
@@ -133,9 +133,8 @@ def _measure_first(
     image, sun = dataset.image(0), dataset.sun.at(stamp)
     gTb = initial.gTb
     covariance = np.diag(np.repeat([initial.attitude_sigma_rad**2, initial.position_sigma_m**2], 3))
-    altitude_m = max(float(dataset.body.altitude_m(gTb[:3, 3])), initial.position_sigma_m)
-    spread_rad = np.hypot(initial.attitude_sigma_rad, initial.position_sigma_m / altitude_m)
-    if 3.0 * spread_rad * dataset.camera.focal_px > GUIDED_REACH_PX:
+    spread_px = image_spread_px(dataset.camera, dataset.body.radius_m, gTb, covariance)
+    if 3.0 * spread_px > GUIDED_REACH_PX:
         found = acquire(image, dataset.camera, dataset.catalog, gTb, covariance, sun)
         if found is not None:
             gTb, covariance = found.gTb, found.pose_covariance

@@ -25,7 +25,9 @@ def scenario(*, duration_s: float = 100.0, craters: int = 5, **sections: object)
     start = case.trajectory.start.model_copy(
         update={"altitude_m": 40e3, "downrange_m": -0.1e3 * duration_s, "ground_speed_m_s": 150.0}
     )
-    end = case.trajectory.end.model_copy(update={"altitude_m": 20e3, "ground_speed_m_s": 50.0})
+    end = case.trajectory.end.model_copy(
+        update={"altitude_m": 20e3, "downrange_m": 0.0, "ground_speed_m_s": 50.0}
+    )
     attitude = case.trajectory.attitude.model_copy(
         update={
             "start_pitch_deg": 12.0,

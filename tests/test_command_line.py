@@ -34,11 +34,12 @@ def craternav(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def short_scenario(folder: Path, **changes: str) -> Path:
-    """Write the demo's scenario, cut to its first 20 s."""
+    """Write the demo's scenario, cut to its first 20 s, with craters that are seen from up there."""
     import scenarios
 
     text = (Path(scenarios.__file__).parent / "lunar_descent.toml").read_text()
-    for key, value in {"duration_s": "20.0", **changes}.items():
+    short = {"duration_s": "20.0", "min_apparent_px": "14.0", "density": "0.003"}
+    for key, value in {**short, **changes}.items():
         text, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
         assert count
     # The first 20 s of 300 s: the end's state is that of the long descent there.

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ COLOURS = {
     "dead_reckoning": "#7F7F7F",
 }
 OTHER = "#CC79A7"
+# Well started, it equals the EKF: dashed and above, both are seen.
+DASHED = {"online"}
 
 
 def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims: Sequence[int]) -> Figure:
@@ -42,13 +45,13 @@ def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims:
         position.semilogy(
             _seconds(e.stamps_ns),
             np.linalg.norm(e.position_m, axis=1),
-            color=COLOURS.get(name, OTHER),
+            **_style(name),
             label=name,
         )
         attitude.semilogy(
             _seconds(e.stamps_ns),
             np.degrees(np.linalg.norm(e.attitude_rad, axis=1)),
-            color=COLOURS.get(name, OTHER),
+            **_style(name),
             label=name,
         )
     position.set_ylabel("position error, m")
@@ -75,7 +78,7 @@ def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) 
             continue
         values = nees(errors(trajectory, truth).pose, trajectory.pose_covariance)
         label = f"{name} (mean {values.mean():.3g})"
-        axes.semilogy(_seconds(trajectory.stamps_ns), values, color=COLOURS.get(name, OTHER), label=label)
+        axes.semilogy(_seconds(trajectory.stamps_ns), values, **_style(name), label=label)
     axes.set_xlabel("time, s")
     axes.set_ylabel("NEES of the pose")
     axes.grid(alpha=0.3)
@@ -217,7 +220,7 @@ def draw_overview(
         axes.semilogy(
             _seconds(e.stamps_ns),
             np.linalg.norm(e.position_m, axis=1),
-            color=COLOURS.get(name, OTHER),
+            **_style(name),
             label=name,
         )
     axes.set_xlabel("time, s")
@@ -233,6 +236,11 @@ def save(figure: Figure, path: Path) -> None:
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
+
+
+def _style(name: str) -> dict[str, Any]:
+    dashed = name in DASHED
+    return {"color": COLOURS.get(name, OTHER), "ls": "--" if dashed else "-", "zorder": 3 if dashed else 2}
 
 
 def _seconds(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
