@@ -17,7 +17,7 @@ from rich.table import Table
 
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
-from craternav_fg.errors import CraternavError
+from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.evaluation.run_folder import MARKER, Run, read_run
 from craternav_fg.evaluation.runs import write_reconstruction
@@ -100,6 +100,8 @@ def reconstruct(
     names = tuple(dict.fromkeys(estimators or ESTIMATORS))
     for name in names:
         estimator(name)
+    if data.resolve().is_relative_to(output.resolve()):
+        raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
     dataset = Dataset.open(data)
     with replacing_folder(output, marker=MARKER) as folder, _bar() as report:
         summary = write_reconstruction(

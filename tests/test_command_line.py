@@ -201,6 +201,16 @@ def test_a_damaged_image_leaves_nothing_half_written(
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
+def test_a_run_does_not_replace_the_folder_of_its_data(
+    demo: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    run, _ = demo
+    done = craternav("reconstruct", run / "dataset", "-o", run)
+    assert done.returncode == 2
+    assert "would be lost" in done.stderr
+    assert (run / "dataset" / "dataset.toml").is_file()
+
+
 def test_somebody_else_s_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter1.tex").write_text("precious")

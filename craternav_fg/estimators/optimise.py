@@ -81,7 +81,7 @@ def levenberg_marquardt(
     Raises
     ------
     EstimationError
-        When no step lowers the error although the gradient is not zero, or the error is not finite.
+        When the error at the start is not finite.
     """
     error = graph.error(values)
     if not np.isfinite(error):

@@ -130,6 +130,9 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     # Great circle through both ends: downrange along it, crossrange to its left.
     first, last = (P / np.linalg.norm(P) for P in (trajectory.gP[0], trajectory.gP[-1]))
     pole = np.cross(first, last)
+    if np.linalg.norm(pole) < 1e-9:
+        # Straight down: any direction will do.
+        pole = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
     pole /= np.linalg.norm(pole)
     ahead = np.cross(pole, first)
 
@@ -143,8 +146,12 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
         below.plot(x, y, style, color=colour, label=label)
         above.plot(x, body.altitude_m(P) / 1e3, style, color=colour, label=label)
     x, y = ranges_km(catalog.centres)
+    altitude_km = float(body.altitude_m(trajectory.gP[0])) / 1e3
     left, right = below.get_xlim()
-    reach = min(0.25 * (right - left), 0.5 * float(body.altitude_m(trajectory.gP[0])) / 1e3)
+    if right - left < 0.5 * altitude_km:
+        middle = 0.5 * (left + right)
+        left, right = middle - 0.25 * altitude_km, middle + 0.25 * altitude_km
+    reach = min(0.25 * (right - left), 0.5 * altitude_km)
     near = (x > left) & (x < right) & (np.abs(y) < reach)
     # Downrange and crossrange components of the major axes.
     local = x[:, None] / (body.radius_m / 1e3)
