@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,12 +38,15 @@ class Reconstruction:
         By the estimator's name, at the frames' stamps.
     times_s : mapping of str to float
         Wall time of the front end (`front_end`) and of each estimator.
+    options : mapping of str to dict
+        Options of the front end and of each estimator that has any, resolved.
     """
 
     frames: tuple[FrameMeasurement, ...]
     start: Start
     trajectories: Mapping[str, Trajectory]
     times_s: Mapping[str, float]
+    options: Mapping[str, dict[str, Any]]
 
 
 def reconstruct(
@@ -77,9 +81,12 @@ def reconstruct(
     descent = Descent(
         dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
     )
+    options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
     began = time.perf_counter()
     if dataset.rims is None:
-        frames, start = _measure(dataset, descent, report)
+        front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
+        options["front_end"] = asdict(front_end.options)
+        frames, start = _measure(dataset, descent, front_end, report)
     else:
         frames = dataset.rims
         start = first_frame_map(descent, frames[0])
@@ -95,14 +102,13 @@ def reconstruct(
         trajectories[one.name] = one.estimate(problem)
         times_s[one.name] = time.perf_counter() - began
     report("estimator", len(chosen), len(chosen))
-    return Reconstruction(frames, start, trajectories, times_s)
+    return Reconstruction(frames, start, trajectories, times_s, options)
 
 
 def _measure(
-    dataset: Dataset, descent: Descent, report: Progress
+    dataset: Dataset, descent: Descent, front_end: GuidedFrontEnd, report: Progress
 ) -> tuple[tuple[FrameMeasurement, ...], Start]:
     """Measure all images, each with the pose that the online smoother predicts from those before it."""
-    front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
     stamps = [int(stamp) for stamp in dataset.stamps_ns]
     report("frames", 0, len(stamps))
     first, start = _measure_first(dataset, descent, front_end)

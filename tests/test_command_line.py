@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,16 @@ def test_evo_reads_the_trajectories(demo: tuple[Path, subprocess.CompletedProces
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "rmse" in done.stdout
+
+
+def test_run_toml_tells_how_it_was_made(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    run, _ = demo
+    told = tomllib.loads((run / "run.toml").read_text())
+    assert told["estimators"] == list(ESTIMATORS)
+    assert told["options"]["centre_smoother"]["rims"] == "centre"
+    assert told["options"]["ekf_paper"]["measurement"] == "implicit"
+    assert told["options"]["front_end"]["fit"]["floor_px"] > 0.0
+    assert told["versions"]["gtsam"].startswith("4.3")
 
 
 def test_run_reads_back(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:

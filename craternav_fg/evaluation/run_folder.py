@@ -106,16 +106,27 @@ def write_run(
     pq.write_table(_residuals(result.trajectories, result.frames, camera, catalog), folder / RESIDUALS)
     versions = {name: importlib.metadata.version(name) for name in ("gtsam", "numpy", "numba")}
     lines = [
-        "# What was run; json.dumps quotes strings as TOML does.",
+        "# What was run, on what, and how.",
         f"craternav_fg = {json.dumps(craternav_fg.__version__)}",
         f"dataset = {json.dumps(dataset)}",
         f"estimators = {json.dumps(list(result.trajectories))}",
         "",
         "[versions]",
         *(f"{name} = {json.dumps(version)}" for name, version in versions.items()),
+        *_tables("options", result.options),
     ]
     (folder / MARKER).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return summary
+
+
+def _tables(name: str, values: Mapping[str, Any]) -> list[str]:
+    """Lines of a TOML table and of those within it; JSON writes numbers, strings and lists as TOML does."""
+    plain = {k: v for k, v in values.items() if v is not None and not isinstance(v, Mapping)}
+    lines = ["", f"[{name}]", *(f"{k} = {json.dumps(v)}" for k, v in plain.items())] if plain else []
+    for k, v in values.items():
+        if isinstance(v, Mapping):
+            lines += _tables(f"{name}.{k}", v)
+    return lines
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
