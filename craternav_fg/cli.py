@@ -15,11 +15,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+import craternav_fg
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
-from craternav_fg.evaluation.run_folder import MARKER, Run, read_run
+from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, Run, read_run
 from craternav_fg.evaluation.runs import write_reconstruction
 from craternav_fg.files import replacing_folder
 from craternav_fg.reconstruction import Progress as Report
@@ -46,6 +47,22 @@ EstimatorOption = Annotated[
 ]
 
 
+def _version(show: bool) -> None:
+    if show:
+        _say(craternav_fg.__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Reconstruct a planetary landing from crater rims and an IMU."""
+    del version
+
+
 @app.command()
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")] = Path("runs/demo"),
@@ -57,16 +74,18 @@ def demo(
     """Simulate a descent, reconstruct it with every estimator, and compare them."""
     began_s = time.perf_counter()
     case = load_scenario(scenario)
-    with replacing_folder(output, marker=MARKER) as folder, _bar() as report:
+    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, _bar() as report:
         simulate_scenario(
             case, folder / DEMO_DATASET, progress=lambda done, total: report("simulated frames", done, total)
         )
+        simulated_s = time.perf_counter() - began_s
         summary = write_reconstruction(
             Dataset.open(folder / DEMO_DATASET),
             folder,
             tuple(ESTIMATORS),
             label=DEMO_DATASET,
             began_s=began_s,
+            earlier_s={"simulation": simulated_s},
             progress=report,
         )
     _show_run(output, summary, as_json)
@@ -85,7 +104,7 @@ def simulate(
     if as_json:
         out.print_json(json.dumps({"dataset": str(output)}))
     else:
-        out.print(f"data set: [bold]{output}[/]  (next: craternav reconstruct {output} -o RUN)")
+        _say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 
 
 @app.command()
@@ -103,7 +122,7 @@ def reconstruct(
     if data.resolve().is_relative_to(output.resolve()):
         raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
     dataset = Dataset.open(data)
-    with replacing_folder(output, marker=MARKER) as folder, _bar() as report:
+    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, _bar() as report:
         summary = write_reconstruction(
             dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report
         )
@@ -127,17 +146,15 @@ def compare(
         }
         out.print_json(json.dumps(result))
         return
-    table = _table()
-    table.add_column("off m", justify="right", no_wrap=True)
     for run in loaded:
-        if len(loaded) > 1:
-            table.add_section()
-            table.add_row(f"[bold]{run.path}[/]")
+        table = _table()
+        table.add_column("off m", justify="right", no_wrap=True)
         for name in run.trajectories:
             row = _row(name, run.metrics["estimators"][name])
             table.add_row(*row, _number(_from_smoother(run, name)))
-    out.print(table)
-    out.print(f"{LEGEND}; off: RMS distance from the smoother")
+        _say(f"{run.path}")
+        out.print(table)
+    _say(f"{LEGEND}\noff: RMS distance from the smoother")
 
 
 def _from_smoother(run: Run, name: str) -> float | None:
@@ -149,27 +166,62 @@ def _from_smoother(run: Run, name: str) -> float | None:
 
 
 def _show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
+    for warning in _warnings(summary):
+        err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
     if as_json:
         out.print_json(json.dumps(summary))
         return
-    table = _table()
-    for name, values in summary["estimators"].items():
-        table.add_row(*_row(name, values))
-    out.print(table)
-    out.print(LEGEND)
-    counts = np.array(summary["craters_per_frame"])
-    blind = np.flatnonzero(counts == 0)
-    out.print(
-        f"{len(counts)} frames, {counts.min()} to {counts.max()} rims in each, {summary['wall_s']:.0f} s"
-    )
-    if len(blind):
-        out.print(
-            f"[yellow]{len(blind)} frames without a catalogue crater (the first: frame {blind[0]}): "
-            "there the trajectory rests on the IMU, and its covariance grows.[/]"
-        )
+    if any(values["position_rms_m"] is not None for values in summary["estimators"].values()):
+        table = _table()
+        for name, values in summary["estimators"].items():
+            table.add_row(*_row(name, values))
+        out.print(table)
+        _say(LEGEND)
+    else:
+        _say("no ground truth: figures/sigmas.png shows what each estimator believes of its errors,")
+        _say(f"craternav compare {folder} how far they lie apart")
+    counts = summary["craters_per_frame"]
+    seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
+    _say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
+    _say(f"{summary['wall_s']:.0f} s of computing ({seconds})")
     for path in sorted(folder.glob("*")):
         what = sorted(p.name for p in path.iterdir()) if path.name == "figures" else []
-        out.print(f"  {path}{'/: ' + ', '.join(what) if what else ''}", highlight=False, soft_wrap=True)
+        _say(f"  {path}{'/: ' + ', '.join(what) if what else ''}")
+
+
+def _warnings(summary: dict[str, Any]) -> list[str]:
+    """Tell what a user of the run must know before believing it."""
+    out = [f"no trajectory of {message}" for message in summary["failures"].values()]
+    found = np.array(summary["craters_per_frame"])
+    blind = found == 0
+    if not blind.any():
+        return out
+    growing = "there the trajectory rests on the IMU, and its covariance grows"
+    expected = summary["craters_expected_per_frame"]
+    lost = blind & (np.array(expected) > 0) if expected is not None else np.zeros_like(blind)
+    if blind.all() and expected is not None:
+        out.append(
+            f"no rim was found in any frame ({int(lost.sum())} should show some): no pose within the prior "
+            "explains the images; check catalogue, sun.csv, T_BS and the initial state"
+        )
+        return out
+    if lost.any():
+        out.append(
+            f"{int(lost.sum())} frames should show catalogue craters and none was found, the first: frame "
+            f"{int(np.argmax(lost))}: {growing}; if they are many, check the IMU's units and axes, the body"
+        )
+    empty = blind & ~lost
+    if empty.any():
+        out.append(
+            f"{int(empty.sum())} frames without a catalogue crater, the first: frame "
+            f"{int(np.argmax(empty))}: {growing}"
+        )
+    return out
+
+
+def _say(text: str) -> None:
+    """Print a line as it is: to be copied, not wrapped or coloured."""
+    out.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def _table() -> Table:

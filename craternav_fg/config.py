@@ -139,6 +139,14 @@ class TrajectorySection(Section):
     end: Boundary
     attitude: AttitudeSection
 
+    @model_validator(mode="after")
+    def _has_frames(self) -> "TrajectorySection":
+        if not 1e-3 <= self.frame_interval_s <= self.duration_s:
+            raise ValueError(
+                f"frame_interval_s {self.frame_interval_s} must be at least 0.001 and at most duration_s"
+            )
+        return self
+
 
 class SunSection(Section):
     """Direction towards the sun at the landing site, when the descent begins."""

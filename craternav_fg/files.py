@@ -1,9 +1,8 @@
-"""Files that are whole or absent: written under a temporary name, then renamed."""
+"""Folders that are whole or absent: written under a temporary name, then renamed."""
 
-import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,41 +10,18 @@ from craternav_fg.errors import InputError
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path to write; on success it takes the final name, on failure it is removed.
-
-    Parameters
-    ----------
-    path : Path
-        Final name of the file; its folder is made when missing.
-
-    Yields
-    ------
-    Path
-        Temporary name in the same folder, with the same suffix.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    temporary.chmod(0o644)
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def replacing_folder(path: Path, *, marker: str) -> Iterator[Path]:
+def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterator[Path]:
     """Give a temporary folder to fill; on success it replaces the folder of the final name.
 
     Parameters
     ----------
     path : Path
-        Final name. A folder of that name is replaced only when it is empty or holds `marker`.
+        Final name. A folder of that name is replaced only when it is empty, or holds `marker` and
+        nothing but what is ours.
     marker : str
         Name of a file that tells that the folder was written by us.
+    ours : sequence of str
+        Patterns of the names that such a folder holds.
 
     Yields
     ------
@@ -55,19 +31,38 @@ def replacing_folder(path: Path, *, marker: str) -> Iterator[Path]:
     Raises
     ------
     InputError
-        When `path` is a file, or a folder of somebody else's.
+        When `path` is a file, the current folder, or a folder that holds something of somebody else's,
+        or when it cannot be written. All but the last is noticed before anything is done.
     """
-    if path.exists() and not path.is_dir():
-        raise InputError(path, "expected a folder to write, found a file")
-    if path.is_dir() and any(path.iterdir()) and not (path / marker).is_file():
-        raise InputError(path, f"is not empty and holds no {marker}: it is not overwritten")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    temporary.chmod(0o755)
+    final = path.resolve()
+    _check(path, final, marker, ours)
     try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{final.name}.", dir=final.parent))
+    except OSError as error:
+        raise InputError(path, f"cannot be written: {error.strerror}") from error
+    try:
+        temporary.chmod(0o755)
         yield temporary
-        if path.exists():
-            shutil.rmtree(path)
-        temporary.replace(path)
+        old = temporary.with_name(f"{temporary.name}.old")
+        if final.exists():
+            final.replace(old)
+        temporary.replace(final)
+        shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _check(path: Path, final: Path, marker: str, ours: Sequence[str]) -> None:
+    if final == Path.cwd():
+        raise InputError(path, "is the current folder, which cannot be replaced: name another")
+    if final.exists() and not final.is_dir():
+        raise InputError(path, "expected a folder to write, found a file")
+    if not final.is_dir():
+        return
+    names = sorted(entry.name for entry in final.iterdir())
+    if names and marker not in names:
+        raise InputError(path, f"is not empty and holds no {marker}: it is not overwritten")
+    foreign = [name for name in names if not any(Path(name).match(pattern) for pattern in ours)]
+    if foreign:
+        raise InputError(path, f"holds {foreign[0]}, which would be lost: it is not overwritten")

@@ -2,24 +2,34 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
-from craternav_fg.estimators.start import first_frame_map
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.estimators.start import find_start
+from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.trajectory import Trajectory
 from craternav_fg.vision.acquire import acquire, image_spread_px
 from craternav_fg.vision.guided import GuidedFrontEnd
+from factors.errors import FactorError
+
+FloatArray = npt.NDArray[np.float64]
 
 # Called with what is being done, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
 
+# What numbers beyond all reason end in: a factor that is not finite, a system that GTSAM cannot solve.
+NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)
+# So many rims, found without a pose that explains the image, agree by chance only once in very many images.
+MIN_AGREEING_RIMS = 3
 # The guided front end recovers a prediction that is wrong by so much all over the image.
 GUIDED_REACH_PX = 30.0
 
@@ -40,6 +50,11 @@ class Reconstruction:
         Wall time of the front end (`front_end`) and of each estimator.
     options : mapping of str to dict
         Options of the front end and of each estimator that has any, resolved.
+    failures : mapping of str to str
+        Estimators that gave no trajectory, and why.
+    expected_rims : tuple of int, or None
+        For each frame, how many catalogue craters should be seen whole and large enough from the first
+        trajectory's poses; None when no images were looked at.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -47,6 +62,8 @@ class Reconstruction:
     trajectories: Mapping[str, Trajectory]
     times_s: Mapping[str, float]
     options: Mapping[str, dict[str, Any]]
+    failures: Mapping[str, str]
+    expected_rims: tuple[int, ...] | None
 
 
 def reconstruct(
@@ -72,7 +89,7 @@ def reconstruct(
     Raises
     ------
     EstimationError
-        When a name is unknown or an estimator fails.
+        When a name is unknown, or every estimator fails.
     InputError
         When an image cannot be read.
     """
@@ -86,68 +103,105 @@ def reconstruct(
     if dataset.rims is None:
         front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
         options["front_end"] = asdict(front_end.options)
-        frames, start = _measure(dataset, descent, front_end, report)
+        try:
+            frames = _measure(dataset, descent, front_end, report)
+        except NUMERICAL_ERRORS as error:
+            raise EstimationError(f"front end: {error}") from error
     else:
         frames = dataset.rims
-        start = first_frame_map(descent, frames[0])
+    start = find_start(descent, frames)
     times_s = {"front_end": time.perf_counter() - began}
     problem = Problem(
         descent.body, descent.camera, descent.catalog, descent.imu, descent.imu_noise, descent.initial,
         start, frames,
     )  # fmt: skip
-    trajectories = {}
+    trajectories: dict[str, Trajectory] = {}
+    failures: dict[str, str] = {}
     for done, one in enumerate(chosen):
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
-        trajectories[one.name] = one.estimate(problem)
+        try:
+            trajectories[one.name] = one.estimate(problem)
+        except (EstimationError, *NUMERICAL_ERRORS) as error:
+            failures[one.name] = f"{one.name}: {' '.join(str(error).split())[:300]}"
         times_s[one.name] = time.perf_counter() - began
     report("estimator", len(chosen), len(chosen))
-    return Reconstruction(frames, start, trajectories, times_s, options)
+    if not trajectories:
+        raise EstimationError("; ".join(failures.values()))
+    expected = None
+    if dataset.rims is None:
+        limits = front_end.options
+        expected = tuple(
+            len(
+                dataset.catalog.visible(
+                    dataset.camera,
+                    gTb,
+                    min_semi_minor_px=limits.min_semi_minor_px,
+                    margin_px=limits.margin_px,
+                )[0]
+            )
+            for gTb in next(iter(trajectories.values())).gTb
+        )
+    return Reconstruction(frames, start, trajectories, times_s, options, failures, expected)
 
 
 def _measure(
     dataset: Dataset, descent: Descent, front_end: GuidedFrontEnd, report: Progress
-) -> tuple[tuple[FrameMeasurement, ...], Start]:
+) -> tuple[FrameMeasurement, ...]:
     """Measure all images, each with the pose that the online smoother predicts from those before it."""
     stamps = [int(stamp) for stamp in dataset.stamps_ns]
     report("frames", 0, len(stamps))
-    first, start = _measure_first(dataset, descent, front_end)
     session = OnlineSession(descent)
-    session.begin(first, start)
-    measured = [first]
-    for k, stamp in enumerate(stamps[1:], start=1):
-        predicted = session.predict(stamp)
-        frame = front_end.measure(
-            dataset.image(k), stamp, predicted.gTb, predicted.covariance[:6, :6], dataset.sun.at(stamp)
-        )
-        session.update(frame)
+    measured: list[FrameMeasurement] = []
+    for k in range(len(stamps)):
+        predicted = filter_state.prior(descent) if k == 0 else session.predict(stamps[k])
+        pose_covariance = predicted.covariance[filter_state.POSE, filter_state.POSE]
+        frame = _measure_one(dataset, front_end, k, predicted.gTb, pose_covariance)
+        if k == 0:
+            start = find_start(descent, [frame])
+            if len(frame.rims):
+                # Once more from the start: rims that only it predicts.
+                frame = _measure_one(dataset, front_end, k, start.gTb, start.pose_covariance)
+                start = find_start(descent, [frame])
+            session.begin(frame, start)
+        else:
+            frame = replace(frame, sun=_repeated(frame.sun, len(stamps) - 1))
+            session.update(frame)
         measured.append(frame)
         report("frames", k + 1, len(stamps))
-    return tuple(measured), start
+    return tuple(measured)
 
 
-def _measure_first(
-    dataset: Dataset, descent: Descent, front_end: GuidedFrontEnd
-) -> tuple[FrameMeasurement, Start]:
-    """Measure the first image from the prior, and once more from the start that this gives.
+def _measure_one(
+    dataset: Dataset, front_end: GuidedFrontEnd, number: int, gTb: FloatArray, covariance: FloatArray
+) -> FrameMeasurement:
+    """Measure an image from a predicted pose and its covariance.
 
-    A prior too poor for the guided front end is first searched through for the pose that explains the
-    image; what is found there guides, but is no measurement.
+    A prediction too poor for the guided front end is first searched for the pose that explains the image;
+    what is found there guides, but is no measurement. When nothing is found, few rims can be a chance
+    agreement, and the sense of the sun's tilt, which rims tell, is unknown: neither is believed.
     """
-    initial = dataset.initial
-    stamp = initial.stamp_ns
-    image, sun = dataset.image(0), dataset.sun.at(stamp)
-    gTb = initial.gTb
-    covariance = np.diag(np.repeat([initial.attitude_sigma_rad**2, initial.position_sigma_m**2], 3))
+    stamp = int(dataset.stamps_ns[number])
+    image, sun = dataset.image(number), dataset.sun.at(stamp)
     spread_px = image_spread_px(dataset.camera, dataset.body.radius_m, gTb, covariance)
-    if 3.0 * spread_px > GUIDED_REACH_PX:
-        found = acquire(image, dataset.camera, dataset.catalog, gTb, covariance, sun)
-        if found is not None:
-            gTb, covariance = found.gTb, found.pose_covariance
+    if 3.0 * spread_px <= GUIDED_REACH_PX:
+        return front_end.measure(image, stamp, gTb, covariance, sun)
+    found = acquire(image, dataset.camera, dataset.catalog, gTb, covariance, sun)
+    if found is not None:
+        return front_end.measure(image, stamp, found.gTb, found.pose_covariance, sun)
     frame = front_end.measure(image, stamp, gTb, covariance, sun)
-    start = first_frame_map(descent, frame)
-    frame = front_end.measure(image, stamp, start.gTb, start.pose_covariance, sun)
-    return frame, first_frame_map(descent, frame)
+    if len(frame.rims) < MIN_AGREEING_RIMS:
+        return FrameMeasurement(stamp, RimSet.empty(), None)
+    return frame
+
+
+def _repeated(sun: SunTilt | None, times: int) -> SunTilt | None:
+    """Enlarge a tilt's noise for so many tilts that share one error.
+
+    The error is that of the view and the ground's photometry, some degrees at an oblique view, and stays
+    through a descent: taken as new in each frame, it would in the end outweigh the rims.
+    """
+    return None if sun is None else replace(sun, sigma_rad=np.sqrt(times) * sun.sigma_rad)
 
 
 def _silent(what: str, done: int, total: int) -> None:

@@ -119,14 +119,3 @@ def _problem(error: Any) -> str:
             return (
                 f"{message[:1].lower()}{message[1:]}, found {what if len(what) < 60 else what[:57] + '...'}"
             )
-
-
-def _keys_in_file(data: Any, location: tuple[int | str, ...]) -> list[str]:
-    """Where an error is; without the names of alternatives, which pydantic adds and no file has."""
-    keys: list[str] = []
-    for position, key in enumerate(location):
-        inside = isinstance(data, list) if isinstance(key, int) else isinstance(data, dict) and key in data
-        if inside or position == len(location) - 1:
-            keys.append(str(key))
-            data = data[key] if inside else None
-    return keys

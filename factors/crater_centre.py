@@ -1,6 +1,8 @@
 """Crater-centre factor: the image ellipse's centre taken as the image of the crater's centre.
 
-Zero when they coincide, which perspective denies: this is the baseline of eq. (10), kept to compare with.
+Zero when they coincide, which perspective denies: this is the assumption of eq. (10), kept to compare with.
+The paper compares cosines of the angles between pairs of centres; here each centre is reprojected, which is
+the same assumption with each point's own noise, and knows the attitude, too.
 """
 
 import gtsam

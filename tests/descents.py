@@ -5,7 +5,7 @@ from pathlib import Path
 from craternav_fg.config import Crater, CraterList, Scenario, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.start import first_frame_map
+from craternav_fg.estimators.start import find_start
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.trajectory import Trajectory
 
@@ -53,5 +53,5 @@ def problem(folder: Path, case: Scenario, trial: int) -> tuple[Problem, Trajecto
     descent = Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
     assert data.rims is not None
     assert data.truth is not None
-    start = first_frame_map(descent, data.rims[0])
+    start = find_start(descent, data.rims)
     return Problem(**vars(descent), start=start, frames=data.rims), data.truth

@@ -2,11 +2,13 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from evo.core import metrics as evo_metrics
@@ -155,6 +157,75 @@ def test_run_reads_back(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> 
     assert smoother.stamps_ns.tolist() == back.truth.stamps_ns.tolist()
 
 
+def test_without_truth_there_are_sigmas_instead_of_errors(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(demo[0] / "dataset", data)
+    shutil.rmtree(data / "mav0/state_groundtruth_estimate0")
+    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "online")
+    assert done.returncode == 0, done.stderr
+    assert "no ground truth" in done.stdout
+    back = read_run(tmp_path / "run")
+    assert back.truth is None
+    assert back.dataset == data
+    assert {p.stem for p in (tmp_path / "run/figures").iterdir()} == {"descent", "overview", "sigmas"}
+
+
+def test_images_that_show_something_else_are_warned_of(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    """Black images: no rim, no pose; the prior and the IMU are all there is, and the user is told."""
+    data = tmp_path / "data"
+    shutil.copytree(demo[0] / "dataset", data)
+    for image in (data / "mav0/cam0/data").iterdir():
+        cv2.imwrite(str(image), np.zeros((1024, 1024), dtype=np.uint8))
+    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "dead_reckoning")
+    assert done.returncode == 0, done.stderr
+    assert "warning: no rim was found in any frame" in done.stderr
+    estimators = json.loads((tmp_path / "run/metrics.json").read_text())["estimators"]
+    smoother, dead = (estimators[name]["position_rms_m"] for name in ("smoother", "dead_reckoning"))
+    assert smoother == pytest.approx(dead, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [(["run.toml", "notes.txt"], "holds notes.txt"), (["notes.txt"], "holds no run.toml")],
+    ids=["notes", "other"],
+)
+def test_what_we_did_not_write_is_not_replaced(tmp_path: Path, names: list[str], message: str) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name in names:
+        (folder / name).touch()
+    done = craternav("demo", "-o", folder)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert sorted(path.name for path in folder.iterdir()) == sorted(names)
+
+
+def test_a_first_image_that_shows_nothing_only_delays_the_start(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(demo[0] / "dataset", data)
+    cv2.imwrite(str(data / "mav0/cam0/data/0.png"), np.full((1024, 1024), 100, dtype=np.uint8))
+    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "ekf", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "1 frames should show catalogue craters" in done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["craters_per_frame"][0] == 0
+    for name in ("smoother", "ekf"):
+        assert summary["estimators"][name]["position_final_m"] < 60.0
+        assert summary["estimators"][name]["anees"] < 20.0
+
+
+def test_version() -> None:
+    done = craternav("--version")
+    assert re.fullmatch(r"\d+\.\d+\.\d+\n", done.stdout)
+
+
 def test_compare_prints_and_tells_json(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, _ = demo
     done = craternav("compare", run, run)
@@ -199,8 +270,6 @@ def test_bad_input_is_one_line_and_exit_code_2(
 def test_a_damaged_image_leaves_nothing_half_written(
     demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
-    import shutil
-
     data = tmp_path / "data"
     shutil.copytree(demo[0] / "dataset", data)
     image = sorted((data / "mav0/cam0/data").iterdir())[3]

@@ -108,6 +108,8 @@ IMU_SENSOR = "mav0/imu0/sensor.yaml"
 IMU_DATA = "mav0/imu0/data.csv"
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
+CONTENTS = (DESCRIPTION, CRATERS, SUN, RIMS, TILTS, "mav0")
+
 STAMP = "timestamp"
 _STAMP_NS = Column(STAMP, "integer", "ns")
 

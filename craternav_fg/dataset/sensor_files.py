@@ -151,7 +151,10 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         ) from None
     if not isinstance(data, dict):
         raise InputError(path, "expected keys and values")
-    return {str(key): _numbers(value) for key, value in data.items()}
+    try:
+        return {str(key): _numbers(value) for key, value in data.items()}
+    except RecursionError:
+        raise InputError(path, "expected values that do not contain themselves") from None
 
 
 def _numbers(value: Any) -> Any:

@@ -71,7 +71,7 @@ def write_dataset(
     """
     if (images is None) == (rims is None):
         raise ValueError("give either images or rims")
-    with replacing_folder(folder, marker=layout.DESCRIPTION) as temporary:
+    with replacing_folder(folder, marker=layout.DESCRIPTION, ours=layout.CONTENTS) as temporary:
         for name in (layout.IMAGES, layout.IMU_DATA):
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
         names = [f"{stamp}.png" for stamp in stamps_ns]

@@ -19,18 +19,21 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Start:
-    """The common start of all estimators: the first frame's maximum a posteriori pose.
+    """The common start of all estimators: a maximum a posteriori pose.
 
     Attributes
     ----------
     gTb : ndarray, shape (4, 4)
-        Pose from the prior, the first frame's rims and its sun tilt.
+        Pose from the prior, the rims of the first frame that has any, and its sun tilt.
     pose_covariance : ndarray, shape (6, 6)
         Its Gaussian covariance: attitude (rotation vector in b, rad), then position (in g, m).
+    frame : int
+        Number of that frame; before it, the prior and the IMU are all there is.
     """
 
     gTb: FloatArray
     pose_covariance: FloatArray
+    frame: int
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class Problem(Descent):
     Attributes
     ----------
     start : Start
-        After the first frame: whoever begins from its covariance must not use that frame again.
+        Whoever begins from its covariance must not use its frame again.
     frames : sequence of FrameMeasurement
         In the order of time; the first one's stamp is the initial state's.
     """

@@ -60,7 +60,10 @@ class BatchSmoother:
             graph = build_graph(problem, self.options, values)
             result = levenberg_marquardt(graph, values)
             if not result.converged:
-                raise EstimationError(f"{self.name}: no convergence in {result.iterations} iterations")
+                raise EstimationError(
+                    f"no convergence in {result.iterations} iterations: measurements, IMU and "
+                    "initial state contradict each other (check frames, units and mounting)"
+                )
             values = result.values
             moved = _midpoints(values)
             if np.abs(moved - midpoints).max(initial=0.0) < MIDPOINT_TOLERANCE_M:

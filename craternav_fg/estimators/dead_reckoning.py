@@ -21,7 +21,7 @@ class DeadReckoning:
             When the IMU log does not cover the frames.
         """
         stamps = [frame.stamp_ns for frame in problem.frames]
-        states = [filter_state.begin(problem)]
-        for begin_ns, end_ns in itertools.pairwise(stamps):
+        states = filter_state.until_start(problem)
+        for begin_ns, end_ns in itertools.pairwise(stamps[problem.start.frame :]):
             states.append(filter_state.propagate(states[-1], problem, begin_ns, end_ns))
         return filter_state.trajectory(stamps, states)

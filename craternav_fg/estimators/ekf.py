@@ -71,19 +71,20 @@ class DistributedEkf:
     options: EkfOptions = field(default_factory=EkfOptions)
 
     def estimate(self, problem: Problem) -> Trajectory:
-        """Filter all frames after the first; the first one's state is the start.
+        """Filter all frames after the start's; up to it there are the prior, the IMU and the start.
 
         Raises
         ------
         ValueError
             When the IMU log does not cover the frames.
         """
-        base = filter_state.begin(problem)
-        states = [base]
+        states = filter_state.until_start(problem)
+        base = states[-1]
+        first = problem.start.frame
         # Under "paper" every crater in view has a state of its own; else all share the published one.
-        filters = dict.fromkeys(problem.frames[0].rims.craters.tolist(), states[0])
+        filters = dict.fromkeys(problem.frames[first].rims.craters.tolist(), base)
         fusion = self.options.fusion
-        for last, frame in itertools.pairwise(problem.frames):
+        for last, frame in itertools.pairwise(problem.frames[first:]):
             prior = filter_state.propagate(base, problem, last.stamp_ns, frame.stamp_ns)
             if fusion == "paper":
                 filters = self._step_each(filters, prior, last.stamp_ns, frame, problem)

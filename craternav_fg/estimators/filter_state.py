@@ -1,5 +1,6 @@
 """State of a recursive filter: mean, covariance, propagation by the IMU, and small corrections."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -97,25 +98,65 @@ def right_jacobian(w: FloatArray) -> FloatArray:
     )
 
 
-def begin(problem: Problem) -> FilterState:
-    """State at the first frame: the common start's pose, and the prior of everything else."""
-    initial = problem.initial
+def prior(descent: Descent) -> FilterState:
+    """State at the first frame, before it is looked at."""
+    initial = descent.initial
     covariance = np.zeros((SIZE, SIZE))
-    covariance[POSE, POSE] = problem.start.pose_covariance
     for part, sigma in (
+        (ATTITUDE, initial.attitude_sigma_rad),
+        (POSITION, initial.position_sigma_m),
         (VELOCITY, initial.velocity_sigma_m_s),
         (RATE, initial.angular_velocity_sigma_rad_s),
         (GYRO_BIAS, initial.gyro_bias_sigma_rad_s),
         (ACCELEROMETER_BIAS, initial.accelerometer_bias_sigma_m_s2),
     ):
         covariance[part, part] = sigma**2 * np.eye(3)
-    first = int(np.searchsorted(problem.imu.stamps_ns, initial.stamp_ns))
+    first = int(np.searchsorted(descent.imu.stamps_ns, initial.stamp_ns))
     return FilterState(
-        np.array(problem.start.gTb, dtype=np.float64),
+        np.array(initial.gTb, dtype=np.float64),
         np.array(initial.gV, dtype=np.float64),
-        np.array(problem.imu.gyro[min(first, len(problem.imu.gyro) - 1)]),
+        np.array(descent.imu.gyro[min(first, len(descent.imu.gyro) - 1)]),
         np.zeros(6),
         covariance,
+    )
+
+
+def until_start(problem: Problem) -> list[FilterState]:
+    """States at the frames up to the start's: the prior carried on by the IMU, then the start.
+
+    The start gives the pose; velocity and biases follow it as far as the prior ties them to the pose.
+    """
+    states = [prior(problem)]
+    frames = problem.frames[: problem.start.frame + 1]
+    for before, frame in itertools.pairwise(frames):
+        states.append(propagate(states[-1], problem, before.stamp_ns, frame.stamp_ns))
+    states[-1] = _conditioned(states[-1], problem.start.gTb, problem.start.pose_covariance)
+    return states
+
+
+def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArray) -> FilterState:
+    """Replace the pose's distribution; what is left keeps its distribution given the pose."""
+    step = np.concatenate(
+        [
+            frames.rotation_log(state.gTb[:3, :3].T @ gTb[:3, :3]),
+            gTb[:3, 3] - state.gTb[:3, 3],
+        ]
+    )
+    P = state.covariance
+    rest = slice(POSE.stop, SIZE)
+    gain = np.linalg.solve(P[POSE, POSE], P[POSE, rest]).T
+    delta = gain @ step
+    S = np.empty_like(P)
+    S[POSE, POSE] = pose_covariance
+    S[rest, POSE] = gain @ pose_covariance
+    S[POSE, rest] = S[rest, POSE].T
+    S[rest, rest] = P[rest, rest] + gain @ (pose_covariance - P[POSE, POSE]) @ gain.T
+    return FilterState(
+        np.array(gTb, dtype=np.float64),
+        state.gV + delta[:3],
+        state.rate + delta[3:6],
+        state.bias + delta[6:],
+        0.5 * (S + S.T),
     )
 
 

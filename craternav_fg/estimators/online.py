@@ -79,7 +79,7 @@ class OnlineSession:
         return self._states[-1]
 
     def begin(self, frame: FrameMeasurement, start: Start) -> None:
-        """Take the first frame; the start is where it is linearised, not another measurement.
+        """Take the first frame; a start at it is where it is linearised, not another measurement.
 
         Parameters
         ----------
@@ -92,7 +92,8 @@ class OnlineSession:
         initial = self._descent.initial
         add_prior(graph, initial)
         add_frame(graph, self._descent, self._options, X(0), frame)
-        insert_state(values, 0, gtsam.NavState(gtsam.Pose3(start.gTb), initial.gV), np.zeros(6))
+        gTb = start.gTb if start.frame == 0 else initial.gTb
+        insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._stamps_ns.append(frame.stamp_ns)
         self._frame_numbers.append(0)
         self._update(graph, values)

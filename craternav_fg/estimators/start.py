@@ -1,33 +1,38 @@
-"""The common start: the first frame's maximum a posteriori pose.
+"""The common start: the maximum a posteriori pose at the first frame that shows a known crater.
 
-From a prior of 25 deg and 4 km the first frame's problem has many local minima. Lowering the measurement
-noise in steps from 300 times its size (annealing) lets the well-determined coarse geometry decide first.
+From a prior of 25 deg and 4 km that frame's problem has many local minima. Lowering the measurement noise in
+steps from 300 times its size (annealing) lets the well-determined coarse geometry decide first.
 """
+
+import itertools
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
+from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Start
 from craternav_fg.estimators.graph import GraphOptions, add_frame, pose_covariance_in_g
 from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.measurements import FrameMeasurement
 
+FloatArray = npt.NDArray[np.float64]
+
 NOISE_SCALES = (300.0, 30.0, 3.0, 1.0)
 
 
-def first_frame_map(
-    descent: Descent,
-    frame: FrameMeasurement,
-    options: GraphOptions = GraphOptions(),
+def find_start(
+    descent: Descent, frames: Sequence[FrameMeasurement], options: GraphOptions = GraphOptions()
 ) -> Start:
-    """Pose at the first frame from the prior, all its craters and its sun tilt.
+    """Pose at the first frame with a rim, from the prior carried there by the IMU, its rims and its sun.
 
     Parameters
     ----------
     descent : Descent
-    frame : FrameMeasurement
-        The first; without craters and sun the start is the prior.
+    frames : sequence of FrameMeasurement
+        At least one; without a rim in any the start is the prior at the first.
     options : GraphOptions
         Loss and kind of measurement.
 
@@ -36,21 +41,33 @@ def first_frame_map(
     Start
         The covariance is Gaussian at the optimum: honest with three craters or more, too small with
         one, where the posterior bends.
+
+    Raises
+    ------
+    ValueError
+        When the IMU log does not reach the frame.
     """
-    initial = descent.initial
-    sigmas = np.repeat([initial.attitude_sigma_rad, initial.position_sigma_m], 3)
+    number = next((k for k, frame in enumerate(frames) if len(frame.rims)), None)
+    prior = filter_state.prior(descent)
+    if number is None:
+        return Start(prior.gTb, prior.covariance[filter_state.POSE, filter_state.POSE], 0)
+    for before, frame in itertools.pairwise(frames[: number + 1]):
+        prior = filter_state.propagate(prior, descent, before.stamp_ns, frame.stamp_ns)
+    # The prior's position error turned from g into GTSAM's body axes.
+    turn = np.eye(6)
+    turn[3:, 3:] = prior.gTb[:3, :3].T
+    covariance = turn @ prior.covariance[filter_state.POSE, filter_state.POSE] @ turn.T
+    noise = gtsam.noiseModel.Gaussian.Covariance(0.5 * (covariance + covariance.T))
     values = gtsam.Values()
-    values.insert(X(0), gtsam.Pose3(initial.gTb))
+    values.insert(X(0), gtsam.Pose3(prior.gTb))
     for scale in NOISE_SCALES:
         graph = gtsam.NonlinearFactorGraph()
-        graph.push_back(
-            gtsam.PriorFactorPose3(X(0), gtsam.Pose3(initial.gTb), gtsam.noiseModel.Diagonal.Sigmas(sigmas))
-        )
-        add_frame(graph, descent, options, X(0), frame, scale)
+        graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(prior.gTb), noise))
+        add_frame(graph, descent, options, X(0), frames[number], scale)
         values = levenberg_marquardt(graph, values).values
     information, _ = graph.linearize(values).hessian()
     # Scaled before inversion: radians and metres differ by six orders of magnitude.
     scales = 1.0 / np.sqrt(np.diag(information))
-    covariance = np.linalg.inv(information * np.outer(scales, scales)) * np.outer(scales, scales)
-    gTb = values.atPose3(X(0)).matrix()
-    return Start(np.ascontiguousarray(gTb), pose_covariance_in_g(covariance, gTb[:3, :3]))
+    posterior = np.linalg.inv(information * np.outer(scales, scales)) * np.outer(scales, scales)
+    gTb = np.ascontiguousarray(values.atPose3(X(0)).matrix())
+    return Start(gTb, pose_covariance_in_g(posterior, gTb[:3, :3]), number)

@@ -37,31 +37,48 @@ DASHED = {"online"}
 
 
 def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims: Sequence[int]) -> Figure:
-    """Position and attitude error of every estimator, and the rims per frame, over time."""
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    position, attitude, count = figure.subplots(3, 1, sharex=True, height_ratios=[3, 3, 1])
+    """Position, velocity and attitude error of every estimator, and the rims per frame, over time."""
+    series = {}
     for name, trajectory in trajectories.items():
         e = errors(trajectory, truth)
-        position.semilogy(
-            _seconds(e.stamps_ns),
-            np.linalg.norm(e.position_m, axis=1),
-            **_style(name),
-            label=name,
-        )
-        attitude.semilogy(
-            _seconds(e.stamps_ns),
-            np.degrees(np.linalg.norm(e.attitude_rad, axis=1)),
-            **_style(name),
-            label=name,
-        )
-    position.set_ylabel("position error, m")
-    attitude.set_ylabel("attitude error, deg")
-    position.legend(ncols=3, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, 1.2), frameon=False)
-    count.step(_seconds(truth.stamps_ns), rims, where="mid", color="k", lw=1.2)
+        parts = (e.position_m, e.velocity_m_s, np.degrees(e.attitude_rad))
+        series[name] = [np.linalg.norm(part, axis=1) for part in parts]
+    return _draw_series(series, "error", truth.stamps_ns, rims)
+
+
+def draw_sigmas(trajectories: Mapping[str, Trajectory], rims: Sequence[int]) -> Figure:
+    """Show what every estimator believes its errors are: without truth, all there is to see."""
+    series = {}
+    for name, t in trajectories.items():
+        if t.pose_covariance is None or t.velocity_covariance is None:
+            continue
+        parts = (t.pose_covariance[:, 3:, 3:], t.velocity_covariance, t.pose_covariance[:, :3, :3])
+        values = [np.sqrt(np.trace(part, axis1=1, axis2=2)) for part in parts]
+        series[name] = [values[0], values[1], np.degrees(values[2])]
+    return _draw_series(series, "sigma", next(iter(trajectories.values())).stamps_ns, rims)
+
+
+def _draw_series(
+    series: Mapping[str, Sequence[FloatArray]],
+    what: str,
+    stamps_ns: npt.NDArray[np.int64],
+    rims: Sequence[int],
+) -> Figure:
+    """Draw position (m), velocity (m/s) and attitude (deg) series, and the rims per frame."""
+    figure = Figure(figsize=(9, 10), layout="constrained")
+    *panels, count = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 1])
+    t = _seconds(stamps_ns)
+    for name, values in series.items():
+        for axes, value in zip(panels, values, strict=True):
+            axes.semilogy(t, value, **_style(name), label=name)
+    for axes, label in zip(panels, ("position {}, m", "velocity {}, m/s", "attitude {}, deg"), strict=True):
+        axes.set_ylabel(label.format(what))
+    figure.legend(*panels[0].get_legend_handles_labels(), ncols=6, loc="outside upper center", fontsize=9)
+    count.step(t, rims, where="mid", color="k", lw=1.2)
     count.set_ylabel("rims")
     count.set_ylim(bottom=0)
     count.set_xlabel("time, s")
-    for axes in (position, attitude, count):
+    for axes in (*panels, count):
         axes.grid(alpha=0.3)
         axes.margins(x=0.01)
     return figure
@@ -151,7 +168,8 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     if right - left < 0.5 * altitude_km:
         middle = 0.5 * (left + right)
         left, right = middle - 0.25 * altitude_km, middle + 0.25 * altitude_km
-    reach = min(0.25 * (right - left), 0.5 * altitude_km)
+    # Flat enough for the panel: equal scales leave its width, which it shares, as it is.
+    reach = min(0.14 * (right - left), 0.5 * altitude_km)
     near = (x > left) & (x < right) & (np.abs(y) < reach)
     # Downrange and crossrange components of the major axes.
     local = x[:, None] / (body.radius_m / 1e3)
@@ -208,30 +226,35 @@ def draw_rims(axes: Axes, image: npt.NDArray[np.uint8], frame: FrameMeasurement,
 def draw_overview(
     images: Sequence[tuple[npt.NDArray[np.uint8], FrameMeasurement]],
     trajectories: Mapping[str, Trajectory],
-    truth: Trajectory,
+    truth: Trajectory | None,
     camera: Camera,
     body: Body,
 ) -> Figure:
-    """Show a run at a glance: some frames with their rims above every estimator's position error."""
-    figure = Figure(figsize=(10, 7), layout="constrained")
+    """Show a run at a glance: some frames with their rims above every estimator's position error.
+
+    Without truth: above the position's standard deviation.
+    """
+    figure = Figure(figsize=(10, 7.3), layout="constrained")
     top: SubFigure
     bottom: SubFigure
-    top, bottom = figure.subfigures(2, 1, height_ratios=[1.0, 1.1], squeeze=False)[:, 0]
-    altitude_km = dict(zip(truth.stamps_ns.tolist(), body.altitude_m(truth.gP) / 1e3, strict=True))
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1.15, 1.1], squeeze=False)[:, 0]
+    top.suptitle("measured rims (yellow) and the direction towards the sun (arrow)", fontsize=10)
+    first = next(iter(trajectories.values()))
+    altitude_km = dict(zip(first.stamps_ns.tolist(), body.altitude_m(first.gP) / 1e3, strict=True))
     for axes, (image, frame) in zip(top.subplots(1, len(images), squeeze=False)[0], images, strict=True):
         draw_rims(axes, image, frame, camera)
         axes.set_title(f"{altitude_km[frame.stamp_ns]:.0f} km, {len(frame.rims)} rims", fontsize=10)
     axes = bottom.subplots()
     for name, trajectory in trajectories.items():
-        e = errors(trajectory, truth)
-        axes.semilogy(
-            _seconds(e.stamps_ns),
-            np.linalg.norm(e.position_m, axis=1),
-            **_style(name),
-            label=name,
-        )
+        if truth is not None:
+            value = np.linalg.norm(errors(trajectory, truth).position_m, axis=1)
+        elif trajectory.pose_covariance is not None:
+            value = np.sqrt(np.trace(trajectory.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
+        else:
+            continue
+        axes.semilogy(_seconds(trajectory.stamps_ns), value, **_style(name), label=name)
     axes.set_xlabel("time, s")
-    axes.set_ylabel("position error, m")
+    axes.set_ylabel("position sigma, m" if truth is None else "position error, m")
     axes.grid(alpha=0.3)
     axes.margins(x=0.01)
     axes.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)

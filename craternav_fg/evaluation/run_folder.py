@@ -10,6 +10,7 @@ run.toml            what was run on what, with versions
 
 import importlib.metadata
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,8 @@ from factors.kernels import conic
 FloatArray = npt.NDArray[np.float64]
 
 MARKER = "run.toml"
+# All that a run's folder may hold: the demo's has its data set, too.
+CONTENTS = ("*.toml", "*.tum", "*.json", "*.parquet", "figures", "dataset")
 METRICS = "metrics.json"
 STATES = "states.parquet"
 RESIDUALS = "residuals.parquet"
@@ -53,12 +56,15 @@ class Run:
     trajectories : mapping of str to Trajectory
         By estimator.
     truth : Trajectory or None
+    dataset : Path
+        Folder of the data set it was made from.
     """
 
     path: Path
     metrics: dict[str, Any]
     trajectories: Mapping[str, Trajectory]
     truth: Trajectory | None
+    dataset: Path
 
 
 def write_run(
@@ -69,6 +75,7 @@ def write_run(
     camera: Camera,
     catalog: Catalog,
     truth: Trajectory | None,
+    times_s: Mapping[str, float],
     wall_s: float,
 ) -> dict[str, Any]:
     """Write a run into an existing folder, all but its figures.
@@ -83,6 +90,8 @@ def write_run(
     catalog : Catalog
     truth : Trajectory or None
         For the errors.
+    times_s : mapping of str to float
+        Wall times of the parts.
     wall_s : float
         Wall time of the whole command so far.
 
@@ -94,8 +103,10 @@ def write_run(
     estimators = {name: metrics(t, truth).as_dict() for name, t in result.trajectories.items()}
     summary = {
         "wall_s": wall_s,
-        "times_s": dict(result.times_s),
+        "times_s": dict(times_s),
         "craters_per_frame": [len(frame.rims) for frame in result.frames],
+        "craters_expected_per_frame": result.expected_rims,
+        "failures": dict(result.failures),
         "estimators": estimators,
     }
     (folder / METRICS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
@@ -154,9 +165,10 @@ def read_run(folder: Path | str) -> Run:
     try:
         summary = json.loads((path / METRICS).read_text(encoding="utf-8"))
         table = pq.read_table(path / STATES)
+        told = tomllib.loads((path / MARKER).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise InputError(Path(str(error.filename)), "is missing from the run") from None
-    except (json.JSONDecodeError, pa.ArrowInvalid, OSError) as error:
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError, pa.ArrowInvalid, OSError) as error:
         raise InputError(path, f"is damaged: {error}") from None
     names = table["estimator"].to_pylist()
     trajectories = {}
@@ -164,7 +176,7 @@ def read_run(folder: Path | str) -> Run:
         rows = np.flatnonzero([other == name for other in names])
         trajectories[name] = _trajectory(table.take(pa.array(rows)))
     truth = trajectories.pop(TRUTH, None)
-    return Run(path, summary, trajectories, truth)
+    return Run(path, summary, trajectories, truth, path / told["dataset"])
 
 
 def _states(trajectories: Mapping[str, Trajectory]) -> pa.Table:

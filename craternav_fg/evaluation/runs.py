@@ -1,7 +1,7 @@
 """A run: reconstruct a data set and write all that comes out of it."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ def write_reconstruction(
     *,
     label: str,
     began_s: float,
+    earlier_s: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Reconstruct a data set into an existing folder: results, metrics, figures.
@@ -37,6 +38,8 @@ def write_reconstruction(
         Where the data set is, as run.toml tells it.
     began_s : float
         `time.perf_counter()` at the beginning of the whole command.
+    earlier_s : mapping of str to float, optional
+        Wall times of what the command did before.
     progress : callable, optional
 
     Returns
@@ -53,6 +56,7 @@ def write_reconstruction(
         camera=dataset.camera,
         catalog=dataset.catalog,
         truth=dataset.truth,
+        times_s={**(earlier_s or {}), **result.times_s},
         wall_s=time.perf_counter() - began_s,
     )
 
@@ -61,16 +65,18 @@ def _draw(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
     best = next(iter(result.trajectories))
     trajectory = result.trajectories[best]
     drawn = {"descent": figures.draw_descent(trajectory, dataset.truth, dataset.catalog, dataset.body)}
-    if dataset.truth is not None:
-        rims = [len(frame.rims) for frame in result.frames]
+    rims = [len(frame.rims) for frame in result.frames]
+    if dataset.truth is None:
+        drawn["sigmas"] = figures.draw_sigmas(result.trajectories, rims)
+    else:
         drawn["errors"] = figures.draw_errors(result.trajectories, dataset.truth, rims)
         drawn["consistency"] = figures.draw_consistency(result.trajectories, dataset.truth)
         drawn[f"bounds_{best}"] = figures.draw_bounds(best, trajectory, dataset.truth)
-        if dataset.rims is None:
-            rows = np.linspace(0, len(dataset) - 1, min(OVERVIEW_FRAMES, len(dataset))).astype(int)
-            images = [(dataset.image(int(k)), result.frames[k]) for k in rows]
-            drawn["overview"] = figures.draw_overview(
-                images, result.trajectories, dataset.truth, dataset.camera, dataset.body
-            )
+    if dataset.rims is None:
+        rows = np.linspace(0, len(dataset) - 1, min(OVERVIEW_FRAMES, len(dataset))).astype(int)
+        images = [(dataset.image(int(k)), result.frames[k]) for k in rows]
+        drawn["overview"] = figures.draw_overview(
+            images, result.trajectories, dataset.truth, dataset.camera, dataset.body
+        )
     for name, figure in drawn.items():
         figures.save(figure, folder / f"{name}.png")

@@ -17,7 +17,10 @@ MAX_STEPS = 400
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _height(x: float, y: float, heights: Float32Array, slots: IntArray, frames: FloatArray) -> float:
-    """Height at a plane point from the finest grid around it, bilinear; 0 beyond all grids."""
+    """Height at a plane point from the finest grid around it, bilinear.
+
+    Beyond all grids level ground as low as their border: higher, it would stand round them as a wall.
+    """
     n = heights.shape[1]
     for k in range(slots.shape[0]):
         u = (x - frames[k, 1]) / frames[k, 0]
@@ -31,7 +34,7 @@ def _height(x: float, y: float, heights: Float32Array, slots: IntArray, frames: 
             return (1.0 - v) * ((1.0 - u) * heights[s, j, i] + u * heights[s, j, i + 1]) + v * (
                 (1.0 - u) * heights[s, j + 1, i] + u * heights[s, j + 1, i + 1]
             )
-    return 0.0
+    return frames[slots.shape[0] - 1, 3]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

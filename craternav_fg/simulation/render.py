@@ -163,10 +163,13 @@ class Renderer:
         return hits
 
     def _levels(self, gTb: FloatArray) -> Levels:
-        """Grids for the view from a pose: where a coarse raster of directions meets the bare sphere."""
+        """Grids for the view from a pose: where a coarse raster of directions meets a sphere."""
         camera = self.camera
         R, P = self._camera_pose(gTb)
-        radius = self.terrain.body.radius_m
+        sphere = self.terrain.body.radius_m
+        # At the level of the ground: a catalogue may set it far below or above the reference sphere.
+        altitude = float(np.linalg.norm(P)) - sphere
+        radius = sphere + min(self.terrain.lift_m(sphere * P[:2] / P[2]), 0.9 * altitude)
         x = np.linspace(-0.5, camera.width_px - 0.5, 17)
         y = np.linspace(-0.5, camera.height_px - 0.5, 17)
         uv = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
@@ -179,7 +182,7 @@ class Renderer:
         distance = np.where(root >= 0.0, -pd - np.sqrt(np.maximum(root, 0.0)), -pd)
         distance = np.clip(distance, 0.5 * height, 25.0 * height)
         ground = P + distance[:, None] * directions
-        plane = radius * ground[:, :2] / ground[:, 2:]
+        plane = sphere * ground[:, :2] / ground[:, 2:]
         closest = int(np.argmin(distance))
         margin = 0.02 * height
         return self.terrain.levels(

@@ -76,8 +76,8 @@ class Levels:
         Heights over the reference sphere, rows along y.
     slots : ndarray of int, shape (n,)
         Which of `heights_m` each grid is.
-    frames_m : ndarray, shape (n, 3)
-        Spacing and plane coordinates x, y of its first point, m.
+    frames_m : ndarray, shape (n, 4)
+        Spacing, plane coordinates x, y of its first point, the lowest height along its border, m.
     top_m : float
         No point is higher.
     slope : float
@@ -93,10 +93,11 @@ class Levels:
 
 @dataclass
 class _Grid:
-    """What a slot holds: spacing exponent, first point, highest point and steepest slope."""
+    """What a slot holds: spacing exponent, first point, border's lowest, highest point, steepest slope."""
 
     exponent: int
     first: tuple[int, int]
+    border_m: float
     top_m: float
     slope: float
 
@@ -106,15 +107,20 @@ def _lift(
     heights: Float32Array,
     craters: FloatArray,
     offsets: FloatArray,
+    far: float,
     frame: FloatArray,
     first: int,
     last: int,
 ) -> None:
-    """Raise the rows first..last of a grid to the catalogue's level: `offsets` (n,) near each crater."""
+    """Raise the rows first..last of a grid to the catalogue's level.
+
+    By `offsets` (n,) near each crater, by `far` away from all: the same for every grid, whichever craters
+    are near it, or the ground would step where two grids meet.
+    """
     cell, x0, y0 = frame
     n = heights.shape[1]
     weight = np.full((last - first, n), 0.01)
-    total = np.full((last - first, n), 0.01 * offsets.mean())
+    total = np.full((last - first, n), 0.01 * far)
     for k in range(craters.shape[0]):
         reach = craters[k, 19] * LEVEL_REACH / REACH
         xc, yc = craters[k, 0], craters[k, 1]
@@ -141,10 +147,13 @@ def _stamp(
     craters: FloatArray,
     frame: FloatArray,
     radius_m: float,
+    fade: int,
     first: int,
     last: int,
 ) -> None:
     """Stamp craters (n, 20), in their order, into the rows first..last of a grid.
+
+    Those too small for the next coarser grid fade out over `fade` cells from the border.
 
     `heights` holds the ground with, `relief` (both (cells, cells)) without the lift to the catalogue's
     level; columns of `craters` as in `Terrain._rows`.
@@ -161,6 +170,7 @@ def _stamp(
         # A crater under two cells would only be aliased.
         if b < 2.0 * cell:
             continue
+        shared = b >= 4.0 * cell
         for j in range(
             max(first, int(np.ceil((yc - reach - y0) / cell))), min(last, int((yc + reach - y0) / cell) + 1)
         ):
@@ -177,20 +187,22 @@ def _stamp(
                 if rho2 >= REACH * REACH:
                     continue
                 rho = np.sqrt(rho2)
+                inside = min(min(i, j), n - 1 - max(i, j)) - 4
+                share = 1.0 if shared else min(max(inside / fade, 0.0), 1.0)
                 if sunk:
-                    low = coverage(rho) * (rim + crater_profile(rho, depth, rim))
+                    low = share * coverage(rho) * (rim + crater_profile(rho, depth, rim))
                     heights[j, i] += free[j - first, i] * low
                     continue
                 plane = np.sqrt((radius_m + height) ** 2 + X * X + Y * Y) - radius_m
                 clear = protection(rho - 1.0)
                 rough = relief[j, i] - (c[16] + c[17] * (x - xc) + c[18] * (y - yc))
                 target = plane + crater_profile(rho, depth, rim) + roughness(rho - 1.0, rough, radius)
-                weight = coverage(rho)
+                weight = share * coverage(rho)
                 # Its flank gives way to the crests already there, its own crest does not.
                 own = 1.0 - smoothstep((rho - 1.1) / 0.15)
                 weight *= own + (1.0 - own) * free[j - first, i]
                 heights[j, i] += weight * (target - heights[j, i])
-                free[j - first, i] *= clear
+                free[j - first, i] *= 1.0 - share * (1.0 - clear)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -234,6 +246,9 @@ class Terrain:
         self.body = catalog.body
         self._craters = self._rows(catalog)
         self._offsets_m = self._offsets(self._craters)
+        known = self._offsets_m[~np.isnan(self._offsets_m)]
+        self._lifted = bool(np.any(np.abs(known) > 1e-3))
+        self._far_offset_m = float(np.median(known)) if self._lifted else 0.0
         if clutter is not None:
             small = self._rows(clutter)
             # No height of its own: it lies in whatever ground there is.
@@ -289,6 +304,15 @@ class Terrain:
         offset = (c[:, 13] - crest - flank) / np.maximum(share, 0.3) - c[:, 16]
         return np.where(share > 0.3, offset, np.nan)
 
+    def lift_m(self, xy: FloatArray) -> float:
+        """How much higher the catalogue sets the ground around a plane point (2,) than the relief, m."""
+        height = np.zeros((1, 1), np.float32)
+        if self._lifted:
+            known = ~np.isnan(self._offsets_m)
+            frame = np.array([1.0, xy[0], xy[1]])
+            _lift(height, self._craters[known], self._offsets_m[known], self._far_offset_m, frame, 0, 1)
+        return float(height[0, 0])
+
     def run(self, work: Callable[[int, int], object], n: int, chunks: int = 4) -> list[object]:
         """Run `work(first, last)` on pieces of range(n), in threads: the kernels release the lock."""
         edges = np.linspace(0, n, chunks * self._workers + 1).astype(int)
@@ -324,8 +348,8 @@ class Terrain:
         return Levels(
             heights_m=self._heights,
             slots=np.array(used, dtype=np.int64),
-            frames_m=np.array([self._frame(g.exponent, g.first) for g in grids]),
-            top_m=max(0.0, *(g.top_m for g in grids)),
+            frames_m=np.array([[*self._frame(g.exponent, g.first), g.border_m] for g in grids]),
+            top_m=max(g.top_m for g in grids),
             slope=min(MAX_SLOPE, max(g.slope for g in grids)),
         )
 
@@ -350,7 +374,8 @@ class Terrain:
     def _build(self, slot: int, exponent: int, first: tuple[int, int]) -> None:
         cells, R = self.options.cells, self.body.radius_m
         frame = self._frame(exponent, first)
-        relief = self.relief.grid(exponent, first, cells, cells // 16)
+        fade = cells // 16
+        relief = self.relief.grid(exponent, first, cells, fade)
         heights = self._heights[slot]
         heights[:] = relief
         c = self._craters
@@ -363,10 +388,12 @@ class Terrain:
         craters = np.ascontiguousarray(c[near])
         known = near & ~np.isnan(self._offsets_m)
         offsets = np.ascontiguousarray(self._offsets_m[known])
-        if len(offsets) and np.abs(offsets).max() > 1e-3:
-            lifted = np.ascontiguousarray(c[known])
-            self.run(lambda lo, hi: _lift(heights, lifted, offsets, frame, lo, hi), cells)
-        self.run(lambda lo, hi: _stamp(heights, relief, craters, frame, R, lo, hi), cells)
+        if self._lifted:
+            lifted, far = np.ascontiguousarray(c[known]), self._far_offset_m
+            self.run(lambda lo, hi: _lift(heights, lifted, offsets, far, frame, lo, hi), cells)
+        self.run(lambda lo, hi: _stamp(heights, relief, craters, frame, R, fade, lo, hi), cells)
         found = self.run(lambda lo, hi: _extremes(heights, lo, hi), cells)
         top, steep = np.array(found, dtype=np.float64).max(axis=0)
-        self._grids[slot] = _Grid(exponent, first, float(top), float(np.sqrt(steep)) / frame[0])
+        sides = (heights[1], heights[-2], heights[:, 1], heights[:, -2])
+        border_m = float(min(side.min() for side in sides))
+        self._grids[slot] = _Grid(exponent, first, border_m, float(top), float(np.sqrt(steep)) / frame[0])

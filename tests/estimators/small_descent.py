@@ -151,7 +151,7 @@ def draw(world, rng, *, start_scale=1.0):
             gyro_bias_sigma_rad_s=SIGMAS["gyro"],
             accelerometer_bias_sigma_m_s2=SIGMAS["acc"],
         ),
-        start=Start(start, root @ root.T),
+        start=Start(start, root @ root.T, 0),
         frames=measured,
     )
 

@@ -70,7 +70,7 @@ def central_update(state, frame, problem):
 def test_exact_fusion_equals_a_central_update(world, problem):
     # The prior of the second frame: correlated over all 18 states.
     prior = filter_state.propagate(
-        filter_state.begin(problem), problem, problem.frames[0].stamp_ns, problem.frames[1].stamp_ns
+        filter_state.until_start(problem)[-1], problem, problem.frames[0].stamp_ns, problem.frames[1].stamp_ns
     )
     frame = problem.frames[1]
     assert len(frame.rims) >= 3
@@ -348,7 +348,7 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
     problem = draw(world, np.random.default_rng(42), start_scale=20.0)
     frame = problem.frames[1]
     prior = filter_state.propagate(
-        filter_state.begin(problem), problem, problem.frames[0].stamp_ns, frame.stamp_ns
+        filter_state.until_start(problem)[-1], problem, problem.frames[0].stamp_ns, frame.stamp_ns
     )
     scale = np.sqrt(np.diag(prior.covariance))
     root = np.linalg.cholesky(prior.covariance / np.outer(scale, scale))

@@ -18,7 +18,7 @@ from craternav_fg.estimators.graph import GraphOptions, state_stamps
 from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
 from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
-from craternav_fg.estimators.start import first_frame_map
+from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
@@ -65,7 +65,7 @@ def test_start_reaches_the_optimum_from_25_deg_and_4_km(tmp_path: Path) -> None:
 
 def test_start_without_measurements_is_the_prior(trials: list[tuple[Problem, Trajectory]]) -> None:
     p, _ = trials[0]
-    start = first_frame_map(p, FrameMeasurement(p.initial.stamp_ns, RimSet.empty(), None))
+    start = find_start(p, [FrameMeasurement(p.initial.stamp_ns, RimSet.empty(), None)])
     assert_allclose(start.gTb, p.initial.gTb, atol=1e-6)
     sigmas = np.repeat([p.initial.attitude_sigma_rad, p.initial.position_sigma_m], 3)
     assert_allclose(np.sqrt(np.diag(start.pose_covariance)), sigmas, rtol=1e-6)
@@ -204,3 +204,25 @@ def test_registry_names_what_there_is() -> None:
         assert estimator(name).name == name
     with pytest.raises(EstimationError, match=r"unknown estimator 'nobody'.*smoother"):
         estimator("nobody")
+
+
+def test_a_start_without_rims_waits_for_the_first_that_has_some(
+    trials: list[tuple[Problem, Trajectory]],
+) -> None:
+    """A filter that began at the poor prior and met its first rims later would be lost."""
+    values = {"ekf": [], "online": [], "smoother": []}
+    for p, truth in trials[:6]:
+        late = [
+            dataclasses.replace(frame, rims=RimSet.empty()) if k < 4 else frame
+            for k, frame in enumerate(p.frames)
+        ]
+        start = find_start(p, late)
+        assert start.frame == 4
+        problem_late = dataclasses.replace(p, frames=late, start=start)
+        for name, found in values.items():
+            estimate = estimator(name).estimate(problem_late)
+            assert estimate.pose_covariance is not None
+            found.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[-1])
+    low, high = interval(6)
+    for found in values.values():
+        assert low < np.mean(found) < high

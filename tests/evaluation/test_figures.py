@@ -24,7 +24,8 @@ def straight_down(frames_count: int, off: float = 0.0) -> Trajectory:
     gTb = np.stack([frames.pose(frames.rotation_exp(np.full(3, 1e-3 * off)), p + off) for p in P])
     stamps = np.arange(frames_count, dtype=np.int64) * 10**9
     S = np.tile(np.eye(6), (frames_count, 1, 1))
-    return Trajectory(stamps, gTb, np.zeros((frames_count, 3)), np.zeros((frames_count, 6)), S)
+    V = np.full((frames_count, 3), off)
+    return Trajectory(stamps, gTb, V, np.zeros((frames_count, 6)), S, S[:, :3, :3], S)
 
 
 @pytest.mark.parametrize("frames_count", [1, 2, 9])
@@ -35,6 +36,7 @@ def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_
             figures.draw_descent(t, None, one_crater(), MOON),
             figures.draw_errors({"smoother": t}, truth, [0] * frames_count),
             figures.draw_consistency({"smoother": t}, truth),
+            figures.draw_sigmas({"smoother": t}, [0] * frames_count),
             figures.draw_bounds("smoother", t, truth),
         )
     ):

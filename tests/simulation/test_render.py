@@ -213,6 +213,26 @@ def test_shadows_are_cast_by_what_stands_towards_the_sun():
         assert x[~lit].mean() > 100.0
 
 
+@pytest.mark.parametrize(("tilt_deg", "heading_deg", "altitude_m"), [(0.0, 90.0, 6e3), (20.0, 200.0, 4e3)])
+def test_borders_of_grids_cast_no_shadow(tilt_deg, heading_deg, altitude_m):
+    # Craters out of view, on levels the relief knows nothing of, so that the ground is lifted to them.
+    around = np.arange(12) * np.pi / 6.0
+    far = [
+        (5.5e3 * np.cos(a), 5.5e3 * np.sin(a), 300.0, 300.0, h, 0.0)
+        for a, h in zip(around, np.linspace(-450.0, -350.0, 12), strict=True)
+    ]
+    clean = Renderer(
+        scene.CAMERA, Terrain(scene.craters(far), scene.relief(), TerrainOptions(cells=512)), CLEAN
+    )
+    gTb = scene.pose(scene.place(300.0, -200.0, altitude_m), tilt_deg, heading_deg)
+    px = np.stack(np.meshgrid(*2 * [np.arange(0.0, 1024.0, 4.0)]), axis=-1).reshape(-1, 2)
+    ground, _ = clean.ground_points(gTb, px)
+    assert np.all(scene.MOON.altitude_m(ground) < -200.0)
+    for azimuth_deg in (80.0, 260.0):
+        light = clean.radiance(gTb, scene.sun(30.0, azimuth_deg))
+        assert np.all(light > 0.7 * cv2.medianBlur(light, 5))
+
+
 def test_blur_spreads_and_keeps_the_light(terrain):
     gTb, toward = scene.pose(scene.track()[40]), scene.sun(30.0, 80.0)
     sharp = Renderer(scene.CAMERA, terrain, CLEAN).render(gTb, toward, np.random.default_rng(0))

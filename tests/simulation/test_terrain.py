@@ -53,6 +53,21 @@ def test_seed_changes_the_relief():
     assert not np.allclose(grids[0], grids[1])
 
 
+def test_ground_is_one_on_grids_of_all_spacings():
+    # Which craters are near a grid depends on its width; the level of the ground between them must not.
+    catalog = scene.craters(
+        [(-7e3, 0.0, 300.0, 300.0, -900.0, 0.0), (0.0, 0.0, 90.0, 90.0, -500.0, 0.0)]
+        + [(2e4 + 5e3 * k, 1e4, 900.0, 900.0, -100.0 * k, 0.0) for k in range(6)]
+    )
+    view = renderer(catalog, scene.relief(slope=0.004))
+    points = np.array([scene.place(x, y, -400.0) for x in (-900.0, 300.0, 800.0) for y in (-700.0, 600.0)])
+    low, high = (
+        heights(view, scene.pose(scene.place(0.0, 0.0, altitude_m)), points) for altitude_m in (5e3, 1e5)
+    )
+    assert low == pytest.approx(high, abs=4.0)
+    assert np.all(low < -200.0)
+
+
 @pytest.mark.parametrize("height_m", [-800.0, 0.0, 1500.0])
 def test_crests_stand_at_the_catalogues_heights(height_m):
     # Heights that the relief knows nothing of: the ground is lifted to them.
