@@ -1,44 +1,18 @@
 """Residuals of all craters of a frame, whitened and robust per crater.
 
 Every kernel writes the residual e and, when `linearise` is set, the Jacobian J for the body's right twist
-[w, rho]. A crater that the pose cannot see as an ellipse (behind the camera, cut by its plane, from below)
-gets the residual `UNSEEN` in every row and no Jacobian: dearer than any visible one, so that an optimiser
-steps back, and without pull, so that it spoils no other crater.
+[w, rho]. `validity` says what a crater gets that the pose cannot see.
 """
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from factors.kernels.conic import body_columns, camera_pose, chart, chart_and_jacobian, rim_in_camera
+from factors.kernels.conic import camera_pose, chart, chart_and_jacobian, rim_in_camera
 from factors.kernels.los import los_residual
-from factors.kernels.robust import apply_loss
+from factors.kernels.validity import unseen, whiten
 
 FloatArray = npt.NDArray[np.float64]
-
-UNSEEN = 1e4
-
-
-@njit(cache=True, error_model="numpy")
-def _whiten(
-    raw: FloatArray, Jc: FloatArray, W: FloatArray, bTc: FloatArray, e: FloatArray, J: FloatArray,
-    kind: int, scale: float, linearise: bool,
-) -> None:  # fmt: skip
-    """Write W raw and W Jc (turned to the body), W lower triangular, with the loss applied."""
-    m = raw.shape[0]
-    for i in range(m):
-        e[i] = 0.0
-        for k in range(i + 1):
-            e[i] += W[i, k] * raw[k]
-    if linearise:
-        Jb = np.empty((m, 6))
-        body_columns(Jc, bTc, Jb)
-        for i in range(m):
-            for j in range(6):
-                J[i, j] = 0.0
-                for k in range(i + 1):
-                    J[i, j] += W[i, k] * Jb[k, j]
-    apply_loss(e, J, kind, scale, linearise)
 
 
 @njit(cache=True, error_model="numpy")
@@ -74,13 +48,11 @@ def shape_residuals(
         seen = chart_and_jacobian(p, c, raw, Jc) if linearise else chart(p, c, raw)
         ei, Ji = e[5 * i : 5 * i + 5], J[5 * i : 5 * i + 5]
         if not seen:
-            ei[:] = UNSEEN
-            Ji[:] = 0.0
-            apply_loss(ei, Ji, kind, scale, linearise)
+            unseen(ei, Ji, kind, scale, linearise)
             continue
         for k in range(5):
             raw[k] -= charts[i, k]
-        _whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
+        whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
 
 
 @njit(cache=True, error_model="numpy")
@@ -104,9 +76,7 @@ def centre_residuals(
                 p[k] += R[j, k] * (centres[i, j] - P[j])
         ei, Ji = e[2 * i : 2 * i + 2], J[2 * i : 2 * i + 2]
         if not p[2] > 0.0:
-            ei[:] = UNSEEN
-            Ji[:] = 0.0
-            apply_loss(ei, Ji, kind, scale, linearise)
+            unseen(ei, Ji, kind, scale, linearise)
             continue
         u = p[0] / p[2]
         v = p[1] / p[2]
@@ -117,7 +87,7 @@ def centre_residuals(
         Jc[1, 0], Jc[1, 1], Jc[1, 2] = 1.0 + v * v, -u * v, -u
         Jc[0, 3], Jc[0, 5] = -1.0 / p[2], u / p[2]
         Jc[1, 4], Jc[1, 5] = -1.0 / p[2], v / p[2]
-        _whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
+        whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
 
 
 @njit(cache=True, error_model="numpy")
@@ -145,9 +115,7 @@ def los_residuals(
                 n_c[k] += R[j, k] * normals[i, j]
         ei, Ji = e[2 * i : 2 * i + 2], J[2 * i : 2 * i + 2]
         if not (p[2] > 0.0 and p[0] * n_c[0] + p[1] * n_c[1] + p[2] * n_c[2] < 0.0):
-            ei[:] = UNSEEN
-            Ji[:] = 0.0
-            apply_loss(ei, Ji, kind, scale, linearise)
+            unseen(ei, Ji, kind, scale, linearise)
             continue
         los_residual(p, n_c, conics[i], bases[i], raw, Jc)
-        _whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
+        whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)

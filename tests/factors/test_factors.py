@@ -14,7 +14,8 @@ from factors.crater_centre import crater_centre_factor
 from factors.crater_los import crater_los_factor, line_of_sight
 from factors.custom import Loss, pose_factor
 from factors.errors import FactorError
-from factors.kernels import robust, stacked
+from factors.implicit_shape import implicit_shape_factor
+from factors.kernels import robust, validity
 from factors.kernels.sun import wrap
 from factors.sun_tilt import sun_tilt_factor
 from tests.factors.conftest import View, make_view
@@ -25,6 +26,11 @@ Build = Callable[[View, Loss], gtsam.CustomFactor]
 def shape(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
     c = view.catalog
     return conic_shape_factor(X(0), view.bTc, c.centres, c.axes, view.charts, view.covariances, loss)
+
+
+def implicit(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
+    c = view.catalog
+    return implicit_shape_factor(X(0), view.bTc, c.centres, c.axes, view.charts, view.covariances, loss)
 
 
 def los(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
@@ -44,7 +50,7 @@ def sun(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
     return sun_tilt_factor(X(0), view.bTc, east, 1.0, 0.1, (0.1, -0.2))
 
 
-FACTORS: dict[str, Build] = {"shape": shape, "los": los, "centre": centre, "sun": sun}
+FACTORS: dict[str, Build] = {"shape": shape, "implicit": implicit, "los": los, "centre": centre, "sun": sun}
 
 
 def values_at(gTb: np.ndarray, twist: np.ndarray | None = None) -> gtsam.Values:
@@ -71,7 +77,7 @@ def test_jacobian(name: str, altitude_m: float, tilt_deg: float, circular: bool)
             assert_allclose(J / columns, expected / columns, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["shape", "los"])
+@pytest.mark.parametrize("name", ["shape", "implicit", "los"])
 def test_zero_at_truth(view: View, name: str) -> None:
     assert FACTORS[name](view, Loss()).error(values_at(view.gTb)) < 1e-9
 
@@ -120,7 +126,7 @@ def test_wrap(angle: float) -> None:
 
 
 @pytest.mark.parametrize("kind", [robust.HUBER, robust.CAUCHY])
-@pytest.mark.parametrize("name", ["shape", "los", "centre"])
+@pytest.mark.parametrize("name", ["shape", "implicit", "los", "centre"])
 def test_loss_equals_one_gtsam_robust_factor_per_crater(kind: int, name: str) -> None:
     view = make_view(1, n=6)
     at = values_at(view.gTb, np.array([1e-3, -2e-3, 3e-3, 300.0, -600.0, 500.0]))
@@ -153,11 +159,11 @@ def test_unseen_crater_is_dear_but_without_pull() -> None:
         @ gtsam.Pose3(gtsam.Rot3.Rx(np.pi), np.zeros(3)).matrix()
         @ np.linalg.inv(view.bTc)
     )
-    for name in ("shape", "los", "centre"):
+    for name in ("shape", "implicit", "los", "centre"):
         factor = FACTORS[name](view, Loss())
         J, b = factor.linearize(values_at(away)).jacobian()
         assert (J == 0.0).all()
-        assert (np.abs(b) == stacked.UNSEEN).all()
+        assert (np.abs(b) == validity.UNSEEN).all()
 
 
 def test_constructor_refuses_what_a_kernel_leaves_unwritten() -> None:
@@ -172,7 +178,7 @@ def test_constructor_refuses_what_a_kernel_leaves_unwritten() -> None:
 
 
 def test_jacobian_has_the_rows_that_were_declared(view: View) -> None:
-    for name, rows in {"shape": 25, "los": 10, "centre": 10, "sun": 1}.items():
+    for name, rows in {"shape": 25, "implicit": 25, "los": 10, "centre": 10, "sun": 1}.items():
         assert FACTORS[name](view, Loss()).linearize(values_at(view.gTb)).jacobian()[0].shape == (rows, 6)
 
 

@@ -1,0 +1,78 @@
+"""Implicit shape factor, eq. (19) as printed, whitened by J_q S_q J_q' at every pose.
+
+Zero when every measured conic is the image of its rim. It carries the information of the conic-shape factor
+and has its optimum, up to the curvature of the map between conic and chart, but a narrow basin of
+convergence: for comparison, not for use.
+
+The whitening depends on the pose, and the derivative includes that: `factors.kernels.implicit` shows that
+the whitened residual is a constant-noise residual in q, exactly, and differentiates that.
+"""
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors import validation
+from factors.custom import Loss, pose_factor
+from factors.kernels import conic, implicit
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def implicit_shape_factor(
+    key: int,
+    bTc: npt.ArrayLike,
+    centres: npt.ArrayLike,
+    axes: npt.ArrayLike,
+    charts: npt.ArrayLike,
+    covariances: npt.ArrayLike,
+    loss: Loss = Loss(),
+) -> gtsam.CustomFactor:
+    """All rims of a frame as one factor of the body's pose.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4)
+        Mounting of the camera.
+    centres : array_like, shape (n, 3)
+        Rim centres in g, m.
+    axes : array_like, shape (n, 2, 3)
+        Semi-axes a l1, b l2 in g, m.
+    charts : array_like, shape (n, 5)
+        Measured images in the ellipse chart, normalised coordinates: q is the unit-norm conic of each.
+    covariances : array_like, shape (n, 5, 5)
+        Of the charts: S_q follows by the conic's derivative, and has rank 5.
+    loss : Loss
+        Applied to each crater's 5-dimensional norm.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        With 5 n whitened rows.
+
+    Raises
+    ------
+    FactorError
+        Naming the field that is not finite, mis-shaped, or not positive definite.
+    """
+    bTc = validation.pose("bTc", bTc)
+    n = len(np.asarray(charts))
+    centres = validation.array("centres", centres, (n, 3))
+    axes = validation.rim_axes("axes", axes, n)
+    charts = validation.array("charts", charts, (n, 5))
+    W = validation.whitening("covariances", covariances, n, 5)
+    conics = np.empty((n, 6))
+    projections = np.empty((n, 5, 6))
+    for i in range(n):
+        conics[i] = conic.chart_to_conic(charts[i])
+        projections[i] = W[i] @ np.linalg.pinv(conic.chart_to_conic_jacobian(charts[i]))
+    kind, scale = loss.kind, loss.scale
+
+    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+        implicit.implicit_residuals(
+            gTb, bTc, centres, axes, conics, projections, kind, scale, linearise, e, J
+        )
+
+    return pose_factor(key, 5 * n, kernel)
