@@ -57,6 +57,15 @@ def make_view(
     return View(catalog, gTb, bTc, charts, A @ np.swapaxes(A, 1, 2) + 1e-7 * np.eye(5))
 
 
+def rim_points(view: View, row: int, angles: np.ndarray) -> np.ndarray:
+    """Normalised images (k, 2) of points on a rim, by projecting each point of space."""
+    axes = view.catalog.axes[row]
+    X = view.catalog.centres[row] + np.cos(angles)[:, None] * axes[0] + np.sin(angles)[:, None] * axes[1]
+    gTc = view.gTb @ view.bTc
+    x_c = (X - gTc[:3, 3]) @ gTc[:3, :3]
+    return x_c[:, :2] / x_c[:, 2:]
+
+
 @pytest.fixture(params=range(4))
 def view(request: pytest.FixtureRequest) -> View:
     """Four random views."""

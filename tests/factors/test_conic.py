@@ -1,21 +1,12 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from craternav_fg import frames
 from factors.kernels import conic
-from tests.factors.conftest import View, make_view
-
-
-def rim_points(view: View, row: int, angles: np.ndarray) -> np.ndarray:
-    """Normalised images (k, 2) of points on a rim, by projecting each point of space."""
-    axes = view.catalog.axes[row]
-    X = view.catalog.centres[row] + np.cos(angles)[:, None] * axes[0] + np.sin(angles)[:, None] * axes[1]
-    gTc = view.gTb @ view.bTc
-    x_c = (X - gTc[:3, 3]) @ gTc[:3, :3]
-    return x_c[:, :2] / x_c[:, 2:]
+from tests.factors.conftest import View, make_view, rim_points
 
 
 def test_chart_is_the_image_of_the_rim(view: View) -> None:
@@ -85,11 +76,13 @@ charts = st.tuples(
 ).map(np.array)
 
 
+@settings(deadline=None)
 @given(charts, st.floats(1e-3, 1e3), st.sampled_from([-1.0, 1.0]))
 def test_chart_survives_sign_and_scale_of_the_conic(y: np.ndarray, scale: float, sign: float) -> None:
     assert_allclose(conic.conic_to_chart(sign * scale * conic.chart_to_conic(y)), y, atol=1e-6)
 
 
+@settings(deadline=None)
 @given(charts)
 def test_conic_jacobian_is_tangent_to_the_unit_sphere_and_right(y: np.ndarray) -> None:
     J = conic.chart_to_conic_jacobian(y)

@@ -17,8 +17,9 @@ from factors.errors import FactorError
 from factors.implicit_shape import implicit_shape_factor
 from factors.kernels import robust, validity
 from factors.kernels.sun import wrap
+from factors.rim_points import rim_points_factor
 from factors.sun_tilt import sun_tilt_factor
-from tests.factors.conftest import View, make_view
+from tests.factors.conftest import View, make_view, rim_points
 
 Build = Callable[[View, Loss], gtsam.CustomFactor]
 
@@ -45,12 +46,26 @@ def centre(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
     )
 
 
+def rim(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
+    c = view.catalog
+    turn = 2.0 * np.pi / 7.0
+    points = [rim_points(view, i, turn * np.arange(1.0, 8.0)) for i in range(len(view.charts))]
+    return rim_points_factor(X(0), view.bTc, c.centres, c.axes, points, [1e-4] * len(points), loss)
+
+
 def sun(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
     east = view.catalog.gRl[0, :, 0]
     return sun_tilt_factor(X(0), view.bTc, east, 1.0, 0.1, (0.1, -0.2))
 
 
-FACTORS: dict[str, Build] = {"shape": shape, "implicit": implicit, "los": los, "centre": centre, "sun": sun}
+FACTORS: dict[str, Build] = {
+    "shape": shape,
+    "implicit": implicit,
+    "los": los,
+    "centre": centre,
+    "rim": rim,
+    "sun": sun,
+}
 
 
 def values_at(gTb: np.ndarray, twist: np.ndarray | None = None) -> gtsam.Values:
@@ -72,12 +87,14 @@ def test_jacobian(name: str, altitude_m: float, tilt_deg: float, circular: bool)
         twist = np.random.default_rng(seed).normal(0.0, [5e-3] * 3 + [5e-3 * altitude_m] * 3)
         for at in (values_at(view.gTb), values_at(view.gTb, twist)):
             J = factor.linearize(at).jacobian()[0]
-            expected = numerical_jacobian(factor, at, X(0), [2e-4] * 3 + [2e-4 * altitude_m] * 3)
+            # A rim point's distance bends within the rim's radius.
+            step = 2e-6 if name == "rim" else 2e-4
+            expected = numerical_jacobian(factor, at, X(0), [step] * 3 + [step * altitude_m] * 3)
             columns = np.maximum(np.abs(J).max(axis=0), 1e-12)
             assert_allclose(J / columns, expected / columns, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["shape", "implicit", "los"])
+@pytest.mark.parametrize("name", ["shape", "implicit", "los", "rim"])
 def test_zero_at_truth(view: View, name: str) -> None:
     assert FACTORS[name](view, Loss()).error(values_at(view.gTb)) < 1e-9
 
@@ -159,7 +176,7 @@ def test_unseen_crater_is_dear_but_without_pull() -> None:
         @ gtsam.Pose3(gtsam.Rot3.Rx(np.pi), np.zeros(3)).matrix()
         @ np.linalg.inv(view.bTc)
     )
-    for name in ("shape", "implicit", "los", "centre"):
+    for name in ("shape", "implicit", "los", "centre", "rim"):
         factor = FACTORS[name](view, Loss())
         J, b = factor.linearize(values_at(away)).jacobian()
         assert (J == 0.0).all()
@@ -178,7 +195,7 @@ def test_constructor_refuses_what_a_kernel_leaves_unwritten() -> None:
 
 
 def test_jacobian_has_the_rows_that_were_declared(view: View) -> None:
-    for name, rows in {"shape": 25, "implicit": 25, "los": 10, "centre": 10, "sun": 1}.items():
+    for name, rows in {"shape": 25, "implicit": 25, "los": 10, "centre": 10, "rim": 35, "sun": 1}.items():
         assert FACTORS[name](view, Loss()).linearize(values_at(view.gTb)).jacobian()[0].shape == (rows, 6)
 
 

@@ -1,0 +1,114 @@
+"""Distances of edge points from the predicted rim.
+
+The distance is Sampson's, to first order in the level function f = sqrt((u - m)' S^-1 (u - m)) - 1:
+d = f / |grad f|, positive outside. Of f^2 + 2 f, the conic's own form, it would fall short by d^2 / 2R and
+shrink small rims; this one is exact for circles, and is the distance that ellipses are fitted with.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from factors.kernels.conic import body_columns, camera_pose, chart, chart_and_jacobian, rim_in_camera
+from factors.kernels.robust import apply_loss
+from factors.kernels.validity import unseen
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# Radius, of 1, within which a point counts as the rim's centre, where the distance has no derivative.
+_CENTRE = 1e-9
+
+
+@njit(cache=True, error_model="numpy")
+def rim_distance(u: float, v: float, y: FloatArray, D: FloatArray) -> float:
+    """Distance of a point (u, v) from the ellipse of a chart y (5,); writes its derivative D (5,) in y."""
+    ea, es, beta = np.exp(y[2]), np.exp(y[4]), y[3]
+    x = u - y[0]
+    # The point in the ellipse's own coordinates: S = L L', L = [[ea, 0], [beta ea, es]].
+    s = x / ea
+    t = (v - y[1] - beta * x) / es
+    r = np.sqrt(s * s + t * t)
+    if not r > _CENTRE:
+        D[:] = 0.0
+        return -np.sqrt(ea * es)
+    # (a, b) = S^-1 (u - m), of length r |grad f|.
+    b = t / es
+    a = s / ea - beta * b
+    g = np.sqrt(a * a + b * b)
+    d = (r - 1.0) * r / g
+    for k in range(5):
+        ds, dt, db, da = 0.0, 0.0, 0.0, 0.0
+        if k == 0:
+            ds, dt = -1.0 / ea, beta / es
+        elif k == 1:
+            dt = -1.0 / es
+        elif k == 2:
+            ds = -s
+            da = -s / ea
+        elif k == 3:
+            dt = -x / es
+            da = -b
+        else:
+            dt = -t
+            db = -b
+        db += dt / es
+        da += ds / ea - beta * db
+        dr = (s * ds + t * dt) / r
+        D[k] = ((2.0 * r - 1.0) * dr - d * (a * da + b * db) / g) / g
+    return d
+
+
+@njit(cache=True, error_model="numpy")
+def rim_residuals(
+    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray, offsets: IntArray,
+    points: FloatArray, sigmas: FloatArray, kind: int, scale: float, linearise: bool,
+    e: FloatArray, J: FloatArray,
+) -> None:  # fmt: skip
+    """Rim points: zero when every edge point lies on its predicted rim.
+
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
+        Rims in g, m.
+    offsets : ndarray of int, shape (n + 1,)
+        Points offsets[i] to offsets[i + 1] are those of rim i.
+    points, sigmas : ndarray, shape (m, 2), (m,)
+        Normalised, with standard deviations along the rim's normal.
+    kind, scale : int, float
+        Loss, see `robust`: on the norm of a rim's residuals, with its `scale` for one of them.
+    linearise : bool
+        Whether J is written.
+    e, J : ndarray, shape (m,), (m, 6)
+        Written; J for the body's right twist [w, rho].
+    """
+    R, P = camera_pose(gTb, bTc)
+    p = np.empty(3)
+    c = np.empty((2, 3))
+    y = np.empty(5)
+    D = np.empty(5)
+    Jc = np.empty((5, 6))
+    Jb = np.empty((5, 6))
+    for i in range(centres.shape[0]):
+        begin, end = offsets[i], offsets[i + 1]
+        ei, Ji = e[begin:end], J[begin:end]
+        # Of n residuals of one sigma the norm is sqrt(n).
+        rim_scale = scale * np.sqrt(float(end - begin))
+        rim_in_camera(R, P, centres[i], axes[i], p, c)
+        seen = chart_and_jacobian(p, c, y, Jc) if linearise else chart(p, c, y)
+        if not seen:
+            unseen(ei, Ji, kind, rim_scale, linearise)
+            continue
+        if linearise:
+            body_columns(Jc, bTc, Jb)
+        for k in range(begin, end):
+            weight = 1.0 / sigmas[k]
+            e[k] = weight * rim_distance(points[k, 0], points[k, 1], y, D)
+            if linearise:
+                for j in range(6):
+                    total = 0.0
+                    for m in range(5):
+                        total += D[m] * Jb[m, j]
+                    J[k, j] = weight * total
+        apply_loss(ei, Ji, kind, rim_scale, linearise)

@@ -1,0 +1,88 @@
+"""Rim-point factor: edge points against the predicted rim, for arcs too short for an ellipse fit.
+
+Zero when every edge point lies on its predicted rim. Under about a third of a rim no ellipse fit is usable,
+while each of its points still tells its distance; on a full rim the factor has the optimum of the
+conic-shape factor, to the second order of the points' noise, with a narrower basin of convergence. Never
+put both on one crater.
+"""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors import validation
+from factors.custom import Loss, pose_factor
+from factors.errors import FactorError
+from factors.kernels import rim
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def rim_points_factor(
+    key: int,
+    bTc: npt.ArrayLike,
+    centres: npt.ArrayLike,
+    axes: npt.ArrayLike,
+    points: Sequence[npt.ArrayLike],
+    sigmas: Sequence[npt.ArrayLike],
+    loss: Loss = Loss(),
+) -> gtsam.CustomFactor:
+    """All edge points of a frame as one factor of the body's pose.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4)
+        Mounting of the camera.
+    centres : array_like, shape (n, 3)
+        Rim centres in g, m.
+    axes : array_like, shape (n, 2, 3)
+        Semi-axes a l1, b l2 in g, m.
+    points : sequence of n array_like, shape (m_i, 2)
+        Edge points of every rim, normalised coordinates, at least one each.
+    sigmas : sequence of n array_like, shape (m_i,) or ()
+        Standard deviations along the rim's normal, normalised coordinates.
+    loss : Loss
+        Applied to each crater as a whole; it begins to bite where the root mean square of the crater's
+        whitened distances exceeds `loss.scale`.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        With one whitened row per point, in the order of the craters.
+
+    Raises
+    ------
+    FactorError
+        Naming the field that is not finite, mis-shaped, or not positive.
+    """
+    bTc = validation.pose("bTc", bTc)
+    n = len(points)
+    centres = validation.array("centres", centres, (n, 3))
+    axes = validation.rim_axes("axes", axes, n)
+    if len(sigmas) != n:
+        raise FactorError(f"sigmas: expected {n} craters, found {len(sigmas)}")
+    stacked_points, stacked_sigmas = [np.empty((0, 2))], [np.empty(0)]
+    offsets = np.zeros(n + 1, dtype=np.int64)
+    for i in range(n):
+        m = len(np.atleast_1d(np.asarray(points[i])))
+        if m == 0:
+            raise FactorError(f"points[{i}]: expected at least one point")
+        offsets[i + 1] = offsets[i] + m
+        stacked_points.append(validation.array(f"points[{i}]", points[i], (m, 2)))
+        shape = () if np.ndim(sigmas[i]) == 0 else (m,)
+        sigma = validation.array(f"sigmas[{i}]", sigmas[i], shape)
+        if not (sigma > 0.0).all():
+            raise FactorError(f"sigmas[{i}]: expected positive numbers, found {sigma.min()}")
+        stacked_sigmas.append(np.broadcast_to(sigma, (m,)))
+    u = np.concatenate(stacked_points)
+    sigma_u = np.concatenate(stacked_sigmas)
+    kind, scale = loss.kind, loss.scale
+
+    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+        rim.rim_residuals(gTb, bTc, centres, axes, offsets, u, sigma_u, kind, scale, linearise, e, J)
+
+    return pose_factor(key, len(u), kernel)
