@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.errors import FactorError
-from factors.kernels.robust import CAUCHY, HUBER, NONE
+from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,17 +28,19 @@ class Loss:
     Attributes
     ----------
     kind : int
-        `robust.NONE`, `robust.HUBER` or `robust.CAUCHY`.
+        `robust.NONE`, `HUBER`, `CAUCHY`, `GEMAN_MCCLURE` or `TRUNCATED`.
     scale : float
-        Norm, in sigmas, beyond which a crater loses weight.
+        Norm, in sigmas, beyond which a crater loses weight; the truncated loss leaves it none.
     """
 
     kind: int = NONE
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.kind not in (NONE, HUBER, CAUCHY):
-            raise FactorError(f"loss.kind: expected NONE, HUBER or CAUCHY, found {self.kind}")
+        if self.kind not in (NONE, HUBER, CAUCHY, GEMAN_MCCLURE, TRUNCATED):
+            raise FactorError(
+                f"loss.kind: expected NONE, HUBER, CAUCHY, GEMAN_MCCLURE or TRUNCATED, found {self.kind}"
+            )
         if not 0.0 < self.scale < np.inf:
             raise FactorError(f"loss.scale: expected a positive number, found {self.scale}")
 

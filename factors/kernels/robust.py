@@ -6,7 +6,7 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
-NONE, HUBER, CAUCHY = 0, 1, 2
+NONE, HUBER, CAUCHY, GEMAN_MCCLURE, TRUNCATED = 0, 1, 2, 3, 4
 
 
 @njit(cache=True, error_model="numpy")
@@ -14,7 +14,9 @@ def loss_and_weight(d2: float, kind: int, scale: float) -> tuple[float, float]:
     """Loss 2 rho and weight w of a squared norm d2.
 
     The loss is d2 for `NONE`; `HUBER` is quadratic up to d = scale, then linear; `CAUCHY` is
-    scale^2 ln(1 + d2/scale^2). The weight is d(2 rho)/d(d2).
+    scale^2 ln(1 + d2/scale^2). Two are bounded by scale^2, so that an outlier costs the same wherever it
+    lies: `GEMAN_MCCLURE` is d2 scale^2/(d2 + scale^2), `TRUNCATED` quadratic up to d = scale, then constant.
+    They have many local minima: start them from a good pose. The weight is d(2 rho)/d(d2).
     """
     if kind == HUBER and d2 > scale * scale:
         d = np.sqrt(d2)
@@ -22,6 +24,11 @@ def loss_and_weight(d2: float, kind: int, scale: float) -> tuple[float, float]:
     if kind == CAUCHY:
         r = d2 / (scale * scale)
         return scale * scale * np.log1p(r), 1.0 / (1.0 + r)
+    if kind == GEMAN_MCCLURE:
+        weight = 1.0 / (1.0 + d2 / (scale * scale))
+        return d2 * weight, weight * weight
+    if kind == TRUNCATED and d2 > scale * scale:
+        return scale * scale, 0.0
     return d2, 1.0
 
 

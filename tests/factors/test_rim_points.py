@@ -9,10 +9,11 @@ from scipy.optimize import minimize_scalar
 
 from factors.custom import Loss
 from factors.errors import FactorError
-from factors.kernels import rim, robust
+from factors.kernels import rim
 from factors.rim_points import rim_points_factor
 from tests.factors.conftest import View, make_view, rim_points
 from tests.factors.test_factors import values_at
+from tests.factors.test_robust import ESTIMATORS
 
 
 def arcs(view: View, counts: tuple[int, ...] = (4, 7, 60, 1, 12)) -> list[np.ndarray]:
@@ -79,15 +80,12 @@ def test_point_at_the_centre_has_no_pull() -> None:
     assert (D == 0.0).all()
 
 
-@pytest.mark.parametrize("kind", [robust.HUBER, robust.CAUCHY])
+@pytest.mark.parametrize("kind", ESTIMATORS)
 def test_loss_begins_at_the_root_mean_square(kind: int) -> None:
     view = make_view(0)
     at = values_at(view.gTb, np.array([1e-3, -2e-3, 3e-3, 30.0, -60.0, 50.0]))
     points, sigmas = arcs(view), [1e-3, 2e-3, 3e-3, 4e-3, 5e-3]
-    estimator = {
-        robust.HUBER: gtsam.noiseModel.mEstimator.Huber.Create,
-        robust.CAUCHY: gtsam.noiseModel.mEstimator.Cauchy.Create,
-    }[kind]
+    estimator = ESTIMATORS[kind]
     A, b = factor_of(view, points, sigmas).linearize(at).jacobian()
     total, information, bites = 0.0, np.zeros((6, 6)), 0
     begin = 0
