@@ -17,12 +17,14 @@ FloatArray = npt.NDArray[np.float64]
 
 def conic_shape_factor(
     key: int,
-    bTc: npt.ArrayLike,
+    bTc: npt.ArrayLike | None,
     centres: npt.ArrayLike,
     axes: npt.ArrayLike,
     charts: npt.ArrayLike,
     covariances: npt.ArrayLike,
     loss: Loss = Loss(),
+    *,
+    mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
     """All rims of a frame as one factor of the body's pose.
 
@@ -30,8 +32,8 @@ def conic_shape_factor(
     ----------
     key : int
         Key of the pose `gTb`.
-    bTc : array_like, shape (4, 4)
-        Mounting of the camera.
+    bTc : array_like, shape (4, 4), or None
+        Mounting of the camera; None when `mounting_key` is given.
     centres : array_like, shape (n, 3)
         Rim centres in g, m.
     axes : array_like, shape (n, 2, 3)
@@ -42,6 +44,8 @@ def conic_shape_factor(
         Of the charts.
     loss : Loss
         Applied to each crater's 5-dimensional norm.
+    mounting_key : int, optional
+        Key of the mounting as a variable (`Pose3`), to be estimated.
 
     Returns
     -------
@@ -53,7 +57,6 @@ def conic_shape_factor(
     FactorError
         Naming the field that is not finite, mis-shaped, or not positive definite.
     """
-    bTc = validation.pose("bTc", bTc)
     n = len(np.asarray(charts))
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
@@ -61,7 +64,7 @@ def conic_shape_factor(
     W = validation.whitening("covariances", covariances, n, 5)
     kind, scale = loss.kind, loss.scale
 
-    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         stacked.shape_residuals(gTb, bTc, centres, axes, charts, W, kind, scale, linearise, e, J)
 
-    return pose_factor(key, 5 * n, kernel)
+    return pose_factor(key, 5 * n, kernel, bTc, mounting_key)

@@ -18,11 +18,13 @@ FloatArray = npt.NDArray[np.float64]
 
 def crater_centre_factor(
     key: int,
-    bTc: npt.ArrayLike,
+    bTc: npt.ArrayLike | None,
     centres: npt.ArrayLike,
     points: npt.ArrayLike,
     covariances: npt.ArrayLike,
     loss: Loss = Loss(),
+    *,
+    mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
     """All crater centres of a frame as one factor of the body's pose.
 
@@ -30,8 +32,8 @@ def crater_centre_factor(
     ----------
     key : int
         Key of the pose `gTb`.
-    bTc : array_like, shape (4, 4)
-        Mounting of the camera.
+    bTc : array_like, shape (4, 4), or None
+        Mounting of the camera; None when `mounting_key` is given.
     centres : array_like, shape (n, 3)
         Crater centres in g, m.
     points : array_like, shape (n, 2)
@@ -40,6 +42,8 @@ def crater_centre_factor(
         Of the points.
     loss : Loss
         Applied to each crater's 2-dimensional norm.
+    mounting_key : int, optional
+        Key of the mounting as a variable (`Pose3`), to be estimated.
 
     Returns
     -------
@@ -51,14 +55,13 @@ def crater_centre_factor(
     FactorError
         Naming the field at fault.
     """
-    bTc = validation.pose("bTc", bTc)
     n = len(np.asarray(points))
     centres = validation.array("centres", centres, (n, 3))
     points = validation.array("points", points, (n, 2))
     W = validation.whitening("covariances", covariances, n, 2)
     kind, scale = loss.kind, loss.scale
 
-    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         stacked.centre_residuals(gTb, bTc, centres, points, W, kind, scale, linearise, e, J)
 
-    return pose_factor(key, 2 * n, kernel)
+    return pose_factor(key, 2 * n, kernel, bTc, mounting_key)

@@ -43,13 +43,15 @@ def line_of_sight(
 
 def crater_los_factor(
     key: int,
-    bTc: npt.ArrayLike,
+    bTc: npt.ArrayLike | None,
     centres: npt.ArrayLike,
     normals: npt.ArrayLike,
     charts: npt.ArrayLike,
     covariances: npt.ArrayLike,
     gRc_nominal: npt.ArrayLike,
     loss: Loss = Loss(),
+    *,
+    mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
     """All lines of sight of a frame as one factor of the body's pose.
 
@@ -57,8 +59,8 @@ def crater_los_factor(
     ----------
     key : int
         Key of the pose `gTb`.
-    bTc : array_like, shape (4, 4)
-        Mounting of the camera.
+    bTc : array_like, shape (4, 4), or None
+        Mounting of the camera; None when `mounting_key` is given.
     centres, normals : array_like, shape (n, 3)
         Crater centres, m, and outward unit normals, in g.
     charts, covariances : array_like, shape (n, 5), (n, 5, 5)
@@ -67,6 +69,8 @@ def crater_los_factor(
         Attitude at which the noise is evaluated and the tangents are laid; a few degrees do not matter.
     loss : Loss
         Applied to each crater's 2-dimensional norm.
+    mounting_key : int, optional
+        Key of the mounting as a variable (`Pose3`), to be estimated.
 
     Returns
     -------
@@ -78,7 +82,6 @@ def crater_los_factor(
     FactorError
         Naming the field at fault.
     """
-    bTc = validation.pose("bTc", bTc)
     n = len(np.asarray(charts))
     centres = validation.array("centres", centres, (n, 3))
     normals = validation.array("normals", normals, (n, 3))
@@ -98,7 +101,7 @@ def crater_los_factor(
     W = validation.whitening("covariances", tangent_covariances, n, 2)
     kind, scale = loss.kind, loss.scale
 
-    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         stacked.los_residuals(gTb, bTc, centres, normals, conics, bases, W, kind, scale, linearise, e, J)
 
-    return pose_factor(key, 2 * n, kernel)
+    return pose_factor(key, 2 * n, kernel, bTc, mounting_key)

@@ -22,12 +22,14 @@ FloatArray = npt.NDArray[np.float64]
 
 def rim_points_factor(
     key: int,
-    bTc: npt.ArrayLike,
+    bTc: npt.ArrayLike | None,
     centres: npt.ArrayLike,
     axes: npt.ArrayLike,
     points: Sequence[npt.ArrayLike],
     sigmas: Sequence[npt.ArrayLike],
     loss: Loss = Loss(),
+    *,
+    mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
     """All edge points of a frame as one factor of the body's pose.
 
@@ -35,8 +37,8 @@ def rim_points_factor(
     ----------
     key : int
         Key of the pose `gTb`.
-    bTc : array_like, shape (4, 4)
-        Mounting of the camera.
+    bTc : array_like, shape (4, 4), or None
+        Mounting of the camera; None when `mounting_key` is given.
     centres : array_like, shape (n, 3)
         Rim centres in g, m.
     axes : array_like, shape (n, 2, 3)
@@ -48,6 +50,8 @@ def rim_points_factor(
     loss : Loss
         Applied to each crater as a whole; it begins to bite where the root mean square of the crater's
         whitened distances exceeds `loss.scale`.
+    mounting_key : int, optional
+        Key of the mounting as a variable (`Pose3`), to be estimated.
 
     Returns
     -------
@@ -59,7 +63,6 @@ def rim_points_factor(
     FactorError
         Naming the field that is not finite, mis-shaped, or not positive.
     """
-    bTc = validation.pose("bTc", bTc)
     n = len(points)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
@@ -82,7 +85,7 @@ def rim_points_factor(
     sigma_u = np.concatenate(stacked_sigmas)
     kind, scale = loss.kind, loss.scale
 
-    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         rim.rim_residuals(gTb, bTc, centres, axes, offsets, u, sigma_u, kind, scale, linearise, e, J)
 
-    return pose_factor(key, len(u), kernel)
+    return pose_factor(key, len(u), kernel, bTc, mounting_key)

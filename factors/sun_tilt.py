@@ -17,11 +17,13 @@ FloatArray = npt.NDArray[np.float64]
 
 def sun_tilt_factor(
     key: int,
-    bTc: npt.ArrayLike,
+    bTc: npt.ArrayLike | None,
     direction: npt.ArrayLike,
     tilt_rad: float,
     sigma_rad: float,
     point: npt.ArrayLike = (0.0, 0.0),
+    *,
+    mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
     """Tilt of the illumination in one image as a factor of the body's pose.
 
@@ -29,8 +31,8 @@ def sun_tilt_factor(
     ----------
     key : int
         Key of the pose `gTb`.
-    bTc : array_like, shape (4, 4)
-        Mounting of the camera.
+    bTc : array_like, shape (4, 4), or None
+        Mounting of the camera; None when `mounting_key` is given.
     direction : array_like, shape (3,)
         In g: the sun's direction along the ground, s - (s.n) n (with the sun's own direction and the
         point (0, 0), eq. (24) as printed, with atan2).
@@ -42,6 +44,8 @@ def sun_tilt_factor(
         is silent.
     point : array_like, shape (2,)
         Normalised image point.
+    mounting_key : int, optional
+        Key of the mounting as a variable (`Pose3`), to be estimated.
 
     Returns
     -------
@@ -53,7 +57,6 @@ def sun_tilt_factor(
     FactorError
         Naming the field at fault.
     """
-    bTc = validation.pose("bTc", bTc)
     direction = validation.array("direction", direction, (3,))
     u, v = validation.array("point", point, (2,))
     measured = float(validation.array("tilt_rad", tilt_rad, ()))
@@ -62,9 +65,9 @@ def sun_tilt_factor(
     if not 0.0 < sigma_rad < np.inf:
         raise FactorError(f"sigma_rad: expected a positive number, found {sigma_rad}")
 
-    def kernel(gTb: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
+    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         predicted, strength = sun.sun_tilt(gTb, bTc, direction, u, v, J)
         J /= sigma_rad
         e[0] = sun.wrap(predicted - measured) / sigma_rad if strength > 0.0 else 0.0
 
-    return pose_factor(key, 1, kernel)
+    return pose_factor(key, 1, kernel, bTc, mounting_key)

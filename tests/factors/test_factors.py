@@ -158,14 +158,14 @@ def test_unseen_crater_is_dear_but_without_pull() -> None:
 
 
 def test_constructor_refuses_what_a_kernel_leaves_unwritten() -> None:
-    def lazy(gTb: np.ndarray, linearise: bool, e: np.ndarray, J: np.ndarray) -> None:
+    def lazy(gTb: np.ndarray, bTc: np.ndarray, linearise: bool, e: np.ndarray, J: np.ndarray) -> None:
         e[:] = np.nan
 
-    factor = pose_factor(X(0), 3, lazy)
+    factor = pose_factor(X(0), 3, lazy, np.eye(4))
     with pytest.raises(FactorError, match="x0: residual is not finite"):
         factor.linearize(values_at(np.eye(4)))
     with pytest.raises(FactorError, match="rows"):
-        pose_factor(X(0), 0, lazy)
+        pose_factor(X(0), 0, lazy, np.eye(4))
 
 
 def test_jacobian_has_the_rows_that_were_declared(view: View) -> None:
