@@ -55,7 +55,7 @@ def crater_centre_factor(
     FactorError
         Naming the field at fault.
     """
-    n = len(np.asarray(points))
+    n = validation.count("points", points)
     centres = validation.array("centres", centres, (n, 3))
     points = validation.array("points", points, (n, 2))
     W = validation.whitening("covariances", covariances, n, 2)

@@ -82,12 +82,13 @@ def crater_los_factor(
     FactorError
         Naming the field at fault.
     """
-    n = len(np.asarray(charts))
+    n = validation.count("charts", charts)
     centres = validation.array("centres", centres, (n, 3))
-    normals = validation.array("normals", normals, (n, 3))
+    normals = validation.unit_vectors("normals", normals, n)
     charts = validation.array("charts", charts, (n, 5))
+    validation.whitening("covariances", covariances, n, 5)
     covariances = validation.array("covariances", covariances, (n, 5, 5))
-    gRc = validation.array("gRc_nominal", gRc_nominal, (3, 3))
+    gRc = validation.rotation("gRc_nominal", gRc_nominal)
     conics = np.empty((n, 6))
     bases = np.empty((n, 3, 2))
     tangent_covariances = np.empty((n, 2, 2))

@@ -61,7 +61,7 @@ def implicit_shape_factor(
     FactorError
         Naming the field that is not finite, mis-shaped, or not positive definite.
     """
-    n = len(np.asarray(charts))
+    n = validation.count("charts", charts)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
     charts = validation.array("charts", charts, (n, 5))

@@ -63,15 +63,15 @@ def rim_points_factor(
     FactorError
         Naming the field that is not finite, mis-shaped, or not positive.
     """
-    n = len(points)
+    n = validation.length("points", points)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
-    if len(sigmas) != n:
+    if validation.length("sigmas", sigmas) != n:
         raise FactorError(f"sigmas: expected {n} craters, found {len(sigmas)}")
     stacked_points, stacked_sigmas = [np.empty((0, 2))], [np.empty(0)]
     offsets = np.zeros(n + 1, dtype=np.int64)
     for i in range(n):
-        m = len(np.atleast_1d(np.asarray(points[i])))
+        m = validation.count(f"points[{i}]", points[i])
         if m == 0:
             raise FactorError(f"points[{i}]: expected at least one point")
         offsets[i + 1] = offsets[i] + m

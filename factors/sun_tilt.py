@@ -62,7 +62,8 @@ def sun_tilt_factor(
     measured = float(validation.array("tilt_rad", tilt_rad, ()))
     if not np.linalg.norm(direction) > 0.0:
         raise FactorError("direction: expected a vector, found zero")
-    if not 0.0 < sigma_rad < np.inf:
+    sigma_rad = float(validation.array("sigma_rad", sigma_rad, ()))
+    if not sigma_rad > 0.0:
         raise FactorError(f"sigma_rad: expected a positive number, found {sigma_rad}")
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:

@@ -1,5 +1,7 @@
 """Checks that every factor makes of what it is built from."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -14,14 +16,45 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
     Raises
     ------
     FactorError
-        Naming the field, when the shape differs or an element is not finite.
+        Naming the field, when it is no array of numbers, the shape differs or an element is not finite.
     """
-    out = np.array(value, dtype=np.float64, order="C")
+    try:
+        out = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise FactorError(f"{name}: expected numbers of shape {shape}") from error
     if out.shape != shape:
         raise FactorError(f"{name}: expected shape {shape}, found {out.shape}")
     if not np.isfinite(out).all():
         raise FactorError(f"{name}: expected finite numbers, found {out[~np.isfinite(out)][0]}")
     return out
+
+
+def length(name: str, value: Sequence[npt.ArrayLike]) -> int:
+    """Give the number of craters, the length of a sequence with an array per crater.
+
+    Raises
+    ------
+    FactorError
+        When the field is no sequence.
+    """
+    try:
+        return len(value)
+    except TypeError as error:
+        raise FactorError(f"{name}: expected a sequence with an array per crater") from error
+
+
+def count(name: str, value: npt.ArrayLike) -> int:
+    """Give the number of craters, the length of a field.
+
+    Raises
+    ------
+    FactorError
+        When the field has none.
+    """
+    try:
+        return len(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise FactorError(f"{name}: expected one row of numbers per crater") from error
 
 
 def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArray:
@@ -48,6 +81,37 @@ def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArr
         raise FactorError(f"{name}: expected positive definite matrices") from error
     identity = np.broadcast_to(np.eye(m), (n, m, m))
     return np.ascontiguousarray(np.linalg.solve(L, identity) / scale[:, None, :])
+
+
+def rotation(name: str, value: npt.ArrayLike) -> FloatArray:
+    """Give a proper rotation matrix (3, 3).
+
+    Raises
+    ------
+    FactorError
+        When it is none.
+    """
+    R = array(name, value, (3, 3))
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+        raise FactorError(f"{name}: expected a proper rotation")
+    return R
+
+
+def unit_vectors(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
+    """Give unit vectors (n, 3).
+
+    Raises
+    ------
+    FactorError
+        When the length of one is not 1.
+    """
+    vectors = array(name, value, (n, 3))
+    length = np.linalg.norm(vectors, axis=-1)
+    if (np.abs(length - 1.0) > 1e-6).any():
+        raise FactorError(
+            f"{name}: expected unit vectors, found a length of {length[np.argmax(np.abs(length - 1.0))]:g}"
+        )
+    return vectors
 
 
 def pose(name: str, value: npt.ArrayLike) -> FloatArray:

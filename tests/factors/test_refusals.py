@@ -1,0 +1,133 @@
+"""What no factor accepts: every field of every factor, spoilt in every way that applies."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from factors.conic_shape import conic_shape_factor
+from factors.crater_centre import crater_centre_factor
+from factors.crater_los import crater_los_factor
+from factors.errors import FactorError
+from factors.implicit_shape import implicit_shape_factor
+from factors.rim_points import rim_points_factor
+from factors.sun_tilt import sun_tilt_factor
+from tests.factors.conftest import make_view, rim_points
+
+VIEW = make_view(0, n=3)
+RIMS = {
+    "bTc": VIEW.bTc,
+    "centres": VIEW.catalog.centres,
+    "axes": VIEW.catalog.axes,
+    "charts": VIEW.charts,
+    "covariances": VIEW.covariances,
+}
+GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "shape": (conic_shape_factor, RIMS),
+    "implicit": (implicit_shape_factor, RIMS),
+    "los": (
+        crater_los_factor,
+        {k: v for k, v in RIMS.items() if k != "axes"}
+        | {"normals": VIEW.catalog.normals, "gRc_nominal": (VIEW.gTb @ VIEW.bTc)[:3, :3]},
+    ),
+    "centre": (
+        crater_centre_factor,
+        {
+            "bTc": VIEW.bTc,
+            "centres": VIEW.catalog.centres,
+            "points": VIEW.charts[:, :2],
+            "covariances": VIEW.covariances[:, :2, :2],
+        },
+    ),
+    "rim": (
+        rim_points_factor,
+        {
+            "bTc": VIEW.bTc,
+            "centres": VIEW.catalog.centres,
+            "axes": VIEW.catalog.axes,
+            "points": np.array([rim_points(VIEW, i, np.arange(6.0)) for i in range(3)]),
+            "sigmas": np.full((3, 6), 1e-3),
+        },
+    ),
+    "sun": (
+        sun_tilt_factor,
+        {
+            "bTc": VIEW.bTc,
+            "direction": np.ones(3),
+            "tilt_rad": np.array(0.3),
+            "sigma_rad": np.array(0.1),
+            "point": np.zeros(2),
+        },
+    ),
+}
+
+
+def last(value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Spoil the last element."""
+
+    def change(a: np.ndarray) -> np.ndarray:
+        out = np.array(a, dtype=float)
+        out.flat[-1] = value
+        return out
+
+    return change
+
+
+ANY = {
+    "nan": last(np.nan),
+    "infinite": last(np.inf),
+    "a word": lambda a: np.array("crater"),
+    "one dimension more": lambda a: np.asarray(a)[None],
+    "one column less": lambda a: a[..., :-1] if np.ndim(a) > 0 else np.zeros(0),
+}
+ROTATION = {
+    "scaled": lambda a: a * np.diag([2.0, 2.0, 2.0, 1.0])[: len(a), : len(a)],
+    "mirrored": lambda a: a @ np.diag([1.0, 1.0, -1.0, 1.0])[: len(a), : len(a)],
+    "zero": lambda a: 0.0 * a,
+}
+SPECIAL: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "bTc": ROTATION,
+    "gRc_nominal": ROTATION,
+    "axes": {
+        "swapped": lambda a: a[:, ::-1],
+        "zero": lambda a: 0.0 * a,
+        "oblique": lambda a: a + 0.1 * a[:, ::-1],
+        "one less": lambda a: a[:-1],
+    },
+    "covariances": {
+        "negative": lambda a: -a,
+        "zero": lambda a: 0.0 * a,
+        "indefinite": lambda a: a - 1.1 * np.linalg.eigvalsh(a[-1])[0] * np.eye(a.shape[-1]),
+        "asymmetric": lambda a: a + 0.1 * np.triu(np.abs(a), 1),
+    },
+    "normals": {"long": lambda a: 2.0 * a, "zero": lambda a: 0.0 * a},
+    "sigmas": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a},
+    "sigma_rad": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a},
+    "direction": {"zero": lambda a: 0.0 * a},
+}
+CASES = [
+    pytest.param(factor, field, change, id=f"{factor}-{field}-{name}")
+    for factor, (_, arguments) in GOOD.items()
+    for field in arguments
+    for name, change in (ANY | SPECIAL.get(field, {})).items()
+]
+
+
+@pytest.mark.parametrize("factor", GOOD)
+def test_what_is_good_is_accepted(factor: str) -> None:
+    build, arguments = GOOD[factor]
+    assert build(X(0), **arguments).dim() > 0
+
+
+@pytest.mark.parametrize(("factor", "field", "change"), CASES)
+def test_spoilt_field_is_refused_by_name(factor: str, field: str, change: Callable) -> None:
+    build, arguments = GOOD[factor]
+    spoilt = arguments | {field: change(arguments[field])}
+    # A field that sets the number of craters may show as another's wrong length.
+    with pytest.raises(FactorError, match=r"expected") as caught:
+        build(X(0), **spoilt)
+    assert ":" in str(caught.value)
+    if np.shape(spoilt[field])[:1] == np.shape(arguments[field])[:1]:
+        assert str(caught.value).startswith(field)
