@@ -106,7 +106,7 @@ def reconstruct(
         try:
             frames = _measure(dataset, descent, front_end, report)
         except NUMERICAL_ERRORS as error:
-            raise EstimationError(f"front end: {error}") from error
+            raise EstimationError(f"front end: {_one_line(error)}") from error
     else:
         frames = dataset.rims
     start = find_start(descent, frames)
@@ -123,7 +123,7 @@ def reconstruct(
         try:
             trajectories[one.name] = one.estimate(problem)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
-            failures[one.name] = f"{one.name}: {' '.join(str(error).split())[:300]}"
+            failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
     report("estimator", len(chosen), len(chosen))
     if not trajectories:
@@ -202,6 +202,11 @@ def _repeated(sun: SunTilt | None, times: int) -> SunTilt | None:
     through a descent: taken as new in each frame, it would in the end outweigh the rims.
     """
     return None if sun is None else replace(sun, sigma_rad=np.sqrt(times) * sun.sigma_rad)
+
+
+def _one_line(error: Exception) -> str:
+    """Give the first sentence of an error's text: GTSAM's go on for a page."""
+    return " ".join(str(error).split()).split(". ")[0].removesuffix(".")
 
 
 def _silent(what: str, done: int, total: int) -> None:

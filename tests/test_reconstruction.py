@@ -20,7 +20,7 @@ class Failing:
     name = "failing"
 
     def estimate(self, problem: Problem) -> Trajectory:
-        raise EstimationError("on purpose")
+        raise RuntimeError("on\npurpose. And much\nmore.")
 
 
 @pytest.fixture(scope="module")

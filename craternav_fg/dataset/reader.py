@@ -28,6 +28,9 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 LARGEST_GAP_S = 0.1
+# No lander turns or accelerates so fast: a wrong unit, or a broken row.
+LARGEST_RATE_RAD_S = 50.0
+LARGEST_FORCE_M_S2 = 1000.0
 
 
 @dataclass(frozen=True)
@@ -173,6 +176,16 @@ def _read_imu(path: Path, frames_ns: IntArray) -> ImuLog:
             f"expected a log over the frames, {frames_ns[0]} to {frames_ns[-1]} ns,"
             f" found {first} to {stamps[-1]} ns",
         )
+    for names, limit, unit in (
+        (layout.GYRO, LARGEST_RATE_RAD_S, "rad/s"),
+        (layout.ACCELEROMETER, LARGEST_FORCE_M_S2, "m/s^2"),
+    ):
+        for name in names:
+            far = np.flatnonzero(np.abs(table.columns[name]) > limit)
+            if len(far):
+                row = int(far[0])
+                found = table.columns[name][row]
+                table.fail(row, name, f"expected at most {limit:g} {unit} in size, found {found:g}")
     return ImuLog(stamps, table.numbers(*layout.GYRO), table.numbers(*layout.ACCELEROMETER))
 
 

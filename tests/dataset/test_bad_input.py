@@ -76,6 +76,8 @@ CASES = {
     "empty cell": (cell(IMU, 7, 2, ""), [f"{IMU}:7", "w_RS_S_y", "''"]),
     "nan": (cell(IMU, 8, 3, "nan"), [f"{IMU}:8", "w_RS_S_z", "finite", "nan"]),
     "inf": (cell(IMU, 8, 4, "-inf"), [f"{IMU}:8", "a_RS_S_x", "finite", "-inf"]),
+    "rate beyond reason": (cell(IMU, 8, 3, "1e20"), [f"{IMU}:8", "w_RS_S_z", "50 rad/s", "1e+20"]),
+    "force beyond reason": (cell(IMU, 8, 4, "-1e308"), [f"{IMU}:8", "a_RS_S_x", "1000 m/s^2", "-1e+308"]),
     "stamp no integer": (cell(IMU, 9, 0, "1.5e18"), [f"{IMU}:9", "timestamp", "integer", "'1.5e18'"]),
     "stamp not in 64 bit": (cell(IMU, 9, 0, "9" * 25), [f"{IMU}:9", "timestamp", "integer"]),
     "stamp repeated": (cell(IMU, 9, 0, str(START_NS + 70_000_000)), [f"{IMU}:9", "timestamp", "previous"]),
