@@ -20,13 +20,13 @@ CRATERS = [
 
 
 def scenario(*, duration_s: float = 100.0, craters: int = 5, **sections: object) -> Scenario:
-    """Paper's third case cut to its last part: 40 km to 20 km, with more craters in view."""
+    """Paper's third case from 40 km on, sinking at 150 m/s in the mean, with more craters in view."""
     case = load_scenario("paper_case3")
     start = case.trajectory.start.model_copy(
         update={"altitude_m": 40e3, "downrange_m": -0.1e3 * duration_s, "ground_speed_m_s": 150.0}
     )
     end = case.trajectory.end.model_copy(
-        update={"altitude_m": 20e3, "downrange_m": 0.0, "ground_speed_m_s": 50.0}
+        update={"altitude_m": 40e3 - 150.0 * duration_s, "downrange_m": 0.0, "ground_speed_m_s": 50.0}
     )
     attitude = case.trajectory.attitude.model_copy(
         update={
