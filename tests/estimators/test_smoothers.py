@@ -132,7 +132,7 @@ def test_covariance_is_the_inverse_of_the_dense_information(trials: list[tuple[P
 def test_frames_without_craters_only_widen_the_covariance(trials: list[tuple[Problem, Trajectory]]) -> None:
     p, truth = trials[2]
     blind = [
-        FrameMeasurement(f.stamp_ns, RimSet.empty(), None) if k > 10 else f for k, f in enumerate(p.frames)
+        FrameMeasurement(f.stamp_ns, RimSet.empty(), None) if k > 8 else f for k, f in enumerate(p.frames)
     ]
     p = dataclasses.replace(p, frames=blind)
     for name in ("online", "ekf", "smoother"):
@@ -141,7 +141,7 @@ def test_frames_without_craters_only_widen_the_covariance(trials: list[tuple[Pro
         assert seeing.pose_covariance is not None
         spread, less = (np.trace(t.pose_covariance[:, 3:, 3:], axis1=1, axis2=2) for t in (estimate, seeing))
         assert (spread[12:] > 1.2 * less[12:]).all()
-        assert spread[-1] > 2.0 * less[-1]
+        assert spread[-1] > 3.0 * less[-1]
         assert nees(errors(estimate, truth).pose, estimate.pose_covariance)[-1] < chi2.ppf(1 - 1e-5, 6)
 
 
