@@ -5,14 +5,11 @@ and has the same optimum, with a far wider basin of convergence.
 """
 
 import gtsam
-import numpy as np
 import numpy.typing as npt
 
 from factors import validation
-from factors.custom import Loss, pose_factor
-from factors.kernels import stacked
-
-FloatArray = npt.NDArray[np.float64]
+from factors.custom import Loss, constant_mounting, packed_pose_factor
+from factors.kernels import packed
 
 
 def conic_shape_factor(
@@ -62,9 +59,6 @@ def conic_shape_factor(
     axes = validation.rim_axes("axes", axes, n)
     charts = validation.array("charts", charts, (n, 5))
     W = validation.whitening("covariances", covariances, n, 5)
-    kind, scale = loss.kind, loss.scale
-
-    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
-        stacked.shape_residuals(gTb, bTc, centres, axes, charts, W, kind, scale, linearise, e, J)
-
-    return pose_factor(key, 5 * n, kernel, bTc, mounting_key)
+    mounting = constant_mounting(key, bTc, mounting_key)
+    data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
+    return packed_pose_factor(key, 5 * n, packed.shape_residuals, data, mounting_key)

@@ -22,8 +22,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # kernel(gTb, bTc, linearise, e, J): writes e (rows,) and, when asked, J (rows, 6) for the body's twist.
 PoseKernel = Callable[[FloatArray, FloatArray, bool, FloatArray, FloatArray], None]
-
-_Evaluate = Callable[[gtsam.CustomFactor, gtsam.Values, Any], FloatArray]
+# kernel(gTb, data, linearise, out): writes out (7, rows), J' above e; tells whether that is finite.
+PackedKernel = Callable[[FloatArray, FloatArray, bool, FloatArray], bool]
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,25 @@ class Loss:
             )
         if not 0.0 < self.scale < np.inf:
             raise FactorError(f"loss.scale: expected a positive number, found {self.scale}")
+
+
+def constant_mounting(key: int, bTc: npt.ArrayLike | None, mounting_key: int | None) -> FloatArray:
+    """Give the mounting a kernel works with: `bTc`, or where that is a variable the identity.
+
+    For a body that is the camera a kernel gives the camera's own twist: that of a variable bTc.
+
+    Raises
+    ------
+    FactorError
+        When the mounting is given twice, not at all, or with a matrix that is no pose.
+    """
+    if bTc is not None and mounting_key is None:
+        return validation.pose("bTc", bTc)
+    if bTc is not None or mounting_key is None:
+        raise FactorError("bTc: expected either a constant mounting or the key of one, never both")
+    if mounting_key == key:
+        raise FactorError("mounting_key: expected another key than the pose's")
+    return np.eye(4)
 
 
 def pose_factor(
@@ -80,63 +99,108 @@ def pose_factor(
     Raises
     ------
     FactorError
-        When `rows` is not positive, or the mounting is given twice, not at all, or with a matrix that is
-        no pose.
+        When `rows` is not positive, or as `constant_mounting` says.
     """
-    if rows < 1:
-        raise FactorError(f"rows: expected at least one, found {rows}")
-    unit = gtsam.noiseModel.Unit.Create(rows)
-    if bTc is not None and mounting_key is None:
-        constant = validation.pose("bTc", bTc)
-        return gtsam.CustomFactor(unit, [key], _of_pose(key, rows, kernel, constant))
-    if bTc is not None or mounting_key is None:
-        raise FactorError("bTc: expected either a constant mounting or the key of one, never both")
-    if mounting_key == key:
-        raise FactorError("mounting_key: expected another key than the pose's")
-    return gtsam.CustomFactor(unit, [key, mounting_key], _of_both(key, rows, kernel, mounting_key))
-
-
-def _of_pose(key: int, rows: int, kernel: PoseKernel, bTc: FloatArray) -> _Evaluate:
-    e = np.empty(rows)
+    constant = constant_mounting(key, bTc, mounting_key)
+    e = np.empty(_positive(rows))
     J = np.zeros((rows, 6))
     J_flat = J.reshape(-1)
 
+    def run(T: FloatArray, linearise: bool) -> bool:
+        kernel(T, constant, linearise, e, J)
+        # One sum of squares finds NaN and infinity at a fraction of an element-wise test's cost.
+        return math.isfinite(e @ e) and (not linearise or math.isfinite(J_flat @ J_flat))
+
+    if mounting_key is not None:
+        return _of_both(key, mounting_key, run, e, J)
+
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
-        kernel(values.atPose3(key).matrix(), bTc, linearise, e, J)
-        _check(key, "residual", e)
+        if not run(values.atPose3(key).matrix(), linearise):
+            raise _not_finite(key)
         if linearise:
-            _check(key, "Jacobian", J_flat)
             H[0] = J
         return e
 
-    return evaluate
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), [key], evaluate)
 
 
-def _of_both(key: int, rows: int, kernel: PoseKernel, mounting_key: int) -> _Evaluate:
-    e = np.empty(rows)
-    J_mounting = np.zeros((rows, 6))
-    J_flat = J_mounting.reshape(-1)
-    J = np.zeros((rows, 6))
-    identity = np.eye(4)
+def packed_pose_factor(
+    key: int, rows: int, kernel: PackedKernel, data: FloatArray, mounting_key: int | None = None
+) -> gtsam.CustomFactor:
+    """Build a factor as `pose_factor` does, of a kernel that takes its constants as one array: the fast way.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    rows : int
+        Length of the residual, at least 1.
+    kernel : callable
+        Writes J', columns for the right twist [w, rho], and e below it into one array (7, rows); returns
+        False when that is not finite.
+    data : ndarray
+        Handed to the kernel, with the mounting that `constant_mounting` gives; nobody else may change it.
+    mounting_key : int, optional
+        Key of the mounting (`Pose3`) when it is a variable.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        Its callback raises `FactorError` when the kernel wrote something that is not finite.
+
+    Raises
+    ------
+    FactorError
+        When `rows` is not positive.
+    """
+    out = np.zeros((7, _positive(rows)))
+    e = out[6]
+    # Column-major, as GTSAM's own matrices are: copied without a stride.
+    J = out[:6].T
+    if mounting_key is not None:
+        return _of_both(key, mounting_key, lambda T, linearise: kernel(T, data, linearise, out), e, J)
+
+    def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
+        linearise = H is not None
+        if not kernel(values.atPose3(key).matrix(), data, linearise, out):
+            raise _not_finite(key)
+        if linearise:
+            H[0] = J
+        return e
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), [key], evaluate)
+
+
+def _of_both(
+    key: int,
+    mounting_key: int,
+    run: Callable[[FloatArray, bool], bool],
+    e: FloatArray,
+    J_mounting: FloatArray,
+) -> gtsam.CustomFactor:
+    """Build a factor of pose and mounting; run(gTc, linearise) writes e and J for the camera's twist."""
+    J = np.zeros((len(e), 6))
 
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
         bTc = values.atPose3(mounting_key)
-        # For a body that is the camera a kernel gives the camera's own twist: that of bTc.
-        kernel(values.atPose3(key).compose(bTc).matrix(), identity, linearise, e, J_mounting)
-        _check(key, "residual", e)
+        if not run(values.atPose3(key).compose(bTc).matrix(), linearise):
+            raise _not_finite(key)
         if linearise:
-            _check(key, "Jacobian", J_flat)
             conic.body_columns(J_mounting, bTc.matrix(), J)
             H[0] = J
             H[1] = J_mounting
         return e
 
-    return evaluate
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(e)), [key, mounting_key], evaluate)
 
 
-def _check(key: int, name: str, written: FloatArray) -> None:
-    # One sum of squares finds NaN and infinity at a fraction of an element-wise test's cost.
-    if not math.isfinite(written @ written):
-        raise FactorError(f"factor at {gtsam.DefaultKeyFormatter(key)}: {name} is not finite")
+def _positive(rows: int) -> int:
+    if rows < 1:
+        raise FactorError(f"rows: expected at least one, found {rows}")
+    return rows
+
+
+def _not_finite(key: int) -> FactorError:
+    return FactorError(f"factor at {gtsam.DefaultKeyFormatter(key)}: residual or Jacobian is not finite")

@@ -1,11 +1,13 @@
 """Checks that every factor makes of what it is built from."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.errors import FactorError
+from factors.kernels import admission
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -24,7 +26,9 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
         raise FactorError(f"{name}: expected numbers of shape {shape}") from error
     if out.shape != shape:
         raise FactorError(f"{name}: expected shape {shape}, found {out.shape}")
-    if not np.isfinite(out).all():
+    flat = out.reshape(-1)
+    # One sum of squares finds NaN and infinity at a fraction of an element-wise test's cost; it can overflow.
+    if not (math.isfinite(flat @ flat) or np.isfinite(out).all()):
         raise FactorError(f"{name}: expected finite numbers, found {out[~np.isfinite(out)][0]}")
     return out
 
@@ -63,24 +67,20 @@ def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArr
     Raises
     ------
     FactorError
-        When one is not symmetric or not positive definite.
+        Naming the first that is not symmetric or not positive definite.
     """
     S = array(name, covariances, (n, m, m))
-    if not np.allclose(S, np.swapaxes(S, -1, -2), rtol=1e-9, atol=0.0):
-        raise FactorError(f"{name}: expected symmetric matrices")
-    # Scaled to unit diagonal first: a chart's components differ by orders of magnitude.
-    diagonal = np.einsum("nii->ni", S)
-    if not (diagonal > 0.0).all():
+    W = np.empty((n, m, m))
+    fault, k = admission.whiten_all(S, W)
+    if fault == admission.ASYMMETRIC:
+        raise FactorError(f"{name}[{k}]: expected a symmetric matrix")
+    if fault == admission.VARIANCE:
         raise FactorError(
-            f"{name}: expected positive definite matrices, found a variance of {diagonal.min()}"
+            f"{name}[{k}]: expected a positive definite matrix, found a variance of {np.diag(S[k]).min():g}"
         )
-    scale = np.sqrt(diagonal)
-    try:
-        L = np.linalg.cholesky(S / (scale[:, :, None] * scale[:, None, :]))
-    except np.linalg.LinAlgError as error:
-        raise FactorError(f"{name}: expected positive definite matrices") from error
-    identity = np.broadcast_to(np.eye(m), (n, m, m))
-    return np.ascontiguousarray(np.linalg.solve(L, identity) / scale[:, None, :])
+    if fault == admission.INDEFINITE:
+        raise FactorError(f"{name}[{k}]: expected a positive definite matrix")
+    return W
 
 
 def rotation(name: str, value: npt.ArrayLike) -> FloatArray:
@@ -92,7 +92,7 @@ def rotation(name: str, value: npt.ArrayLike) -> FloatArray:
         When it is none.
     """
     R = array(name, value, (3, 3))
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+    if not admission.is_rotation(R):
         raise FactorError(f"{name}: expected a proper rotation")
     return R
 
@@ -123,8 +123,7 @@ def pose(name: str, value: npt.ArrayLike) -> FloatArray:
         When it is not a proper rotation with a last row (0, 0, 0, 1).
     """
     T = array(name, value, (4, 4))
-    R = T[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0 or (T[3] != [0, 0, 0, 1]).any():
+    if not (admission.is_rotation(T) and T[3].tolist() == [0.0, 0.0, 0.0, 1.0]):
         raise FactorError(f"{name}: expected a homogeneous matrix with a proper rotation")
     return T
 
@@ -138,14 +137,9 @@ def rim_axes(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
         Naming the first crater at fault.
     """
     axes = array(name, value, (n, 2, 3))
-    a = np.linalg.norm(axes[:, 0], axis=-1)
-    b = np.linalg.norm(axes[:, 1], axis=-1)
-    dot = np.abs(np.einsum("ni,ni->n", axes[:, 0], axes[:, 1]))
-    # The negated form also catches what is neither.
-    bad = np.flatnonzero(~((b > 0.0) & (a >= b * (1.0 - 1e-9)) & (dot <= 1e-9 * a * b)))
-    if len(bad):
-        k = int(bad[0])
+    k, a, b = admission.first_bad_axes(axes)
+    if k >= 0:
         raise FactorError(
-            f"{name}[{k}]: expected perpendicular semi-axes a >= b > 0, found lengths {a[k]:g} and {b[k]:g}"
+            f"{name}[{k}]: expected perpendicular semi-axes a >= b > 0, found lengths {a:g} and {b:g}"
         )
     return axes

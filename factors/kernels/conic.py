@@ -66,92 +66,85 @@ def rim_in_camera(
 
 
 @njit(cache=True, error_model="numpy")
-def chart(p: FloatArray, c: FloatArray, y: FloatArray) -> bool:
-    """Write the chart y (5,) of a rim's image; False (y untouched) when that is no visible ellipse.
+def moments(
+    px: float, py: float, pz: float, ax: float, ay: float, az: float, bx: float, by: float, bz: float
+) -> tuple[bool, float, float, float, float, float]:
+    """Whether the image of a rim (p, c1, c2) is a visible ellipse; m_x, m_y, S_xx, S_xy, S_yy - S_xy^2/S_xx.
 
-    Visible: in front of the camera, wholly so (Q*_33 < 0), seen from above (p.n < 0).
+    Visible: in front of the camera, wholly so (Q*_33 < 0), seen from above (p.n < 0). In scalars: the kernels
+    that have no time for arrays call it.
     """
-    q33 = c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2] - p[2] * p[2]
-    nx = c[0, 1] * c[1, 2] - c[0, 2] * c[1, 1]
-    ny = c[0, 2] * c[1, 0] - c[0, 0] * c[1, 2]
-    nz = c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0]
+    q33 = az * az + bz * bz - pz * pz
+    facing = px * (ay * bz - az * by) + py * (az * bx - ax * bz) + pz * (ax * by - ay * bx)
     # The negated form is also False for NaN.
-    if not (p[2] > 0.0 and q33 < 0.0 and p[0] * nx + p[1] * ny + p[2] * nz < 0.0):
-        return False
+    if not (pz > 0.0 and q33 < 0.0 and facing < 0.0):
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0
     i33 = 1.0 / q33
-    mx = (c[0, 0] * c[0, 2] + c[1, 0] * c[1, 2] - p[0] * p[2]) * i33
-    my = (c[0, 1] * c[0, 2] + c[1, 1] * c[1, 2] - p[1] * p[2]) * i33
-    sxx = mx * mx - (c[0, 0] * c[0, 0] + c[1, 0] * c[1, 0] - p[0] * p[0]) * i33
-    sxy = mx * my - (c[0, 0] * c[0, 1] + c[1, 0] * c[1, 1] - p[0] * p[1]) * i33
-    syy = my * my - (c[0, 1] * c[0, 1] + c[1, 1] * c[1, 1] - p[1] * p[1]) * i33
+    mx = (ax * az + bx * bz - px * pz) * i33
+    my = (ay * az + by * bz - py * pz) * i33
+    sxx = mx * mx - (ax * ax + bx * bx - px * px) * i33
+    sxy = mx * my - (ax * ay + bx * by - px * py) * i33
+    syy = my * my - (ay * ay + by * by - py * py) * i33
     s = syy - sxy * sxy / sxx
-    if not (sxx > 0.0 and s > 0.0):
-        return False
-    y[0] = mx
-    y[1] = my
-    y[2] = 0.5 * np.log(sxx)
-    y[3] = sxy / sxx
-    y[4] = 0.5 * np.log(s)
-    return True
+    return sxx > 0.0 and s > 0.0, mx, my, sxx, sxy, s
+
+
+@njit(cache=True, error_model="numpy")
+def chart_slopes(
+    mx: float, my: float, sxx: float, sxy: float, s: float, ux: float, uy: float, uz: float, J: FloatArray
+) -> None:
+    """Write the chart's Jacobian J (5, 6) for the camera's right twist [w, rho]; u = p/Q*_33.
+
+    With N = Q*/Q*_33 a turn gives dN = N [w]x - [w]x N and a shift dN = rho u' + u rho', less N times its own
+    last element.
+    """
+    beta = sxy / sxx
+    syy = s + beta * sxy
+    xx, xy, yy = mx * mx + sxx, mx * my + sxy, my * my + syy
+    J[0, 0], J[0, 1], J[0, 2] = xy, -1.0 - xx, my
+    J[0, 3], J[0, 4], J[0, 5] = uz, 0.0, ux - 2.0 * mx * uz
+    J[1, 0], J[1, 1], J[1, 2] = 1.0 + yy, -xy, -mx
+    J[1, 3], J[1, 4], J[1, 5] = 0.0, uz, uy - 2.0 * my * uz
+    # First of S_xx, S_xy, S_yy; then the chart's last three rows of these.
+    J[2, 0], J[2, 1], J[2, 2] = 2.0 * (mx * sxy + my * sxx), -4.0 * mx * sxx, 2.0 * sxy
+    J[2, 3], J[2, 4], J[2, 5] = 2.0 * (mx * uz - ux), 0.0, 2.0 * (mx * ux - xx * uz)
+    J[3, 0], J[3, 1], J[3, 2] = mx * syy + 3.0 * my * sxy, -my * sxx - 3.0 * mx * sxy, syy - sxx
+    J[3, 3], J[3, 4], J[3, 5] = my * uz - uy, mx * uz - ux, mx * uy + my * ux - 2.0 * xy * uz
+    J[4, 0], J[4, 1], J[4, 2] = 4.0 * my * syy, -2.0 * (my * sxy + mx * syy), -2.0 * sxy
+    J[4, 3], J[4, 4], J[4, 5] = 0.0, 2.0 * (my * uz - uy), 2.0 * (my * uy - yy * uz)
+    ixx, half = 1.0 / sxx, 0.5 / s
+    for j in range(6):
+        dxx, dxy, dyy = J[2, j], J[3, j], J[4, j]
+        J[2, j] = 0.5 * ixx * dxx
+        J[3, j] = ixx * (dxy - beta * dxx)
+        J[4, j] = half * (dyy + beta * (beta * dxx - 2.0 * dxy))
+
+
+@njit(cache=True, error_model="numpy")
+def chart(p: FloatArray, c: FloatArray, y: FloatArray) -> bool:
+    """Write the chart y (5,) of a rim's image; False (y untouched) when that is no visible ellipse."""
+    visible, mx, my, sxx, sxy, s = moments(
+        p[0], p[1], p[2], c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2]
+    )
+    if visible:
+        y[0], y[1], y[2], y[3], y[4] = mx, my, 0.5 * np.log(sxx), sxy / sxx, 0.5 * np.log(s)
+    return visible
 
 
 @njit(cache=True, error_model="numpy")
 def chart_and_jacobian(p: FloatArray, c: FloatArray, y: FloatArray, J: FloatArray) -> bool:
     """Write the chart y (5,) and its Jacobian J (5, 6) for the camera's right twist [w, rho].
 
-    dp = [p]x w - rho, dc_i = [c_i]x w, then the product rule. Returns False as `chart` does.
+    Returns False as `chart` does.
     """
-    if not chart(p, c, y):
-        return False
-    i33 = 1.0 / (c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2] - p[2] * p[2])
-    mx, my = y[0], y[1]
-    sxx = np.exp(2.0 * y[2])
-    beta = y[3]
-    s = np.exp(2.0 * y[4])
-    q11 = (c[0, 0] * c[0, 0] + c[1, 0] * c[1, 0] - p[0] * p[0]) * i33
-    q12 = (c[0, 0] * c[0, 1] + c[1, 0] * c[1, 1] - p[0] * p[1]) * i33
-    q22 = (c[0, 1] * c[0, 1] + c[1, 1] * c[1, 1] - p[1] * p[1]) * i33
-    dv = np.zeros((3, 3))  # rows: dp, dc1, dc2
-    for d in range(6):
-        if d < 3:
-            i, j = (d + 1) % 3, (d + 2) % 3
-            for k in range(3):
-                v0 = p if k == 0 else c[k - 1]
-                # v x e_d
-                dv[k, d] = 0.0
-                dv[k, i] = v0[j]
-                dv[k, j] = -v0[i]
-        else:
-            for k in range(3):
-                for i in range(3):
-                    dv[k, i] = 0.0
-            dv[0, d - 3] = -1.0
-        d11 = 2.0 * (c[0, 0] * dv[1, 0] + c[1, 0] * dv[2, 0] - p[0] * dv[0, 0])
-        d22 = 2.0 * (c[0, 1] * dv[1, 1] + c[1, 1] * dv[2, 1] - p[1] * dv[0, 1])
-        d33 = 2.0 * (c[0, 2] * dv[1, 2] + c[1, 2] * dv[2, 2] - p[2] * dv[0, 2])
-        d12 = (
-            c[0, 0] * dv[1, 1] + c[0, 1] * dv[1, 0] + c[1, 0] * dv[2, 1] + c[1, 1] * dv[2, 0]
-            - p[0] * dv[0, 1] - p[1] * dv[0, 0]
-        )  # fmt: skip
-        d13 = (
-            c[0, 0] * dv[1, 2] + c[0, 2] * dv[1, 0] + c[1, 0] * dv[2, 2] + c[1, 2] * dv[2, 0]
-            - p[0] * dv[0, 2] - p[2] * dv[0, 0]
-        )  # fmt: skip
-        d23 = (
-            c[0, 1] * dv[1, 2] + c[0, 2] * dv[1, 1] + c[1, 1] * dv[2, 2] + c[1, 2] * dv[2, 1]
-            - p[1] * dv[0, 2] - p[2] * dv[0, 1]
-        )  # fmt: skip
-        dmx = (d13 - mx * d33) * i33
-        dmy = (d23 - my * d33) * i33
-        dsxx = 2.0 * mx * dmx - (d11 - q11 * d33) * i33
-        dsxy = mx * dmy + my * dmx - (d12 - q12 * d33) * i33
-        dsyy = 2.0 * my * dmy - (d22 - q22 * d33) * i33
-        J[0, d] = dmx
-        J[1, d] = dmy
-        J[2, d] = 0.5 * dsxx / sxx
-        J[3, d] = (dsxy - beta * dsxx) / sxx
-        J[4, d] = 0.5 * (dsyy - 2.0 * beta * dsxy + beta * beta * dsxx) / s
-    return True
+    visible, mx, my, sxx, sxy, s = moments(
+        p[0], p[1], p[2], c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2]
+    )
+    if visible:
+        y[0], y[1], y[2], y[3], y[4] = mx, my, 0.5 * np.log(sxx), sxy / sxx, 0.5 * np.log(s)
+        i33 = 1.0 / (c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2] - p[2] * p[2])
+        chart_slopes(mx, my, sxx, sxy, s, p[0] * i33, p[1] * i33, p[2] * i33, J)
+    return visible
 
 
 @njit(cache=True, error_model="numpy")

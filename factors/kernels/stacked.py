@@ -1,4 +1,4 @@
-"""Residuals of all craters of a frame, whitened and robust per crater.
+"""Crater centres and lines of sight of a frame, whitened and robust per crater.
 
 Every kernel writes the residual e and, when `linearise` is set, the Jacobian J for the body's right twist
 [w, rho]. `validity` says what a crater gets that the pose cannot see.
@@ -8,51 +8,11 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from factors.kernels.conic import camera_pose, chart, chart_and_jacobian, rim_in_camera
+from factors.kernels.conic import camera_pose
 from factors.kernels.los import los_residual
 from factors.kernels.validity import unseen, whiten
 
 FloatArray = npt.NDArray[np.float64]
-
-
-@njit(cache=True, error_model="numpy")
-def shape_residuals(
-    gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray,
-    whitening: FloatArray, kind: int, scale: float, linearise: bool, e: FloatArray, J: FloatArray,
-) -> None:  # fmt: skip
-    """Conic shape: zero when every predicted rim has the measured chart.
-
-    Parameters
-    ----------
-    gTb, bTc : ndarray, shape (4, 4)
-    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
-        Rims in g, m.
-    charts : ndarray, shape (n, 5)
-        Measured.
-    whitening : ndarray, shape (n, 5, 5)
-        Lower triangular W with W S W' = 1.
-    kind, scale : int, float
-        Loss, see `robust`.
-    linearise : bool
-        Whether J is written.
-    e, J : ndarray, shape (5 n,), (5 n, 6)
-        Written.
-    """
-    R, P = camera_pose(gTb, bTc)
-    p = np.empty(3)
-    c = np.empty((2, 3))
-    raw = np.empty(5)
-    Jc = np.empty((5, 6))
-    for i in range(centres.shape[0]):
-        rim_in_camera(R, P, centres[i], axes[i], p, c)
-        seen = chart_and_jacobian(p, c, raw, Jc) if linearise else chart(p, c, raw)
-        ei, Ji = e[5 * i : 5 * i + 5], J[5 * i : 5 * i + 5]
-        if not seen:
-            unseen(ei, Ji, kind, scale, linearise)
-            continue
-        for k in range(5):
-            raw[k] -= charts[i, k]
-        whiten(raw, Jc, whitening[i], bTc, ei, Ji, kind, scale, linearise)
 
 
 @njit(cache=True, error_model="numpy")
@@ -63,7 +23,23 @@ def centre_residuals(
     """Crater centres as points: zero when each one's image is the image ellipse's centre.
 
     That is the assumption of the centre-based methods, eq. (10); it is wrong by the eccentricity of
-    perspective. `points` (n, 2) are normalised, `whitening` is (n, 2, 2); the rest as above.
+    perspective.
+
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+    centres : ndarray, shape (n, 3)
+        In g, m.
+    points : ndarray, shape (n, 2)
+        Centres of the image ellipses, normalised.
+    whitening : ndarray, shape (n, 2, 2)
+        Lower triangular W with W S W' = 1.
+    kind, scale : int, float
+        Loss, see `robust`.
+    linearise : bool
+        Whether J is written.
+    e, J : ndarray, shape (2 n,), (2 n, 6)
+        Written.
     """
     R, P = camera_pose(gTb, bTc)
     p = np.empty(3)

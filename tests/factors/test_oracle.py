@@ -13,7 +13,7 @@ import pytest
 import sympy as sp
 from numpy.testing import assert_allclose
 
-from factors.kernels import conic, implicit, los, rim, robust, shape, stacked, sun
+from factors.kernels import conic, implicit, los, packed, rim, robust, shape, stacked, sun
 from tests.factors.conftest import View, make_view, rim_points
 
 EYE = np.eye(4)
@@ -187,8 +187,10 @@ def test_shape_residuals(case: View) -> None:
     c = case.catalog
     n = len(case.charts)
     W = np.linalg.inv(np.linalg.cholesky(case.covariances))
-    e, J = np.empty(5 * n), np.empty((5 * n, 6))
-    stacked.shape_residuals(pose, EYE, c.centres, c.axes, case.charts, W, robust.NONE, 1.0, True, e, J)
+    out = np.empty((7, 5 * n))
+    data = packed.pack(EYE, c.centres, c.axes, case.charts, W, robust.NONE, 1.0)
+    assert packed.shape_residuals(pose, data, True, out)
+    J = out[:6].T
     for k, (flat, motion) in enumerate(rims(case)):
         q, dq = conics(flat, motion)
         assert_same(J[5 * k : 5 * k + 5], W[k] @ function("chart")(q) @ dq, scale)

@@ -1,0 +1,85 @@
+"""Checks of what a factor is built from, at the cost of a few craters' residuals."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+FloatArray = npt.NDArray[np.float64]
+
+SOUND, ASYMMETRIC, VARIANCE, INDEFINITE = 0, 1, 2, 3
+
+
+@njit(cache=True, error_model="numpy")
+def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
+    """Write lower triangular W (n, m, m) with W S W' = 1, of covariances S (n, m, m).
+
+    Returns `SOUND`, or what the first matrix at fault is (`ASYMMETRIC`, with a `VARIANCE` that is not
+    positive, or `INDEFINITE`), and its number.
+    """
+    m = S.shape[1]
+    scale = np.empty(m)
+    L = np.empty((m, m))
+    for k in range(S.shape[0]):
+        for i in range(m):
+            for j in range(i):
+                if not abs(S[k, i, j] - S[k, j, i]) <= 1e-9 * abs(S[k, i, j]):
+                    return ASYMMETRIC, k
+        for i in range(m):
+            if not S[k, i, i] > 0.0:
+                return VARIANCE, k
+            scale[i] = 1.0 / np.sqrt(S[k, i, i])
+        # Scaled to unit diagonal: a chart's components differ by orders of magnitude.
+        for i in range(m):
+            for j in range(i + 1):
+                total = S[k, i, j] * scale[i] * scale[j]
+                for r in range(j):
+                    total -= L[i, r] * L[j, r]
+                if j < i:
+                    L[i, j] = total / L[j, j]
+                elif total > 0.0:
+                    L[i, i] = np.sqrt(total)
+                else:
+                    return INDEFINITE, k
+        for j in range(m):
+            for i in range(m):
+                if i < j:
+                    W[k, i, j] = 0.0
+                    continue
+                total = 1.0 if i == j else 0.0
+                for r in range(j, i):
+                    # The factor that scales column j was applied to these already.
+                    total -= L[i, r] * W[k, r, j] / scale[j]
+                W[k, i, j] = total / L[i, i] * scale[j]
+    return SOUND, -1
+
+
+@njit(cache=True, error_model="numpy")
+def first_bad_axes(axes: FloatArray) -> tuple[int, float, float]:
+    """Number of the first pair of axes (n, 2, 3) not perpendicular with a >= b > 0, or -1; its lengths."""
+    for k in range(axes.shape[0]):
+        a2 = b2 = dot = 0.0
+        for i in range(3):
+            a2 += axes[k, 0, i] * axes[k, 0, i]
+            b2 += axes[k, 1, i] * axes[k, 1, i]
+            dot += axes[k, 0, i] * axes[k, 1, i]
+        a, b = np.sqrt(a2), np.sqrt(b2)
+        # The negated form also catches what is neither.
+        if not (b > 0.0 and a >= b * (1.0 - 1e-9) and abs(dot) <= 1e-9 * a * b):
+            return k, a, b
+    return -1, 0.0, 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def is_rotation(R: FloatArray) -> bool:
+    """Whether the upper left (3, 3) of a matrix is a proper rotation, to 1e-6."""
+    for i in range(3):
+        for j in range(i + 1):
+            dot = R[i, 0] * R[j, 0] + R[i, 1] * R[j, 1] + R[i, 2] * R[j, 2]
+            if not abs(dot - (i == j)) <= 1e-6:
+                return False
+    det = (
+        R[0, 0] * (R[1, 1] * R[2, 2] - R[1, 2] * R[2, 1])
+        - R[0, 1] * (R[1, 0] * R[2, 2] - R[1, 2] * R[2, 0])
+        + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
+    )
+    return det > 0.0

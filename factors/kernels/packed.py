@@ -1,0 +1,182 @@
+"""The conic-shape residual of a frame: one array in, one array out.
+
+A call from Python pays for every array it hands over, and an array made inside costs more than a crater. So a
+frame's constants are packed into one array, residual and Jacobian are written into one that lives as long as
+the factor, and between the two everything is a scalar.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from factors.kernels.conic import chart_slopes, moments
+from factors.kernels.robust import loss_and_weight
+from factors.kernels.validity import UNSEEN
+
+FloatArray = npt.NDArray[np.float64]
+
+# bTc (3 x 4), kind and scale of the loss; then per crater: centre, axes, chart, whitening (lower triangle).
+HEADER = 14
+CRATER = 3 + 6 + 5 + 15
+
+
+@njit(cache=True, error_model="numpy")
+def pack(
+    bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, W: FloatArray,
+    kind: int, scale: float,
+) -> FloatArray:  # fmt: skip
+    """Pack the constants of a frame into one array.
+
+    Parameters
+    ----------
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
+        Rims in g, m.
+    charts : ndarray, shape (n, 5)
+        Measured.
+    W : ndarray, shape (n, 5, 5)
+        Lower triangular, with W S W' = 1.
+    kind, scale : int, float
+        Loss, see `robust`.
+
+    Returns
+    -------
+    ndarray, shape (14 + 29 n,)
+    """
+    data = np.empty(HEADER + CRATER * len(charts))
+    for i in range(3):
+        for j in range(4):
+            data[4 * i + j] = bTc[i, j]
+    data[12], data[13] = kind, scale
+    k = HEADER
+    for crater in range(len(charts)):
+        for i in range(3):
+            data[k + i] = centres[crater, i]
+            data[k + 3 + i] = axes[crater, 0, i]
+            data[k + 6 + i] = axes[crater, 1, i]
+        k += 9
+        for i in range(5):
+            data[k + i] = charts[crater, i]
+        k += 5
+        for i in range(5):
+            for j in range(i + 1):
+                data[k] = W[crater, i, j]
+                k += 1
+    return data
+
+
+@njit(cache=True, error_model="numpy")
+def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> bool:
+    """Conic shape: zero when every predicted rim has the measured chart.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+    data : ndarray
+        From `pack`.
+    linearise : bool
+        Whether the Jacobian is written.
+    out : ndarray, shape (7, 5 n)
+        Written: the Jacobian's columns for the body's right twist [w, rho], then the residual.
+
+    Returns
+    -------
+    bool
+        Whether all that was written is finite; `validity` says what a crater gets that the pose cannot see.
+    """
+    B = data[:12]
+    R = np.empty(9)
+    P = np.empty(3)
+    for i in range(3):
+        for j in range(3):
+            R[3 * j + i] = gTb[i, 0] * B[j] + gTb[i, 1] * B[4 + j] + gTb[i, 2] * B[8 + j]
+        P[i] = gTb[i, 0] * B[3] + gTb[i, 1] * B[7] + gTb[i, 2] * B[11] + gTb[i, 3]
+    kind = int(data[12])
+    scale = data[13]
+    G = np.zeros((5, 6))
+    sums = np.zeros(6)
+    total = 0.0
+    for crater in range((data.shape[0] - HEADER) // CRATER):
+        k = HEADER + CRATER * crater
+        row = 5 * crater
+        dx, dy, dz = data[k] - P[0], data[k + 1] - P[1], data[k + 2] - P[2]
+        px = R[0] * dx + R[1] * dy + R[2] * dz
+        py = R[3] * dx + R[4] * dy + R[5] * dz
+        pz = R[6] * dx + R[7] * dy + R[8] * dz
+        ax = R[0] * data[k + 3] + R[1] * data[k + 4] + R[2] * data[k + 5]
+        ay = R[3] * data[k + 3] + R[4] * data[k + 4] + R[5] * data[k + 5]
+        az = R[6] * data[k + 3] + R[7] * data[k + 4] + R[8] * data[k + 5]
+        bx = R[0] * data[k + 6] + R[1] * data[k + 7] + R[2] * data[k + 8]
+        by = R[3] * data[k + 6] + R[4] * data[k + 7] + R[5] * data[k + 8]
+        bz = R[6] * data[k + 6] + R[7] * data[k + 7] + R[8] * data[k + 8]
+        visible, mx, my, sxx, sxy, s = moments(px, py, pz, ax, ay, az, bx, by, bz)
+        if not visible:
+            loss, weight = loss_and_weight(5.0 * UNSEEN * UNSEEN, kind, scale)
+            factor = np.sqrt(weight) if linearise else np.sqrt(loss / 5.0) / UNSEEN
+            for r in range(5):
+                out[6, row + r] = factor * UNSEEN
+                for j in range(6):
+                    out[j, row + r] = 0.0
+            continue
+        y0 = mx - data[k + 9]
+        y1 = my - data[k + 10]
+        y2 = 0.5 * np.log(sxx) - data[k + 11]
+        y3 = sxy / sxx - data[k + 12]
+        y4 = 0.5 * np.log(s) - data[k + 13]
+        w = k + 14
+        e0 = data[w] * y0
+        e1 = data[w + 1] * y0 + data[w + 2] * y1
+        e2 = data[w + 3] * y0 + data[w + 4] * y1 + data[w + 5] * y2
+        e3 = data[w + 6] * y0 + data[w + 7] * y1 + data[w + 8] * y2 + data[w + 9] * y3
+        e4 = data[w + 10] * y0 + data[w + 11] * y1 + data[w + 12] * y2 + data[w + 13] * y3 + data[w + 14] * y4
+        d2 = e0 * e0 + e1 * e1 + e2 * e2 + e3 * e3 + e4 * e4
+        total += d2
+        loss, weight = loss_and_weight(d2, kind, scale)
+        factor = np.sqrt(weight) if linearise or d2 == 0.0 else np.sqrt(loss / d2)
+        out[6, row] = factor * e0
+        out[6, row + 1] = factor * e1
+        out[6, row + 2] = factor * e2
+        out[6, row + 3] = factor * e3
+        out[6, row + 4] = factor * e4
+        if not linearise:
+            continue
+        i33 = 1.0 / (az * az + bz * bz - pz * pz)
+        chart_slopes(mx, my, sxx, sxy, s, px * i33, py * i33, pz * i33, G)
+        for j in range(6):
+            g0, g1, g2, g3, g4 = (
+                factor * G[0, j],
+                factor * G[1, j],
+                factor * G[2, j],
+                factor * G[3, j],
+                factor * G[4, j],
+            )
+            G[0, j] = data[w] * g0
+            G[1, j] = data[w + 1] * g0 + data[w + 2] * g1
+            G[2, j] = data[w + 3] * g0 + data[w + 4] * g1 + data[w + 5] * g2
+            G[3, j] = data[w + 6] * g0 + data[w + 7] * g1 + data[w + 8] * g2 + data[w + 9] * g3
+            G[4, j] = (
+                data[w + 10] * g0 + data[w + 11] * g1 + data[w + 12] * g2
+                + data[w + 13] * g3 + data[w + 14] * g4
+            )  # fmt: skip
+        # From the camera's twist to the body's, as `conic.body_columns` does.
+        for r in range(5):
+            c0, c1, c2, c3, c4, c5 = G[r, 0], G[r, 1], G[r, 2], G[r, 3], G[r, 4], G[r, 5]
+            r0 = c3 * B[0] + c4 * B[1] + c5 * B[2]
+            r1 = c3 * B[4] + c4 * B[5] + c5 * B[6]
+            r2 = c3 * B[8] + c4 * B[9] + c5 * B[10]
+            w0 = c0 * B[0] + c1 * B[1] + c2 * B[2] + B[7] * r2 - B[11] * r1
+            w1 = c0 * B[4] + c1 * B[5] + c2 * B[6] + B[11] * r0 - B[3] * r2
+            w2 = c0 * B[8] + c1 * B[9] + c2 * B[10] + B[3] * r1 - B[7] * r0
+            out[0, row + r], out[1, row + r], out[2, row + r] = w0, w1, w2
+            out[3, row + r], out[4, row + r], out[5, row + r] = r0, r1, r2
+            sums[0] += w0
+            sums[1] += w1
+            sums[2] += w2
+            sums[3] += r0
+            sums[4] += r1
+            sums[5] += r2
+    # A sum is finite only when its terms are.
+    for j in range(6):
+        total += sums[j]
+    return bool(np.isfinite(total))
