@@ -18,48 +18,52 @@ from craternav_fg.estimators.graph import (
     insert_state,
     state_stamps,
 )
+from craternav_fg.estimators.incremental import FixedLagIsam, Isam, Solver
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 
 FloatArray = npt.NDArray[np.float64]
 
-# Relinearise a variable that moved by more: pose (rad, m), velocity (m/s), bias (m/s^2, rad/s).
-RELINEARISE = {
-    "x": np.array([1e-4, 1e-4, 1e-4, 1.0, 1.0, 1.0]),
-    "v": np.full(3, 0.05),
-    "b": np.array([1e-4, 1e-4, 1e-4, 1e-7, 1e-7, 1e-7]),
-}
 # A wide prior makes the first frames nonlinear: iterate until the newest position moves by less.
-SETTLED_M = 0.1
+SETTLED_M = 5.0
 MAX_EXTRA_UPDATES = 5
+
+
+def _from_gtsam() -> FloatArray:
+    """Jacobian (18, 15) from GTSAM's rotation, translation in b, velocity, accelerometer bias, gyro bias."""
+    T = np.zeros((strapdown.SIZE, 15))
+    T[strapdown.ATTITUDE, 0:3] = np.eye(3)
+    T[strapdown.VELOCITY, 6:9] = np.eye(3)
+    T[strapdown.ACCELEROMETER_BIAS, 9:12] = np.eye(3)
+    T[strapdown.GYRO_BIAS, 12:15] = np.eye(3)
+    T[strapdown.RATE, 12:15] = -np.eye(3)
+    return T
+
+
+# All but the position, which is turned from b to g.
+FROM_GTSAM = _from_gtsam()
 
 
 class OnlineSession:
     """An iSAM2 smoother that takes one frame after the other.
 
-    Call `begin` with the first frame, then `predict` and `update` for each later one. QR throughout; the
-    linearisation point is held so that callbacks get it and not a copy of all values.
+    Call `begin` with the first frame, then `predict` and `update` for each later one.
 
     Parameters
     ----------
     descent : Descent
     options : GraphOptions
+    solver : Solver, optional
+        Over all states when it is not given.
     """
 
-    def __init__(self, descent: Descent, options: GraphOptions = GraphOptions()) -> None:
+    def __init__(
+        self, descent: Descent, options: GraphOptions = GraphOptions(), solver: Solver | None = None
+    ) -> None:
         self._descent = descent
         self._options = options
-        params = gtsam.ISAM2Params()
-        params.setFactorization("QR")
-        params.relinearizeSkip = 1
-        params.enablePartialRelinearizationCheck = True
-        thresholds = gtsam.ISAM2ThresholdMap()
-        for letter, steps in RELINEARISE.items():
-            thresholds.insert((letter, steps))
-        params.setRelinearizeThreshold(thresholds)
-        self._isam = gtsam.ISAM2(params)
-        self._hold: gtsam.Values | None = None
+        self._solver = Isam() if solver is None else solver
         self._last = 0
         self._frame_numbers: list[int] = []
         self._stamps_ns: list[int] = []
@@ -94,9 +98,7 @@ class OnlineSession:
         add_frame(graph, self._descent, self._options, X(0), frame)
         gTb = start.gTb if start.frame == 0 else initial.gTb
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
-        self._stamps_ns.append(frame.stamp_ns)
-        self._frame_numbers.append(0)
-        self._update(graph, values)
+        self._update(graph, values, 0, frame.stamp_ns)
 
     def predict(self, stamp_ns: int) -> FilterState:
         """Predict the state at a later stamp by the IMU; nothing is changed.
@@ -114,56 +116,52 @@ class OnlineSession:
         Raises
         ------
         EstimationError
-            When the frame is not later than the last one.
+            When the frame is not later than the last one, or its factors cannot be evaluated; the
+            session then goes on as if the frame had not been.
         """
         begin_ns = self._stamps_ns[-1]
         if frame.stamp_ns <= begin_ns:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = gtsam.NonlinearFactorGraph()
         values = gtsam.Values()
-        state = self.state
+        state, last = self.state, self._last
         for end_ns in state_stamps(begin_ns, frame.stamp_ns, self._options.keyframe_s):
             ahead = filter_state.propagate(state, self._descent, begin_ns, int(end_ns))
             midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
-            add_imu(graph, self._descent, self._last, begin_ns, int(end_ns), midpoint, state.bias)
-            self._last += 1
-            insert_state(values, self._last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
+            add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias)
+            last += 1
+            insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
-        add_frame(graph, self._descent, self._options, X(self._last), frame)
-        self._stamps_ns.append(frame.stamp_ns)
-        self._frame_numbers.append(self._last)
-        self._update(graph, values)
+        add_frame(graph, self._descent, self._options, X(last), frame)
+        self._update(graph, values, last, frame.stamp_ns)
 
-    def _update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        key = X(self._last)
-        self._isam.update(graph, values)
-        if self._hold is None:
-            self._hold = self._isam.getLinearizationPoint()
-        position = self._isam.calculateEstimatePose3(key).translation()
+    def _update(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, last: int, stamp_ns: int
+    ) -> None:
+        position = values.atPose3(X(last)).translation()
+        self._solver.update(graph, values, 1e-9 * (stamp_ns - self._descent.initial.stamp_ns))
+        self._last = last
+        self._stamps_ns.append(stamp_ns)
+        self._frame_numbers.append(last)
         for _ in range(MAX_EXTRA_UPDATES):
-            self._isam.update()
-            moved = self._isam.calculateEstimatePose3(key).translation()
+            moved = self._solver.tree.calculateEstimatePose3(X(last)).translation()
             if np.linalg.norm(moved - position) < SETTLED_M:
                 break
             position = moved
+            self._solver.again()
         self._states.append(self._newest())
 
     def _newest(self) -> FilterState:
         n = self._last
-        gTb = np.ascontiguousarray(self._isam.calculateEstimatePose3(X(n)).matrix())
-        bias = bias_vector(self._isam.calculateEstimateConstantBias(B(n)))
-        joint = self._isam.jointMarginalCovariance([X(n), V(n), B(n)]).fullMatrix()
-        # GTSAM: rotation, translation in b, velocity, accelerometer bias, gyro bias.
-        T = np.zeros((strapdown.SIZE, 15))
-        T[strapdown.ATTITUDE, 0:3] = np.eye(3)
+        tree = self._solver.tree
+        gTb = np.ascontiguousarray(tree.calculateEstimatePose3(X(n)).matrix())
+        bias = bias_vector(tree.calculateEstimateConstantBias(B(n)))
+        joint = tree.jointMarginalCovariance([X(n), V(n), B(n)]).fullMatrix()
+        T = FROM_GTSAM.copy()
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
-        T[strapdown.VELOCITY, 6:9] = np.eye(3)
-        T[strapdown.ACCELEROMETER_BIAS, 9:12] = np.eye(3)
-        T[strapdown.GYRO_BIAS, 12:15] = np.eye(3)
-        T[strapdown.RATE, 12:15] = -np.eye(3)
         row = int(np.searchsorted(self._descent.imu.stamps_ns, self._stamps_ns[-1]))
         rate = self._descent.imu.gyro[min(row, len(self._descent.imu.gyro) - 1)] - bias[:3]
-        gV = self._isam.calculateEstimateVector(V(n))
+        gV = tree.calculateEstimateVector(V(n))
         return FilterState(gTb, gV, rate, bias, T @ joint @ T.T)
 
     def filtered(self) -> Trajectory:
@@ -172,7 +170,7 @@ class OnlineSession:
 
     def smoothed_values(self) -> gtsam.Values:
         """Estimates of all states from all data so far."""
-        return self._isam.calculateEstimate()
+        return self._solver.tree.calculateBestEstimate()
 
 
 class OnlineSmoother:
@@ -199,3 +197,36 @@ class OnlineSmoother:
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from the data up to it."""
         return self.run(problem).filtered()
+
+
+class FixedLagSmoother:
+    """As the online smoother, but states older than a lag are marginalised: cost and memory stay bounded.
+
+    The estimate at a frame uses all data up to it; what is older than the lag is linearised for good.
+
+    Parameters
+    ----------
+    options : GraphOptions
+    lag_s : float
+        Seconds of states that are kept. Long enough that a start of 25 deg has settled within it.
+    """
+
+    name = "fixed_lag"
+
+    def __init__(self, options: GraphOptions = GraphOptions(), lag_s: float = 30.0) -> None:
+        self.options = options
+        self.lag_s = lag_s
+
+    def estimate(self, problem: Problem) -> Trajectory:
+        """Estimate the state at every frame from the data up to it.
+
+        Raises
+        ------
+        EstimationError
+            When the lag is not positive.
+        """
+        session = OnlineSession(problem, self.options, FixedLagIsam(self.lag_s))
+        session.begin(problem.frames[0], problem.start)
+        for frame in problem.frames[1:]:
+            session.update(frame)
+        return session.filtered()

@@ -8,7 +8,7 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf import ekf, ekf_paper
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 
 
 def _centre_smoother() -> Estimator:
@@ -18,6 +18,7 @@ def _centre_smoother() -> Estimator:
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "smoother": BatchSmoother,
     "online": OnlineSmoother,
+    "fixed_lag": FixedLagSmoother,
     "ekf": ekf,
     "ekf_paper": ekf_paper,
     "centre_smoother": _centre_smoother,

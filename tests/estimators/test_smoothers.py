@@ -199,7 +199,15 @@ def test_state_stamps(begin: int, end: int, longest: float, expected: list[int] 
 
 
 def test_registry_names_what_there_is() -> None:
-    assert list(ESTIMATORS) == ["smoother", "online", "ekf", "ekf_paper", "centre_smoother", "dead_reckoning"]
+    assert list(ESTIMATORS) == [
+        "smoother",
+        "online",
+        "fixed_lag",
+        "ekf",
+        "ekf_paper",
+        "centre_smoother",
+        "dead_reckoning",
+    ]
     for name in ESTIMATORS:
         assert estimator(name).name == name
     with pytest.raises(EstimationError, match=r"unknown estimator 'nobody'.*smoother"):

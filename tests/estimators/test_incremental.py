@@ -1,0 +1,151 @@
+"""Roll-back after a failed update, the fixed lag, and IMU factors built anew after a large correction."""
+
+from typing import Any
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import batch
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.incremental import FixedLagIsam, Isam
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSession, OnlineSmoother
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.trajectory import Trajectory
+from factors.custom import pose_factor
+from tests.descents import problem, scenario
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Trajectory]]:
+    """Descents of 40 s, 21 frames, from the paper's initial errors."""
+    folder = tmp_path_factory.mktemp("incremental")
+    return [problem(folder, scenario(duration_s=40.0), trial) for trial in range(6)]
+
+
+def step(solver: Isam, number: int, *, bad: bool = False) -> None:
+    """Add a pose, a metre on from the last, and on demand a factor that cannot be evaluated."""
+    graph = gtsam.NonlinearFactorGraph()
+    values = gtsam.Values()
+    model = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+    metre = gtsam.Pose3(gtsam.Rot3(), np.array([1.0, 0.0, 0.0]))
+    if number == 0:
+        graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), model))
+    else:
+        graph.push_back(gtsam.BetweenFactorPose3(X(number - 1), X(number), metre, model))
+    values.insert(X(number), gtsam.Pose3(gtsam.Rot3(), np.array([number + 0.3, 0.0, 0.0])))
+    if bad:
+        graph.push_back(pose_factor(X(number), 3, lambda gTb, linearise, e, J: e.fill(np.nan)))
+    solver.update(graph, values, float(number))
+
+
+def test_failed_update_is_taken_back() -> None:
+    solver = Isam()
+    for number in range(5):
+        step(solver, number)
+    before = [solver.tree.marginalCovariance(X(i)) for i in range(5)]
+    with pytest.raises(EstimationError, match=r"taken back: .*x5: residual is not finite"):
+        step(solver, 5, bad=True)
+    assert not solver.tree.valueExists(X(5))
+    for i in range(5):
+        assert_allclose(solver.tree.calculateEstimatePose3(X(i)).translation(), [i, 0, 0], atol=1e-6)
+        assert_allclose(solver.tree.marginalCovariance(X(i)), before[i], rtol=1e-6, atol=1e-9)
+    for number in (5, 6):
+        step(solver, number)
+    assert_allclose(solver.tree.calculateEstimatePose3(X(6)).translation(), [6, 0, 0], atol=1e-6)
+
+
+def test_first_update_that_fails_leaves_an_empty_solver() -> None:
+    solver = Isam()
+    with pytest.raises(EstimationError, match="taken back"):
+        step(solver, 0, bad=True)
+    step(solver, 0)
+    assert_allclose(solver.tree.calculateEstimatePose3(X(0)).translation(), 0.0, atol=1e-9)
+
+
+def test_session_goes_on_after_a_frame_that_failed(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The frame is lost, nothing else: the end is that of a session that never saw it."""
+    p, _ = trials[0]
+
+    def run(lost: int | None) -> OnlineSession:
+        session = OnlineSession(p)
+        session.begin(p.frames[0], p.start)
+        for k, frame in enumerate(p.frames[1:8], 1):
+            if k == lost:
+                with monkeypatch.context() as patch:
+                    patch.setattr("craternav_fg.estimators.online.add_frame", spoilt)
+                    with pytest.raises(EstimationError, match="taken back"):
+                        session.update(frame)
+            elif k != 4:
+                session.update(frame)
+        return session
+
+    def spoilt(graph: gtsam.NonlinearFactorGraph, *arguments: Any) -> None:
+        graph.push_back(pose_factor(arguments[2], 3, lambda gTb, linearise, e, J: e.fill(np.nan)))
+
+    lost, never = run(4), run(None)
+    assert lost.frame_numbers == never.frame_numbers
+    sigma = np.sqrt(np.diag(never.state.covariance)[3:6])
+    assert (np.abs(lost.state.gTb[:3, 3] - never.state.gTb[:3, 3]) < 0.05 * sigma).all()
+
+
+def test_a_lag_beyond_the_descent_is_the_online_smoother(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    whole, online = FixedLagSmoother(lag_s=1e3).estimate(p), OnlineSmoother().estimate(p)
+    assert online.pose_covariance is not None
+    sigma = np.sqrt(np.einsum("nii->ni", online.pose_covariance)[:, 3:])
+    assert (np.abs(whole.gP - online.gP) < 0.05 * sigma).all()
+
+
+def test_fixed_lag_is_consistent_and_forgets(trials: list[tuple[Problem, Trajectory]]) -> None:
+    ends = []
+    for p, truth in trials:
+        estimate = FixedLagSmoother(lag_s=15.0).estimate(p)
+        assert estimate.pose_covariance is not None
+        ends.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[-1])
+    n = len(ends)
+    assert chi2.ppf(0.001, 6 * n) / n < np.mean(ends) < chi2.ppf(0.999, 6 * n) / n
+    p, _ = trials[0]
+    solver = FixedLagIsam(15.0)
+    session = OnlineSession(p, solver=solver)
+    session.begin(p.frames[0], p.start)
+    for frame in p.frames[1:]:
+        session.update(frame)
+    assert not solver.tree.valueExists(X(0))
+    assert solver.tree.valueExists(X(session.frame_numbers[-1]))
+
+
+def test_a_lag_must_be_positive() -> None:
+    with pytest.raises(EstimationError, match="lag_s"):
+        FixedLagIsam(0.0)
+
+
+def test_imu_factors_are_built_anew_where_a_correction_moved_gravity(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A start 20 km off puts gravity at wrong places: one graph keeps that error, rebuilt ones lose it."""
+    p, _ = trials[0]
+    expected = BatchSmoother().estimate(p)
+
+    def displaced(session: OnlineSession) -> gtsam.Values:
+        values = session._solver.tree.calculateBestEstimate()
+        away = gtsam.Values(values)
+        for number in range(session.frame_numbers[-1] + 1):
+            pose = values.atPose3(X(number))
+            away.update(X(number), gtsam.Pose3(pose.rotation(), 1.012 * pose.translation()))
+        return away
+
+    monkeypatch.setattr(OnlineSession, "smoothed_values", displaced)
+    rebuilt = BatchSmoother().estimate(p)
+    monkeypatch.setattr(batch, "MAX_REBUILDS", 1)
+    once = BatchSmoother().estimate(p)
+    off = [np.linalg.norm(t.gP - expected.gP, axis=1).max() for t in (rebuilt, once)]
+    assert off[0] < 0.1
+    assert off[1] > 1.0
