@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 import craternav_fg
+from craternav_fg.bench import report as bench_report
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, InputError
@@ -155,6 +156,36 @@ def compare(
         _say(f"{run.path}")
         out.print(table)
     _say(f"{LEGEND}\noff: RMS distance from the smoother")
+
+
+@app.command()
+def bench(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Figure of cost against size.")] = Path(
+        "runs/bench.png"
+    ),
+    full: Annotated[
+        bool, typer.Option("--full", help="Up to 10,000 frames; the default takes about a minute.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure cost against graphs of the same size made of GTSAM's own C++ factors."""
+    with _bar() as report:
+        result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)
+    bench_report.write_figure(result, output)
+    if as_json:
+        out.print_json(json.dumps(result.json()))
+        return
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
+    table.add_column("ratio", no_wrap=True)
+    for heading in ("median", "10 %", "90 %", "ours us", "C++ us"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, ratio in result.ratios.items():
+        numbers = (ratio.median, ratio.low, ratio.high, ratio.ours_us, ratio.reference_us)
+        table.add_row(name, *map(_number, numbers))
+    out.print(table)
+    for name, value in result.scalars.items():
+        out.print(f"{name}: {_number(value)}", highlight=False)
+    out.print(f"figure: {output}", highlight=False, soft_wrap=True)
 
 
 def _from_smoother(run: Run, name: str) -> float | None:

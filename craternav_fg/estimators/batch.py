@@ -19,14 +19,12 @@ from craternav_fg.estimators.graph import (
     pose_covariance_in_g,
     state_stamps,
 )
-from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-# Gravity changes by 1e-6 m/s^2 a metre on the Moon: a midpoint that moved by less is left alone.
-MIDPOINT_TOLERANCE_M = 10.0
 MAX_REBUILDS = 5
 
 

@@ -4,7 +4,7 @@ QR throughout: the Cholesky of GTSAM refuses realistic IMU information. The line
 as long as the solver lives: callbacks get that object and not a deep copy of all values.
 """
 
-from typing import Protocol
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
@@ -22,23 +22,6 @@ RELINEARISE = {
 # Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
 # are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
 WILDFIRE = 1.0
-
-
-class Solver(Protocol):
-    """What a session asks of its incremental solver."""
-
-    @property
-    def tree(self) -> gtsam.ISAM2:
-        """Gives estimates and marginal covariances; not to be kept."""
-        ...
-
-    def update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float) -> None:
-        """Add factors, and values of new variables; `time_s` is that of the newest."""
-        ...
-
-    def again(self) -> None:
-        """Relinearise what moved, and solve again."""
-        ...
 
 
 def parameters() -> gtsam.ISAM2Params:
@@ -64,15 +47,17 @@ class Isam:
     """
 
     def __init__(self) -> None:
-        self._tree = gtsam.ISAM2(parameters())
         self._hold: gtsam.Values | None = None
+        self._new(gtsam.NonlinearFactorGraph(), gtsam.Values())
 
     @property
     def tree(self) -> gtsam.ISAM2:
-        """Gives estimates and marginal covariances; replaced after a failed update."""
+        """Gives estimates and marginal covariances; not to be kept: a failed update replaces it."""
         return self._tree
 
-    def update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float) -> None:
+    def update(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int] = ()
+    ) -> list[int]:
         """Add factors, and values of new variables.
 
         Parameters
@@ -80,21 +65,31 @@ class Isam:
         graph : gtsam.NonlinearFactorGraph
         values : gtsam.Values
         time_s : float
-            Not used: every state is kept.
+            Of the new variables.
+        drop : sequence of int
+            Slots of factors to remove.
+
+        Returns
+        -------
+        list of int
+            Slots of the added factors, in their order; a failed update makes all slots void.
 
         Raises
         ------
         EstimationError
             When a factor raised or the system is indeterminate; the solver is then as it was before.
         """
-        known = self._tree.getFactorsUnsafe().size()
+        factors = self.tree.getFactorsUnsafe()
+        known = factors.size()
+        dropped = [factors.at(slot) for slot in drop]
         try:
-            self._tree.update(graph, values)
+            self._apply(graph, values, time_s, drop)
         except (RuntimeError, ValueError) as error:
-            self._restore(known, list(values.keys()))
+            self._take_back(known, drop, dropped, values)
             raise EstimationError(f"iSAM2 update failed and was taken back: {_first_line(error)}") from error
         if self._hold is None:
-            self._hold = self._tree.getLinearizationPoint()
+            self._hold = self.tree.getLinearizationPoint()
+        return list(range(known, known + graph.size()))
 
     def again(self) -> None:
         """Relinearise what moved, and solve again.
@@ -106,23 +101,39 @@ class Isam:
         """
         self.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), 0.0)
 
-    def _restore(self, known: int, added: list[int]) -> None:
-        values = gtsam.Values(self._tree.getLinearizationPoint())
-        factors = self._tree.getFactorsUnsafe()
+    def _new(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        """Begin again with these."""
+        self._tree = gtsam.ISAM2(parameters())
+        if graph.size():
+            self._tree.update(graph, values)
+
+    def _apply(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
+    ) -> None:
+        self._tree.update(graph, values, drop)
+
+    def _take_back(
+        self, known: int, drop: Sequence[int], dropped: list[gtsam.NonlinearFactor], added: gtsam.Values
+    ) -> None:
+        factors = self.tree.getFactorsUnsafe()
         graph = gtsam.NonlinearFactorGraph()
-        for i in range(known):
-            graph.push_back(factors.at(i))
-        for key in added:
+        for slot in range(known):
+            # Whether the update came as far as removing these is not known.
+            if slot not in drop and factors.exists(slot):
+                graph.push_back(factors.at(slot))
+        for factor in dropped:
+            graph.push_back(factor)
+        values = gtsam.Values(self.tree.getLinearizationPoint())
+        for key in added.keys():  # noqa: SIM118 (Values is no mapping)
             if values.exists(key):
                 values.erase(key)
-        self._tree = gtsam.ISAM2(parameters())
         self._hold = None
-        if known:
-            self._tree.update(graph, values)
-            self._hold = self._tree.getLinearizationPoint()
+        self._new(graph, values)
+        if graph.size():
+            self._hold = self.tree.getLinearizationPoint()
 
 
-class FixedLagIsam:
+class FixedLagIsam(Isam):
     """iSAM2 over the states of the last `lag_s` seconds; older ones are marginalised.
 
     Parameters
@@ -138,26 +149,24 @@ class FixedLagIsam:
     def __init__(self, lag_s: float) -> None:
         if not lag_s > 0.0:
             raise EstimationError(f"lag_s: expected a positive number, found {lag_s}")
-        params = parameters()
-        # Slots of marginalised factors are used again: else their number grows with the descent.
-        params.findUnusedFactorSlots = True
-        self._smoother = gtsam.IncrementalFixedLagSmoother(lag_s, params)
-        self._hold: gtsam.Values | None = None
+        self._lag_s = lag_s
+        super().__init__()
 
     @property
     def tree(self) -> gtsam.ISAM2:
         """Gives estimates and marginal covariances of the states inside the lag."""
         return self._smoother.getISAM2()
 
-    def update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float) -> None:
-        """Add factors, and values of new variables, all of them stamped `time_s`."""
-        self._smoother.update(graph, values, dict.fromkeys(values.keys(), time_s))
-        if self._hold is None:
-            self._hold = self._smoother.getLinearizationPoint()
+    def _new(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        stamps_s = self._smoother.timestamps() if graph.size() else {}
+        self._smoother = gtsam.IncrementalFixedLagSmoother(self._lag_s, parameters())
+        if graph.size():
+            self._smoother.update(graph, values, {key: stamps_s[key] for key in values.keys()})  # noqa: SIM118
 
-    def again(self) -> None:
-        """Relinearise what moved, and solve again."""
-        self._smoother.update()
+    def _apply(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
+    ) -> None:
+        self._smoother.update(graph, values, dict.fromkeys(values.keys(), time_s), drop)
 
 
 def _first_line(error: Exception) -> str:

@@ -1,5 +1,8 @@
 """The online smoother: iSAM2, frame by frame."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import gtsam
 import numpy as np
 import numpy.typing as npt
@@ -18,13 +21,15 @@ from craternav_fg.estimators.graph import (
     insert_state,
     state_stamps,
 )
-from craternav_fg.estimators.incremental import FixedLagIsam, Isam, Solver
+from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 
 FloatArray = npt.NDArray[np.float64]
 
+# Gravity changes by 1e-6 m/s^2 a metre on the Moon: a midpoint that moved by less is left alone.
+MIDPOINT_TOLERANCE_M = 10.0
 # A wide prior makes the first frames nonlinear: iterate until the newest position moves by less.
 SETTLED_M = 5.0
 MAX_EXTRA_UPDATES = 5
@@ -45,6 +50,17 @@ def _from_gtsam() -> FloatArray:
 FROM_GTSAM = _from_gtsam()
 
 
+@dataclass(frozen=True)
+class _Interval:
+    """An IMU factor of the graph: from state `number` on, in a slot, with gravity of a midpoint (3,) in g."""
+
+    number: int
+    begin_ns: int
+    end_ns: int
+    midpoint: FloatArray
+    slot: int = -1
+
+
 class OnlineSession:
     """An iSAM2 smoother that takes one frame after the other.
 
@@ -54,12 +70,12 @@ class OnlineSession:
     ----------
     descent : Descent
     options : GraphOptions
-    solver : Solver, optional
+    solver : Isam, optional
         Over all states when it is not given.
     """
 
     def __init__(
-        self, descent: Descent, options: GraphOptions = GraphOptions(), solver: Solver | None = None
+        self, descent: Descent, options: GraphOptions = GraphOptions(), solver: Isam | None = None
     ) -> None:
         self._descent = descent
         self._options = options
@@ -68,6 +84,7 @@ class OnlineSession:
         self._frame_numbers: list[int] = []
         self._stamps_ns: list[int] = []
         self._states: list[FilterState] = []
+        self._intervals: list[_Interval] = []
 
     @property
     def frame_numbers(self) -> list[int]:
@@ -98,7 +115,7 @@ class OnlineSession:
         add_frame(graph, self._descent, self._options, X(0), frame)
         gTb = start.gTb if start.frame == 0 else initial.gTb
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
-        self._update(graph, values, 0, frame.stamp_ns)
+        self._update(graph, values, [], 0, frame.stamp_ns)
 
     def predict(self, stamp_ns: int) -> FilterState:
         """Predict the state at a later stamp by the IMU; nothing is changed.
@@ -124,22 +141,29 @@ class OnlineSession:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = gtsam.NonlinearFactorGraph()
         values = gtsam.Values()
+        intervals = []
         state, last = self.state, self._last
         for end_ns in state_stamps(begin_ns, frame.stamp_ns, self._options.keyframe_s):
             ahead = filter_state.propagate(state, self._descent, begin_ns, int(end_ns))
             midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
             add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias)
+            intervals.append(_Interval(last, begin_ns, int(end_ns), midpoint))
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
         add_frame(graph, self._descent, self._options, X(last), frame)
-        self._update(graph, values, last, frame.stamp_ns)
+        self._update(graph, values, intervals, last, frame.stamp_ns)
 
     def _update(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, last: int, stamp_ns: int
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        intervals: list[_Interval],
+        last: int,
+        stamp_ns: int,
     ) -> None:
-        position = values.atPose3(X(last)).translation()
-        self._solver.update(graph, values, 1e-9 * (stamp_ns - self._descent.initial.stamp_ns))
+        predicted = position = values.atPose3(X(last)).translation()
+        self._add(graph, values, intervals, stamp_ns)
         self._last = last
         self._stamps_ns.append(stamp_ns)
         self._frame_numbers.append(last)
@@ -149,7 +173,48 @@ class OnlineSession:
                 break
             position = moved
             self._solver.again()
+        if np.linalg.norm(position - predicted) > MIDPOINT_TOLERANCE_M:
+            self._move_gravity()
         self._states.append(self._newest())
+
+    def _add(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        intervals: list[_Interval],
+        stamp_ns: int,
+        drop: Sequence[int] = (),
+    ) -> None:
+        """Update the solver; the graph begins with the factors of these intervals."""
+        time_s = 1e-9 * (stamp_ns - self._descent.initial.stamp_ns)
+        try:
+            slots = self._solver.update(graph, values, time_s, drop)
+        except EstimationError:
+            # The solver begins again with new slots; what is in the graph keeps its gravity.
+            self._intervals.clear()
+            raise
+        self._intervals += [replace(one, slot=slot) for one, slot in zip(intervals, slots, strict=False)]
+
+    def _move_gravity(self) -> None:
+        """Build anew the IMU factors whose midpoints a correction moved."""
+        tree = self._solver.tree
+        graph = gtsam.NonlinearFactorGraph()
+        kept, moved, drop = [], [], []
+        for one in self._intervals:
+            if not tree.valueExists(X(one.number)):
+                continue
+            ends = [tree.calculateEstimatePose3(X(i)).translation() for i in (one.number, one.number + 1)]
+            midpoint = 0.5 * (ends[0] + ends[1])
+            if np.linalg.norm(midpoint - one.midpoint) < MIDPOINT_TOLERANCE_M:
+                kept.append(one)
+                continue
+            bias = bias_vector(tree.calculateEstimateConstantBias(B(one.number)))
+            add_imu(graph, self._descent, one.number, one.begin_ns, one.end_ns, midpoint, bias)
+            moved.append(replace(one, midpoint=midpoint))
+            drop.append(one.slot)
+        self._intervals = kept
+        if moved:
+            self._add(graph, gtsam.Values(), moved, self._stamps_ns[-1], drop)
 
     def _newest(self) -> FilterState:
         n = self._last

@@ -1,0 +1,189 @@
+"""Ratios of cost, each from one run in which both sides take turns."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+from gtsam.symbol_shorthand import L, X
+
+from craternav_fg.bench.problems import FOCAL_PX, Bench
+from craternav_fg.bench.sessions import Reference
+from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.graph import GraphOptions, add_frame, add_prior
+from craternav_fg.estimators.incremental import FixedLagIsam, Isam
+from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+
+FloatArray = npt.NDArray[np.float64]
+
+# GTSAM's own default: both sides stop at the same relative decrease.
+RELATIVE_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Cost of ours over the reference's.
+
+    Attributes
+    ----------
+    median, low, high : float
+        Over the repetitions: median, 10 % and 90 % points.
+    ours_us, reference_us : float
+        Median costs, microseconds.
+    """
+
+    median: float
+    low: float
+    high: float
+    ours_us: float
+    reference_us: float
+
+
+def interleaved(ours: Callable[[], object], reference: Callable[[], object], repetitions: int) -> Ratio:
+    """Time two functions in turns; each turn gives one ratio."""
+    ours(), reference()
+    seconds = np.array([[_seconds(ours), _seconds(reference)] for _ in range(repetitions)])
+    return summary(seconds[:, 0] / seconds[:, 1], seconds[:, 0], seconds[:, 1])
+
+
+def summary(ratios: FloatArray, ours_s: FloatArray, reference_s: FloatArray) -> Ratio:
+    """Gather ratios and times."""
+    low, median, high = np.percentile(ratios, [10, 50, 90])
+    return Ratio(
+        float(median),
+        float(low),
+        float(high),
+        1e6 * float(np.median(ours_s)),
+        1e6 * float(np.median(reference_s)),
+    )
+
+
+def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 101) -> Ratio:
+    """Linearise the craters of all frames, per frame.
+
+    Parameters
+    ----------
+    bench : Bench
+    landmarks : bool
+        Reference: `KnownLandmarkFactorPose3`, a point in b without any camera; else
+        `GenericProjectionFactorCal3_S2` with a mounting, an image measurement as ours is.
+    repetitions : int
+
+    Returns
+    -------
+    Ratio
+    """
+    values = bench.values(np.random.default_rng(1), scale=0.1)
+    ours = gtsam.NonlinearFactorGraph()
+    reference = gtsam.NonlinearFactorGraph()
+    problem = bench.problem
+    model = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+    camera = problem.camera
+    calibration = gtsam.Cal3_S2(FOCAL_PX, FOCAL_PX, 0.0, camera.cx_px, camera.cy_px)
+    mounting = gtsam.Pose3(camera.bTc)
+    for i, frame in enumerate(problem.frames):
+        add_frame(ours, problem, GraphOptions(), X(i), frame)
+        if landmarks:
+            bench.landmark_factors(reference, i)
+            continue
+        for row, chart in zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True):
+            values.insert(L(row), problem.catalog.centres[row])
+            pixel = camera.pixels(chart[:2])
+            reference.push_back(
+                gtsam.GenericProjectionFactorCal3_S2(pixel, model, X(i), L(row), calibration, mounting)
+            )
+    ratio = interleaved(lambda: ours.linearize(values), lambda: reference.linearize(values), repetitions)
+    frames = len(problem.frames)
+    return Ratio(ratio.median, ratio.low, ratio.high, ratio.ours_us / frames, ratio.reference_us / frames)
+
+
+def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
+    """Optimise the whole descent from one start: ours against GTSAM's LM with QR on its own factors.
+
+    GTSAM's Cholesky, its default, needs ten times as long here: it fails on realistic IMU information.
+    """
+    values = bench.values(np.random.default_rng(1))
+    ours = build_graph(bench.problem, GraphOptions(), values)
+    reference = gtsam.NonlinearFactorGraph()
+    add_prior(reference, bench.problem.initial)
+    for i in range(ours.size()):
+        factor = ours.at(i)
+        if isinstance(factor, gtsam.CombinedImuFactor):
+            reference.push_back(factor)
+    for i in range(len(bench.gTb)):
+        bench.landmark_factors(reference, i)
+    params = gtsam.LevenbergMarquardtParams()
+    params.setLinearSolverType("MULTIFRONTAL_QR")
+    params.setRelativeErrorTol(RELATIVE_TOLERANCE)
+    options = LmOptions(relative_tolerance=RELATIVE_TOLERANCE)
+    return interleaved(
+        lambda: levenberg_marquardt(ours, values, options),
+        lambda: gtsam.LevenbergMarquardtOptimizer(reference, values, params).optimize(),
+        repetitions,
+    )
+
+
+@dataclass(frozen=True)
+class Online:
+    """Cost of every frame of one online run.
+
+    Attributes
+    ----------
+    ours_s, reference_s : ndarray, shape (frames - 1,)
+        From the frame's measurement to the newest state and its covariance.
+    """
+
+    ours_s: FloatArray
+    reference_s: FloatArray
+
+    @property
+    def flatness(self) -> float:
+        """Mean cost of the last tenth of the frames over that of the first."""
+        tenth = max(1, len(self.ours_s) // 10)
+        return float(self.ours_s[-tenth:].mean() / self.ours_s[:tenth].mean())
+
+
+def online(bench: Bench, lag_s: float | None = None) -> Online:
+    """Run our session and the reference side by side, with a fixed lag when one is given."""
+    solvers = [Isam() if lag_s is None else FixedLagIsam(lag_s) for _ in range(2)]
+    session = OnlineSession(bench.problem, solver=solvers[0])
+    session.begin(bench.problem.frames[0], bench.problem.start)
+    reference = Reference(bench, solvers[1])
+    seconds = []
+    for frame in bench.problem.frames[1:]:
+        seconds.append(
+            (_seconds(lambda frame=frame: session.update(frame)), _seconds(reference.update))  # type: ignore[misc]
+        )
+    ours_s, reference_s = np.array(seconds).T
+    return Online(ours_s, reference_s)
+
+
+def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
+    """Cost of one frame of the distributed EKF, microseconds."""
+    ekf().estimate(bench.problem)
+    seconds = [_seconds(lambda: ekf().estimate(bench.problem)) for _ in range(repetitions)]
+    return 1e6 * float(np.median(seconds)) / (len(bench.gTb) - 1)
+
+
+def batch_seconds(bench: Bench, repetitions: int = 3) -> float:
+    """Median duration of our batch optimisation."""
+    values = bench.values(np.random.default_rng(1))
+    graph = build_graph(bench.problem, GraphOptions(), values)
+    options = LmOptions(relative_tolerance=RELATIVE_TOLERANCE)
+    times = [_seconds(lambda: levenberg_marquardt(graph, values, options)) for _ in range(repetitions)]
+    return float(np.median(times))
+
+
+def exponent(sizes: npt.ArrayLike, seconds: npt.ArrayLike) -> float:
+    """Slope of log cost against log size, by least squares."""
+    return float(np.polyfit(np.log(np.asarray(sizes)), np.log(np.asarray(seconds)), 1)[0])
+
+
+def _seconds(function: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    function()
+    return time.perf_counter() - began

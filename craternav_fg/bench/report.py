@@ -1,0 +1,181 @@
+"""The benchmark as a whole: ratios, cost against size, figure."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from craternav_fg.bench import ratios
+from craternav_fg.bench.problems import make
+from craternav_fg.bench.ratios import Online, Ratio
+from craternav_fg.files import replacing
+
+FloatArray = npt.NDArray[np.float64]
+Report = Callable[[str, int, int], None]
+
+OURS, REFERENCE = "#0072B2", "#D55E00"
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How large the descents are.
+
+    Attributes
+    ----------
+    frames : tuple of int
+        Of the batch optimiser's scaling.
+    craters : tuple of int
+        In a frame, of the factor's scaling.
+    batch_frames : int
+        Of the batch ratio, 5 craters each.
+    online_frames : int
+        Of the online run, 10 craters each.
+    lag_frames : int
+        Of the fixed-lag run, 10 craters each.
+    online_runs : int
+        Repetitions of both.
+    """
+
+    frames: tuple[int, ...]
+    craters: tuple[int, ...]
+    batch_frames: int
+    online_frames: int
+    lag_frames: int
+    online_runs: int
+
+
+QUICK = Sizes((100, 300, 1000, 3000), (1, 3, 10, 30, 100), 600, 1000, 300, 3)
+FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3)
+LAG_S = 30.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was measured.
+
+    Attributes
+    ----------
+    ratios : dict of str to Ratio
+        By the names of the JSON output.
+    scalars : dict of str to float
+        Likewise: what is no ratio to a reference.
+    factor : ndarray, shape (craters, 3)
+        Craters in a frame; microseconds a frame of ours, of the reference.
+    batch : ndarray, shape (frames, 2)
+        Frames; seconds of ours.
+    online : Online
+        The last run.
+    """
+
+    ratios: dict[str, Ratio]
+    scalars: dict[str, float]
+    factor: FloatArray
+    batch: FloatArray
+    online: Online
+
+    def json(self) -> dict[str, float | list[float]]:
+        """Flat: each ratio's median, and under `*_spread` its 10 % and 90 % points."""
+        out: dict[str, float | list[float]] = {}
+        for name, ratio in self.ratios.items():
+            out[name] = ratio.median
+            out[f"{name}_spread"] = [ratio.low, ratio.high]
+        return {**out, **self.scalars}
+
+
+def run(sizes: Sizes, report: Report) -> Result:
+    """Measure everything.
+
+    Parameters
+    ----------
+    sizes : Sizes
+    report : callable
+        Told what is measured, how many steps are done, and of how many.
+
+    Returns
+    -------
+    Result
+    """
+    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 4
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        report("benchmark", done, steps)
+
+    measured: dict[str, Ratio] = {}
+    factor = []
+    for craters in sizes.craters:
+        ratio = ratios.factor_ratio(make(100, craters))
+        factor.append((craters, ratio.ours_us, ratio.reference_us))
+        step()
+    for craters in (10, 30):
+        bench = make(100, craters)
+        measured[f"factor_ratio_n{craters}"] = ratios.factor_ratio(bench)
+        measured[f"factor_ratio_landmark_n{craters}"] = ratios.factor_ratio(bench, landmarks=True)
+        step()
+    measured["batch_ratio"] = ratios.batch_ratio(make(sizes.batch_frames, 5))
+    step()
+    batch = []
+    for frames in sizes.frames:
+        batch.append((frames, ratios.batch_seconds(make(frames, 5))))
+        step()
+    online = []
+    lagged = []
+    for seed in range(sizes.online_runs):
+        online.append(ratios.online(make(sizes.online_frames, 10, seed)))
+        step()
+        lagged.append(ratios.online(make(sizes.lag_frames, 10, seed), LAG_S))
+        step()
+    measured["online_mean_ratio"] = _over_runs(online, np.mean)
+    measured["online_p99_ratio"] = _over_runs(online, lambda s: np.percentile(s, 99))
+    measured["fixed_lag_ratio"] = _over_runs(lagged, np.mean)
+    ekf_step_us = ratios.ekf_step_us(make(100, 10))
+    step()
+    sizes_s = np.array(batch)
+    scalars = {
+        "ekf_step_us": ekf_step_us,
+        "scaling_exponent_batch": ratios.exponent(sizes_s[:, 0], sizes_s[:, 1]),
+        "online_flatness": float(np.median([run.flatness for run in online])),
+        "online_frames_per_s": 1.0 / float(np.mean([run.ours_s.mean() for run in online])),
+        "online_frames": float(sizes.online_frames),
+    }
+    return Result(measured, scalars, np.array(factor), sizes_s, online[-1])
+
+
+def write_figure(result: Result, path: Path) -> None:
+    """Draw cost against size: factor over craters, batch over frames, online over the descent."""
+    figure = Figure(figsize=(12, 3.8), layout="constrained")
+    factor, batch, online = figure.subplots(1, 3)
+    factor.loglog(result.factor[:, 0], result.factor[:, 1], "o-", color=OURS, label="ours, stacked")
+    factor.loglog(result.factor[:, 0], result.factor[:, 2], "s--", color=REFERENCE, label="GTSAM, C++")
+    factor.set(xlabel="craters in a frame", ylabel="linearise a frame, us")
+    factor.legend(frameon=False)
+    batch.loglog(result.batch[:, 0], result.batch[:, 1], "o-", color=OURS)
+    batch.set(xlabel="frames, 5 craters each", ylabel="batch, s")
+    batch.set_title(f"exponent {result.scalars['scaling_exponent_batch']:.2f}", fontsize=10)
+    width = max(1, len(result.online.ours_s) // 50)
+    for seconds, colour, label in (
+        (result.online.ours_s, OURS, "ours"),
+        (result.online.reference_s, REFERENCE, "GTSAM, C++"),
+    ):
+        blocks = seconds[: len(seconds) // width * width].reshape(-1, width)
+        online.semilogy(
+            width * (np.arange(len(blocks)) + 0.5), 1e3 * blocks.mean(axis=1), color=colour, label=label
+        )
+    online.set(xlabel="frame, 10 craters each", ylabel="online, ms a frame")
+    online.legend(frameon=False)
+    for axes in (factor, batch, online):
+        axes.grid(alpha=0.3, which="both")
+    with replacing(path) as temporary:
+        FigureCanvasAgg(figure).print_figure(temporary, dpi=150, format=path.suffix.lstrip(".") or "png")
+
+
+def _over_runs(runs: list[Online], statistic: Callable[[FloatArray], object]) -> Ratio:
+    ours = np.array([statistic(run.ours_s) for run in runs], dtype=np.float64)
+    reference = np.array([statistic(run.reference_s) for run in runs], dtype=np.float64)
+    return ratios.summary(ours / reference, ours, reference)

@@ -1,0 +1,108 @@
+"""The benchmark measures the same problem on both sides, and reports what it promises."""
+
+import json
+import time
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from craternav_fg.bench import ratios, report
+from craternav_fg.bench.problems import Bench, make
+from craternav_fg.bench.sessions import Reference
+from craternav_fg.cli import app
+from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.graph import GraphOptions, add_prior
+from craternav_fg.estimators.incremental import Isam
+from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.optimise import levenberg_marquardt
+
+TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1)
+PROMISED = {
+    "factor_ratio_n10",
+    "factor_ratio_n30",
+    "batch_ratio",
+    "online_mean_ratio",
+    "online_p99_ratio",
+    "fixed_lag_ratio",
+    "ekf_step_us",
+    "scaling_exponent_batch",
+}
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return make(60, 10)
+
+
+def test_both_sides_solve_their_problem(bench: Bench) -> None:
+    """A start 50 m off comes down to errors that the measurements explain, with either kind of factor."""
+    start = bench.values(np.random.default_rng(1))
+    ours = build_graph(bench.problem, GraphOptions(), start)
+    reference = gtsam.NonlinearFactorGraph()
+    add_prior(reference, bench.problem.initial)
+    for i in range(ours.size()):
+        if isinstance(ours.at(i), gtsam.CombinedImuFactor):
+            reference.push_back(ours.at(i))
+    for i in range(60):
+        bench.landmark_factors(reference, i)
+    for graph, residuals in ((ours, 60 * 10 * 5), (reference, 60 * 10 * 3)):
+        result = levenberg_marquardt(graph, start)
+        assert 0.8 * residuals < 2.0 * result.error < 1.2 * residuals
+        off = [
+            np.linalg.norm(result.values.atPose3(X(i)).translation() - bench.gTb[i, :3, 3]) for i in range(60)
+        ]
+        assert max(off) < 60.0
+
+
+def test_reference_session_tracks_as_ours_does(bench: Bench) -> None:
+    reference = Reference(bench, Isam())
+    for _ in range(59):
+        reference.update()
+    ours = OnlineSmoother().estimate(bench.problem)
+    assert np.linalg.norm(reference._state.position() - bench.gTb[-1, :3, 3]) < 60.0
+    assert np.linalg.norm(ours.gP[-1] - bench.gTb[-1, :3, 3]) < 60.0
+
+
+def test_a_ratio_is_ours_over_the_reference() -> None:
+    ratio = ratios.interleaved(lambda: time.sleep(0.02), lambda: time.sleep(0.005), 5)
+    assert 2.0 < ratio.median < 6.0
+    assert ratio.low <= ratio.median <= ratio.high
+    assert ratio.ours_us > ratio.reference_us > 4e3
+
+
+def test_exponent() -> None:
+    n = np.array([100, 300, 1000])
+    assert_allclose(ratios.exponent(n, 3.0 * n**1.5), 1.5)
+
+
+def test_flatness_compares_the_last_tenth_with_the_first() -> None:
+    seconds = np.concatenate([np.full(10, 2.0), np.full(80, 9.0), np.full(10, 3.0)])
+    assert_allclose(ratios.Online(seconds, seconds).flatness, 1.5)
+
+
+@pytest.mark.slow
+def test_factors_cost_what_cpp_factors_cost() -> None:
+    """With room for a busy machine: an allocation per crater or a Python loop would show at once."""
+    assert ratios.factor_ratio(make(100, 10)).median < 1.8
+    assert ratios.factor_ratio(make(100, 30)).median < 0.9
+
+
+def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "QUICK", TINY)
+    figure = tmp_path / "cost.png"
+    done = CliRunner().invoke(app, ["bench", "-o", str(figure), "--json"])
+    assert done.exit_code == 0, done.output
+    measured = json.loads(done.stdout)
+    assert measured.keys() >= PROMISED
+    for name in PROMISED:
+        assert np.isfinite(measured[name])
+    low, high = measured["batch_ratio_spread"]
+    assert low <= measured["batch_ratio"] <= high
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    table = CliRunner().invoke(app, ["bench", "-o", str(figure)])
+    assert "online_mean_ratio" in table.stdout
