@@ -1,5 +1,6 @@
-"""Folders that are whole or absent: written under a temporary name, then renamed."""
+"""Files and folders that are whole or absent: written under a temporary name, then renamed."""
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -7,6 +8,42 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from craternav_fg.errors import InputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path to write; on success it takes the final name, on failure it is removed.
+
+    Parameters
+    ----------
+    path : Path
+        Final name of the file; its folder is made when missing.
+
+    Yields
+    ------
+    Path
+        Temporary name in the same folder, with the same suffix.
+
+    Raises
+    ------
+    InputError
+        When `path` is a folder or cannot be written.
+    """
+    if path.is_dir():
+        raise InputError(path, "expected a file to write, found a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    except OSError as error:
+        raise InputError(path, f"cannot be written: {error.strerror}") from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        temporary.chmod(0o644)
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

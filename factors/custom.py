@@ -20,6 +20,10 @@ from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED
 
 FloatArray = npt.NDArray[np.float64]
 
+# Looked up once: a method through its object costs as much as a crater.
+_at_pose = gtsam.Values.atPose3
+_matrix = gtsam.Pose3.matrix
+
 # kernel(gTb, bTc, linearise, e, J): writes e (rows,) and, when asked, J (rows, 6) for the body's twist.
 PoseKernel = Callable[[FloatArray, FloatArray, bool, FloatArray, FloatArray], None]
 # kernel(gTb, data, linearise, out): writes out (7, rows), J' above e; tells whether that is finite.
@@ -116,7 +120,7 @@ def pose_factor(
 
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
-        if not run(values.atPose3(key).matrix(), linearise):
+        if not run(_matrix(_at_pose(values, key)), linearise):
             raise _not_finite(key)
         if linearise:
             H[0] = J
@@ -163,7 +167,7 @@ def packed_pose_factor(
 
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
-        if not kernel(values.atPose3(key).matrix(), data, linearise, out):
+        if not kernel(_matrix(_at_pose(values, key)), data, linearise, out):
             raise _not_finite(key)
         if linearise:
             H[0] = J

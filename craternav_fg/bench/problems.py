@@ -150,5 +150,5 @@ def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
         accelerometer_bias_sigma_m_s2=3e-3,
     )
     descent = Descent(MOON, camera, catalog, imu, NOISE, initial)
-    start = Start(gTb[0], np.diag(np.repeat([0.01**2, 300.0**2], 3)))
+    start = Start(gTb[0], np.diag(np.repeat([0.01**2, 300.0**2], 3)), 0)
     return Bench(Problem(**vars(descent), start=start, frames=measured), points, gTb, gV)

@@ -150,6 +150,7 @@ class FixedLagIsam(Isam):
         if not lag_s > 0.0:
             raise EstimationError(f"lag_s: expected a positive number, found {lag_s}")
         self._lag_s = lag_s
+        self._smoother: gtsam.IncrementalFixedLagSmoother
         super().__init__()
 
     @property

@@ -55,7 +55,7 @@ def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
 
 @njit(cache=True, error_model="numpy")
 def first_bad_axes(axes: FloatArray) -> tuple[int, float, float]:
-    """Give the number of the first pair of axes (n, 2, 3) not perpendicular with a >= b > 0, or -1; its lengths."""
+    """Find the first of axes (n, 2, 3) not perpendicular with a >= b > 0: its number or -1, its lengths."""
     for k in range(axes.shape[0]):
         a2 = b2 = dot = 0.0
         for i in range(3):

@@ -31,6 +31,11 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Traj
     return [problem(folder, scenario(duration_s=40.0), trial) for trial in range(6)]
 
 
+def spoilt_factor(key: int) -> gtsam.CustomFactor:
+    """Give a factor that cannot be evaluated."""
+    return pose_factor(key, 3, lambda gTb, bTc, linearise, e, J: e.fill(np.nan), np.eye(4))
+
+
 def step(solver: Isam, number: int, *, bad: bool = False, drop: Sequence[int] = ()) -> list[int]:
     """Add a pose, a metre on from the last, and on demand a factor that cannot be evaluated."""
     graph = gtsam.NonlinearFactorGraph()
@@ -43,7 +48,7 @@ def step(solver: Isam, number: int, *, bad: bool = False, drop: Sequence[int] = 
         graph.push_back(gtsam.BetweenFactorPose3(X(number - 1), X(number), metre, model))
     values.insert(X(number), gtsam.Pose3(gtsam.Rot3(), np.array([number + 0.3, 0.0, 0.0])))
     if bad:
-        graph.push_back(pose_factor(X(number), 3, lambda gTb, bTc, linearise, e, J: e.fill(np.nan), np.eye(4)))
+        graph.push_back(spoilt_factor(X(number)))
     return solver.update(graph, values, float(number), drop)
 
 
@@ -104,7 +109,7 @@ def test_session_goes_on_after_a_frame_that_failed(
         return session
 
     def spoilt(graph: gtsam.NonlinearFactorGraph, *arguments: Any) -> None:
-        graph.push_back(pose_factor(arguments[2], 3, lambda gTb, bTc, linearise, e, J: e.fill(np.nan), np.eye(4)))
+        graph.push_back(spoilt_factor(arguments[2]))
 
     lost, never = run(4), run(None)
     assert lost.frame_numbers == never.frame_numbers
