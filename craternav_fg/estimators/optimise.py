@@ -15,10 +15,11 @@ from craternav_fg.errors import EstimationError
 FloatArray = npt.NDArray[np.float64]
 
 # Steps that the damping takes as large, by the letter of the key: pose (rad, m), velocity (m/s),
-# bias (accelerometer m/s^2, gyro rad/s).
+# bias (accelerometer m/s^2, gyro rad/s), mounting of the camera (rad, m).
 STEP_SCALES: dict[str, FloatArray] = {
     "x": np.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3]),
     "v": np.full(3, 5.0),
+    "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
     "b": np.array([3e-3, 3e-3, 3e-3, 5e-6, 5e-6, 5e-6]),
 }
 
@@ -34,7 +35,8 @@ class LmOptions:
     relative_tolerance : float
         Stop when the error falls by less than this share.
     first_damping : float
-        Damping of the first step, in units of the step scales; it is divided by 10 after each success.
+        Damping after the first step that fails, in units of the step scales; it grows by 10 with each
+        failure and falls by 10 with each success. Below it steps are not damped at all (Gauss-Newton).
     """
 
     max_iterations: int = 50
@@ -87,26 +89,38 @@ def levenberg_marquardt(
     if not np.isfinite(error):
         raise EstimationError(f"the error at the start is {error}")
     ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-    damping = options.first_damping
-    keys = list(values.keys())
+    damping = 0.0
     for iteration in range(1, options.max_iterations + 1):
         linear = graph.linearize(values)
         while True:
-            step = _damped(linear, keys, damping).optimize(ordering, gtsam.EliminateQR)
-            candidate = values.retract(step)
-            new_error = graph.error(candidate)
-            if new_error <= error:
+            candidate = _step(linear, values, ordering, damping)
+            new_error = np.inf if candidate is None else graph.error(candidate)
+            if candidate is not None and new_error <= error:
                 break
-            damping *= 10.0
+            damping = max(10.0 * damping, options.first_damping)
             if damping > 1e12:
                 # At the optimum to the last digit: rounding decides whether a step goes down.
                 return LmResult(values, error, iteration, True)
         gain = error - new_error
         values, error = candidate, new_error
-        damping *= 0.1
+        damping = 0.1 * damping if damping > options.first_damping else 0.0
         if gain <= options.relative_tolerance * error + 1e-12:
             return LmResult(values, error, iteration, True)
     return LmResult(values, error, options.max_iterations, False)
+
+
+def _step(
+    linear: gtsam.GaussianFactorGraph, values: gtsam.Values, ordering: gtsam.Ordering, damping: float
+) -> gtsam.Values | None:
+    """Values after one step; None when the undamped system does not determine all of them."""
+    if damping > 0.0:
+        linear = _damped(linear, list(values.keys()), damping)
+    try:
+        return values.retract(linear.optimize(ordering, gtsam.EliminateQR))
+    except RuntimeError:
+        if damping > 0.0:
+            raise
+        return None
 
 
 def _damped(linear: gtsam.GaussianFactorGraph, keys: list[int], damping: float) -> gtsam.GaussianFactorGraph:
