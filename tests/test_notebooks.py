@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom on a run that the tests make."""
+"""The notebooks run from top to bottom, the first on a run that the tests make."""
 
 from pathlib import Path
 
@@ -11,12 +11,20 @@ from tests.test_command_line import craternav, short_scenario
 NOTEBOOKS = Path(__file__).parent.parent / "notebooks"
 
 
+def execute(name: str) -> None:
+    notebook = nbformat.read(NOTEBOOKS / name, as_version=4)
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOKS)}}).execute()
+
+
 def test_01_descent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done = craternav("demo", "--scenario", short_scenario(tmp_path), "-o", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     monkeypatch.setenv("CRATERNAV_RUN", str(tmp_path / "run"))
-    notebook = nbformat.read(NOTEBOOKS / "01_descent.ipynb", as_version=4)
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOKS)}}).execute()
+    execute("01_descent.ipynb")
+
+
+def test_02_measurement_equations() -> None:
+    execute("02_measurement_equations.ipynb")
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
