@@ -85,7 +85,7 @@ def crater_los_factor(
     n = validation.count("charts", charts)
     centres = validation.array("centres", centres, (n, 3))
     normals = validation.unit_vectors("normals", normals, n)
-    charts = validation.array("charts", charts, (n, 5))
+    charts = validation.charts("charts", charts, n)
     validation.whitening("covariances", covariances, n, 5)
     covariances = validation.array("covariances", covariances, (n, 5, 5))
     gRc = validation.rotation("gRc_nominal", gRc_nominal)

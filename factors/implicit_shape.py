@@ -41,7 +41,7 @@ def implicit_shape_factor(
     centres : array_like, shape (n, 3)
         Rim centres in g, m.
     axes : array_like, shape (n, 2, 3)
-        Semi-axes a l1, b l2 in g, m.
+        Semi-axes a l1, b l2 in g, m, with l1 x l2 outward: a rim is seen from that side only.
     charts : array_like, shape (n, 5)
         Measured images in the ellipse chart, normalised coordinates: q is the unit-norm conic of each.
     covariances : array_like, shape (n, 5, 5)
@@ -64,7 +64,7 @@ def implicit_shape_factor(
     n = validation.count("charts", charts)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
-    charts = validation.array("charts", charts, (n, 5))
+    charts = validation.charts("charts", charts, n)
     W = validation.whitening("covariances", covariances, n, 5)
     conics = np.empty((n, 6))
     projections = np.empty((n, 5, 6))

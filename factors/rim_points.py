@@ -19,6 +19,9 @@ from factors.kernels import rim
 
 FloatArray = npt.NDArray[np.float64]
 
+# Below this a weight has no square.
+LEAST_SIGMA = 1e-150
+
 
 def rim_points_factor(
     key: int,
@@ -42,7 +45,7 @@ def rim_points_factor(
     centres : array_like, shape (n, 3)
         Rim centres in g, m.
     axes : array_like, shape (n, 2, 3)
-        Semi-axes a l1, b l2 in g, m.
+        Semi-axes a l1, b l2 in g, m, with l1 x l2 outward: a rim is seen from that side only.
     points : sequence of n array_like, shape (m_i, 2)
         Edge points of every rim, normalised coordinates, at least one each.
     sigmas : sequence of n array_like, shape (m_i,) or ()
@@ -72,13 +75,11 @@ def rim_points_factor(
     offsets = np.zeros(n + 1, dtype=np.int64)
     for i in range(n):
         m = validation.count(f"points[{i}]", points[i])
-        if m == 0:
-            raise FactorError(f"points[{i}]: expected at least one point")
         offsets[i + 1] = offsets[i] + m
         stacked_points.append(validation.array(f"points[{i}]", points[i], (m, 2)))
         shape = () if np.ndim(sigmas[i]) == 0 else (m,)
         sigma = validation.array(f"sigmas[{i}]", sigmas[i], shape)
-        if not (sigma > 0.0).all():
+        if not (sigma > LEAST_SIGMA).all():
             raise FactorError(f"sigmas[{i}]: expected positive numbers, found {sigma.min()}")
         stacked_sigmas.append(np.broadcast_to(sigma, (m,)))
     u = np.concatenate(stacked_points)

@@ -14,6 +14,9 @@ from factors.kernels import sun
 
 FloatArray = npt.NDArray[np.float64]
 
+# Below this a weight has no square.
+LEAST_SIGMA_RAD = 1e-150
+
 
 def sun_tilt_factor(
     key: int,
@@ -63,7 +66,7 @@ def sun_tilt_factor(
     if not np.linalg.norm(direction) > 0.0:
         raise FactorError("direction: expected a vector, found zero")
     sigma_rad = float(validation.array("sigma_rad", sigma_rad, ()))
-    if not sigma_rad > 0.0:
+    if not sigma_rad > LEAST_SIGMA_RAD:
         raise FactorError(f"sigma_rad: expected a positive number, found {sigma_rad}")
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:

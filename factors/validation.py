@@ -21,14 +21,16 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
         Naming the field, when it is no array of numbers, the shape differs or an element is not finite.
     """
     try:
-        out = np.array(value, dtype=np.float64, order="C")
+        given = np.asarray(value)
+        if given.dtype.kind == "c":
+            raise TypeError("a complex number would lose its imaginary part")
+        out = np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise FactorError(f"{name}: expected numbers of shape {shape}") from error
+        raise FactorError(f"{name}: expected real numbers of shape {shape}") from error
     if out.shape != shape:
         raise FactorError(f"{name}: expected shape {shape}, found {out.shape}")
-    flat = out.reshape(-1)
     # One sum of squares finds NaN and infinity at a fraction of an element-wise test's cost; it can overflow.
-    if not (math.isfinite(flat @ flat) or np.isfinite(out).all()):
+    if not (math.isfinite(admission.sum_of_squares(out.reshape(-1))) or np.isfinite(out).all()):
         raise FactorError(f"{name}: expected finite numbers, found {out[~np.isfinite(out)][0]}")
     return out
 
@@ -48,17 +50,35 @@ def length(name: str, value: Sequence[npt.ArrayLike]) -> int:
 
 
 def count(name: str, value: npt.ArrayLike) -> int:
-    """Give the number of craters, the length of a field.
+    """Give the number of rows of a field.
 
     Raises
     ------
     FactorError
-        When the field has none.
+        When the field has no rows.
     """
     try:
-        return len(np.asarray(value, dtype=np.float64))
+        n = len(np.asarray(value))
     except (TypeError, ValueError) as error:
-        raise FactorError(f"{name}: expected one row of numbers per crater") from error
+        raise FactorError(f"{name}: expected rows of numbers") from error
+    if n == 0:
+        raise FactorError(f"{name}: expected at least one row, found none")
+    return n
+
+
+def charts(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
+    """Give charts (n, 5) of ellipses that double precision can hold as conics.
+
+    Raises
+    ------
+    FactorError
+        Naming the first crater at fault.
+    """
+    out = array(name, value, (n, 5))
+    k = admission.first_bad_chart(out)
+    if k >= 0:
+        raise FactorError(f"{name}[{k}]: expected the chart of an ellipse in normalised coordinates")
+    return out
 
 
 def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArray:
@@ -80,6 +100,8 @@ def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArr
         )
     if fault == admission.INDEFINITE:
         raise FactorError(f"{name}[{k}]: expected a positive definite matrix")
+    if not math.isfinite(admission.sum_of_squares(W.reshape(-1))):
+        raise FactorError(f"{name}: expected variances that have an inverse, found {S[S > 0.0].min():g}")
     return W
 
 

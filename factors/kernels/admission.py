@@ -21,13 +21,12 @@ def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
     L = np.empty((m, m))
     for k in range(S.shape[0]):
         for i in range(m):
-            for j in range(i):
-                if not abs(S[k, i, j] - S[k, j, i]) <= 1e-9 * abs(S[k, i, j]):
-                    return ASYMMETRIC, k
-        for i in range(m):
             if not S[k, i, i] > 0.0:
                 return VARIANCE, k
             scale[i] = 1.0 / np.sqrt(S[k, i, i])
+            for j in range(i):
+                if not abs(S[k, i, j] - S[k, j, i]) * scale[i] * scale[j] <= 1e-9:
+                    return ASYMMETRIC, k
         # Scaled to unit diagonal: a chart's components differ by orders of magnitude.
         for i in range(m):
             for j in range(i + 1):
@@ -51,6 +50,29 @@ def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
                     total -= L[i, r] * W[k, r, j] / scale[j]
                 W[k, i, j] = total / L[i, i] * scale[j]
     return SOUND, -1
+
+
+@njit(cache=True, error_model="numpy")
+def sum_of_squares(a: FloatArray) -> float:
+    """Sum of squares of an array (n,), infinite without a warning where it overflows."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * a[i]
+    return total
+
+
+# Of a chart: its logarithms and its other components, far beyond any image.
+_LOGARITHM, _COMPONENT = 50.0, 1e10
+
+
+@njit(cache=True, error_model="numpy")
+def first_bad_chart(charts: FloatArray) -> int:
+    """Find the first chart (n, 5) whose conic would leave double precision: its number or -1."""
+    for k in range(charts.shape[0]):
+        for i in range(5):
+            if not abs(charts[k, i]) < (_LOGARITHM if i in (2, 4) else _COMPONENT):
+                return k
+    return -1
 
 
 @njit(cache=True, error_model="numpy")

@@ -78,6 +78,7 @@ def last(value: float) -> Callable[[np.ndarray], np.ndarray]:
 ANY = {
     "nan": last(np.nan),
     "infinite": last(np.inf),
+    "complex": lambda a: a + 1j,
     "a word": lambda a: np.array("crater"),
     "one dimension more": lambda a: np.asarray(a)[None],
     "one column less": lambda a: a[..., :-1] if np.ndim(a) > 0 else np.zeros(0),
@@ -88,6 +89,13 @@ ROTATION = {
     "zero": lambda a: 0.0 * a,
 }
 SPECIAL: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "charts": {
+        "wide": lambda a: a + np.array([0, 0, 400, 0, 0]),
+        "thin": lambda a: a - np.array([0, 0, 0, 0, 400]),
+        "far": lambda a: a + np.array([1e200, 0, 0, 0, 0]),
+        "none": lambda a: a[:0],
+    },
+    "points": {"none": lambda a: a[:0]},
     "bTc": ROTATION,
     "gRc_nominal": ROTATION,
     "axes": {
@@ -100,11 +108,12 @@ SPECIAL: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
         "negative": lambda a: -a,
         "zero": lambda a: 0.0 * a,
         "indefinite": lambda a: a - 1.1 * np.linalg.eigvalsh(a[-1])[0] * np.eye(a.shape[-1]),
+        "tiny": lambda a: 1e-305 * a,
         "asymmetric": lambda a: a + 0.1 * np.triu(np.abs(a), 1),
     },
     "normals": {"long": lambda a: 2.0 * a, "zero": lambda a: 0.0 * a},
-    "sigmas": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a},
-    "sigma_rad": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a},
+    "sigmas": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a, "tiny": lambda a: 1e-300 * a},
+    "sigma_rad": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a, "tiny": lambda a: 1e-300 * a},
     "direction": {"zero": lambda a: 0.0 * a},
 }
 CASES = [
