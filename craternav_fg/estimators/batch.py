@@ -52,22 +52,48 @@ class BatchSmoother:
             When the optimisation does not converge.
         """
         session = OnlineSmoother(self.options).run(problem)
-        values = session.smoothed_values()
-        midpoints = _midpoints(values)
-        for _ in range(MAX_REBUILDS):
-            graph = build_graph(problem, self.options, values)
-            result = levenberg_marquardt(graph, values)
-            if not result.converged:
-                raise EstimationError(
-                    f"no convergence in {result.iterations} iterations: measurements, IMU and "
-                    "initial state contradict each other (check frames, units and mounting)"
-                )
-            values = result.values
-            moved = _midpoints(values)
-            if np.abs(moved - midpoints).max(initial=0.0) < MIDPOINT_TOLERANCE_M:
-                break
-            midpoints = moved
-        return _trajectory(problem, graph, values, session.frame_numbers)
+        graph, values = optimum(problem, self.options, session.smoothed_values())
+        return trajectory(problem, graph, values, session.frame_numbers)
+
+
+def optimum(
+    problem: Problem, options: GraphOptions, values: gtsam.Values
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Optimise a whole descent, gravity's midpoints renewed until they stand.
+
+    Parameters
+    ----------
+    problem : Problem
+    options : GraphOptions
+    values : gtsam.Values
+        Start: of all states, each frame's, and those between.
+
+    Returns
+    -------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Its optimum.
+
+    Raises
+    ------
+    EstimationError
+        When the optimisation does not converge.
+    """
+    midpoints = _midpoints(values)
+    for _ in range(MAX_REBUILDS):
+        graph = build_graph(problem, options, values)
+        result = levenberg_marquardt(graph, values)
+        if not result.converged:
+            raise EstimationError(
+                f"no convergence in {result.iterations} iterations: measurements, IMU and "
+                "initial state contradict each other (check frames, units and mounting)"
+            )
+        values = result.values
+        moved = _midpoints(values)
+        if np.abs(moved - midpoints).max(initial=0.0) < MIDPOINT_TOLERANCE_M:
+            break
+        midpoints = moved
+    return graph, values
 
 
 def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
@@ -104,9 +130,25 @@ def _midpoints(values: gtsam.Values) -> FloatArray:
     return np.asarray(0.5 * (positions[1:] + positions[:-1]))
 
 
-def _trajectory(
+def trajectory(
     problem: Problem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, numbers: list[int]
 ) -> Trajectory:
+    """Gather the states of the frames and their marginal covariances.
+
+    Parameters
+    ----------
+    problem : Problem
+    graph : gtsam.NonlinearFactorGraph
+        Of the whole descent.
+    values : gtsam.Values
+        Its optimum.
+    numbers : list of int
+        Of the frames' states.
+
+    Returns
+    -------
+    Trajectory
+    """
     tree = bayes_tree(graph, values)
     gTb = np.array([values.atPose3(X(n)).matrix() for n in numbers])
     return Trajectory(

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 from factors.kernels.strapdown import (
@@ -121,15 +122,20 @@ def prior(descent: Descent) -> FilterState:
     )
 
 
+def carried_prior(descent: Descent, frames: Sequence[FrameMeasurement]) -> list[FilterState]:
+    """States at frames: the prior at the first, carried on by the IMU alone."""
+    states = [prior(descent)]
+    for before, frame in itertools.pairwise(frames):
+        states.append(propagate(states[-1], descent, before.stamp_ns, frame.stamp_ns))
+    return states
+
+
 def until_start(problem: Problem) -> list[FilterState]:
     """States at the frames up to the start's: the prior carried on by the IMU, then the start.
 
     The start gives the pose; velocity and biases follow it as far as the prior ties them to the pose.
     """
-    states = [prior(problem)]
-    frames = problem.frames[: problem.start.frame + 1]
-    for before, frame in itertools.pairwise(frames):
-        states.append(propagate(states[-1], problem, before.stamp_ns, frame.stamp_ns))
+    states = carried_prior(problem, problem.frames[: problem.start.frame + 1])
     states[-1] = _conditioned(states[-1], problem.start.gTb, problem.start.pose_covariance)
     return states
 

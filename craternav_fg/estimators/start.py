@@ -4,7 +4,6 @@ From a prior of 25 deg and 4 km that frame's problem has many local minima. Lowe
 steps from 300 times its size (annealing) lets the well-determined coarse geometry decide first.
 """
 
-import itertools
 from collections.abc import Sequence
 
 import gtsam
@@ -48,11 +47,10 @@ def find_start(
         When the IMU log does not reach the frame.
     """
     number = next((k for k, frame in enumerate(frames) if len(frame.rims)), None)
-    prior = filter_state.prior(descent)
     if number is None:
+        prior = filter_state.prior(descent)
         return Start(prior.gTb, prior.covariance[filter_state.POSE, filter_state.POSE], 0)
-    for before, frame in itertools.pairwise(frames[: number + 1]):
-        prior = filter_state.propagate(prior, descent, before.stamp_ns, frame.stamp_ns)
+    prior = filter_state.carried_prior(descent, frames[: number + 1])[-1]
     # The prior's position error turned from g into GTSAM's body axes.
     turn = np.eye(6)
     turn[3:, 3:] = prior.gTb[:3, :3].T
