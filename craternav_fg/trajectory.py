@@ -61,6 +61,9 @@ class Trajectory:
         In g, m^2/s^2.
     bias_covariance : ndarray, shape (k, 6, 6), or None
         Gyro, then accelerometer.
+    rim_weights : tuple of ndarray, or None
+        For each stamp, the weights (n,) of the measured rims: 1 used, 0 rejected as a wrong match. None
+        where nothing chose among them.
     """
 
     stamps_ns: IntArray
@@ -70,6 +73,7 @@ class Trajectory:
     pose_covariance: FloatArray | None = None
     velocity_covariance: FloatArray | None = None
     bias_covariance: FloatArray | None = None
+    rim_weights: tuple[FloatArray, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -7,6 +7,7 @@ from craternav_fg.estimators.base import Estimator
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf import ekf, ekf_paper
+from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 
@@ -17,6 +18,7 @@ def _centre_smoother() -> Estimator:
 
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "smoother": BatchSmoother,
+    "gnc_smoother": GncSmoother,
     "online": OnlineSmoother,
     "fixed_lag": FixedLagSmoother,
     "ekf": ekf,

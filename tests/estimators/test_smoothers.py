@@ -201,6 +201,7 @@ def test_state_stamps(begin: int, end: int, longest: float, expected: list[int] 
 def test_registry_names_what_there_is() -> None:
     assert list(ESTIMATORS) == [
         "smoother",
+        "gnc_smoother",
         "online",
         "fixed_lag",
         "ekf",
