@@ -25,6 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 # Okabe and Ito's colours, told apart by most eyes; the same estimator has the same colour everywhere.
 COLOURS = {
     "smoother": "#0072B2",
+    "gnc_smoother": "#F0E442",
     "online": "#56B4E9",
     "ekf": "#009E73",
     "ekf_paper": "#E69F00",
@@ -32,8 +33,9 @@ COLOURS = {
     "dead_reckoning": "#7F7F7F",
 }
 OTHER = "#CC79A7"
-# Well started, it equals the EKF: dashed and above, both are seen.
-DASHED = {"online"}
+# Well started, the one equals the EKF, without wrong matches the other the smoother: dashed and above, both
+# are seen.
+DASHED = {"online", "gnc_smoother"}
 
 
 def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims: Sequence[int]) -> Figure:

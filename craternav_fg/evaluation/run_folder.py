@@ -3,7 +3,8 @@
 metrics.json        errors of every estimator, wall time
 truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in g)
 states.parquet      every estimator's states with covariances, one row per frame
-residuals.parquet   every rim against every estimator's pose, one row per rim and estimator
+residuals.parquet   every rim against every estimator's pose, one row per rim and estimator; `weight` is the
+                    one it had, 0 if rejected as a wrong match, null where the estimator does not choose
 figures/            PNG
 run.toml            what was run on what, with versions
 """
@@ -253,6 +254,7 @@ def _residuals(
             L = np.linalg.cholesky(rims.covariance)
             whitened.append(np.linalg.solve(L, (rims.chart - predicted)[..., None])[..., 0])
         e = np.concatenate(whitened)
+        weights = trajectory.rim_weights
         parts.append(
             pa.table(
                 {
@@ -261,6 +263,9 @@ def _residuals(
                     "crater_id": pa.array([catalog.identifiers[row] for row in craters]),
                     "whitened": _vectors(e),
                     "chi2": pa.array(np.sum(e**2, axis=1)),
+                    "weight": pa.nulls(len(e), pa.float64())
+                    if weights is None
+                    else pa.array(np.concatenate(weights)),
                 }
             )
         )
