@@ -5,6 +5,7 @@ as long as the solver lives: callbacks get that object and not a deep copy of al
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -38,8 +39,16 @@ def parameters() -> gtsam.ISAM2Params:
     return params
 
 
+# Variables after which the tree begins anew: five minutes of states at one a second.
+MAX_VARIABLES = 900
+
+
 class Isam:
-    """iSAM2 over all states, that survives a failed update.
+    """iSAM2 that survives a failed update and costs the same however long the descent.
+
+    GTSAM walks all cliques at every update. So a tree that has grown to `MAX_VARIABLES` hands its newest
+    state on to a new one, as a Gaussian prior with the joint covariance: what lies before keeps its
+    linearisation and its estimate of that moment.
 
     A callback that raises leaves iSAM2 with half of an update. Then the solver is built anew from the
     factors and the linearisation point of before; a copy ahead of every update would be just as safe, but
@@ -48,12 +57,19 @@ class Isam:
 
     def __init__(self) -> None:
         self._hold: gtsam.Values | None = None
+        self._past = gtsam.Values()
         self._new(gtsam.NonlinearFactorGraph(), gtsam.Values())
 
     @property
     def tree(self) -> gtsam.ISAM2:
-        """Gives estimates and marginal covariances; not to be kept: a failed update replaces it."""
+        """Gives estimates and marginal covariances of the newest states; not to be kept: it gets replaced."""
         return self._tree
+
+    def estimate(self) -> gtsam.Values:
+        """Estimates of all states: those no longer in the tree as they were when they left it."""
+        values = gtsam.Values(self._past)
+        values.insert_or_assign(self.tree.calculateBestEstimate())
+        return values
 
     def update(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int] = ()
@@ -72,7 +88,8 @@ class Isam:
         Returns
         -------
         list of int
-            Slots of the added factors, in their order; a failed update makes all slots void.
+            Slots of the added factors, in their order, for as long as their variables are in the tree; a
+            failed update makes all slots void.
 
         Raises
         ------
@@ -111,6 +128,31 @@ class Isam:
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
         self._tree.update(graph, values, drop)
+        if self._tree.getLinearizationPoint().size() > MAX_VARIABLES:
+            self._hand_on()
+
+    def _hand_on(self) -> None:
+        """Begin anew with the newest state."""
+        estimate = self._tree.calculateBestEstimate()
+        self._past.insert_or_assign(estimate)
+        symbols = [gtsam.Symbol(key) for key in estimate.keys()]  # noqa: SIM118 (Values is no mapping)
+        last = max(symbol.index() for symbol in symbols)
+        keys = [symbol.key() for symbol in symbols if symbol.index() == last]
+        point = gtsam.Values(estimate)
+        for symbol in symbols:
+            if symbol.index() != last:
+                point.erase(symbol.key())
+        joint = self._tree.jointMarginalCovariance(keys)
+        whitening = np.linalg.inv(np.linalg.cholesky(joint.fullMatrix()))
+        widths = [joint.at(key, key).shape[0] for key in keys]
+        blocks = np.split(whitening, np.cumsum(widths)[:-1], axis=1)
+        terms: list[Any] = [term for pair in zip(keys, blocks, strict=True) for term in pair]
+        rows = len(whitening)
+        prior = gtsam.JacobianFactor(*terms, np.zeros(rows), gtsam.noiseModel.Unit.Create(rows))
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(gtsam.LinearContainerFactor(prior, point))
+        self._new(graph, point)
+        self._hold = None
 
     def _take_back(
         self, known: int, drop: Sequence[int], dropped: list[gtsam.NonlinearFactor], added: gtsam.Values

@@ -235,7 +235,7 @@ class OnlineSession:
 
     def smoothed_values(self) -> gtsam.Values:
         """Estimates of all states from all data so far."""
-        return self._solver.tree.calculateBestEstimate()
+        return self._solver.estimate()
 
 
 class OnlineSmoother:

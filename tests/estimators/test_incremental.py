@@ -117,6 +117,25 @@ def test_session_goes_on_after_a_frame_that_failed(
     assert (np.abs(lost.state.gTb[:3, 3] - never.state.gTb[:3, 3]) < 0.05 * sigma).all()
 
 
+def test_a_tree_that_grew_hands_on_what_it_knows(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p, _ = trials[0]
+    whole = OnlineSmoother().run(p)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 45)
+    handed_on = OnlineSmoother().run(p)
+    expected, actual = whole.filtered(), handed_on.filtered()
+    assert expected.pose_covariance is not None
+    assert actual.pose_covariance is not None
+    sigma = np.sqrt(np.einsum("nii->ni", expected.pose_covariance)[:, 3:])
+    assert (np.abs(actual.gP - expected.gP) < 0.05 * sigma).all()
+    W = np.linalg.inv(np.linalg.cholesky(expected.pose_covariance[-1]))
+    assert_allclose(W @ actual.pose_covariance[-1] @ W.T, np.eye(6), atol=0.02)
+    every, new = (session.smoothed_values() for session in (whole, handed_on))
+    assert sorted(every.keys()) == sorted(new.keys())
+    assert not handed_on._solver.tree.valueExists(X(0))
+
+
 def test_a_lag_beyond_the_descent_is_the_online_smoother(trials: list[tuple[Problem, Trajectory]]) -> None:
     p, _ = trials[0]
     whole, online = FixedLagSmoother(lag_s=1e3).estimate(p), OnlineSmoother().estimate(p)
