@@ -148,7 +148,7 @@ class Isam:
         blocks = np.split(whitening, np.cumsum(widths)[:-1], axis=1)
         terms: list[Any] = [term for pair in zip(keys, blocks, strict=True) for term in pair]
         rows = len(whitening)
-        prior = gtsam.JacobianFactor(*terms, np.zeros(rows), gtsam.noiseModel.Unit.Create(rows))
+        prior = gtsam.JacobianFactor(*terms, np.zeros(rows), gtsam.noiseModel.Unit.Create(rows))  # type: ignore[call-overload]
         graph = gtsam.NonlinearFactorGraph()
         graph.push_back(gtsam.LinearContainerFactor(prior, point))
         self._new(graph, point)
