@@ -8,7 +8,8 @@ by component.
 The distance is that of f = sqrt((x - m)' S^-1 (x - m)) - 1, divided by its gradient: exact for
 circles. The usual Sampson distance, of f^2 + 2 f, falls short by e^2 / 2R and shrinks small ellipses.
 What bias is left is the second-order one of the estimating equation, and is subtracted; errors are
-taken to lie along the normals, as they do for edges searched along normals.
+taken to lie along the normals, as they do for edges searched along normals. Points that also err along the
+rim, such as clicked ones, lie outside it by sigma^2 / 2R more, which their distances cannot tell.
 """
 
 from dataclasses import dataclass

@@ -12,6 +12,13 @@ FloatArray = npt.NDArray[np.float64]
 _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
 _GENTLE_ROUNDS = 5
+_SCALE_ROUNDS = 15
+# Moments of Tukey's psi for a Gaussian error e of standard deviation 1, relative to m = E[psi']: of its
+# variance E[psi^2]/m^2, E[psi' e^2]/m, E[psi psi' e]/m^2 and Var[psi']/m^2. All but the last are 1 for least
+# squares.
+_SPREAD, _CURVED, _MIXED, _UNEVEN = 1.0526, 0.4428, 0.5720, 0.1597
+# Relative variance of the scatter's estimate, times the number of points (2 for least squares).
+_SCATTER = 2.33
 
 
 @njit(cache=True, error_model="numpy")
@@ -120,11 +127,15 @@ def _normal_equations(
 def _second_order_bias(
     points: FloatArray, base: FloatArray, weight: FloatArray, y: FloatArray, C: FloatArray, sigma2: float
 ) -> FloatArray:
-    """Bias (5,) of the estimate from errors of variance sigma2 / base along the normals.
+    """Bias (5,) of the estimate from Gaussian errors of variance sigma2 / base along the normals.
 
-    The estimate solves sum k r J = 0, r = e + J d + d'Hd/2 + e K d + c e^2/2, J's own change with e
-    being M. To second order its mean is -sigma^2 C sum k {J [tr(HC)/2 - K'CJ + c/2] + M (1 - J'CJ)}
-    with C = (sum k J J')^-1. The derivatives are taken by differences at the points' feet.
+    The estimate solves sum k psi(r) J = 0, r = e + J d + d'Hd/2 + e K d + c e^2/2, J's own change with r
+    being M. To second order its mean is
+
+        -sigma^2 C sum k {J [v tr(HC)/2 - x K'CJ + u c/2] + M (1 - x J'CJ)},    C = (sum k J J')^-1,
+
+    v, u, x = E[psi^2]/m^2, E[psi' e^2]/m, E[psi psi' e]/m^2 with m = E[psi'], 1 for least squares. The
+    derivatives are taken by differences at the points' feet.
     """
     n, J, Jp, Jm, Jx = np.empty(2), np.empty(5), np.empty(5), np.empty(5), np.empty(5)
     nx = np.empty(2)
@@ -181,9 +192,9 @@ def _second_order_bias(
                 leverage += base[i] * weight[i] * J[a] * C[a, b] * J[b]
                 KCJ += K[a] * C[a, b] * J[b]
         variance = 1.0 / base[i]
-        scale = 0.5 * trace - KCJ + 0.5 * c * variance
+        scale = 0.5 * _SPREAD * trace - _MIXED * KCJ + 0.5 * _CURVED * c * variance
         for a in range(5):
-            total[a] += base[i] * weight[i] * (J[a] * scale + M[a] * variance * (1.0 - leverage))
+            total[a] += base[i] * weight[i] * (J[a] * scale + M[a] * variance * (1.0 - _MIXED * leverage))
     out = np.zeros(5)
     for a in range(5):
         for b in range(5):
@@ -252,7 +263,9 @@ def fit(
             moved[i, 0] = points[i, 0] - unknown * lever[i, 0]
             moved[i, 1] = points[i, 1] - unknown * lever[i, 1]
             r[i] = _distance(moved[i, 0], moved[i, 1], y, n, w) * np.sqrt(base[i])
-        sigma = max(_MAD_TO_SIGMA * _ordered(np.abs(r))[count // 2], min_scatter)
+        # With a scale that follows the points' order the weights can go round for ever.
+        if iteration < _SCALE_ROUNDS:
+            sigma = max(_MAD_TO_SIGMA * _ordered(np.abs(r))[count // 2], min_scatter)
         for i in range(count):
             t = r[i] / (_TUKEY * sigma)
             # The first rounds down-weigh only: a poor start must not throw the good points away.
@@ -296,8 +309,10 @@ def fit(
         return False, y, cov, 0.0, kept, 0.0
     rms = np.sqrt(square / mass)
     # Covariance of an M-estimate: psi's mean square over its mean slope squared.
-    sigma2 = psi2 * count / (slope * slope) * count / (count - 5.0)
-    white2 = sigma2
+    sigma2 = psi2 * count / (slope * slope)
+    white2 = sigma2 * count / (count - 5.0) / _SPREAD
+    # With Huber's correction for few points, and right in its inverse's mean: it is itself an estimate.
+    sigma2 *= count / (count - 5.0 - _SCATTER) * (1.0 + 5.0 * _UNEVEN / count) ** 2
     sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
     plain = np.ones(count)
     N, _ = _normal_equations(moved, lever, base, plain, y)
