@@ -11,8 +11,10 @@ one (`implicit.LEAST_COSINE`): there the residual runs to a pole and comes back 
 
 An unseen crater gets the residual `UNSEEN` in each of its rows and no Jacobian: dearer than a visible one,
 so that an optimiser steps back, and without pull, so that it spoils no other crater. The loss applies to it
-as to any other; a bounded loss makes it as dear as an outlier. The value is large against the residuals of
-an optimisation and small against what a sum of squares in double precision can carry beside a residual of 1.
+as to any other; a bounded loss makes it as dear as an outlier. The value is large against the residuals at
+the farthest start (25 degrees in units of a tenth of a pixel are thousands: were a lost crater cheaper, an
+optimiser would settle there) and small against what a sum of squares in double precision can carry beside a
+residual of 1, and a relative tolerance of an optimiser beside a change of some tens.
 
 The sun's tilt is undefined within `sun.FLOOR` of the line of sight only; its factor is silent there. No
 kernel writes NaN or infinity at any pose that is finite; NaN in a pose counts as unseen.
@@ -27,7 +29,7 @@ from factors.kernels.robust import apply_loss
 
 FloatArray = npt.NDArray[np.float64]
 
-UNSEEN = 1e4
+UNSEEN = 1e5
 
 
 @njit(cache=True, error_model="numpy")
