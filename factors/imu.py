@@ -50,10 +50,9 @@ class ImuNoise:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            if not 0.0 < getattr(self, field.name) < np.inf:
-                raise FactorError(
-                    f"{field.name}: expected a positive number, found {getattr(self, field.name)}"
-                )
+            value = validation.array(field.name, getattr(self, field.name), ())
+            if not value > 0.0:
+                raise FactorError(f"{field.name}: expected a positive number, found {value}")
 
 
 def preintegrate(
@@ -91,11 +90,10 @@ def preintegrate(
     FactorError
         When a field is not finite or mis-shaped, or the interval is empty.
     """
-    dt = np.asarray(dt_s, dtype=np.float64)
-    m = len(dt)
+    m = np.shape(dt_s)[0] if np.ndim(dt_s) else 0
+    dt = validation.array("dt_s", dt_s, (m,))
     if m == 0 or not (dt > 0.0).all():
         raise FactorError("dt_s: expected at least one row, all of positive duration")
-    dt = validation.array("dt_s", dt, (m,))
     w = validation.array("gyro", gyro, (m, 3))
     f = validation.array("accelerometer", accelerometer, (m, 3))
     b = validation.array("bias", bias, (6,))
@@ -124,6 +122,13 @@ def imu_factor(keys: Sequence[int], pim: gtsam.PreintegratedCombinedMeasurements
         Pose and velocity at the beginning, pose and velocity at the end, bias at the beginning and end.
     pim : gtsam.PreintegratedCombinedMeasurements
         From `preintegrate`.
+
+    Raises
+    ------
+    FactorError
+        When the keys are not six different ones.
     """
+    if len(keys) != 6 or len(set(keys)) != 6:
+        raise FactorError(f"keys: expected six different keys, found {len(set(keys))} among {len(keys)}")
     xi, vi, xj, vj, bi, bj = keys
     return gtsam.CombinedImuFactor(xi, vi, xj, vj, bi, bj, pim)

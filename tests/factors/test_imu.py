@@ -156,3 +156,9 @@ def test_bad_rows_are_refused(change: dict[str, np.ndarray], message: str) -> No
 def test_a_bias_without_walk_is_refused() -> None:
     with pytest.raises(FactorError, match="gyro_walk"):
         ImuNoise(1e-5, 1e-4, 0.0, 1e-8)
+
+
+@pytest.mark.parametrize("keys", [[X(0), V(0), X(1), V(1), B(0)], [X(0), V(0), X(0), V(1), B(0), B(1)]])
+def test_keys_that_are_not_six_are_refused(keys: list[int]) -> None:
+    with pytest.raises(FactorError, match="keys: expected six different"):
+        imu_factor(keys, one_interval())

@@ -3,15 +3,17 @@
 from collections.abc import Callable
 from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import B, V, X
 
 from factors.conic_shape import conic_shape_factor
 from factors.crater_centre import crater_centre_factor
 from factors.crater_los import crater_los_factor
 from factors.errors import FactorError
 from factors.implicit_shape import implicit_shape_factor
+from factors.imu import ImuNoise, imu_factor, preintegrate
 from factors.rim_points import rim_points_factor
 from factors.sun_tilt import sun_tilt_factor
 from tests.factors.conftest import make_view, rim_points
@@ -24,6 +26,15 @@ RIMS = {
     "charts": VIEW.charts,
     "covariances": VIEW.covariances,
 }
+DENSITIES = {name: np.array(1e-4) for name in ImuNoise.__dataclass_fields__}
+
+
+def imu(key: int, **arguments: Any) -> gtsam.CombinedImuFactor:
+    """IMU factor from an interval of which every field, of the noise too, is given by name."""
+    noise = ImuNoise(**{name: arguments.pop(name) for name in DENSITIES})
+    return imu_factor([key, V(0), X(1), V(1), B(0), B(1)], preintegrate(noise, **arguments))
+
+
 GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "shape": (conic_shape_factor, RIMS),
     "implicit": (implicit_shape_factor, RIMS),
@@ -59,6 +70,18 @@ GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             "tilt_rad": np.array(0.3),
             "sigma_rad": np.array(0.1),
             "point": np.zeros(2),
+        },
+    ),
+    "imu": (
+        imu,
+        {
+            **DENSITIES,
+            "spin": np.array([0.0, 0.0, 3e-6]),
+            "gravity": np.array([0.0, 0.0, -1.6]),
+            "dt_s": np.full(3, 0.01),
+            "gyro": np.full((3, 3), 0.02),
+            "accelerometer": np.full((3, 3), 1.0),
+            "bias": np.zeros(6),
         },
     ),
 }
@@ -115,6 +138,8 @@ SPECIAL: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
     "sigmas": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a, "tiny": lambda a: 1e-300 * a},
     "sigma_rad": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a, "tiny": lambda a: 1e-300 * a},
     "direction": {"zero": lambda a: 0.0 * a},
+    "dt_s": {"negative": lambda a: -a, "zero": lambda a: 0.0 * a, "empty": lambda a: a[:0]},
+    **{name: {"negative": lambda a: -a, "zero": lambda a: 0.0 * a} for name in DENSITIES},
 }
 CASES = [
     pytest.param(factor, field, change, id=f"{factor}-{field}-{name}")
