@@ -1,8 +1,8 @@
 """Implicit shape factor, eq. (19) as printed, whitened by J_q S_q J_q' at every pose.
 
 Zero when every measured conic is the image of its rim. It carries the information of the conic-shape factor
-and has its optimum, up to the curvature of the map between conic and chart, but a narrow basin of
-convergence: for comparison, not for use.
+and has its optimum, up to the curvature of the map between conic and chart, but a narrower basin of
+convergence, under Gauss-Newton (as iSAM2 steps) much narrower: for comparison, not for use.
 
 The whitening depends on the pose, and the derivative includes that: `factors.kernels.implicit` shows that
 the whitened residual is a constant-noise residual in q, exactly, and differentiates that.

@@ -24,6 +24,17 @@ _WIDER = 2.2
 _BLUNTNESS_WEIGHT = 0.1
 
 
+def noise_level(image: ImageArray) -> float:
+    """Standard deviation of an image's pixel noise, in its unit; edges and slopes hardly count.
+
+    Immerkaer, "Fast noise variance estimation", CVIU 64 (2), 1996, with the median for the mean.
+    """
+    rows = np.arange(1, image.shape[0] - 1, max(1, image.shape[0] // 256))
+    second = [image[rows + d, :-2] - 2.0 * image[rows + d, 1:-1] + image[rows + d, 2:] for d in (-1, 0, 1)]
+    response = second[0] - 2.0 * second[1] + second[2]
+    return float(np.median(np.abs(response)) * 1.4826 / 6.0)
+
+
 @njit(cache=True, error_model="numpy")
 def bilinear(image: ImageArray, x: float, y: float) -> float:
     """Brightness at pixel (x, y); NaN outside."""
@@ -173,8 +184,8 @@ def _crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray
 @njit(cache=True, error_model="numpy")
 def trace_rim(
     image: ImageArray, chart_px: FloatArray, gain_px: FloatArray, level: float, reach_px: float,
-    smooth_share: float, smooth_px: float, psf_px: float, min_gain: float, min_step: float, count: int,
-    bias: FloatArray, bias_share: FloatArray, bias_gain: FloatArray,
+    smooth_share: float, smooth_px: float, psf_px: float, min_gain: float, min_step: float, noise_step: float,
+    count: int, bias: FloatArray, bias_share: FloatArray, bias_gain: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:  # fmt: skip
     """Edge points of one rim.
 
@@ -198,6 +209,9 @@ def trace_rim(
         Least |gain| of a normal that is searched.
     min_step : float
         Least step of brightness across the edge, relative to the level, for a gain of 1.
+    noise_step : float
+        Least step of brightness that noise does not explain, relative to the level, between two pixels; the
+        means of several on both sides scatter less.
     count : int
         Normals about the rim.
     bias, bias_share, bias_gain : ndarray, shapes (m, k), (m,), (k,)
@@ -249,6 +263,7 @@ def trace_rim(
             continue
         tried += 1
         n_side = int(side / step + 0.5)
+        least = max(min_step * np.abs(gain), noise_step / np.sqrt(side))
         n_reach = int(np.ceil(reach_px / step))
         best, second, where, fall = 0.0, 0.0, 0.0, 0.0
         kernel = _gaussian(smooth / step)
@@ -263,7 +278,7 @@ def trace_rim(
                 place = i + here / (here - after)
                 t = (place - half) * step
                 score = (inner - outer) / n_side
-                if score > min_step * np.abs(gain):
+                if score > least:
                     # The prediction counts, weakly: of two equal edges the nearer.
                     score *= np.exp(-0.5 * (t / reach_px) ** 2)
                     if score > best:

@@ -60,6 +60,8 @@ class GuidedOptions:
         Least shading gain across a rim part that is searched.
     min_step : float
         Least relative step of brightness across an edge, for a gain of 1.
+    step_sigmas : float
+        Least step of brightness across an edge in standard deviations that the pixels' noise gives it.
     min_found_share : float
         Least share of the searched normals with an edge.
     max_rms_px, max_rms_share : float
@@ -89,6 +91,7 @@ class GuidedOptions:
     shift_sigmas: float = 3.5
     min_gain: float = 0.12
     min_step: float = 0.02
+    step_sigmas: float = 3.0
     min_found_share: float = 0.55
     max_rms_px: float = 0.6
     max_rms_share: float = 0.03
@@ -358,6 +361,7 @@ class GuidedFrontEnd:
     ) -> tuple["_Scene", FloatArray, FloatArray]:
         """Those rims of a scene whose edges bear a fit, their charts (n, 5) and covariances."""
         opt = self.options
+        noise_step = opt.step_sigmas * np.sqrt(2.0) * edges.noise_level(image)
         found: list[int] = []
         fits: list[RimFit] = []
         for i in range(len(scene)):
@@ -365,8 +369,8 @@ class GuidedFrontEnd:
             count = int(np.clip(2.0 * minor_px, 56, 160))
             points, ratio, lever, tried, _ = edges.trace_rim(
                 image, scene.charts_px[i], scene.gain_px[i], scene.level[i], reach[0] + reach[1] * minor_px,
-                opt.smooth_share, opt.smooth_px, opt.psf_px, opt.min_gain, opt.min_step, count,
-                self._bias, crest.BLUR, crest.GAIN,
+                opt.smooth_share, opt.smooth_px, opt.psf_px, opt.min_gain, opt.min_step,
+                noise_step / scene.level[i], count, self._bias, crest.BLUR, crest.GAIN,
             )  # fmt: skip
             if tried < 0.4 * count or len(points) < opt.min_found_share * tried:
                 continue

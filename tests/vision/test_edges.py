@@ -27,7 +27,21 @@ def rim_image(centre=CENTRE, contrast=0.5):
 
 def trace(image, chart=CHART, min_gain=0.12, level=LEVEL):
     return edges.trace_rim(
-        image, chart, GAIN, level, 4.0, 0.02, 0.4, 0.0, min_gain, 0.02, 72, NO_BIAS, crest.BLUR, crest.GAIN
+        image,
+        chart,
+        GAIN,
+        level,
+        4.0,
+        0.02,
+        0.4,
+        0.0,
+        min_gain,
+        0.02,
+        0.0,
+        72,
+        NO_BIAS,
+        crest.BLUR,
+        crest.GAIN,
     )
 
 

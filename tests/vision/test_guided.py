@@ -192,13 +192,14 @@ def test_rough_ground_enlarges_the_covariance():
     assert size[1] > 2.0 * size[0]
 
 
-@pytest.mark.parametrize("kind", ["noise", "black", "white", "night"])
+@pytest.mark.parametrize("kind", ["noise", "coarse noise", "black", "white", "night"])
 def test_an_image_without_craters_has_no_rims(view, kind):
     catalog, gTb, sun_g, _ = view
     size = (scene.SIZE_PX, scene.SIZE_PX)
     rng = np.random.default_rng(8)
     image = {
         "noise": lambda: rng.normal(110.0, 2.0, size),
+        "coarse noise": lambda: rng.normal(110.0, 4.0, size),
         "black": lambda: np.zeros(size),
         "white": lambda: np.full(size, 255),
         "night": lambda: rng.normal(20.0, 1.0, size),
