@@ -25,7 +25,7 @@ _BLUNTNESS_WEIGHT = 0.1
 
 
 def noise_level(image: ImageArray) -> float:
-    """Standard deviation of an image's pixel noise, in its unit; edges and slopes hardly count.
+    """Give the standard deviation of an image's pixel noise; edges and slopes hardly count.
 
     Immerkaer, "Fast noise variance estimation", CVIU 64 (2), 1996, with the median for the mean.
     """
