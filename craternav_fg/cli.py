@@ -164,7 +164,7 @@ def bench(
         "runs/bench.png"
     ),
     full: Annotated[
-        bool, typer.Option("--full", help="Up to 10,000 frames; the default takes about a minute.")
+        bool, typer.Option("--full", help="Online over 10,000 frames, too: minutes. The default takes about one.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
