@@ -47,6 +47,19 @@ class Catalog:
     def __len__(self) -> int:
         return len(self.identifiers)
 
+    def take(self, rows: IntArray) -> "Catalog":
+        """Return the craters of some rows."""
+        return Catalog(
+            tuple(self.identifiers[row] for row in rows),
+            self.latitude_rad[rows],
+            self.longitude_rad[rows],
+            self.semi_major_m[rows],
+            self.semi_minor_m[rows],
+            self.angle_rad[rows],
+            self.height_m[rows],
+            self.body,
+        )
+
     @cached_property
     def gRl(self) -> FloatArray:
         """Rotations (n, 3, 3) from each crater's local frame l (x along a, y along b, z outward) to g."""

@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaln
 
-from craternav_fg.camera import Camera
+from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.vision import acquire_match as match
 from craternav_fg.vision import photometry
 from craternav_fg.vision.acquire_detect import Detections, DetectOptions, detect_rims
-from craternav_fg.vision.ellipse_fit import pixel_chart
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]

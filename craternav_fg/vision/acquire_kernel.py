@@ -5,6 +5,7 @@ import numpy.typing as npt
 from numba import njit
 
 from factors.kernels import conic
+from factors.kernels.gauss_newton import move, prior_terms, solve
 from factors.kernels.sun import sun_tilt, wrap
 
 FloatArray = npt.NDArray[np.float64]
@@ -13,96 +14,6 @@ IntArray = npt.NDArray[np.int64]
 # A true pair of rim and crater, 5 degrees of freedom, is hardly ever further apart (chi-square, 0.9997).
 PAIR_GATE = 23.0
 _ITERATIONS = 4
-
-
-@njit(cache=True, error_model="numpy")
-def solve(N: FloatArray, g: FloatArray, x: FloatArray) -> None:
-    """Solve N x = g for a positive definite N (n, n), by Cholesky, scaled to a unit diagonal."""
-    n = g.shape[0]
-    L = np.empty((n, n))
-    for i in range(n):
-        x[i] = g[i] / np.sqrt(N[i, i])
-        for j in range(i + 1):
-            total = N[i, j] / np.sqrt(N[i, i] * N[j, j])
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
-    for i in range(n):
-        for k in range(i):
-            x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
-    for i in range(n):
-        x[i] /= np.sqrt(N[i, i])
-
-
-@njit(cache=True, error_model="numpy")
-def prior_terms(prior: FloatArray, W: FloatArray, pose: FloatArray, N: FloatArray, g: FloatArray) -> float:
-    """Write normal matrix (6, 6) and gradient (6,) of the prior for the right twist; return its cost."""
-    e = np.zeros(6)
-    D = np.zeros((6, 6))
-    M = np.zeros((3, 3))
-    for i in range(3):
-        e[3 + i] = pose[i, 3] - prior[i, 3]
-        for j in range(3):
-            D[3 + i, 3 + j] = pose[i, j]
-            for k in range(3):
-                M[i, j] += prior[k, i] * pose[k, j]
-    # The rotation's logarithm, and its derivative for a right perturbation.
-    sine2 = 0.0
-    for i in range(3):
-        e[i] = 0.5 * (M[(i + 2) % 3, (i + 1) % 3] - M[(i + 1) % 3, (i + 2) % 3])
-        sine2 += e[i] * e[i]
-    sine = np.sqrt(sine2)
-    angle = np.arctan2(sine, 0.5 * (M[0, 0] + M[1, 1] + M[2, 2] - 1.0))
-    c = 1.0 / 12.0
-    if angle > 1e-3:
-        c = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / (angle * angle)
-    for i in range(3):
-        e[i] *= angle / sine if sine > 1e-9 else 1.0
-    for i in range(3):
-        D[i, i] = 1.0 - c * angle * angle
-        for j in range(3):
-            D[i, j] += c * e[i] * e[j]
-        D[i, (i + 1) % 3] -= 0.5 * e[(i + 2) % 3]
-        D[i, (i + 2) % 3] += 0.5 * e[(i + 1) % 3]
-    cost = 0.0
-    N[:] = 0.0
-    g[:] = 0.0
-    for a in range(6):
-        for b in range(6):
-            cost += e[a] * W[a, b] * e[b]
-            for i in range(6):
-                g[i] += D[a, i] * W[a, b] * e[b]
-                for j in range(6):
-                    N[i, j] += D[a, i] * W[a, b] * D[b, j]
-    return cost
-
-
-@njit(cache=True, error_model="numpy")
-def move(pose: FloatArray, delta: FloatArray) -> None:
-    """Move a pose by a right twist [w, rho], in place: R exp(w), t + R rho."""
-    angle2 = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2
-    angle = np.sqrt(angle2)
-    a = np.sin(angle) / angle if angle > 1e-6 else 1.0
-    b = (1.0 - np.cos(angle)) / angle2 if angle > 1e-6 else 0.5
-    E = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            E[i, j] = b * delta[i] * delta[j]
-        E[i, i] += 1.0 - b * angle2
-        E[i, (i + 1) % 3] -= a * delta[(i + 2) % 3]
-        E[i, (i + 2) % 3] += a * delta[(i + 1) % 3]
-    row = np.empty(3)
-    for i in range(3):
-        for j in range(3):
-            row[j] = pose[i, j]
-        for j in range(3):
-            pose[i, 3] += row[j] * delta[3 + j]
-            pose[i, j] = row[0] * E[0, j] + row[1] * E[1, j] + row[2] * E[2, j]
 
 
 @njit(cache=True, error_model="numpy")

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.camera import Camera
+from craternav_fg.camera import Camera, ellipse_chart, normalised_chart, pixel_chart
 from craternav_fg.vision import ellipse_kernel
 
 FloatArray = npt.NDArray[np.float64]
@@ -124,7 +124,7 @@ def fit_rim(
     (cx, cy), (axis1, axis2), angle_deg = cv2.fitEllipseAMS(points.astype(np.float32))
     if not (min(axis1, axis2) > 0.0 and np.all(np.isfinite([cx, cy, axis1, axis2, angle_deg]))):
         return FitFailure.NO_ELLIPSE
-    start = _geometric_to_chart(cx, cy, 0.5 * axis1, 0.5 * axis2, np.deg2rad(angle_deg))
+    start = ellipse_chart(cx, cy, 0.5 * axis1, 0.5 * axis2, np.deg2rad(angle_deg))
     return refine_rim(points, start, camera, options, ratio)
 
 
@@ -174,20 +174,6 @@ def systematic_covariance(chart: FloatArray, camera: Camera, options: FitOptions
     return np.asarray(floor * np.outer(scale, scale))
 
 
-def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Chart (..., 5) in normalised coordinates of a chart in pixels, and the derivative's diagonal (5,)."""
-    scale = np.array([1.0 / camera.fx_px, 1.0 / camera.fy_px, 1.0, camera.fx_px / camera.fy_px, 1.0])
-    offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
-    return (chart_px - offset) * scale, scale
-
-
-def pixel_chart(chart: FloatArray, camera: Camera) -> FloatArray:
-    """Chart (..., 5) in pixel coordinates of a chart in normalised coordinates."""
-    scale = np.array([camera.fx_px, camera.fy_px, 1.0, camera.fy_px / camera.fx_px, 1.0])
-    offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
-    return np.asarray(chart * scale + offset)
-
-
 @njit(cache=True, error_model="numpy")
 def floor_covariance(y: FloatArray, floor_px: float, floor_share: float) -> FloatArray:
     """Covariance (5, 5) of a pixel chart from a systematic error of centre, semi-axes and rotation.
@@ -229,11 +215,3 @@ def floor_covariance(y: FloatArray, floor_px: float, floor_share: float) -> Floa
             for j in range(3):
                 out[2 + i, 2 + j] += var * floor * floor * g[i] * g[j]
     return out
-
-
-def _geometric_to_chart(cx: float, cy: float, r1: float, r2: float, phi: float) -> FloatArray:
-    c, d = np.cos(phi), np.sin(phi)
-    sxx = (r1 * c) ** 2 + (r2 * d) ** 2
-    sxy = (r1**2 - r2**2) * c * d
-    syy = (r1 * d) ** 2 + (r2 * c) ** 2
-    return np.array([cx, cy, 0.5 * np.log(sxx), sxy / sxx, 0.5 * np.log(syy - sxy**2 / sxx)])

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from craternav_fg.camera import Camera
+from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.vision import crest, edges, photometry
@@ -19,7 +19,6 @@ from craternav_fg.vision.ellipse_fit import (
     FitFailure,
     FitOptions,
     RimFit,
-    pixel_chart,
     refine_rim,
     systematic_covariance,
 )

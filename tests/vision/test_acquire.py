@@ -5,16 +5,16 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.camera import Camera
+from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
-from craternav_fg.vision import acquire_kernel, photometry
+from craternav_fg.vision import photometry
 from craternav_fg.vision.acquire import AcquireOptions, acquire, image_spread_px
 from craternav_fg.vision.acquire_detect import detect_rims
-from craternav_fg.vision.ellipse_fit import pixel_chart
+from factors.kernels import gauss_newton
 
 MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
 FOCAL = 512.0 / np.tan(np.deg2rad(22.0))
@@ -214,14 +214,14 @@ def test_gradient_of_the_prior_is_the_slope_of_its_cost(angle_rad):
     pose[:3, :3] = prior[:3, :3] @ frames.rotation_exp(angle_rad * turn / np.linalg.norm(turn))
     pose[:3, 3] += rng.standard_normal(3)
     N, gradient, scratch = np.empty((6, 6)), np.empty(6), np.empty(6)
-    acquire_kernel.prior_terms(prior, weight, pose, N, gradient)
+    gauss_newton.prior_terms(prior, weight, pose, N, gradient)
     slope = np.empty(6)
     for k in range(6):
         cost = []
         for step in (1e-6, -1e-6):
             near = pose.copy()
-            acquire_kernel.move(near, step * np.eye(6)[k])
-            cost.append(acquire_kernel.prior_terms(prior, weight, near, N, scratch))
+            gauss_newton.move(near, step * np.eye(6)[k])
+            cost.append(gauss_newton.prior_terms(prior, weight, near, N, scratch))
         slope[k] = (cost[0] - cost[1]) / 2e-6
     np.testing.assert_allclose(2.0 * gradient, slope, rtol=1e-6, atol=1e-6)
 
@@ -230,6 +230,6 @@ def test_moves_compose_like_rotations():
     pose = frames.pose(frames.rotation_exp(np.array([0.3, -0.2, 0.9])), np.array([1.0, 2.0, 3.0]))
     delta = np.array([0.4, 0.1, -0.7, 5.0, 6.0, 7.0])
     moved = pose.copy()
-    acquire_kernel.move(moved, delta)
+    gauss_newton.move(moved, delta)
     expected = pose @ frames.pose(frames.rotation_exp(delta[:3]), delta[3:])
     np.testing.assert_allclose(moved, expected, atol=1e-12)

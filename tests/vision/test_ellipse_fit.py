@@ -4,15 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from craternav_fg.camera import Camera
+from craternav_fg.camera import Camera, normalised_chart, pixel_chart
 from craternav_fg.vision.ellipse_fit import (
     FitFailure,
     FitOptions,
     RimFit,
     fit_rim,
     floor_covariance,
-    normalised_chart,
-    pixel_chart,
     refine_rim,
 )
 
