@@ -17,15 +17,21 @@ from rich.table import Table
 
 import craternav_fg
 from craternav_fg.bench import report as bench_report
+from craternav_fg.body import Body
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
-from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.dataset.sensor_files import read_camera
+from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, Run, read_run
 from craternav_fg.evaluation.runs import write_reconstruction
 from craternav_fg.files import replacing_folder
 from craternav_fg.reconstruction import Progress as Report
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
+from craternav_fg.static.efficient import solve
+from craternav_fg.static.files import as_plain_data, read_rims, static_problem
+from craternav_fg.static.problem import Status
+from craternav_fg.static.robust import solve_robustly
 
 app = typer.Typer(
     help="Reconstruct a planetary landing from crater rims and an IMU.",
@@ -186,6 +192,92 @@ def bench(
     for name, value in result.scalars.items():
         out.print(f"{name}: {_number(value)}", highlight=False)
     out.print(f"figure: {output}", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def pose(
+    rims: Annotated[Path, typer.Argument(help="CSV of ellipses, each with its crater (see the README).")],
+    camera: Annotated[Path, typer.Option(help="The camera's sensor.yaml.")],
+    catalog: Annotated[Path, typer.Option(help="Crater catalogue, with the columns of Robbins (2018).")],
+    attitude: Annotated[
+        str | None, typer.Option(help="Known attitude gRb, as a quaternion w,x,y,z: the position is sought.")
+    ] = None,
+    attitude_sigma_deg: Annotated[
+        float, typer.Option(min=0.0, help="Its standard deviation per axis; 0 takes it as exact.")
+    ] = 0.0,
+    sun: Annotated[
+        str | None,
+        typer.Option(
+            help="TILT,SIGMA,X,Y,Z: direction of the light on the ground amid the rims, from the image's x "
+            "axis towards its y axis, with its standard deviation, deg; unit vector towards the sun in g."
+        ),
+    ] = None,
+    robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and leave them out.")] = False,
+    sigma_px: Annotated[
+        float, typer.Option(min=1e-6, help="Standard deviation of edge points, without a column sigma_px.")
+    ] = 1.0,
+    edge_points: Annotated[int, typer.Option(min=6, help="Edge points that an ellipse rests on.")] = 60,
+    body_radius_m: Annotated[
+        float, typer.Option(min=1.0, help="Of the catalogue's sphere; the Moon's by default.")
+    ] = 1737400.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the lander's pose from the matched rims of one image, without a start."""
+    body = Body("", body_radius_m, 1.0, (0.0, 0.0, 0.0))
+    sensor = read_camera(camera)
+    matched, craters = read_rims(rims, sensor, catalog, body, sigma_px=sigma_px, edge_points=edge_points)
+    problem = static_problem(
+        matched,
+        craters,
+        sensor,
+        attitude_wxyz=_numbers("--attitude", attitude, 4),
+        attitude_sigma_deg=attitude_sigma_deg,
+        sun=_numbers("--sun", sun, 5),
+    )
+    result = solve_robustly(problem) if robust else solve(problem)
+    values = as_plain_data(problem, result, body)
+    if as_json:
+        out.print_json(json.dumps(values, allow_nan=False))
+    else:
+        _show_poses(values)
+    if result.status not in (Status.SOLVED, Status.AMBIGUOUS):
+        raise EstimationError(f"no pose: {result.status.value}: {result.reason}")
+
+
+def _numbers(option: str, text: str | None, count: int) -> list[float] | None:
+    """Read an option of several numbers."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(option, f"expected {count} numbers, separated by commas, found {text!r}")
+    return values
+
+
+def _show_poses(values: dict[str, Any]) -> None:
+    if values["wrong"]:
+        _say(f"left out as wrong matches: {', '.join(values['wrong'])}")
+    if values["status"] not in ("solved", "ambiguous"):
+        return
+    for found in values["poses"]:
+        gP, attitude, sigma_m, sigma_deg = (
+            ", ".join(f"{number:{form}}" for number in found[name])
+            for name, form in (
+                ("position_m", ".2f"),
+                ("attitude_wxyz", ".8f"),
+                ("position_sigma_m", ".3g"),
+                ("attitude_sigma_deg", ".3g"),
+            )
+        )
+        _say(
+            f"probability {found['probability']:.3f}: latitude {found['latitude_deg']:.5f}, longitude "
+            f"{found['longitude_deg']:.5f} deg, altitude {found['altitude_m']:.1f} m"
+        )
+        _say(f"  position in g {gP} m; sigma {sigma_m} m")
+        _say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")
 
 
 def _from_smoother(run: Run, name: str) -> float | None:

@@ -1,0 +1,203 @@
+"""A static problem from files, and its answer as plain data: what the command line reads and prints."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera, ellipse_chart, normalised_chart
+from craternav_fg.catalog import Catalog, chart_to_pixels
+from craternav_fg.catalog_files import ID, import_catalog
+from craternav_fg.dataset.rims import ground_sun_direction
+from craternav_fg.errors import InputError
+from craternav_fg.measurements import SunTilt
+from craternav_fg.static.edge_fit import chart_covariance
+from craternav_fg.static.problem import (
+    KnownAttitude,
+    MatchedRims,
+    StaticError,
+    StaticPose,
+    StaticProblem,
+    StaticResult,
+    Status,
+)
+from craternav_fg.tables import Column, Table, read_table
+
+FloatArray = npt.NDArray[np.float64]
+
+CENTRE_X = "ellipseCenterX(px)"
+CENTRE_Y = "ellipseCenterY(px)"
+MAJOR = "ellipseSemimajor(px)"
+MINOR = "ellipseSemiminor(px)"
+ROTATION = "ellipseRotation(deg)"
+SIGMA = "sigma_px"
+_ELLIPSE = (CENTRE_X, CENTRE_Y, MAJOR, MINOR, ROTATION)
+
+
+def read_rims(
+    path: Path, camera: Camera, catalog_path: Path, body: Body, *, sigma_px: float, edge_points: int
+) -> tuple[MatchedRims, Catalog]:
+    """Read fitted ellipses with the craters they are matched to.
+
+    Parameters
+    ----------
+    path : Path
+        CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
+        ellipseRotation(deg) (of the major axis, from the image's x axis towards its y axis), CRATER_ID,
+        and optionally sigma_px, the standard deviation of the rim's edge points along the rim's normal.
+    camera : Camera
+    catalog_path : Path
+        Catalogue with Robbins' columns.
+    body : Body
+    sigma_px : float
+        For files without that column.
+    edge_points : int
+        Points all round the rim that an ellipse is taken to rest on.
+
+    Returns
+    -------
+    rims : MatchedRims
+    catalog : Catalog
+        The craters of the rims, in their order.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and column: no rows, a value out of range, a rim outside the image, a crater
+        twice or not in the catalogue.
+    """
+    table = read_table(
+        path, (*(Column(name) for name in _ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True))
+    )
+    if not len(table):
+        raise InputError(path, "expected at least one rim, found none")
+    _check_values(table)
+    catalog = _craters(table, catalog_path, body)
+    n = len(table)
+    charts, covariances = np.empty((n, 5)), np.empty((n, 5, 5))
+    sigmas = table.columns[SIGMA] if SIGMA in table.columns else np.full(n, sigma_px)
+    for k, (x, y, a, b, turn) in enumerate(table.numbers(*_ELLIPSE).tolist()):
+        charts[k], _ = normalised_chart(ellipse_chart(x, y, a, b, np.radians(turn)), camera)
+        covariances[k] = chart_covariance(charts[k], camera, float(sigmas[k]), edge_points)
+    _check_inside(table, charts, camera)
+    return MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances), catalog
+
+
+def static_problem(
+    rims: MatchedRims, catalog: Catalog, camera: Camera, *, attitude_wxyz: Sequence[float] | None,
+    attitude_sigma_deg: float, sun: Sequence[float] | None,
+) -> StaticProblem:  # fmt: skip
+    """Put together what a command was given.
+
+    Parameters
+    ----------
+    rims, catalog
+        From `read_rims`.
+    camera : Camera
+    attitude_wxyz : sequence of float or None
+        Quaternion of gRb; its length does not matter.
+    attitude_sigma_deg : float
+    sun : sequence of float or None
+        Tilt of the light on the ground amid the rims and its standard deviation, deg; direction to the
+        sun in g.
+
+    Raises
+    ------
+    StaticError
+        For a quaternion or a direction of no length, and a standard deviation that is not positive.
+    """
+    known = None
+    if attitude_wxyz is not None:
+        if not np.linalg.norm(attitude_wxyz) > 0.0:
+            raise StaticError("attitude: expected a quaternion, found zero")
+        gRb = frames.from_quaternion_wxyz(np.array(attitude_wxyz))
+        known = KnownAttitude(gRb, float(np.radians(attitude_sigma_deg)))
+    tilt = None
+    if sun is not None:
+        if not np.linalg.norm(sun[2:]) > 0.0:
+            raise StaticError("sun: expected a direction, found zero")
+        towards = np.array(sun[2:]) / np.linalg.norm(sun[2:])
+        ground = ground_sun_direction(towards, catalog, np.arange(len(catalog)), np.zeros(3))
+        tilt = SunTilt(
+            float(np.radians(sun[0])), float(np.radians(sun[1])), rims.chart[:, :2].mean(axis=0), ground
+        )
+    return StaticProblem(rims, camera.bTc, attitude=known, sun=tilt)
+
+
+def as_plain_data(problem: StaticProblem, result: StaticResult, body: Body) -> dict[str, Any]:
+    """Give a result as lists, numbers and texts: what JSON can carry; None for what is not known."""
+    return {
+        "status": result.status.name.lower(),
+        "reason": result.reason,
+        "rims": list(problem.rims.identifiers),
+        "wrong": list(result.wrong),
+        "poses": [_pose(problem, result, pose, body) for pose in result.poses],
+    }
+
+
+def _pose(problem: StaticProblem, result: StaticResult, pose: StaticPose, body: Body) -> dict[str, Any]:
+    gP = pose.gTb[:3, 3]
+    latitude, longitude = frames.latitude_longitude(gP)
+    known = result.status is not Status.UNDETERMINED
+    return {
+        "probability": pose.probability,
+        "squared_norm": pose.cost,
+        "position_m": gP.tolist(),
+        "attitude_wxyz": frames.to_quaternion_wxyz(pose.gTb[:3, :3]).tolist(),
+        "latitude_deg": float(np.degrees(latitude)),
+        "longitude_deg": float(np.degrees(longitude)),
+        "altitude_m": float(body.altitude_m(gP)),
+        "covariance": pose.covariance.tolist() if known else None,
+        "position_sigma_m": np.sqrt(np.diag(pose.position_covariance)).tolist() if known else None,
+        "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(pose.covariance)[:3])).tolist() if known else None,
+        "residuals": dict(zip(problem.rims.identifiers, pose.residuals.tolist(), strict=True)),
+    }
+
+
+def _check_values(table: Table) -> None:
+    for name in (MINOR, MAJOR, *([SIGMA] if SIGMA in table.columns else [])):
+        for row in np.flatnonzero(table.columns[name] <= 0.0).tolist():
+            table.fail(row, name, f"expected more than 0, found {table.columns[name][row]:g}")
+    for row in np.flatnonzero(table.columns[MINOR] > table.columns[MAJOR]).tolist():
+        table.fail(
+            row, MINOR,
+            f"expected at most the semi-major axis {table.columns[MAJOR][row]:g}, "
+            f"found {table.columns[MINOR][row]:g}",
+        )  # fmt: skip
+
+
+def _check_inside(table: Table, charts: FloatArray, camera: Camera) -> None:
+    centre, S = chart_to_pixels(camera, charts)
+    half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
+    size = np.array([camera.width_px, camera.height_px])
+    outside = (centre + half < -0.5) | (centre - half > size - 0.5)
+    for row in np.flatnonzero(outside.any(axis=1)).tolist():
+        axis = int(np.argmax(outside[row]))
+        table.fail(
+            row, (CENTRE_X, CENTRE_Y)[axis],
+            f"expected a rim that reaches into the {size[0]} x {size[1]} image, found its centre at "
+            f"{centre[row, axis]:g}",
+        )  # fmt: skip
+
+
+def _craters(table: Table, path: Path, body: Body) -> Catalog:
+    """Look up the craters of the rims."""
+    catalog, skipped = import_catalog(path, body)
+    known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
+    reasons = {row.identifier: f"line {row.line}: {row.reason}" for row in skipped}
+    rows: list[int] = []
+    seen: dict[str, int] = {}
+    for k, identifier in enumerate(table.columns[ID]):
+        if identifier in seen:
+            first = table.line(seen[identifier])
+            table.fail(k, ID, f"expected each crater once, found {identifier!r} again, first in line {first}")
+        seen[identifier] = k
+        if identifier not in known:
+            why = f" ({reasons[identifier]})" if identifier in reasons else ""
+            table.fail(k, ID, f"expected a crater of {path}, found {identifier!r}{why}")
+        rows.append(known[identifier])
+    return catalog.take(np.array(rows))
