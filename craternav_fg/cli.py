@@ -170,7 +170,8 @@ def bench(
         "runs/bench.png"
     ),
     full: Annotated[
-        bool, typer.Option("--full", help="Online over 10,000 frames, too: minutes. The default takes about one.")
+        bool,
+        typer.Option("--full", help="Online over 10,000 frames, too: minutes. The default takes about one."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

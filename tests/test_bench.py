@@ -21,7 +21,7 @@ from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.optimise import levenberg_marquardt
 
-TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1)
+TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5)
 PROMISED = {
     "factor_ratio_n10",
     "factor_ratio_n30",
@@ -31,6 +31,9 @@ PROMISED = {
     "fixed_lag_ratio",
     "ekf_step_us",
     "scaling_exponent_batch",
+    "pose_ms_n3",
+    "pose_ms_n10",
+    "pose_vs_scipy_ratio",
 }
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from craternav_fg.bench import ratios
 from craternav_fg.bench.problems import make
 from craternav_fg.bench.ratios import Online, Ratio
+from craternav_fg.bench.static import static_scalars
 from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]
@@ -38,6 +39,8 @@ class Sizes:
         Of the fixed-lag run, 10 craters each.
     online_runs : int
         Repetitions of both.
+    static_problems : int
+        Of the static solver, of each size.
     """
 
     frames: tuple[int, ...]
@@ -46,10 +49,11 @@ class Sizes:
     online_frames: int
     lag_frames: int
     online_runs: int
+    static_problems: int
 
 
-QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3)
-FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3)
+QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200)
+FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000)
 LAG_S = 30.0
 
 
@@ -99,7 +103,7 @@ def run(sizes: Sizes, report: Report) -> Result:
     -------
     Result
     """
-    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 4
+    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 5
     done = 0
 
     def step() -> None:
@@ -143,7 +147,9 @@ def run(sizes: Sizes, report: Report) -> Result:
         "online_flatness": float(np.median([run.flatness for run in online])),
         "online_frames_per_s": 1.0 / float(np.mean([run.ours_s.mean() for run in online])),
         "online_frames": float(sizes.online_frames),
+        **static_scalars(sizes.static_problems),
     }
+    step()
     return Result(measured, scalars, np.array(factor), sizes_s, online[-1])
 
 
