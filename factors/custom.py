@@ -50,7 +50,7 @@ class Loss:
             raise FactorError(
                 f"loss.kind: expected NONE, HUBER, CAUCHY, GEMAN_MCCLURE or TRUNCATED, found {self.kind}"
             )
-        if not 0.0 < self.scale < np.inf:
+        if not (isinstance(self.scale, int | float) and 0.0 < self.scale < np.inf):
             raise FactorError(f"loss.scale: expected a positive number, found {self.scale}")
 
 

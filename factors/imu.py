@@ -22,6 +22,10 @@ FloatArray = npt.NDArray[np.float64]
 INTEGRATION_VARIANCE = 1e-10
 
 
+# Below this a density has no square.
+LEAST_DENSITY = 1e-150
+
+
 @dataclass(frozen=True)
 class ImuNoise:
     """Noise of one gyro and one accelerometer axis: continuous-time densities, as in EuRoC's sensor.yaml.
@@ -51,7 +55,7 @@ class ImuNoise:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = validation.array(field.name, getattr(self, field.name), ())
-            if not value > 0.0:
+            if not value > LEAST_DENSITY:
                 raise FactorError(f"{field.name}: expected a positive number, found {value}")
 
 

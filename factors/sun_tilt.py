@@ -43,8 +43,8 @@ def sun_tilt_factor(
         Measured, from the image's x axis towards its y axis.
     sigma_rad : float
         Standard deviation at the view it was measured in. Where a pose turns the direction into the
-        line of sight (image direction shorter than `sun.FLOOR`) the tilt is undefined and the factor
-        is silent.
+        line of sight (image direction shorter than `sun.FLOOR`) the tilt is undefined: the factor costs
+        what the worst tilt does, and has no pull.
     point : array_like, shape (2,)
         Normalised image point.
     mounting_key : int, optional
@@ -63,8 +63,11 @@ def sun_tilt_factor(
     direction = validation.array("direction", direction, (3,))
     u, v = validation.array("point", point, (2,))
     measured = float(validation.array("tilt_rad", tilt_rad, ()))
-    if not np.linalg.norm(direction) > 0.0:
+    longest = np.abs(direction).max()
+    if not longest > 0.0:
         raise FactorError("direction: expected a vector, found zero")
+    # Its length does not matter; squared, it must stay a number.
+    direction /= longest
     sigma_rad = float(validation.array("sigma_rad", sigma_rad, ()))
     if not sigma_rad > LEAST_SIGMA_RAD:
         raise FactorError(f"sigma_rad: expected a positive number, found {sigma_rad}")
@@ -72,6 +75,6 @@ def sun_tilt_factor(
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         predicted, strength = sun.sun_tilt(gTb, bTc, direction, u, v, J)
         J /= sigma_rad
-        e[0] = sun.wrap(predicted - measured) / sigma_rad if strength > 0.0 else 0.0
+        e[0] = (sun.wrap(predicted - measured) if strength > 0.0 else np.pi) / sigma_rad
 
     return pose_factor(key, 1, kernel, bTc, mounting_key)

@@ -22,8 +22,9 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
     """
     try:
         given = np.asarray(value)
-        if given.dtype.kind == "c":
-            raise TypeError("a complex number would lose its imaginary part")
+        # Complex numbers would lose their imaginary part, masked ones their mask.
+        if given.dtype.kind not in "biuf" or np.ma.is_masked(value):
+            raise TypeError(f"found {given.dtype}")
         out = np.array(given, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise FactorError(f"{name}: expected real numbers of shape {shape}") from error

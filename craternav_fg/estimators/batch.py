@@ -22,6 +22,7 @@ from craternav_fg.estimators.graph import (
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
 from craternav_fg.trajectory import Trajectory
+from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -93,7 +94,26 @@ def optimum(
         if np.abs(moved - midpoints).max(initial=0.0) < MIDPOINT_TOLERANCE_M:
             break
         midpoints = moved
+    lost, count = _out_of_sight(problem, options, values)
+    if 2 * lost > count:
+        raise EstimationError(f"no convergence: {lost} of {count} rims are out of sight of the poses reached")
     return graph, values
+
+
+def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values) -> tuple[int, int]:
+    """Rims that their frame's pose cannot see, which have no pull on it; rims in all."""
+    lost = count = number = 0
+    stamp_ns = problem.frames[0].stamp_ns
+    for frame in problem.frames:
+        if frame.stamp_ns > stamp_ns:
+            number += len(state_stamps(stamp_ns, frame.stamp_ns, options.keyframe_s))
+            stamp_ns = frame.stamp_ns
+        rows = frame.rims.craters
+        centres, axes = problem.catalog.centres[rows], problem.catalog.axes[rows]
+        gTb = np.ascontiguousarray(values.atPose3(X(number)).matrix())
+        lost += int(np.count_nonzero(~project_rims(gTb, problem.camera.bTc, centres, axes)[1]))
+        count += len(rows)
+    return lost, count
 
 
 def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
@@ -126,7 +146,8 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
 
 
 def _midpoints(values: gtsam.Values) -> FloatArray:
-    positions = gtsam.utilities.extractPose3(values)[:, 9:]
+    states = sum(gtsam.Symbol(key).chr() == ord("x") for key in values.keys())  # noqa: SIM118
+    positions = np.array([values.atPose3(X(i)).translation() for i in range(states)])
     return np.asarray(0.5 * (positions[1:] + positions[:-1]))
 
 

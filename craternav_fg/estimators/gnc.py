@@ -15,6 +15,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 from scipy.stats import chi2
 
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
@@ -56,6 +57,14 @@ class GncOptions:
     inlier_probability: float = 0.999
     growth: float = 1.4
     graph: GraphOptions = field(default_factory=GraphOptions)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.inlier_probability < 1.0:
+            raise EstimationError(
+                f"inlier_probability: expected a number between 0 and 1, found {self.inlier_probability}"
+            )
+        if not 1.0 < self.growth < np.inf:
+            raise EstimationError(f"growth: expected a number above 1, found {self.growth}")
 
 
 class GncSmoother:

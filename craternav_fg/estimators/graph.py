@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
@@ -39,6 +40,12 @@ class GraphOptions:
     rims: Literal["chart", "centre"] = "chart"
     loss: Loss = Loss(robust.HUBER, 3.3)
     keyframe_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.rims not in ("chart", "centre"):
+            raise EstimationError(f"rims: expected 'chart' or 'centre', found {self.rims!r}")
+        if not 0.0 < self.keyframe_s < np.inf:
+            raise EstimationError(f"keyframe_s: expected a positive number, found {self.keyframe_s}")
 
 
 def add_prior(graph: gtsam.NonlinearFactorGraph, initial: InitialState) -> None:

@@ -5,12 +5,16 @@ as long as the solver lives: callbacks get that object and not a deep copy of al
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gtsam
 import numpy as np
+import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
+
+FloatArray = npt.NDArray[np.float64]
 
 # Relinearise a variable that moved by more: pose (rad, m), velocity (m/s), bias (m/s^2, rad/s). What is left
 # out is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
@@ -19,7 +23,10 @@ RELINEARISE = {
     "x": np.array([5e-4, 5e-4, 5e-4, 5.0, 5.0, 5.0]),
     "v": np.full(3, 1.0),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
+    "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
 }
+# Letters of what belongs to one state; one of another letter, such as the mounting, belongs to all of them.
+STATE = ("x", "v", "b")
 # Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
 # are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
 WILDFIRE = 1.0
@@ -39,26 +46,58 @@ def parameters() -> gtsam.ISAM2Params:
     return params
 
 
-# Variables after which the tree begins anew: five minutes of states at one a second.
-MAX_VARIABLES = 900
+# Variables of the largest tree, and of what two successive ones share: three minutes, and one, of states at
+# one a second.
+MAX_VARIABLES, OVERLAP = 600, 180
+# A snapshot is taken when the newest attitude is known to this: errors of more are no Gaussian's; and used
+# when what was learned since lies within its covariance (15 degrees of freedom).
+SNAPSHOT_RAD = 0.01
+SNAPSHOT_LIMIT = 50.0
+
+
+@dataclass(frozen=True)
+class _Snapshot:
+    """What was known of a state when it was the newest.
+
+    Attributes
+    ----------
+    number : int
+        Of the state.
+    size, slots : int
+        Variables and factors' slots of the tree at that time.
+    prior : gtsam.LinearContainerFactor
+        Gaussian of the state, from all factors so far.
+    """
+
+    number: int
+    size: int
+    slots: int
+    prior: gtsam.LinearContainerFactor
 
 
 class Isam:
     """iSAM2 that survives a failed update and costs the same however long the descent.
 
-    GTSAM walks all cliques at every update. So a tree that has grown to `MAX_VARIABLES` hands its newest
-    state on to a new one, as a Gaussian prior with the joint covariance: what lies before keeps its
-    linearisation and its estimate of that moment.
+    GTSAM walks all cliques at every update. So a tree that has grown to `MAX_VARIABLES` is replaced by one
+    of its newest states: those since a snapshot of an earlier state, which stands for all before it. What
+    lies before keeps its linearisation, and its estimate of the moment of replacement.
 
     A callback that raises leaves iSAM2 with half of an update. Then the solver is built anew from the
-    factors and the linearisation point of before; a copy ahead of every update would be just as safe, but
-    its cost grows with the descent.
+    factors of before at the present linearisation point; a copy ahead of every update would be safer still,
+    but its cost grows with the tree.
     """
 
     def __init__(self) -> None:
-        self._hold: gtsam.Values | None = None
+        self._hold: gtsam.Values
         self._past = gtsam.Values()
+        self._snapshot: _Snapshot | None = None
+        self._trees = 0
         self._new(gtsam.NonlinearFactorGraph(), gtsam.Values())
+
+    @property
+    def trees(self) -> int:
+        """Number of trees so far: the slots of one are void in the next."""
+        return self._trees
 
     @property
     def tree(self) -> gtsam.ISAM2:
@@ -88,24 +127,30 @@ class Isam:
         Returns
         -------
         list of int
-            Slots of the added factors, in their order, for as long as their variables are in the tree; a
-            failed update makes all slots void.
+            Slots of the added factors, in their order, for as long as `trees` does not change.
 
         Raises
         ------
         EstimationError
-            When a factor raised or the system is indeterminate; the solver is then as it was before.
+            When a variable is there already, a slot is void, a factor raised or the system is indeterminate;
+            the solver then holds what it held before.
         """
+        self._bound()
         factors = self.tree.getFactorsUnsafe()
         known = factors.size()
+        point = self.tree.getLinearizationPoint()
+        for key in values.keys():  # noqa: SIM118 (Values is no mapping)
+            if point.exists(key):
+                raise EstimationError(f"variable {gtsam.DefaultKeyFormatter(key)} is in the solver already")
+        for slot in drop:
+            if not (0 <= slot < known and factors.exists(slot)):
+                raise EstimationError(f"slot {slot} holds no factor")
         dropped = [factors.at(slot) for slot in drop]
         try:
             self._apply(graph, values, time_s, drop)
         except (RuntimeError, ValueError) as error:
             self._take_back(known, drop, dropped, values)
             raise EstimationError(f"iSAM2 update failed and was taken back: {_first_line(error)}") from error
-        if self._hold is None:
-            self._hold = self.tree.getLinearizationPoint()
         return list(range(known, known + graph.size()))
 
     def again(self) -> None:
@@ -120,7 +165,10 @@ class Isam:
 
     def _new(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         """Begin again with these."""
+        self._trees += 1
+        self._snapshot = None
         self._tree = gtsam.ISAM2(parameters())
+        self._hold = self._tree.getLinearizationPoint()
         if graph.size():
             self._tree.update(graph, values)
 
@@ -128,31 +176,60 @@ class Isam:
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
         self._tree.update(graph, values, drop)
-        if self._tree.getLinearizationPoint().size() > MAX_VARIABLES:
-            self._hand_on()
 
-    def _hand_on(self) -> None:
-        """Begin anew with the newest state."""
-        estimate = self._tree.calculateBestEstimate()
-        self._past.insert_or_assign(estimate)
-        symbols = [gtsam.Symbol(key) for key in estimate.keys()]  # noqa: SIM118 (Values is no mapping)
+    def _bound(self) -> None:
+        """Take a snapshot of the newest state in time, and begin anew from it when the tree is large."""
+        size = self._hold.size()
+        if self._snapshot is None:
+            if size > MAX_VARIABLES - OVERLAP:
+                self._snapshot = self._photograph()
+            return
+        if size <= MAX_VARIABLES or size < self._snapshot.size + OVERLAP:
+            return
+        snapshot = self._snapshot
+        now = self._tree.calculateBestEstimate()
+        if 2.0 * snapshot.prior.error(now) > SNAPSHOT_LIMIT:
+            self._snapshot = self._photograph()
+            return
+        self._past.insert_or_assign(now)
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(snapshot.prior)
+        factors = self._tree.getFactorsUnsafe()
+        for slot in range(snapshot.slots, factors.size()):
+            if factors.exists(slot):
+                factor = factors.at(slot)
+                keys = factor.keys()
+                if min(gtsam.Symbol(key).index() for key in keys) >= snapshot.number:
+                    graph.push_back(factor)
+        for key in self._past.keys():  # noqa: SIM118 (Values is no mapping)
+            if now.exists(key) and gtsam.Symbol(key).index() < snapshot.number:
+                now.erase(key)
+        self._new(graph, now)
+
+    def _photograph(self) -> _Snapshot | None:
+        """Take a snapshot of the newest state; None when it is not known well or not all are states."""
+        symbols = [gtsam.Symbol(key) for key in self._hold.keys()]  # noqa: SIM118 (Values is no mapping)
+        if any(chr(symbol.chr()) not in STATE for symbol in symbols):
+            return None
         last = max(symbol.index() for symbol in symbols)
         keys = [symbol.key() for symbol in symbols if symbol.index() == last]
-        point = gtsam.Values(estimate)
-        for symbol in symbols:
-            if symbol.index() != last:
-                point.erase(symbol.key())
         joint = self._tree.jointMarginalCovariance(keys)
-        whitening = np.linalg.inv(np.linalg.cholesky(joint.fullMatrix()))
-        widths = [joint.at(key, key).shape[0] for key in keys]
-        blocks = np.split(whitening, np.cumsum(widths)[:-1], axis=1)
-        terms: list[Any] = [term for pair in zip(keys, blocks, strict=True) for term in pair]
-        rows = len(whitening)
-        prior = gtsam.JacobianFactor(*terms, np.zeros(rows), gtsam.noiseModel.Unit.Create(rows))  # type: ignore[call-overload]
-        graph = gtsam.NonlinearFactorGraph()
-        graph.push_back(gtsam.LinearContainerFactor(prior, point))
-        self._new(graph, point)
-        self._hold = None
+        pose = gtsam.symbol("x", last)
+        if pose in keys and not np.diag(joint.at(pose, pose))[:3].max() < SNAPSHOT_RAD**2:
+            return None
+        try:
+            whitening = np.linalg.inv(np.linalg.cholesky(joint.fullMatrix()))
+        except np.linalg.LinAlgError:
+            # Rounding; a larger tree is better than a wrong prior.
+            return None
+        blocks = np.split(whitening, np.cumsum([joint.at(key, key).shape[0] for key in keys])[:-1], axis=1)
+        point = self._tree.calculateBestEstimate()
+        for symbol in symbols:
+            if symbol.key() not in keys:
+                point.erase(symbol.key())
+        prior = gtsam.LinearContainerFactor(_jacobian_factor(keys, blocks), point)
+        slots = self._tree.getFactorsUnsafe().size()
+        return _Snapshot(last, self._hold.size(), slots, prior)
 
     def _take_back(
         self, known: int, drop: Sequence[int], dropped: list[gtsam.NonlinearFactor], added: gtsam.Values
@@ -169,10 +246,12 @@ class Isam:
         for key in added.keys():  # noqa: SIM118 (Values is no mapping)
             if values.exists(key):
                 values.erase(key)
-        self._hold = None
-        self._new(graph, values)
-        if graph.size():
-            self._hold = self.tree.getLinearizationPoint()
+        try:
+            self._new(graph, values)
+        except (RuntimeError, ValueError) as error:
+            raise EstimationError(
+                f"iSAM2 update failed and could not be taken back: {_first_line(error)}"
+            ) from error
 
 
 class FixedLagIsam(Isam):
@@ -201,15 +280,28 @@ class FixedLagIsam(Isam):
         return self._smoother.getISAM2()
 
     def _new(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        self._trees += 1
         stamps_s = self._smoother.timestamps() if graph.size() else {}
         self._smoother = gtsam.IncrementalFixedLagSmoother(self._lag_s, parameters())
+        self._hold = self._smoother.getLinearizationPoint()
         if graph.size():
             self._smoother.update(graph, values, {key: stamps_s[key] for key in values.keys()})  # noqa: SIM118
+
+    def _bound(self) -> None:
+        """Do nothing: the lag bounds the tree."""
 
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
         self._smoother.update(graph, values, dict.fromkeys(values.keys(), time_s), drop)
+
+
+def _jacobian_factor(keys: list[int], blocks: list[FloatArray]) -> gtsam.JacobianFactor:
+    """Linear factor |sum A_i x_i|^2 of one to three variables, by blocks A_i of columns."""
+    rows = len(blocks[0])
+    terms: list[Any] = [term for pair in zip(keys, blocks, strict=True) for term in pair]
+    unit = gtsam.noiseModel.Unit.Create(rows)
+    return gtsam.JacobianFactor(*terms, np.zeros(rows), unit)  # type: ignore[call-overload]
 
 
 def _first_line(error: Exception) -> str:

@@ -1,6 +1,7 @@
 """The online smoother: iSAM2, frame by frame."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -164,18 +165,20 @@ class OnlineSession:
     ) -> None:
         predicted = position = values.atPose3(X(last)).translation()
         self._add(graph, values, intervals, stamp_ns)
+        # What fails here is taken back: the frame is in, linearised less well.
+        with suppress(EstimationError):
+            for _ in range(MAX_EXTRA_UPDATES):
+                moved = self._solver.tree.calculateEstimatePose3(X(last)).translation()
+                if np.linalg.norm(moved - position) < SETTLED_M:
+                    break
+                position = moved
+                self._solver.again()
+            if np.linalg.norm(position - predicted) > MIDPOINT_TOLERANCE_M:
+                self._move_gravity(stamp_ns)
+        self._states.append(self._state(last, stamp_ns))
         self._last = last
         self._stamps_ns.append(stamp_ns)
         self._frame_numbers.append(last)
-        for _ in range(MAX_EXTRA_UPDATES):
-            moved = self._solver.tree.calculateEstimatePose3(X(last)).translation()
-            if np.linalg.norm(moved - position) < SETTLED_M:
-                break
-            position = moved
-            self._solver.again()
-        if np.linalg.norm(position - predicted) > MIDPOINT_TOLERANCE_M:
-            self._move_gravity()
-        self._states.append(self._newest())
 
     def _add(
         self,
@@ -187,15 +190,17 @@ class OnlineSession:
     ) -> None:
         """Update the solver; the graph begins with the factors of these intervals."""
         time_s = 1e-9 * (stamp_ns - self._descent.initial.stamp_ns)
+        trees = self._solver.trees
+        slots: list[int] = []
         try:
             slots = self._solver.update(graph, values, time_s, drop)
-        except EstimationError:
-            # The solver begins again with new slots; what is in the graph keeps its gravity.
-            self._intervals.clear()
-            raise
-        self._intervals += [replace(one, slot=slot) for one, slot in zip(intervals, slots, strict=False)]
+        finally:
+            # A new tree has new slots: what is in it keeps its gravity.
+            if self._solver.trees != trees:
+                self._intervals.clear()
+            self._intervals += [replace(one, slot=slot) for one, slot in zip(intervals, slots, strict=False)]
 
-    def _move_gravity(self) -> None:
+    def _move_gravity(self, stamp_ns: int) -> None:
         """Build anew the IMU factors whose midpoints a correction moved."""
         tree = self._solver.tree
         graph = gtsam.NonlinearFactorGraph()
@@ -214,17 +219,16 @@ class OnlineSession:
             drop.append(one.slot)
         self._intervals = kept
         if moved:
-            self._add(graph, gtsam.Values(), moved, self._stamps_ns[-1], drop)
+            self._add(graph, gtsam.Values(), moved, stamp_ns, drop)
 
-    def _newest(self) -> FilterState:
-        n = self._last
+    def _state(self, n: int, stamp_ns: int) -> FilterState:
         tree = self._solver.tree
         gTb = np.ascontiguousarray(tree.calculateEstimatePose3(X(n)).matrix())
         bias = bias_vector(tree.calculateEstimateConstantBias(B(n)))
         joint = tree.jointMarginalCovariance([X(n), V(n), B(n)]).fullMatrix()
         T = FROM_GTSAM.copy()
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
-        row = int(np.searchsorted(self._descent.imu.stamps_ns, self._stamps_ns[-1]))
+        row = int(np.searchsorted(self._descent.imu.stamps_ns, stamp_ns))
         rate = self._descent.imu.gyro[min(row, len(self._descent.imu.gyro) - 1)] - bias[:3]
         gV = tree.calculateEstimateVector(V(n))
         return FilterState(gTb, gV, rate, bias, T @ joint @ T.T)
@@ -234,7 +238,7 @@ class OnlineSession:
         return filter_state.trajectory(self._stamps_ns, self._states)
 
     def smoothed_values(self) -> gtsam.Values:
-        """Estimates of all states from all data so far."""
+        """Estimates of all states: of those the solver still holds from all data so far (see `Isam`)."""
         return self._solver.estimate()
 
 

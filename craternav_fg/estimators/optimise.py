@@ -43,6 +43,14 @@ class LmOptions:
     relative_tolerance: float = 1e-9
     first_damping: float = 1e-6
 
+    def __post_init__(self) -> None:
+        if self.max_iterations < 1:
+            raise EstimationError(f"max_iterations: expected at least 1, found {self.max_iterations}")
+        if not self.relative_tolerance >= 0.0:
+            raise EstimationError(f"relative_tolerance: expected 0 or more, found {self.relative_tolerance}")
+        if not 0.0 < self.first_damping < np.inf:
+            raise EstimationError(f"first_damping: expected a positive number, found {self.first_damping}")
+
 
 @dataclass(frozen=True)
 class LmResult:
@@ -132,7 +140,12 @@ def _damped(linear: gtsam.GaussianFactorGraph, keys: list[int], damping: float) 
         A = np.diag(np.sqrt(damping) / scales)
         models[letter] = (A, np.zeros(len(scales)), gtsam.noiseModel.Unit.Create(len(scales)))
     for key in keys:
-        damped.push_back(gtsam.JacobianFactor(key, *models[chr(gtsam.Symbol(key).chr())]))
+        letter = chr(gtsam.Symbol(key).chr())
+        if letter not in models:
+            raise EstimationError(
+                f"variable {gtsam.DefaultKeyFormatter(key)}: expected one of {', '.join(models)} and a number"
+            )
+        damped.push_back(gtsam.JacobianFactor(key, *models[letter]))
     return damped
 
 
@@ -145,5 +158,8 @@ def bayes_tree(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
     params.setFactorization("QR")
     params.enableRelinearization = False
     isam = gtsam.ISAM2(params)
+    # Held, callbacks get it and not a copy of all values each.
+    hold = isam.getLinearizationPoint()
     isam.update(graph, values)
+    del hold
     return isam

@@ -6,6 +6,8 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
+# Of a matrix of unit diagonal: less is rounding of a singular one.
+_LEAST_PIVOT = 1e-12
 SOUND, ASYMMETRIC, VARIANCE, INDEFINITE = 0, 1, 2, 3
 
 
@@ -35,7 +37,7 @@ def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
                     total -= L[i, r] * L[j, r]
                 if j < i:
                     L[i, j] = total / L[j, j]
-                elif total > 0.0:
+                elif total > _LEAST_PIVOT:
                     L[i, i] = np.sqrt(total)
                 else:
                     return INDEFINITE, k

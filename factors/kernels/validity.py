@@ -16,8 +16,9 @@ the farthest start (25 degrees in units of a tenth of a pixel are thousands: wer
 optimiser would settle there) and small against what a sum of squares in double precision can carry beside a
 residual of 1, and a relative tolerance of an optimiser beside a change of some tens.
 
-The sun's tilt is undefined within `sun.FLOOR` of the line of sight only; its factor is silent there. No
-kernel writes NaN or infinity at any pose that is finite; NaN in a pose counts as unseen.
+The sun's tilt is undefined within `sun.FLOOR` of the line of sight only; there its factor costs what a tilt
+wrong by half a turn does, without pull. No kernel writes NaN or infinity at any pose that is finite; NaN in a
+pose counts as unseen.
 """
 
 import numpy as np

@@ -7,7 +7,7 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import V, X
+from gtsam.symbol_shorthand import C, V, X
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
@@ -117,12 +117,81 @@ def test_session_goes_on_after_a_frame_that_failed(
     assert (np.abs(lost.state.gTb[:3, 3] - never.state.gTb[:3, 3]) < 0.05 * sigma).all()
 
 
+def test_a_variable_given_twice_is_refused_and_nothing_lost() -> None:
+    solver = Isam()
+    for number in range(3):
+        step(solver, number)
+    with pytest.raises(EstimationError, match="x1 is in the solver already"):
+        step(solver, 1)
+    with pytest.raises(EstimationError, match="slot 77 holds no factor"):
+        step(solver, 3, drop=[77])
+    assert_allclose(solver.tree.calculateEstimatePose3(X(2)).translation(), [2, 0, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("make", [Isam, lambda: FixedLagIsam(30.0)], ids=["all", "lag"])
+def test_callbacks_get_the_held_values(make: Callable[[], Isam]) -> None:
+    """A copy of all values for every callback would make the cost of a frame grow."""
+    solver = make()
+    step(solver, 0)
+    seen = []
+
+    def look(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> np.ndarray:
+        seen.append(values is solver._hold)
+        if H is not None:
+            H[0] = np.eye(6)
+        return np.zeros(6)
+
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(6), [X(0)], look))
+    solver.update(graph, gtsam.Values(), 0.0)
+    assert seen
+    assert all(seen)
+
+
+def test_mounting_beside_the_states() -> None:
+    """A variable of all states is relinearised by its own thresholds, and is never handed on."""
+    solver = Isam()
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    model = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+    graph.push_back(gtsam.PriorFactorPose3(C(0), gtsam.Pose3(), model))
+    values.insert(C(0), gtsam.Pose3())
+    solver.update(graph, values, 0.0)
+    for number in range(4):
+        step(solver, number)
+    assert solver.tree.valueExists(C(0))
+    assert solver.tree.valueExists(X(3))
+
+
+@pytest.mark.parametrize("first", [10, 14, 15, 16, 20])
+def test_an_unsettled_state_is_not_handed_on(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch, first: int
+) -> None:
+    """The first rims come late, about when the tree is full: it must not keep their first linearisation."""
+    monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 90)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP", 15)
+    ends = []
+    for p, truth in trials:
+        frames = [replace(f, rims=RimSet.empty(), sun=None) for f in p.frames[:first]]
+        blind = replace(p, frames=frames + list(p.frames[first:]))
+        start = replace(p.start, gTb=p.initial.gTb)
+        session = OnlineSession(blind)
+        session.begin(blind.frames[0], start)
+        for frame in blind.frames[1:]:
+            session.update(frame)
+        estimate = session.filtered()
+        assert estimate.pose_covariance is not None
+        ends.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[-1])
+    n = len(ends)
+    assert np.mean(ends) < chi2.ppf(0.9999, 6 * n) / n
+
+
 def test_a_tree_that_grew_hands_on_what_it_knows(
     trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     p, _ = trials[0]
     whole = OnlineSmoother().run(p)
     monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 45)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP", 15)
     handed_on = OnlineSmoother().run(p)
     expected, actual = whole.filtered(), handed_on.filtered()
     assert expected.pose_covariance is not None
