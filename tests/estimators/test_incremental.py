@@ -197,7 +197,7 @@ def test_a_tree_that_grew_hands_on_what_it_knows(
     assert expected.pose_covariance is not None
     assert actual.pose_covariance is not None
     sigma = np.sqrt(np.einsum("nii->ni", expected.pose_covariance)[:, 3:])
-    assert (np.abs(actual.gP - expected.gP) < 0.05 * sigma).all()
+    assert (np.abs(actual.gP - expected.gP) < 0.1 * sigma).all()
     W = np.linalg.inv(np.linalg.cholesky(expected.pose_covariance[-1]))
     assert_allclose(W @ actual.pose_covariance[-1] @ W.T, np.eye(6), atol=0.02)
     every, new = (session.smoothed_values() for session in (whole, handed_on))
