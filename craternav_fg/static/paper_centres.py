@@ -73,7 +73,7 @@ def centre_covariance(
         return None
     # Twist from the measured directions, all 3 n of them: position first, then the attitude at it.
     twist = np.zeros((6, 3 * n))
-    twist[TRANSLATION] = -inverse @ np.concatenate(list(equations.angle_slopes(directions)), axis=1)
+    twist[TRANSLATION] = -inverse @ np.concatenate(list(equations.angle_slopes(seen, directions)), axis=1)
     _, J_lines = equations.lines_of_sight(seen, gTc)
     p = (seen.rims.centres - gTc[:3, 3]) @ R
     turn = equations.cross(p / np.linalg.norm(p, axis=1, keepdims=True))

@@ -19,6 +19,7 @@ from factors.kernels import conic, los, shape
 from factors.kernels.sun import sun_tilt, wrap
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 _UNIT_M = 1e3
 
@@ -48,7 +49,17 @@ class PaperRims:
     def gRl(self) -> FloatArray:
         """Attitudes (n, 3, 3) of the crater-local frames."""
         units = self.rims.axes / self.semi_axes[:, :, None]
-        return np.stack([units[:, 0], units[:, 1], self.rims.normals], axis=-1)
+        return np.stack([units[:, 0], units[:, 1], self.normals], axis=-1)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Outward unit normals (n, 3) of the rims' planes in g."""
+        return self.rims.normals
+
+    @cached_property
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """First and second rim of each pair."""
+        return np.triu_indices(len(self.rims), 1)
 
     @cached_property
     def image_centres(self) -> FloatArray:
@@ -58,7 +69,7 @@ class PaperRims:
 
     def true_centres(self, gRc: FloatArray) -> FloatArray:
         """Directions (n, 3) in c to the craters' centres, eq. (9), for an attitude of the camera."""
-        normals = self.rims.normals @ gRc
+        normals = self.normals @ gRc
         return np.array([los.line_of_sight(q, n) for q, n in zip(self.conics, normals, strict=True)])
 
 
@@ -81,7 +92,7 @@ def angles(seen: PaperRims, directions: FloatArray, position: FloatArray) -> tup
     J : ndarray, shape (pairs, 3)
         In the position.
     """
-    i, j = np.triu_indices(len(seen.rims), 1)
+    i, j = seen.pairs
     d = position - seen.rims.centres
     length = np.linalg.norm(d, axis=1)
     u = d / length[:, None]
@@ -92,11 +103,10 @@ def angles(seen: PaperRims, directions: FloatArray, position: FloatArray) -> tup
     return np.sqrt(2.0) * (cosine - measured), np.sqrt(2.0) * (slope_i + slope_j)
 
 
-def angle_slopes(directions: FloatArray) -> FloatArray:
+def angle_slopes(seen: PaperRims, directions: FloatArray) -> FloatArray:
     """Give the derivatives (n, pairs, 3) of eq. (10)'s residual in each measured direction."""
-    n = len(directions)
-    i, j = np.triu_indices(n, 1)
-    out = np.zeros((n, len(i), 3))
+    i, j = seen.pairs
+    out = np.zeros((len(directions), len(i), 3))
     pair = np.arange(len(i))
     out[i, pair] -= np.sqrt(2.0) * directions[j]
     out[j, pair] -= np.sqrt(2.0) * directions[i]
@@ -123,7 +133,7 @@ def lines_of_sight(
     sign = -1.0 if printed_sign else 1.0
     R, P = gTc[:3, :3], gTc[:3, 3]
     p = (seen.rims.centres - P) @ R
-    normals = seen.rims.normals @ R
+    normals = seen.normals @ R
     range_m = np.linalg.norm(p, axis=1)[:, None]
     pu = p / range_m
     K = _line_matrices(seen.conics)
@@ -141,7 +151,7 @@ def lines_of_sight(
 
 def line_slopes(seen: PaperRims, gRc: FloatArray) -> FloatArray:
     """Give the derivatives (n, 3, 5) of the directions K n_c / |K n_c| in the charts."""
-    normals = seen.rims.normals @ gRc
+    normals = seen.normals @ gRc
     slopes = [los.line_of_sight_jacobian(q, n) for q, n in zip(seen.conics, normals, strict=True)]
     return np.array(slopes) @ seen.conic_slopes
 

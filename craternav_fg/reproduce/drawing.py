@@ -1,0 +1,128 @@
+"""Drawings of the reproduced figures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator, StrMethodFormatter
+
+FloatArray = npt.NDArray[np.float64]
+
+_SIZE = (8.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Series:
+    """A method's errors over the altitude.
+
+    Attributes
+    ----------
+    colour, marker, line : str
+        Line "" draws none.
+    mean : ndarray, shape (k,)
+    low, high : ndarray, shape (k,), or None
+        16 and 84 % of the trials.
+    """
+
+    colour: str
+    marker: str
+    line: str
+    mean: FloatArray
+    low: FloatArray | None = None
+    high: FloatArray | None = None
+
+
+def draw_deviation(
+    tilts_deg: FloatArray, altitudes: FloatArray, values: FloatArray, pixel_deg: float
+) -> Figure:
+    """Fig. 2: deviation (tilts, altitudes) in deg over the altitude in radii, and what a pixel is."""
+    figure, axes = _axes()
+    axes.axhline(pixel_deg, color="0.4", ls="--", lw=1.0)
+    axes.annotate("one pixel", (altitudes.max(), pixel_deg), ha="right", va="bottom", color="0.3")
+    _curves(axes, altitudes, values, tilts_deg)
+    axes.set_ylabel("deviation of the line of sight, deg")
+    return figure
+
+
+def draw_centre_error(tilts_deg: FloatArray, altitudes: FloatArray, values: FloatArray) -> Figure:
+    """Fig. 3: median position error (tilts, altitudes) in radii over the altitude in radii."""
+    figure, axes = _axes()
+    _curves(axes, altitudes, values, tilts_deg)
+    axes.set_ylabel("position error (median), crater radii")
+    return figure
+
+
+def _curves(axes: Axes, altitudes: FloatArray, values: FloatArray, tilts_deg: FloatArray) -> None:
+    for colour, tilt, value in zip(_shades(len(tilts_deg)), tilts_deg, values, strict=True):
+        axes.plot(altitudes, value, "o-", color=colour, ms=4, lw=1.5, label=f"{tilt} deg")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(FixedLocator(list(altitudes)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("altitude, crater radii")
+    axes.legend(title="angle of incidence", frameon=False)
+
+
+def draw_error_over_deviation(altitudes: FloatArray, deviation: FloatArray, error: FloatArray) -> Figure:
+    """Fig. 4: median position error over the deviation, each (tilts, altitudes), a line per altitude."""
+    figure, axes = _axes()
+    for j, (colour, altitude) in enumerate(zip(_shades(len(altitudes)), altitudes, strict=True)):
+        axes.plot(deviation[:, j], error[:, j], "o-", color=colour, ms=4, lw=1.5, label=f"{altitude} r")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("deviation of the line of sight, deg")
+    axes.set_ylabel("position error (median), crater radii")
+    axes.legend(title="altitude", frameon=False)
+    return figure
+
+
+def draw_errors(
+    altitudes_km: FloatArray,
+    series: Mapping[str, Series],
+    quantity: str,
+    title: str,
+    paper: Sequence[tuple[float, float, float]] = (),
+) -> Figure:
+    """Figs. 11 to 14: mean errors over the altitude, and the paper's printed (altitude, mean, deviation)."""
+    figure, axes = _axes()
+    spread = altitudes_km[1] - altitudes_km[0] if len(altitudes_km) > 1 else 1.0
+    with_bars = [name for name, s in series.items() if s.low is not None]
+    for name, s in series.items():
+        x = altitudes_km
+        if s.low is not None and s.high is not None:
+            # Side by side, not on top of one another.
+            x = altitudes_km + 0.08 * spread * (with_bars.index(name) - 0.5 * (len(with_bars) - 1))
+            axes.vlines(x, s.low, s.high, color=s.colour, lw=1.2, alpha=0.6)
+        axes.plot(x, s.mean, s.line, marker=s.marker, color=s.colour, ms=4.5, lw=1.5, label=name)
+    if paper:
+        x, mean, deviation = np.array(paper).T
+        # On a logarithmic scale the lower end of a bar may lie below all.
+        low = np.maximum(mean - deviation, 0.2 * mean)
+        axes.errorbar(
+            x, mean, [mean - low, deviation], fmt="*", color="k", ms=12, capsize=4, lw=1.2, zorder=5,
+            label="paper (mean, 1 sigma)",
+        )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_xlabel("altitude, km")
+    axes.set_ylabel(quantity)
+    axes.set_title(title, fontsize=10)
+    axes.legend(frameon=False, fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def _axes() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    axes = figure.subplots()
+    axes.grid(alpha=0.3)
+    return figure, axes
+
+
+def _shades(count: int) -> FloatArray:
+    """Colours from dark to light, for curves that stand in an order."""
+    return np.asarray(colormaps["viridis"](np.linspace(0.0, 0.88, count)))

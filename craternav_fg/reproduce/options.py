@@ -1,0 +1,71 @@
+"""What can be changed about the paper's static simulations."""
+
+from dataclasses import dataclass
+
+from craternav_fg.errors import CraternavError
+
+# No ellipse fit is of use on arcs shorter than about a third of the rim.
+LEAST_ARC = 0.35
+
+
+@dataclass(frozen=True)
+class ReproduceOptions:
+    """Set-up of the reproduction; the defaults are the paper's.
+
+    Attributes
+    ----------
+    craters : int
+        Of figs. 11 and 12; figs. 13 and 14 are of two.
+    altitudes_km : tuple of float
+        Lowest and highest altitude of figs. 11 to 14.
+    altitude_steps : int
+        Altitudes from the one to the other.
+    noise_px : float
+        Standard deviation of each coordinate of an edge point.
+    points : tuple of int
+        Range of the number of edge points of a rim: the paper's "length of the crater edge".
+    arc : float
+        Part of the rim that the points cover, of 1.
+    trials : int
+        At each altitude, and triples of craters at each point of fig. 3.
+    seed : int
+    workers : int
+        Processes.
+    """
+
+    craters: int = 3
+    altitudes_km: tuple[float, float] = (10.0, 100.0)
+    altitude_steps: int = 10
+    noise_px: float = 1.0
+    points: tuple[int, int] = (10, 100)
+    arc: float = 1.0
+    trials: int = 100
+    seed: int = 1
+    workers: int = 2
+
+    def __post_init__(self) -> None:
+        low, high = self.altitudes_km
+        checks = (
+            (self.craters >= 3, f"craters: expected 3 or more, found {self.craters}"),
+            (
+                0.0 < low <= high < 1e4,
+                f"altitudes: expected 0 < low <= high < 10000 km, found {low:g} {high:g}",
+            ),
+            (self.altitude_steps >= 1, f"altitude steps: expected 1 or more, found {self.altitude_steps}"),
+            (
+                0.0 < self.noise_px <= 10.0,
+                f"noise: expected more than 0, at most 10 px, found {self.noise_px:g}",
+            ),
+            (8 <= self.points[0] <= self.points[1], f"points: expected 8 or more, found {self.points}"),
+            (
+                LEAST_ARC <= self.arc <= 1.0,
+                f"arc: expected {LEAST_ARC:g} to 1 of the rim, found {self.arc:g}: "
+                "no ellipse can be fitted to a shorter one",
+            ),
+            (self.trials >= 2, f"trials: expected 2 or more, found {self.trials}"),
+            (self.seed >= 0, f"seed: expected 0 or more, found {self.seed}"),
+            (self.workers >= 1, f"workers: expected 1 or more, found {self.workers}"),
+        )
+        for good, problem in checks:
+            if not good:
+                raise CraternavError(problem)

@@ -1,0 +1,125 @@
+"""What a reproduced figure consists of: rows with a verdict, a paragraph, a drawing, the data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+# A figure of the paper counts as met within this share of it, or three standard errors of the trials.
+_MET = 0.1
+_STANDARD_ERRORS = 3.0
+_SAME_ORDER = 10.0**0.5
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of a figure; None where there is none.
+
+    Attributes
+    ----------
+    figure, quantity, condition, unit : str
+    paper : float or None
+        As the paper's text prints it; what only its plots show is not known.
+    as_printed, corrected : float or None
+        By the paper's equations as printed, and put right.
+    efficient : float or None
+        By the maximum-likelihood solver.
+    bound : float or None
+        Of an estimator that attains the Cramér-Rao bound, in the same statistic.
+    verdict : str
+    headline : bool
+        Whether the row stands in the printed table; not part of what is written.
+    """
+
+    figure: str
+    quantity: str
+    condition: str
+    unit: str
+    paper: float | None = None
+    as_printed: float | None = None
+    corrected: float | None = None
+    efficient: float | None = None
+    bound: float | None = None
+    verdict: str = ""
+    headline: bool = True
+
+    def as_dict(self) -> dict[str, str | float | None]:
+        """Give the fields by name, as reproduction.json holds them."""
+        return {name: getattr(self, name) for name in FIELDS}
+
+
+FIELDS = (
+    "figure", "quantity", "condition", "unit", "paper", "as_printed", "corrected", "efficient", "bound",
+    "verdict",
+)  # fmt: skip
+NUMBERS = ("paper", "as_printed", "corrected", "efficient", "bound")
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A figure of the paper, reproduced.
+
+    Attributes
+    ----------
+    name : str
+        Of the figure: fig02.
+    title : str
+        What it shows, one line.
+    rows : sequence of Row
+    note : str
+        A paragraph: what holds of the paper's statements, what cannot be had and why.
+    drawing : Figure
+    data : pyarrow.Table
+        All that the drawing and the rows rest on.
+    """
+
+    name: str
+    title: str
+    rows: Sequence[Row]
+    note: str
+    drawing: Figure
+    data: pa.Table
+
+
+def verdict(
+    paper: float | None,
+    corrected: float | None,
+    bound: float | None,
+    *,
+    error: float = 0.0,
+    bound_error: float = 0.0,
+) -> str:
+    """Judge a number of the paper by what its corrected equations give, and by the bound.
+
+    Parameters
+    ----------
+    paper, corrected, bound : float or None
+        In one statistic and unit.
+    error, bound_error : float
+        Standard error of the difference between the paper and what is corrected, and of that between the
+        paper and the bound, by the number of trials.
+    """
+    if paper is None:
+        return "the paper prints no number"
+    parts = []
+    if corrected is None:
+        parts.append("not reproduced")
+    elif abs(corrected - paper) <= max(_MET * paper, _STANDARD_ERRORS * error):
+        parts.append("reproduced")
+    else:
+        ratio = corrected / paper
+        near = 1.0 / _SAME_ORDER <= ratio <= _SAME_ORDER
+        parts.append(f"{'same order' if near else 'not reproduced'}: {ratio:.2g} times the paper's")
+    if bound is not None and paper < bound - max(_MET * paper, _STANDARD_ERRORS * bound_error):
+        parts.append(f"out of reach: the bound is {bound / paper:.2g} times the paper's")
+    return "; ".join(parts)
+
+
+def number(value: float | None) -> str:
+    """Give a number as the tables show it: three digits, a dash where there is none."""
+    if value is None:
+        return "-"
+    if abs(value) < 1e-6:
+        return "0"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"

@@ -1,0 +1,116 @@
+"""Reproduce figures of the paper into a folder.
+
+reproduction.json   every number: a list of rows {figure, quantity, condition, unit, paper, as_printed,
+                    corrected, efficient, bound, verdict}
+reproduction.md     the same to read: tables, drawings, and a paragraph on what cannot be had and why
+figNN.png           drawings
+figNN.parquet       what they rest on, trial by trial
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import craternav_fg
+from craternav_fg.errors import CraternavError
+from craternav_fg.evaluation.figures import save
+from craternav_fg.reproduce import centres, pose_figures, static_pose
+from craternav_fg.reproduce.los import fig02
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.pool import Progress
+from craternav_fg.reproduce.rows import NUMBERS, Reproduction, number
+
+FIGURES = ("fig02", "fig03", "fig04", "fig11", "fig12", "fig13", "fig14")
+MARKER = "reproduction.json"
+CONTENTS = (MARKER, "reproduction.md", "fig*.png", "fig*.parquet")
+
+
+def chosen(names: Sequence[str]) -> tuple[str, ...]:
+    """Figures of some names, "all" among them, in the paper's order.
+
+    Raises
+    ------
+    CraternavError
+        For an unknown one.
+    """
+    for name in names:
+        if name not in (*FIGURES, "all"):
+            raise CraternavError(f"unknown figure {name!r}: expected {', '.join(FIGURES)} or all")
+    return tuple(name for name in FIGURES if name in names or "all" in names)
+
+
+def reproduce(
+    names: Sequence[str], options: ReproduceOptions, progress: Progress | None = None
+) -> list[Reproduction]:
+    """Reproduce figures; those that share their trials share the computing.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of `FIGURES`.
+    options : ReproduceOptions
+    progress : callable, optional
+    """
+    out = []
+    if "fig02" in names:
+        out.append(fig02())
+    if {"fig03", "fig04"} & set(names):
+        data = centres.simulate(options, progress)
+        out += [figure(data) for figure in (centres.fig03, centres.fig04) if figure.__name__ in names]
+    three: pa.Table | None = None
+    if {"fig11", "fig12"} & set(names):
+        three = static_pose.simulate(options, options.craters, progress=progress)
+        out += [pose_figures.draw_up(name, three, options) for name in ("fig11", "fig12") if name in names]
+    if {"fig13", "fig14"} & set(names):
+        two = static_pose.simulate(options, 2, pose_figures.fine_conditions(options), progress)
+        compared = three if options.craters == 3 else None
+        out += [
+            pose_figures.draw_up(name, two, options, compared) for name in ("fig13", "fig14") if name in names
+        ]
+    return out
+
+
+def write(folder: Path, results: Sequence[Reproduction], options: ReproduceOptions) -> None:
+    """Write reproduced figures into an existing folder."""
+    rows = [row.as_dict() for result in results for row in result.rows]
+    for result in results:
+        save(result.drawing, folder / f"{result.name}.png")
+        pq.write_table(result.data, folder / f"{result.name}.parquet")
+    (folder / "reproduction.md").write_text(_report(results, options), encoding="utf-8")
+    (folder / MARKER).write_text(json.dumps(rows, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _report(results: Sequence[Reproduction], options: ReproduceOptions) -> str:
+    set_up = ", ".join(f"{name} {value}" for name, value in asdict(options).items() if name != "workers")
+    lines = [
+        "# Figures of Tian et al. (2019), reproduced",
+        "",
+        f"craternav_fg {craternav_fg.__version__}; {set_up}.",
+        "",
+        "As printed: the paper's equations as they stand; corrected: put right; efficient: the "
+        "maximum-likelihood solver; bound: an estimator that attains the Cramér-Rao bound, in the same "
+        "statistic. reproduction.json has all rows.",
+    ]
+    for result in results:
+        lines += [
+            "",
+            f"## {result.name}: {result.title}",
+            "",
+            result.note,
+            "",
+            f"![{result.title}]({result.name}.png)",
+            "",
+        ]
+        head = ("quantity", "condition", "unit", *(name.replace("_", " ") for name in NUMBERS), "verdict")
+        lines += [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+        for row in result.rows:
+            if row.headline:
+                numbers = [number(getattr(row, name)) for name in NUMBERS]
+                lines.append(
+                    f"| {' | '.join((row.quantity, row.condition, row.unit, *numbers, row.verdict))} |"
+                )
+    return "\n".join(lines) + "\n"

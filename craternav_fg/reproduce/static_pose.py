@@ -1,0 +1,179 @@
+"""The Monte Carlo runs behind figs. 11 to 14: one image, its rims with noise, every static method.
+
+The paper's methods start at the truth, as if a filter had predicted it well: what is compared is what their
+equations are worth, not how far they converge. The efficient solver has no start; where the image leaves
+several poses, the one nearest the truth is counted, the same advantage.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from craternav_fg import frames
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.pool import Progress, run_all
+from craternav_fg.reproduce.scenes import Scene, measure, pixel_arc, pose_bound, random_scene
+from craternav_fg.static import efficient
+from craternav_fg.static import paper_equations as equations
+from craternav_fg.static.least_squares import minimise
+from craternav_fg.static.paper_centres import centre_pose
+from craternav_fg.static.paper_equations import PaperRims
+from craternav_fg.static.problem import StaticProblem
+
+FloatArray = npt.NDArray[np.float64]
+
+# Methods as the columns of the data name them.
+CENTRES = "centres"
+TRUE_CENTRES = "true_centres"
+EDGES_PRINTED = "edges_printed"
+EDGES = "edges"
+TWO_PRINTED = "two_craters_printed"
+TWO = "two_craters"
+SHAPES = "shapes"
+EFFICIENT = "efficient"
+METHODS = (CENTRES, TRUE_CENTRES, EDGES_PRINTED, EDGES, TWO_PRINTED, TWO, SHAPES, EFFICIENT)
+# By these a third crater is needed.
+OF_THREE = (CENTRES, TRUE_CENTRES, EDGES_PRINTED, EDGES)
+
+_BATCH = 25
+# Errors drawn from the bound's Gaussian in each trial.
+_DRAWS = 200
+# With the printed sign there is no pose; a few trials show it.
+_PRINTED_TRIALS = 5
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some trials of one condition.
+
+    Attributes
+    ----------
+    craters : int
+    altitude_m, noise_px, arc : float
+    points : tuple of int
+    semi_axes_m : tuple of float
+    seed, first, last : int
+        Trials first to last - 1.
+    """
+
+    craters: int
+    altitude_m: float
+    noise_px: float
+    arc: float
+    points: tuple[int, int]
+    seed: int
+    first: int
+    last: int
+    semi_axes_m: tuple[float, float] = (500.0, 2500.0)
+
+
+def run_batch(batch: Batch) -> list[dict[str, float]]:
+    """Errors of every method in every trial of a batch; NaN where a method gives no pose."""
+    return [_run_trial(batch, trial) for trial in range(batch.first, batch.last)]
+
+
+def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
+    rng = np.random.default_rng([batch.seed, 11, batch.craters, round(batch.altitude_m), trial])
+    scene = random_scene(rng, batch.craters, batch.altitude_m, semi_axes_m=batch.semi_axes_m)
+    counts = rng.integers(batch.points[0], batch.points[1] + 1, batch.craters)
+    problem, bound = measure(scene, rng, counts, batch.arc, batch.noise_px)
+    record = {
+        "craters": float(batch.craters),
+        "altitude_m": batch.altitude_m,
+        "noise_px": batch.noise_px,
+        "trial": float(trial),
+        "solutions": 0.0,
+    }
+    poses = {}
+    if problem is not None:
+        poses = _paper_poses(problem, scene, printed=trial < _PRINTED_TRIALS)
+        found = efficient.solve(problem).poses
+        record["solutions"] = float(len(found))
+        if found:
+            poses[EFFICIENT] = min((pose.gTb for pose in found), key=lambda gTc: _error_m(scene, gTc))
+    for method in METHODS:
+        gTc = poses.get(method)
+        record[f"{method}_m"] = np.nan if gTc is None else _error_m(scene, gTc)
+        record[f"{method}_deg"] = np.nan if gTc is None else _error_deg(scene, gTc)
+    for block, unit in ((bound[3:, 3:], "m"), (np.degrees(1.0) ** 2 * bound[:3, :3], "deg")):
+        draws = rng.normal(size=(_DRAWS, 3)) @ np.linalg.cholesky(block).T
+        record[f"bound_rms_{unit}"] = float(np.sqrt(np.trace(block)))
+        record[f"bound_mean_{unit}"] = float(np.linalg.norm(draws, axis=1).mean())
+    arcs = [pixel_arc(rng, chart, int(count)) for chart, count in zip(scene.charts, counts, strict=True)]
+    record["arc_bound_rms_m"] = float(np.sqrt(np.trace(pose_bound(scene, arcs, batch.noise_px)[3:, 3:])))
+    return record
+
+
+def _error_m(scene: Scene, gTc: FloatArray) -> float:
+    return float(np.linalg.norm((gTc - scene.gTc)[:3, 3]))
+
+
+def _error_deg(scene: Scene, gTc: FloatArray) -> float:
+    turn = frames.rotation_log(gTc[:3, :3].T @ scene.gTc[:3, :3])
+    return float(np.degrees(np.linalg.norm(turn)))
+
+
+def _paper_poses(problem: StaticProblem, scene: Scene, *, printed: bool) -> dict[str, FloatArray]:
+    """Poses (4, 4) by every method of the paper that has one, from the truth; as printed on demand."""
+    seen = PaperRims(problem.rims)
+    enough = len(problem.rims) >= 3
+    systems = {
+        EDGES: partial(equations.edges, seen),
+        TWO: partial(equations.two_craters, seen),
+        SHAPES: partial(equations.conic_shapes, seen),
+    }
+    if printed:
+        systems[EDGES_PRINTED] = partial(equations.edges, seen, printed_sign=True)
+        systems[TWO_PRINTED] = partial(equations.two_craters, seen, printed_sign=True)
+    out = {
+        method: minimise(system, scene.gTc)[0]
+        for method, system in systems.items()
+        if enough or method not in OF_THREE
+    }
+    if enough:
+        out[CENTRES], _ = centre_pose(seen, scene.gTc)
+        out[TRUE_CENTRES], _ = centre_pose(seen, scene.gTc, refine=True)
+    return out
+
+
+def simulate(
+    options: ReproduceOptions,
+    craters: int,
+    extra: Sequence[tuple[float, float]] = (),
+    progress: Progress | None = None,
+) -> pa.Table:
+    """All trials of one number of craters.
+
+    Parameters
+    ----------
+    options : ReproduceOptions
+    craters : int
+    extra : sequence of tuple of float
+        Altitude, m, and noise, px, of conditions beside those of the options.
+    progress : callable, optional
+
+    Returns
+    -------
+    pyarrow.Table
+        A row per trial: per method its errors, NaN where it gives no pose; the bound.
+    """
+    conditions = [(1e3 * km, options.noise_px) for km in altitudes_km(options)] + list(extra)
+    batches = [
+        Batch(
+            craters, altitude, noise, options.arc, options.points, options.seed,
+            first, min(first + _BATCH, options.trials),
+        )
+        for altitude, noise in conditions
+        for first in range(0, options.trials, _BATCH)
+    ]  # fmt: skip
+    results = run_all(run_batch, batches, options.workers, f"poses of {craters} craters", progress)
+    return pa.Table.from_pylist([record for result in results for record in result])
+
+
+def altitudes_km(options: ReproduceOptions) -> list[float]:
+    """Altitudes of figs. 11 to 14."""
+    return [float(km) for km in np.linspace(*options.altitudes_km, options.altitude_steps)]
