@@ -24,7 +24,7 @@ class Equation:
     corrected: str | None
 
 
-CENTRES = Equation("(10)", runs.CENTRES, runs.TRUE_CENTRES)
+CENTRES = Equation("(10)", runs.CENTRES, None)
 EDGES = Equation("(13)", None, runs.EDGES)
 TWO = Equation("(23)", None, runs.TWO)
 SHAPES = Equation("(19), unweighted", runs.SHAPES, None)

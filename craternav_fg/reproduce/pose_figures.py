@@ -20,7 +20,7 @@ from craternav_fg.reproduce.conditions import (
     Equation,
 )
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.pose_notes import NOTES, compared_with_three, fine_noise
+from craternav_fg.reproduce.pose_notes import NOTES, compared_with_three, efficiency, fine_noise
 from craternav_fg.reproduce.rows import Reproduction, Row
 from craternav_fg.reproduce.static_pose import altitudes_km
 
@@ -82,8 +82,9 @@ def draw_up(
     extra = _fine_rows(name, quantity, data, craters, options, printed)
     note = NOTES[name](conditions, options, printed)
     if name == "fig13":
-        note = f"{fine_noise(extra)} {note}" if extra else note
+        note += "".join(fine_noise(row, FINE_NOISE_PX) for row in extra)
         note += "" if three is None else compared_with_three(conditions, three, options)
+        note += efficiency(conditions)
     return Reproduction(
         name,
         f"{quantity.capitalize()} error over the altitude, {craters} craters",

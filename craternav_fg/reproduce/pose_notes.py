@@ -1,6 +1,6 @@
 """What figs. 11 to 14 show of the paper's statements, what cannot be had, and why."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
@@ -8,10 +8,10 @@ import pyarrow as pa
 from craternav_fg.reproduce import static_pose as runs
 from craternav_fg.reproduce.conditions import MEAN, RMS, Condition
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import Row
+from craternav_fg.reproduce.rows import Row, number
 
 
-def _efficiency(conditions: Mapping[float, Condition]) -> str:
+def efficiency(conditions: Mapping[float, Condition]) -> str:
     """Say how near the efficient solver comes to the bound, and how often it has several poses or none."""
     ratios = [(c.statistic(runs.EFFICIENT, RMS) or np.nan) / c.bound(RMS) for c in conditions.values()]
     found = np.concatenate([c.columns["solutions"] for c in conditions.values()])
@@ -35,7 +35,7 @@ def _values(conditions: Mapping[float, Condition], method: str) -> str:
     unit = conditions[low].unit
     if a is None or b is None:
         return "no pose"
-    return f"{a:.3g} {unit} at {low:g} km and {b:.3g} {unit} at {high:g} km"
+    return f"{number(a)} {unit} at {low:g} km and {number(b)} {unit} at {high:g} km"
 
 
 def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
@@ -63,8 +63,8 @@ def _note_fig11(
     medians = {km: float(np.median(conditions[km].values(runs.EDGES))) for km in (low, high)}
     text = (
         f"{_printed_sign(conditions, runs.EDGES_PRINTED)} Eq. (13) then has "
-        f"{_values(conditions, runs.EDGES)} (medians {medians[low]:.3g} and {medians[high]:.3g} m: a few "
-        "weak triples make the mean). "
+        f"{_values(conditions, runs.EDGES)} (medians {number(medians[low])} and "
+        f"{number(medians[high])} m: a few weak triples make the mean). "
     )
     if {low, high} <= set(printed):
         slope = (conditions[high].statistic(runs.EDGES, MEAN) or np.nan) / (
@@ -74,7 +74,7 @@ def _note_fig11(
             f"The paper's {printed[low][0]:g} and {printed[high][0]:g} m are of this order, but its slope "
             f"is not: its error grows by {printed[high][0] / printed[low][0]:.2g}, ours by {slope:.2g}, the "
             f"bound by {conditions[high].bound(MEAN) / conditions[low].bound(MEAN):.2g}: constant noise in "
-            "pixels must cost more from higher up, and what the paper held constant instead is not said. "
+            "pixels must cost more from higher up. "
         )
     return text + (
         f"The error of the centres (10) is {ratio[low]:.2g} times that of the edges at {low:g} km and "
@@ -82,8 +82,8 @@ def _note_fig11(
         "are large in the image, and gone where their eccentricity drowns in the noise. Edge points are "
         f"spread over {'the whole rim' if options.arc == 1.0 else f'{options.arc:.0%} of the rim'}; were "
         f"the paper's {options.points[0]} to {options.points[1]} px arcs of that length with a point per "
-        f"pixel, the bound alone would be {arcs[low]:.3g} m at {low:g} km and {arcs[high]:.3g} m at "
-        f"{high:g} km (median rms). " + _efficiency(conditions)
+        f"pixel, the bound alone would be {number(arcs[low])} m at {low:g} km and "
+        f"{number(arcs[high])} m at {high:g} km (median rms). " + efficiency(conditions)
     )
 
 
@@ -98,8 +98,8 @@ def _note_fig12(
         "altitude rises. That cannot be at constant noise in pixels: eq. (13) has "
         f"{_values(conditions, runs.EDGES)}, the efficient solver {_values(conditions, runs.EFFICIENT)}, "
         f"and the bound itself grows by {growth:.2g}: from higher up the craters fill less of the image, "
-        "and a turn is told less well from a shift. The centres (10), whose error is a bias of the "
-        f"geometry, have {_values(conditions, runs.CENTRES)}. " + _efficiency(conditions)
+        "and a turn is told less well from a shift. The centres (10), whose error comes from the "
+        f"deviation of fig. 2, have {_values(conditions, runs.CENTRES)}. " + efficiency(conditions)
     )
 
 
@@ -116,19 +116,17 @@ def _note_fig13(
         bound = conditions[high].bound(MEAN)
         text += (
             f"The paper's largest mean, {printed[high][0]:g} m at {high:g} km, cannot be had: at "
-            f"{options.noise_px:g} px an efficient estimator errs by {bound:.3g} m, "
+            f"{options.noise_px:g} px an efficient estimator errs by {number(bound)} m, "
             f"{bound / printed[high][0]:.2g} times as much. "
         )
-    return text + _efficiency(conditions)
+    return text
 
 
-def fine_noise(rows: Sequence[Row]) -> str:
+def fine_noise(row: Row, noise_px: float) -> str:
     """Say at which noise eq. (23) has the error of two craters that the paper prints."""
-    row = rows[0]
     return (
-        f"With edge points of {row.condition.split()[-2]} px eq. (23) has {row.corrected:.3g} m at "
-        f"{row.condition.split(',')[0]}, the paper's {row.paper:.3g} m: its noise in this figure must have "
-        "been of that size."
+        f"It takes edge points of {noise_px:g} px for eq. (23) to have {number(row.corrected)} m there, the "
+        f"paper's {number(row.paper)} m. "
     )
 
 
@@ -143,10 +141,10 @@ def compared_with_three(
         two = conditions[km].statistic(runs.TWO, MEAN)
         if centres is not None and two is not None:
             word = "smaller" if two < centres else "larger"
-            parts.append(f"{word} at {km:g} km ({two:.3g} and {centres:.3g} m)")
+            parts.append(f"{word} at {km:g} km ({number(two)} and {number(centres)} m)")
     return (
-        " The paper finds the error of two craters by (23) smaller than that of three by their centres "
-        f"(10); here it is {' and '.join(parts)}."
+        "The paper finds the error of two craters by (23) smaller than that of three by their centres "
+        f"(10); here it is {' and '.join(parts)}. "
     )
 
 
@@ -158,13 +156,14 @@ def _note_fig14(
     for km, (mean, _) in printed.items():
         if km in conditions:
             bound = conditions[km].bound(MEAN)
+            corrected = conditions[km].statistic(runs.TWO, MEAN) or np.nan
             text += (
                 f"The paper's largest mean, {mean:g} deg at {km:g} km, cannot be had: at "
                 f"{options.noise_px:g} px an efficient estimator errs by {bound:.3g} deg, "
-                f"{bound / mean:.2g} times as much; as for the position, its noise must have been near a "
-                "hundredth of a pixel. "
+                f"{bound / mean:.2g} times as much; for eq. (23), whose error goes with the noise, it would "
+                f"take {options.noise_px * mean / corrected:.1g} px. "
             )
-    return text + _efficiency(conditions)
+    return text + efficiency(conditions)
 
 
 NOTES = {"fig11": _note_fig11, "fig12": _note_fig12, "fig13": _note_fig13, "fig14": _note_fig14}

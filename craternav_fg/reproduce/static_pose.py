@@ -28,16 +28,15 @@ FloatArray = npt.NDArray[np.float64]
 
 # Methods as the columns of the data name them.
 CENTRES = "centres"
-TRUE_CENTRES = "true_centres"
 EDGES_PRINTED = "edges_printed"
 EDGES = "edges"
 TWO_PRINTED = "two_craters_printed"
 TWO = "two_craters"
 SHAPES = "shapes"
 EFFICIENT = "efficient"
-METHODS = (CENTRES, TRUE_CENTRES, EDGES_PRINTED, EDGES, TWO_PRINTED, TWO, SHAPES, EFFICIENT)
+METHODS = (CENTRES, EDGES_PRINTED, EDGES, TWO_PRINTED, TWO, SHAPES, EFFICIENT)
 # By these a third crater is needed.
-OF_THREE = (CENTRES, TRUE_CENTRES, EDGES_PRINTED, EDGES)
+OF_THREE = (CENTRES, EDGES_PRINTED, EDGES)
 
 _BATCH = 25
 # Errors drawn from the bound's Gaussian in each trial.
@@ -136,7 +135,6 @@ def _paper_poses(problem: StaticProblem, scene: Scene, *, printed: bool) -> dict
     }
     if enough:
         out[CENTRES], _ = centre_pose(seen, scene.gTc)
-        out[TRUE_CENTRES], _ = centre_pose(seen, scene.gTc, refine=True)
     return out
 
 
@@ -176,4 +174,4 @@ def simulate(
 
 def altitudes_km(options: ReproduceOptions) -> list[float]:
     """Altitudes of figs. 11 to 14."""
-    return [float(km) for km in np.linspace(*options.altitudes_km, options.altitude_steps)]
+    return [float(km) for km in np.unique(np.linspace(*options.altitudes_km, options.altitude_steps))]

@@ -43,7 +43,6 @@ class Method(Enum):
     """A static method of the paper, by its equation."""
 
     IMAGE_CENTRES = "(10)"
-    TRUE_CENTRES = "(10) with the centres of (9)"
     EDGES = "(13)"
     TWO_CRATERS = "(23)"
     SHAPES = "(19)"
@@ -53,7 +52,6 @@ class Method(Enum):
 # Fewest rims, and fewest when the attitude is known.
 _LEAST = {
     Method.IMAGE_CENTRES: (3, 3),
-    Method.TRUE_CENTRES: (3, 3),
     Method.EDGES: (3, 2),
     Method.TWO_CRATERS: (2, 2),
     Method.SHAPES: (2, 1),
@@ -70,8 +68,7 @@ def solve_paper(problem: StaticProblem, method: Method, start: FloatArray | None
         Its prior is a start only, and for one crater a gate on the solution. A known attitude is taken as
         exact. The sun is used by `CRATER_AND_SUN` alone, in perspective and with atan2.
     method : Method
-        `IMAGE_CENTRES` takes the image ellipses' centres for the craters', as the paper's baseline does;
-        `TRUE_CENTRES` replaces them by those of eq. (9) at the attitude found, and solves (10) again.
+        `IMAGE_CENTRES` takes the image ellipses' centres for the craters', as the paper's baseline does.
     start : ndarray, shape (4, 4), optional
         Pose of the body gTb to start from; the prior's if not given. The equations have several solutions,
         and the one near the start is found.
@@ -99,10 +96,9 @@ def solve_paper(problem: StaticProblem, method: Method, start: FloatArray | None
         start, free = frames.pose(problem.attitude.gRb, start[:3, 3]), TRANSLATION
     seen = PaperRims(problem.rims)
     gTc = start @ problem.bTc
-    if method in (Method.IMAGE_CENTRES, Method.TRUE_CENTRES):
-        refine = method is Method.TRUE_CENTRES
-        gTc, converged = centre_pose(seen, gTc, free, refine=refine)
-        covariance = centre_covariance(seen, gTc, free, refined=refine)
+    if method is Method.IMAGE_CENTRES:
+        gTc, converged = centre_pose(seen, gTc, free)
+        covariance = centre_covariance(seen, gTc, free)
     else:
         system = _system(problem, method, seen)
         gTc, converged = minimise(system, gTc, free)

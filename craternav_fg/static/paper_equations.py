@@ -73,16 +73,14 @@ class PaperRims:
         return np.array([los.line_of_sight(q, n) for q, n in zip(self.conics, normals, strict=True)])
 
 
-def angles(seen: PaperRims, directions: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eq. (10): cosines between craters seen from a position less those between measured directions.
+def angles(seen: PaperRims, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eq. (10): cosines between craters seen from a position less those between their image centres.
 
     Each pair stands twice in the sum.
 
     Parameters
     ----------
     seen : PaperRims
-    directions : ndarray, shape (n, 3)
-        Unit vectors v in c.
     position : ndarray, shape (3,)
         Of the camera in g, m.
 
@@ -99,17 +97,19 @@ def angles(seen: PaperRims, directions: FloatArray, position: FloatArray) -> tup
     cosine = np.sum(u[i] * u[j], axis=1)
     slope_i = (u[j] - cosine[:, None] * u[i]) / length[i, None]
     slope_j = (u[i] - cosine[:, None] * u[j]) / length[j, None]
-    measured = np.sum(directions[i] * directions[j], axis=1)
+    v = seen.image_centres
+    measured = np.sum(v[i] * v[j], axis=1)
     return np.sqrt(2.0) * (cosine - measured), np.sqrt(2.0) * (slope_i + slope_j)
 
 
-def angle_slopes(seen: PaperRims, directions: FloatArray) -> FloatArray:
-    """Give the derivatives (n, pairs, 3) of eq. (10)'s residual in each measured direction."""
+def angle_slopes(seen: PaperRims) -> FloatArray:
+    """Give the derivatives (n, pairs, 3) of eq. (10)'s residual in each image centre."""
     i, j = seen.pairs
-    out = np.zeros((len(directions), len(i), 3))
+    v = seen.image_centres
+    out = np.zeros((len(v), len(i), 3))
     pair = np.arange(len(i))
-    out[i, pair] -= np.sqrt(2.0) * directions[j]
-    out[j, pair] -= np.sqrt(2.0) * directions[i]
+    out[i, pair] -= np.sqrt(2.0) * v[j]
+    out[j, pair] -= np.sqrt(2.0) * v[i]
     return out
 
 

@@ -17,7 +17,7 @@ from craternav_fg.static.problem import (
 from factors.kernels import conic
 from tests.factors.conftest import View, make_view
 
-UNBIASED = (Method.TRUE_CENTRES, Method.EDGES, Method.TWO_CRATERS, Method.SHAPES)
+UNBIASED = (Method.EDGES, Method.TWO_CRATERS, Method.SHAPES)
 SIGMA = np.diag([1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
 
 
