@@ -23,7 +23,7 @@ _FOCAL_PX = 512.0 / _HALF_FIELD
 CAMERA = Camera(1024, 1024, _FOCAL_PX, _FOCAL_PX, 511.5, 511.5)
 _NADIR = np.diag([1.0, -1.0, -1.0])
 _TRIES = 200
-_RESTARTS = 2000
+_RESTARTS = 300
 # Samples of a rim by which its length in pixels is measured.
 _ARC_SAMPLES = 2000
 

@@ -1,0 +1,124 @@
+"""Rows, verdicts, files, and the command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from craternav_fg.errors import CraternavError
+from craternav_fg.reproduce import pose_figures, run, static_pose
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.rows import FIELDS, number, verdict
+from tests.test_command_line import craternav
+
+SMALL = ReproduceOptions(trials=4, altitude_steps=2, workers=1)
+
+
+def same(a: pa.Table, b: pa.Table) -> bool:
+    """Whether two tables are equal, NaN in the same places."""
+    return a.schema == b.schema and all(
+        np.array_equal(a[name].to_numpy(), b[name].to_numpy(), equal_nan=True) for name in a.column_names
+    )
+
+
+@pytest.mark.parametrize(
+    ("paper", "corrected", "bound", "error", "expected"),
+    [
+        (None, 3.0, 1.0, 0.0, "the paper prints no number"),
+        (100.0, 105.0, 20.0, 0.0, "reproduced"),
+        (100.0, 160.0, 20.0, 25.0, "reproduced"),
+        (100.0, 160.0, 20.0, 0.0, "same order: 1.6 times the paper's"),
+        (100.0, 900.0, 20.0, 0.0, "not reproduced: 9 times the paper's"),
+        (100.0, 900.0, 400.0, 0.0, "out of reach: the bound is 4 times the paper's"),
+        (100.0, None, None, 0.0, "not reproduced"),
+    ],
+)
+def test_verdicts(
+    paper: float | None, corrected: float | None, bound: float | None, error: float, expected: str
+) -> None:
+    assert expected in verdict(paper, corrected, bound, error=error)
+    assert ("out of reach" in verdict(paper, corrected, bound, error=error)) == ("out of" in expected)
+
+
+def test_numbers_are_readable() -> None:
+    assert [number(x) for x in (None, 0.0, 1e-9, 0.01234, 3.14159, 10287.4)] == [
+        "-", "0", "0", "0.0123", "3.14", "10287",
+    ]  # fmt: skip
+
+
+def test_written_figures_are_whole_and_the_same_again(tmp_path: Path) -> None:
+    names = ("fig02", "fig11", "fig12", "fig13", "fig14")
+    results = run.reproduce(names, SMALL)
+    run.write(tmp_path, results, SMALL)
+    rows = json.loads((tmp_path / "reproduction.json").read_text())
+    assert all(tuple(row) == FIELDS for row in rows)
+    assert {row["figure"] for row in rows} == set(names)
+    for row in rows:
+        assert row["verdict"]
+        for field in ("paper", "as_printed", "corrected", "efficient", "bound"):
+            assert row[field] is None or row[field] >= 0.0
+    printed = {(row["quantity"], row["condition"]): row["paper"] for row in rows if row["paper"] is not None}
+    assert printed == {
+        ("position error of (13), mean", "10 km, 3 craters, 1 px"): 258.0,
+        ("position error of (13), mean", "100 km, 3 craters, 1 px"): 945.0,
+        ("position error of (13), standard deviation", "10 km, 3 craters, 1 px"): 227.0,
+        ("position error of (13), standard deviation", "100 km, 3 craters, 1 px"): 593.0,
+        ("position error of (23), mean", "100 km, 2 craters, 1 px"): 107.0,
+        ("position error of (23), mean", "100 km, 2 craters, 0.01 px"): 107.0,
+        ("position error of (23), standard deviation", "100 km, 2 craters, 1 px"): 203.0,
+    }
+    report = (tmp_path / "reproduction.md").read_text()
+    for result in results:
+        assert result.note in report
+        assert (tmp_path / f"{result.name}.png").read_bytes().startswith(b"\x89PNG")
+        assert same(pq.read_table(tmp_path / f"{result.name}.parquet"), result.data)
+    again = static_pose.simulate(SMALL, 2, pose_figures.fine_conditions(SMALL))
+    assert same(again, results[3].data)
+
+
+def test_other_set_ups_have_no_number_of_the_paper() -> None:
+    options = ReproduceOptions(trials=2, altitude_steps=1, altitudes_km=(20.0, 20.0), noise_px=0.5, workers=1)
+    rows = run.reproduce(("fig13",), options)[0].rows
+    assert all(row.paper is None for row in rows)
+    assert {row.condition for row in rows} == {"20 km, 2 craters, 0.5 px"}
+
+
+def test_processes_change_nothing() -> None:
+    alone = static_pose.simulate(SMALL, 2)
+    options = ReproduceOptions(trials=4, altitude_steps=2, workers=2)
+    seen: list[tuple[int, int]] = []
+    together = static_pose.simulate(options, 2, progress=lambda what, done, total: seen.append((done, total)))
+    assert same(together, alone)
+    assert seen == [(1, 2), (2, 2)]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"craters": 2}, "craters"),
+        ({"altitudes_km": (50.0, 10.0)}, "altitudes"),
+        ({"noise_px": 0.0}, "noise"),
+        ({"noise_px": float("nan")}, "noise"),
+        ({"arc": 0.2}, "arc"),
+        ({"trials": 1}, "trials"),
+        ({"workers": 0}, "workers"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_options_that_make_no_sense_are_named(change: dict[str, object], named: str) -> None:
+    with pytest.raises(CraternavError, match=f"^{named}: expected"):
+        ReproduceOptions(**change)  # type: ignore[arg-type]
+
+
+def test_the_command_writes_the_folder_and_says_what_is_wrong(tmp_path: Path) -> None:
+    done = craternav("reproduce", "fig02", "-o", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "reproduction.json").read_text())
+    unknown = craternav("reproduce", "fig05", "-o", tmp_path / "other")
+    assert unknown.returncode == 2
+    assert "unknown figure 'fig05'" in unknown.stderr
+    assert "Traceback" not in unknown.stderr
+    assert not (tmp_path / "other").exists()
