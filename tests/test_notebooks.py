@@ -27,6 +27,11 @@ def test_02_measurement_equations() -> None:
     execute("02_measurement_equations.ipynb")
 
 
+def test_03_static_pose() -> None:
+    notebook = nbformat.read(NOTEBOOKS / "03_static_pose.ipynb", as_version=4)
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOKS)}}).execute()
+
+
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
 def test_notebooks_keep_their_outputs_and_stay_small(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)

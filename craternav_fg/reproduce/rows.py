@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-# A figure of the paper counts as met within this share of it, or three standard errors of the trials.
+# A number of the paper counts as reproduced within this share of it.
 _MET = 0.1
 _STANDARD_ERRORS = 3.0
 _SAME_ORDER = 10.0**0.5
@@ -105,12 +105,15 @@ def verdict(
     parts = []
     if corrected is None:
         parts.append("not reproduced")
-    elif abs(corrected - paper) <= max(_MET * paper, _STANDARD_ERRORS * error):
+    elif abs(corrected - paper) <= _MET * paper:
         parts.append("reproduced")
     else:
         ratio = corrected / paper
-        near = 1.0 / _SAME_ORDER <= ratio <= _SAME_ORDER
-        parts.append(f"{'same order' if near else 'not reproduced'}: {ratio:.2g} times the paper's")
+        if abs(corrected - paper) <= _STANDARD_ERRORS * error:
+            word = "within the trials' scatter"
+        else:
+            word = "same order" if 1.0 / _SAME_ORDER <= ratio <= _SAME_ORDER else "not reproduced"
+        parts.append(f"{word}: {ratio:.2g} times the paper's")
     if bound is not None and paper < bound - max(_MET * paper, _STANDARD_ERRORS * bound_error):
         parts.append(f"out of reach: the bound is {bound / paper:.2g} times the paper's")
     return "; ".join(parts)
