@@ -23,8 +23,14 @@ def efficiency(conditions: Mapping[float, Condition]) -> str:
         text += (
             f"; in {np.mean(found > 1):.1%} of the trials it finds several poses, of which the nearest counts"
         )
-    if (found == 0).any():
-        text += f"; in {np.mean(found == 0):.1%} it finds none"
+    fitted = np.concatenate([c.columns["fitted"] for c in conditions.values()]) > 0.0
+    if (found[fitted] == 0).any():
+        text += f"; in {np.mean(fitted & (found == 0)):.1%} it finds none"
+    if not fitted.all():
+        text += (
+            f". In {np.mean(~fitted):.1%} of the trials the points of a rim determine no ellipse; these "
+            "count for no method"
+        )
     return text + "."
 
 

@@ -85,6 +85,7 @@ def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
         "altitude_m": batch.altitude_m,
         "noise_px": batch.noise_px,
         "trial": float(trial),
+        "fitted": float(problem is not None),
         "solutions": 0.0,
     }
     poses = {}

@@ -10,6 +10,7 @@ import pytest
 
 from craternav_fg.errors import CraternavError
 from craternav_fg.reproduce import pose_figures, run, static_pose
+from craternav_fg.reproduce.conditions import MEAN, RMS, STD, Condition
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.rows import FIELDS, number, verdict
 from tests.test_command_line import craternav
@@ -77,6 +78,20 @@ def test_written_figures_are_whole_and_the_same_again(tmp_path: Path) -> None:
         assert same(pq.read_table(tmp_path / f"{result.name}.parquet"), result.data)
     again = static_pose.simulate(SMALL, 2, pose_figures.fine_conditions(SMALL))
     assert same(again, results[3].data)
+
+
+def test_another_seed_gives_other_trials() -> None:
+    first, other = (ReproduceOptions(trials=2, altitude_steps=1, workers=1, seed=seed) for seed in (1, 2))
+    assert not same(static_pose.simulate(first, 2), static_pose.simulate(other, 2))
+
+
+def test_bounds_are_one_distribution() -> None:
+    """Its mean, standard deviation and rms belong together, and the mean is below the rms."""
+    data = static_pose.simulate(SMALL, 2)
+    condition = Condition(data, 1e4, 1.0, "m")
+    mean, std, rms = (condition.bound(kind) for kind in (MEAN, STD, RMS))
+    assert mean**2 + std**2 == pytest.approx(rms**2)
+    assert 0.5 * rms < mean < 0.98 * rms
 
 
 def test_other_set_ups_have_no_number_of_the_paper() -> None:

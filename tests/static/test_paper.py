@@ -1,11 +1,15 @@
 """The paper's static methods: exact without noise, honest covariances, clear refusals."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from craternav_fg import frames
 from craternav_fg.measurements import SunTilt
+from craternav_fg.static import paper_equations as equations
 from craternav_fg.static.paper import Method, solve_paper
+from craternav_fg.static.paper_equations import PaperRims
 from craternav_fg.static.problem import (
     KnownAttitude,
     MatchedRims,
@@ -15,6 +19,7 @@ from craternav_fg.static.problem import (
     Status,
 )
 from factors.kernels import conic
+from factors.kernels.gauss_newton import move
 from tests.factors.conftest import View, make_view
 
 UNBIASED = (Method.EDGES, Method.TWO_CRATERS, Method.SHAPES)
@@ -88,6 +93,56 @@ def test_covariances_are_honest(method: Method, known: bool) -> None:
         square.append(e @ np.linalg.solve(S, e) / len(e))
     # Standard error of the mean of chi2 / d over 150: sqrt(2 / d / 150), d at least 3.
     assert abs(np.mean(square) - 1.0) < 4.0 * np.sqrt(2.0 / 3.0 / 150.0)
+
+
+def numerical(function: Callable[[np.ndarray], np.ndarray], pose: np.ndarray) -> np.ndarray:
+    """Derivative of a function of a pose for its right twist, by central differences."""
+    columns = []
+    for k, h in enumerate([1e-5] * 3 + [0.5] * 3):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = pose.copy()
+            move(moved, sign * h * np.eye(6)[k])
+            ends.append(function(moved))
+        columns.append((ends[0] - ends[1]) / (2.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("printed_sign", [False, True])
+@pytest.mark.parametrize("seed", range(2))
+def test_jacobians(seed: int, printed_sign: bool) -> None:
+    view = make_view(seed, n=3)
+    rims = PaperRims(problem_of(view, 3, np.random.default_rng(seed)).rims)
+    gTc = off(view.gTb @ view.bTc, 0.05, 500.0)
+    sun = sun_of(view)
+    systems = (
+        lambda T: equations.edges(rims, T, printed_sign=printed_sign),
+        lambda T: equations.two_craters(rims, T, printed_sign=printed_sign),
+        lambda T: equations.with_sun(sun, rims, T),
+    )
+    for system in systems:
+        J = system(gTc)[1]
+        difference = numerical(lambda T, system=system: system(T)[0], gTc) - J
+        assert (np.abs(difference) < 1e-5 * np.abs(J).max(axis=0)).all()
+    e, J = equations.angles(rims, gTc[:3, 3])
+    difference = numerical(lambda T: equations.angles(rims, T[:3, 3])[0], gTc)[:, 3:] - J @ gTc[:3, :3]
+    assert len(e) == 3
+    assert (np.abs(difference) < 1e-6 * np.abs(J).max()).all()
+
+
+def test_covariance_is_the_bodys_with_the_camera_on_a_long_boom() -> None:
+    view = make_view(1)
+    bTc = frames.pose(frames.rotation_exp(np.array([0.4, -1.0, 2.0])), np.array([3e3, -8e3, 5e3]))
+    gTc = view.gTb @ view.bTc
+    rims = problem_of(view, 4).rims
+    S = solve_paper(StaticProblem(rims), Method.EDGES, gTc).pose.covariance
+    gTb = gTc @ frames.inverse(bTc)
+    turned = numerical(lambda T: twist(gTb, T @ frames.inverse(bTc)), gTc)
+    found = solve_paper(StaticProblem(rims, bTc), Method.EDGES, gTb).pose.covariance
+    scale = np.sqrt(np.diag(found))
+    np.testing.assert_allclose(
+        found / np.outer(scale, scale), turned @ S @ turned.T / np.outer(scale, scale), atol=1e-5
+    )
 
 
 def test_known_attitude_needs_fewer_rims() -> None:
