@@ -88,7 +88,7 @@ def fig03(data: pa.Table) -> Reproduction:
     rising = np.sum(np.diff(centres, axis=1) > 0.0, axis=1)
     note = (
         "The paper's text prints no number of this figure. As it says, the error of the centres tends to "
-        f"grow as the camera comes down (in {rising.min()} to {rising.max()} of {steps} steps of each "
+        f"grow as the camera comes down (in {rising.min()} or more of the {steps} steps of each "
         f"curve) and with the angle of incidence: from {centres[0, 0]:.3f} r at i = 5 deg, h = 50 r to "
         f"{centres[-1, -1]:.2f} r at i = 30 deg, h = 5 r, as the median over random triples of craters "
         "wholly in the image; single triples, near the critical cylinder, are off by up to "

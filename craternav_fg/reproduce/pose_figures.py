@@ -84,7 +84,7 @@ def draw_up(
     if name == "fig13":
         note += "".join(fine_noise(row, FINE_NOISE_PX) for row in extra)
         note += "" if three is None else compared_with_three(conditions, three, options)
-        note += efficiency(conditions)
+    note += efficiency(conditions)
     return Reproduction(
         name,
         f"{quantity.capitalize()} error over the altitude, {craters} craters",
