@@ -28,8 +28,7 @@ def test_02_measurement_equations() -> None:
 
 
 def test_03_static_pose() -> None:
-    notebook = nbformat.read(NOTEBOOKS / "03_static_pose.ipynb", as_version=4)
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOKS)}}).execute()
+    execute("03_static_pose.ipynb")
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
