@@ -1,6 +1,6 @@
-"""What one image says: rims in the ellipse chart, and the sun's tilt."""
+"""What one image says: rims in the ellipse chart, arcs of rims as edge points, and the sun's tilt."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -35,10 +35,62 @@ class RimSet:
         """Return the rims of some rows (a mask or indices)."""
         return RimSet(self.craters[rows], self.chart[rows], self.covariance[rows])
 
+    def centres(self) -> "CentreSet":
+        """Return the image ellipses' centres alone: what centre-based navigation measures."""
+        return CentreSet(self.craters, self.chart[:, :2], self.covariance[:, :2, :2])
+
     @classmethod
     def empty(cls) -> "RimSet":
         """Return a frame without craters."""
         return cls(np.empty(0, dtype=np.int64), np.empty((0, 5)), np.empty((0, 5, 5)))
+
+
+@dataclass(frozen=True)
+class CentreSet:
+    """Centres of the image ellipses of one frame, matched to catalogue craters.
+
+    Attributes
+    ----------
+    craters : ndarray of int, shape (n,)
+        Row of each one's crater in the catalogue.
+    points : ndarray, shape (n, 2)
+        Normalised image coordinates.
+    covariance : ndarray, shape (n, 2, 2)
+    """
+
+    craters: IntArray
+    points: FloatArray
+    covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.craters)
+
+
+@dataclass(frozen=True)
+class ArcSet:
+    """Edge points of rims of which too little is seen for an ellipse: below about a third.
+
+    Attributes
+    ----------
+    craters : ndarray of int, shape (n,)
+        Row of each arc's crater in the catalogue; none of them is in the frame's `RimSet`.
+    points : tuple of n ndarray, shapes (m_i, 2)
+        Edge points, normalised image coordinates.
+    sigmas : tuple of n ndarray, shapes (m_i,)
+        Standard deviations along the rim's normal, normalised; the points' errors are independent.
+    """
+
+    craters: IntArray
+    points: tuple[FloatArray, ...]
+    sigmas: tuple[FloatArray, ...]
+
+    def __len__(self) -> int:
+        return len(self.craters)
+
+    @classmethod
+    def empty(cls) -> "ArcSet":
+        """Return a frame without arcs."""
+        return cls(np.empty(0, dtype=np.int64), (), ())
 
 
 @dataclass(frozen=True)
@@ -76,8 +128,11 @@ class FrameMeasurement:
         Possibly empty.
     sun : SunTilt or None
         None when the image does not tell.
+    arcs : ArcSet
+        Possibly empty.
     """
 
     stamp_ns: int
     rims: RimSet
     sun: SunTilt | None
+    arcs: ArcSet = field(default_factory=ArcSet.empty)

@@ -4,6 +4,8 @@ Zero when K n_c points to the crater's centre. It is contained in rows 2 to 4 of
 crater that already has a conic-shape factor.
 """
 
+from typing import NamedTuple
+
 import gtsam
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +17,22 @@ from factors.kernels import conic, los, stacked
 FloatArray = npt.NDArray[np.float64]
 
 
-def line_of_sight(
-    chart: FloatArray, covariance: FloatArray, n_c: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+class LineOfSight(NamedTuple):
+    """Direction of a crater's true centre.
+
+    Attributes
+    ----------
+    direction : ndarray, shape (3,)
+        Unit vector in c.
+    covariance : ndarray, shape (3, 3)
+        Rank 2: none along the direction.
+    """
+
+    direction: FloatArray
+    covariance: FloatArray
+
+
+def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) -> LineOfSight:
     """Direction of a crater's true centre in c, and its covariance from the rim's.
 
     Parameters
@@ -31,14 +46,11 @@ def line_of_sight(
 
     Returns
     -------
-    direction : ndarray, shape (3,)
-        Unit vector.
-    direction_covariance : ndarray, shape (3, 3)
-        Rank 2: none along the direction.
+    LineOfSight
     """
     q = conic.chart_to_conic(chart)
     D = los.line_of_sight_jacobian(q, n_c) @ conic.chart_to_conic_jacobian(chart)
-    return los.line_of_sight(q, n_c), D @ covariance @ D.T
+    return LineOfSight(los.line_of_sight(q, n_c), D @ covariance @ D.T)
 
 
 def crater_los_factor(

@@ -14,6 +14,7 @@ from craternav_fg.estimators.ekf_measurement import (
     MeasurementModel,
     NoiseModel,
     inflation,
+    linearise_arcs,
     linearise_rims,
     linearise_sun,
 )
@@ -124,7 +125,7 @@ class DistributedEkf:
         self, prior: FilterState, frame: FrameMeasurement, problem: Problem, rule: Rule
     ) -> FilterState:
         options = self.options
-        if not len(frame.rims) and frame.sun is None:
+        if not len(frame.rims) and not len(frame.arcs) and frame.sun is None:
             return prior
         delta = np.zeros(len(prior.covariance))
         covariance = prior.covariance
@@ -148,11 +149,13 @@ class DistributedEkf:
                 A, residual, usable = A[keep], residual[keep], usable[keep]
             root = np.sqrt(factors)
             updates = [Update(A[i] / root[i], residual[i] / root[i]) for i in np.flatnonzero(usable)]
+            updates += [
+                _relative(arc, J, delta)
+                for arc in linearise_arcs(point.gTb, frame.arcs, problem.camera, problem.catalog)
+            ]
             sun = linearise_sun(point.gTb, frame.sun, problem.camera)
             if sun is not None:
-                sun_A = sun.A.copy()
-                sun_A[:, :3] = sun_A[:, :3] @ J
-                sun = Update(sun_A, sun.residual + sun_A @ delta[POSE])
+                sun = _relative(sun, J, delta)
                 # A central filter uses the sun once; sub-filters that don't know each other, each.
                 users = 1 if rule == "exact" else len(updates)
                 updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
@@ -179,6 +182,13 @@ class DistributedEkf:
         if not keep.any():
             keep = usable.copy()
         return rims.take(keep), keep, factors[keep]
+
+
+def _relative(update: Update, J: FloatArray, delta: FloatArray) -> Update:
+    """Refer a measurement linearised at a moved pose to the prior's error."""
+    A = update.A.copy()
+    A[:, :3] = A[:, :3] @ J
+    return Update(A, update.residual + A @ delta[POSE])
 
 
 def _with(update: Update, sun: Update) -> Update:

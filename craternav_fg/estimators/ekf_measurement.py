@@ -8,8 +8,8 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.estimators.ekf_fusion import Update
-from craternav_fg.measurements import RimSet, SunTilt
-from factors.kernels import conic, shape, sun
+from craternav_fg.measurements import ArcSet, RimSet, SunTilt
+from factors.kernels import conic, rim, robust, shape, sun
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -93,6 +93,21 @@ def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tu
     stacked = np.concatenate([H, innovation[:, :, None]], axis=2) / scale[:, :, None]
     white: FloatArray = np.linalg.solve(root, stacked).astype(np.float64)
     return white[:, :, :6], white[:, :, 6]
+
+
+def linearise_arcs(gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catalog) -> list[Update]:
+    """Linearise arcs at a pose: for each that the pose can see, its edge points' whitened distances."""
+    updates = []
+    for row, points, sigmas in zip(arcs.craters, arcs.points, arcs.sigmas, strict=True):
+        e, J = np.empty(len(points)), np.zeros((len(points), 6))
+        rim.rim_residuals(
+            gTb, camera.bTc, catalog.centres[row : row + 1], catalog.axes[row : row + 1],
+            np.array([0, len(points)]), points, sigmas, robust.NONE, 1.0, True, e, J,
+        )  # fmt: skip
+        if J.any():
+            J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T
+            updates.append(Update(J, -e))
+    return updates
 
 
 def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> Update | None:

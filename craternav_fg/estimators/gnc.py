@@ -23,7 +23,7 @@ from craternav_fg.estimators.consensus import Track, robust_track
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import GraphOptions, add_frame, insert_state, state_stamps
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import ArcSet, FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
 from factors.kernels.validity import UNSEEN
@@ -209,7 +209,7 @@ class _Rims:
         self._problem = problem
         self._options = options
         self._keys = [X(number) for number in numbers]
-        self._frames = [replace(frame, sun=None) for frame in problem.frames]
+        self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])
         self.count = int(self._ends[-1])
         self._graph = gtsam.NonlinearFactorGraph()

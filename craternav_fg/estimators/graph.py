@@ -17,10 +17,15 @@ from factors.crater_centre import crater_centre_factor
 from factors.custom import Loss
 from factors.imu import imu_factor, preintegrate
 from factors.kernels import robust
+from factors.rim_points import rim_points_factor
 from factors.sun_tilt import sun_tilt_factor
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+# On the root mean square of an arc's whitened distances; 1 is expected.
+ARC_LOSS = Loss(robust.HUBER, 2.0)
 
 
 @dataclass(frozen=True)
@@ -75,13 +80,19 @@ def add_frame(
     bTc = descent.camera.bTc
     if len(rims):
         centres = descent.catalog.centres[rims.craters]
-        S = noise_scale**2 * rims.covariance
         if options.rims == "chart":
+            S = noise_scale**2 * rims.covariance
             axes = descent.catalog.axes[rims.craters]
             graph.push_back(conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss))
         else:
-            points = rims.chart[:, :2]
-            graph.push_back(crater_centre_factor(key, bTc, centres, points, S[:, :2, :2], options.loss))
+            points = rims.centres()
+            S = noise_scale**2 * points.covariance
+            graph.push_back(crater_centre_factor(key, bTc, centres, points.points, S, options.loss))
+    arcs = frame.arcs
+    if len(arcs) and options.rims == "chart":
+        centres, axes = descent.catalog.centres[arcs.craters], descent.catalog.axes[arcs.craters]
+        sigmas = [noise_scale * sigma for sigma in arcs.sigmas]
+        graph.push_back(rim_points_factor(key, bTc, centres, axes, arcs.points, sigmas, ARC_LOSS))
     if frame.sun is not None:
         sun = frame.sun
         sigma_rad = noise_scale * sun.sigma_rad

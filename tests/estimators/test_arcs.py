@@ -1,0 +1,65 @@
+"""Rims of which a quarter is seen: every estimator that takes ellipses takes their edge points, too."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from craternav_fg.estimators.base import Estimator, Problem
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.gnc import GncSmoother
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.measurements import ArcSet
+from craternav_fg.static.edge_fit import rim_points
+from craternav_fg.trajectory import Trajectory
+from factors.kernels.conic import project_rims
+from tests.descents import problem, scenario
+
+SIGMA_PX = 0.3
+POINTS = 15
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Problem, Trajectory]]:
+    """Descents with two ellipses a frame; the same with edge points on a quarter of three other rims."""
+    folder = tmp_path_factory.mktemp("arcs")
+    out = []
+    for trial in range(5):
+        p, truth = problem(folder, scenario(duration_s=40.0), trial)
+        rng = np.random.default_rng(trial)
+        without = [replace(f, rims=f.rims.take(f.rims.craters < 2)) for f in p.frames]
+        frames = []
+        for frame, bare, gTb in zip(p.frames, without, truth.gTb, strict=True):
+            rows = frame.rims.craters[frame.rims.craters >= 2]
+            charts, seen = project_rims(gTb, p.camera.bTc, p.catalog.centres[rows], p.catalog.axes[rows])
+            points, sigmas = [], []
+            for chart in charts[seen]:
+                angles = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 0.5 * np.pi, POINTS)
+                on_rim, normal = rim_points(chart, p.camera, angles)
+                off = SIGMA_PX * rng.normal(size=(POINTS, 1))
+                points.append(p.camera.normalised(on_rim + off * normal))
+                sigmas.append(np.full(POINTS, SIGMA_PX / p.camera.focal_px))
+            frames.append(replace(bare, arcs=ArcSet(rows[seen], tuple(points), tuple(sigmas))))
+        out.append((replace(p, frames=without), replace(p, frames=frames), truth))
+    return out
+
+
+@pytest.mark.parametrize("make", [BatchSmoother, OnlineSmoother, FixedLagSmoother, ekf, GncSmoother])
+def test_arcs_inform_and_are_weighed_honestly(
+    trials: list[tuple[Problem, Problem, Trajectory]], make: Callable[[], Estimator]
+) -> None:
+    ends, gains = [], []
+    for without, with_arcs, truth in trials:
+        bare, full = make().estimate(without), make().estimate(with_arcs)
+        assert bare.pose_covariance is not None
+        assert full.pose_covariance is not None
+        ends.append(nees(errors(full, truth).pose, full.pose_covariance)[-1])
+        gains.append(np.linalg.det(full.pose_covariance[-1]) / np.linalg.det(bare.pose_covariance[-1]))
+    n = len(ends)
+    assert chi2.ppf(0.001, 6 * n) / n < np.mean(ends) < chi2.ppf(0.999, 6 * n) / n
+    # Per direction, the standard deviation falls to less than three quarters.
+    assert np.median(gains) ** (1 / 12) < 0.75
