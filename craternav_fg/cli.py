@@ -45,6 +45,7 @@ app = typer.Typer(
 err = Console(stderr=True)
 out = Console()
 
+PICTURES = (".png", ".pdf", ".svg")
 DEMO_DATASET = "dataset"
 LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
@@ -179,6 +180,8 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Measure cost against graphs of the same size made of GTSAM's own C++ factors."""
+    if output.suffix not in PICTURES:
+        raise InputError(output, f"expected a name that ends in {' or '.join(PICTURES)}")
     with _bar() as report:
         result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)
     bench_report.write_figure(result, output)

@@ -116,3 +116,9 @@ def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.Monk
     assert figure.read_bytes().startswith(b"\x89PNG")
     table = CliRunner().invoke(app, ["bench", "-o", str(figure)])
     assert "online_mean_ratio" in table.stdout
+
+
+def test_a_figure_of_no_known_kind_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["bench", "-o", str(tmp_path / "cost.xyz")])
+    assert done.exit_code != 0
+    assert "expected a name that ends in .png" in str(done.exception)

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt driven from Python, with QR, and covariances.
+"""Levenberg-Marquardt and Gauss-Newton driven from Python, with QR, and covariances.
 
 GTSAM's own optimisers hand every custom factor a deep copy of all values, and their Cholesky refuses
 realistic IMU information; `graph.linearize` and `EliminateQR` have neither fault.
@@ -113,6 +113,36 @@ def levenberg_marquardt(
         values, error = candidate, new_error
         damping = 0.1 * damping if damping > options.first_damping else 0.0
         if gain <= options.relative_tolerance * error + 1e-12:
+            return LmResult(values, error, iteration, True)
+    return LmResult(values, error, options.max_iterations, False)
+
+
+def gauss_newton(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: LmOptions = LmOptions()
+) -> LmResult:
+    """Minimise the error of a graph by full steps, whether it falls or not, as iSAM2 does.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Start; not changed.
+    options : LmOptions
+        Its damping is not used.
+
+    Returns
+    -------
+    LmResult
+        Not converged, too, when a step leads to where the graph does not determine all variables.
+    """
+    ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
+    error = graph.error(values)
+    for iteration in range(1, options.max_iterations + 1):
+        candidate = _step(graph.linearize(values), values, ordering, 0.0)
+        if candidate is None:
+            return LmResult(values, error, iteration, False)
+        last, values, error = error, candidate, graph.error(candidate)
+        if abs(last - error) <= options.relative_tolerance * error + 1e-12:
             return LmResult(values, error, iteration, True)
     return LmResult(values, error, options.max_iterations, False)
 

@@ -1,6 +1,7 @@
 """Start, online and batch smoother on simulated descents."""
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import gtsam
@@ -13,10 +14,11 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.batch import BatchSmoother, build_graph, optimum
+from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.graph import GraphOptions, state_stamps
 from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
-from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
+from craternav_fg.estimators.optimise import LmOptions, bayes_tree, gauss_newton, levenberg_marquardt
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
@@ -127,6 +129,46 @@ def test_covariance_is_the_inverse_of_the_dense_information(trials: list[tuple[P
             return
         offset += size
     pytest.fail("no state 1")
+
+
+def test_gauss_newton_reaches_what_levenberg_marquardt_does(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    start = OnlineSmoother().run(p).smoothed_values()
+    graph = build_graph(p, GraphOptions(), start)
+    ours, reference = gauss_newton(graph, start), levenberg_marquardt(graph, start)
+    assert ours.converged
+    assert_allclose(ours.error, reference.error, rtol=1e-6)
+    lost = gtsam.NonlinearFactorGraph()
+    lost.push_back(graph.at(graph.size() - 1))
+    assert not gauss_newton(lost, start).converged
+
+
+def test_a_start_that_sees_no_crater_is_no_result(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """Its plateau is flat: the optimiser stops there, which is no convergence."""
+    p, _ = trials[0]
+    away = OnlineSmoother().run(p).smoothed_values()
+    back = gtsam.Pose3(gtsam.Rot3.Rx(np.pi), np.zeros(3))
+    for key in away.keys():  # noqa: SIM118 (Values is no mapping)
+        if gtsam.Symbol(key).chr() == ord("x"):
+            away.update(key, away.atPose3(key).compose(back))
+    with pytest.raises(EstimationError, match=r"convergence.*(out of sight|contradict)"):
+        optimum(p, GraphOptions(), away)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (lambda: GraphOptions(rims="conic"), "rims: expected 'chart' or 'centre', found 'conic'"),  # type: ignore[arg-type]
+        (lambda: GraphOptions(keyframe_s=0.0), "keyframe_s: expected a positive"),
+        (lambda: LmOptions(first_damping=0.0), "first_damping: expected a positive"),
+        (lambda: LmOptions(max_iterations=0), "max_iterations: expected at least 1"),
+        (lambda: GncOptions(inlier_probability=1.5), "inlier_probability: expected"),
+        (lambda: GncOptions(growth=1.0), "growth: expected a number above 1"),
+    ],
+)
+def test_options_without_meaning_are_refused(options: Callable[[], object], message: str) -> None:
+    with pytest.raises(EstimationError, match=message):
+        options()
 
 
 def test_frames_without_craters_only_widen_the_covariance(trials: list[tuple[Problem, Trajectory]]) -> None:
