@@ -97,7 +97,7 @@ class Catalog:
         gTb : ndarray, shape (4, 4)
             Pose of the body in g.
         min_semi_minor_px : float
-            Smallest semi-minor axis of the rim's image.
+            Smallest semi-minor axis of the rim's image, without distortion.
         margin_px : float
             How far inside the image's border the rim's bounding box must stay; negative: outside.
 
@@ -114,20 +114,34 @@ class Catalog:
         centre_px, S = chart_to_pixels(camera, charts)
         half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
         small = np.sqrt(np.linalg.eigvalsh(S)[:, 0]) if len(rows) else np.empty(0)
-        keep = (
-            camera.contains(centre_px - half, margin_px)
-            & camera.contains(centre_px + half, margin_px)
-            & (small >= min_semi_minor_px)
-        )
+        if camera.distorts:
+            inside = np.all(camera.contains(camera.pixels(rim_points(charts)), margin_px), axis=-1)
+        else:
+            inside = camera.contains(centre_px - half, margin_px) & camera.contains(
+                centre_px + half, margin_px
+            )
+        keep = inside & (small >= min_semi_minor_px)
         return rows[keep], charts[keep]
 
 
+def rim_points(charts: FloatArray, count: int = 48) -> FloatArray:
+    """Points (..., count, 2) around ellipses given by their charts (..., 5), in the charts' coordinates."""
+    charts = np.asarray(charts)[..., None, :]
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    x = np.exp(charts[..., 2]) * np.cos(angle)
+    y = charts[..., 3] * x + np.exp(charts[..., 4]) * np.sin(angle)
+    return np.stack([charts[..., 0] + x, charts[..., 1] + y], axis=-1)
+
+
 def chart_to_pixels(camera: Camera, charts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ellipses in pixels: centres (..., 2) and matrices S (..., 2, 2), (x - m)' S^-1 (x - m) = 1."""
+    """Ellipses in the pixels of `camera.pinhole`: centres m (..., 2) and matrices S (..., 2, 2).
+
+    Their points x have (x - m)' S^-1 (x - m) = 1.
+    """
     charts = np.asarray(charts)
     sxx = np.exp(2.0 * charts[..., 2])
     sxy = charts[..., 3] * sxx
     syy = np.exp(2.0 * charts[..., 4]) + charts[..., 3] * sxy
     fx, fy = camera.fx_px, camera.fy_px
     S = np.stack([fx * fx * sxx, fx * fy * sxy, fx * fy * sxy, fy * fy * syy], axis=-1)
-    return camera.pixels(charts[..., :2]), S.reshape(*charts.shape[:-1], 2, 2)
+    return camera.pinhole.pixels(charts[..., :2]), S.reshape(*charts.shape[:-1], 2, 2)

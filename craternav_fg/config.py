@@ -35,16 +35,23 @@ class BodySection(Section):
 
 
 class CameraSection(Section):
-    """Pinhole camera with square pixels, principal point in the image's middle."""
+    """Camera with square pixels, principal point in the image's middle."""
 
     width_px: Annotated[int, Field(ge=16, le=16384)]
     height_px: Annotated[int, Field(ge=16, le=16384)]
     field_of_view_deg: Annotated[float, Field(gt=0.0, lt=170.0)]
-    """Across the image's width."""
+    """Across the image's width, before distortion."""
     rotation_vector_deg: Vector
     """Mounting: turns camera axes into body axes."""
     lever_arm_m: Vector
     """Mounting: position of the camera in b."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Of the lens, radial-tangential: k1, k2, p1, p2, k3 as OpenCV has them."""
+
+    @model_validator(mode="after")
+    def _does_not_fold(self) -> "CameraSection":
+        self.camera()
+        return self
 
     def camera(self) -> Camera:
         """Give the camera described."""
@@ -58,6 +65,7 @@ class CameraSection(Section):
             cx_px=0.5 * (self.width_px - 1),
             cy_px=0.5 * (self.height_px - 1),
             bTc=bTc,
+            distortion=self.distortion,
         )
 
 
@@ -259,6 +267,8 @@ class RenderSection(Section):
     """Electrons at full scale: fewer give more shot noise; 0 for no noise at all."""
     read_noise_e: NotNegative
     """Standard deviation of the read-out noise, electrons."""
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
+    """Of the grey levels; more than 8 are stored in images of 16."""
 
 
 class MeasurementSection(Section):

@@ -13,6 +13,12 @@ MEASUREMENTS = re.findall(r"(?s)\[measurements\].*?(?=\n\[)", CASE3)[0]
 
 # What to change in a scenario, and what the error must say.
 CASES = {
+    "distortion that folds": (
+        DEMO,
+        r"lever_arm_m = \[1.2.*",
+        "lever_arm_m = [0.0, 0.0, 0.0]\ndistortion = [-1.0, 0.0, 0.0, 0.0, 0.0]",
+        ["camera", "folds inside the image"],
+    ),
     "unknown key": (DEMO, r"width_px = ", "width = ", ["camera.width", "unknown key"]),
     "unknown table": (DEMO, r"\[sun\]", "[moon]", ["moon", "unknown key"]),
     "key missing": (DEMO, r"duration_s = 300.0", "", ["trajectory.duration_s", "missing"]),

@@ -10,15 +10,17 @@ import numpy.typing as npt
 
 from craternav_fg.errors import InputError
 
-ImageArray = npt.NDArray[np.uint8]
+ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 _COLOUR_TYPES = {2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 
-def check_image(path: Path, width_px: int, height_px: int) -> None:
-    """Check that a file is a whole 8-bit grey PNG of a size, by its first and last bytes.
+def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> None:
+    """Check that a file is a whole grey PNG of a size, by its first and last bytes.
+
+    8 bits are stored as 8, more as 16.
 
     Raises
     ------
@@ -40,26 +42,33 @@ def check_image(path: Path, width_px: int, height_px: int) -> None:
         raise InputError(
             path, f"expected {width_px} x {height_px} px as in sensor.yaml, found {width} x {height}"
         )
-    if colour != 0 or depth != 8:
+    stored = 8 if bit_depth == 8 else 16
+    if colour != 0 or depth != stored:
         found = _COLOUR_TYPES.get(colour, "grey")
-        raise InputError(path, f"expected an 8-bit grey image, found {depth}-bit {found}")
+        expected = "an 8-bit" if stored == 8 else "a 16-bit"
+        raise InputError(path, f"expected {expected} grey image, found {depth}-bit {found}")
 
 
-def read_image(path: Path, width_px: int, height_px: int) -> ImageArray:
+def read_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> ImageArray:
     """Read an image, shape (height, width).
 
     Raises
     ------
     InputError
-        When it is missing, damaged or something else than an 8-bit grey PNG of that size.
+        When it is missing, damaged or something else than a grey PNG of that size, or has grey levels
+        beyond its bits.
     """
-    check_image(path, width_px, height_px)
+    check_image(path, width_px, height_px, bit_depth)
     data = path.read_bytes()
     _check_chunks(path, data)
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.shape != (height_px, width_px):
         raise InputError(path, "image is damaged")
-    return image.astype(np.uint8, copy=False)
+    if bit_depth == 8:
+        return image.astype(np.uint8, copy=False)
+    if int(image.max()) >= 2**bit_depth:
+        raise InputError(path, f"expected grey levels of {bit_depth} bits, found {int(image.max())}")
+    return image.astype(np.uint16, copy=False)
 
 
 def write_image(path: Path, image: ImageArray) -> None:

@@ -40,7 +40,9 @@ may be left out and is then 0. Other columns of the published file may be there 
     0,0.8,0.6,0.0
 
 `mav0/cam0/sensor.yaml`: the camera. T_BS is bTc, from camera axes (x right, y down, z along the optical
-axis) to b; pixel (0, 0) is the centre of the top-left pixel; distortion must be zero::
+axis) to b; pixel (0, 0) is the centre of the top-left pixel. The distortion is OpenCV's: k1, k2, p1, p2 and,
+if there is one, k3; it must not fold inside the image. The width of the point-spread function and the bits of
+the grey levels may be left out, and are then as here::
 
     sensor_type: camera
     T_BS:
@@ -52,9 +54,12 @@ axis) to b; pixel (0, 0) is the centre of the top-left pixel; distortion must be
     camera_model: pinhole
     intrinsics: [1267.24, 1267.24, 511.5, 511.5]   # fu, fv, cu, cv in px
     distortion_model: radial-tangential
-    distortion_coefficients: [0.0, 0.0, 0.0, 0.0]
+    distortion_coefficients: [-0.12, 0.03, 0.0004, -0.0002]
+    psf_sigma_px: 0.7
+    bit_depth: 8
 
-`mav0/cam0/data.csv`: the frames; the images, 8-bit grey PNG, are in the folder data beside it::
+`mav0/cam0/data.csv`: the frames; the images, grey PNG, are in the folder data beside it: of 8 bits, or
+of 16 when bit_depth is more than 8, the lowest bits used::
 
     #timestamp [ns],filename
     0,0.png

@@ -113,7 +113,7 @@ class Dataset:
             rims = read_measurements(folder, stamps, catalog, sun, initial.gTb[:3, 3])
         else:
             for image_path in image_paths:
-                check_image(image_path, camera.width_px, camera.height_px)
+                check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)
         return cls(
             folder,
             body,
@@ -130,14 +130,15 @@ class Dataset:
         )
 
     def image(self, frame: int) -> ImageArray:
-        """Read a frame's image, shape (height, width), 8 bit grey.
+        """Read a frame's image, shape (height, width): grey levels from 0 to `camera.full_scale`.
 
         Raises
         ------
         InputError
             When it is missing or damaged.
         """
-        return read_image(self.image_paths[frame], self.camera.width_px, self.camera.height_px)
+        camera = self.camera
+        return read_image(self.image_paths[frame], camera.width_px, camera.height_px, camera.bit_depth)
 
 
 def _read_frames(path: Path) -> tuple[IntArray, list[str]]:

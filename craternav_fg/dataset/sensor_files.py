@@ -16,6 +16,10 @@ from craternav_fg.sections import Positive, Section, line_of, read_text, validat
 FloatArray = npt.NDArray[np.float64]
 
 
+# EuRoC's name, Kalibr's, ROS's.
+_RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
+
+
 class _Matrix(Section):
     cols: Literal[4]
     rows: Literal[4]
@@ -32,6 +36,8 @@ class _CameraFile(Section):
     intrinsics: tuple[Positive, Positive, float, float]
     distortion_model: str | None = None
     distortion_coefficients: tuple[float, ...] = ()
+    psf_sigma_px: Annotated[float, Field(ge=0.0, le=10.0)] = Camera.psf_sigma_px
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = Camera.bit_depth
 
 
 class _ImuFile(Section):
@@ -51,17 +57,11 @@ def read_camera(path: Path) -> Camera:
     Raises
     ------
     InputError
-        When it is wrong, the lens distorts, or the intrinsics don't fit the resolution.
+        When it is wrong, the distortion is of another model or folds inside the image, or the
+        intrinsics don't fit the resolution.
     """
     text = read_text(path)
     model = validate(path, _parse(path, text), _CameraFile, text=text)
-    if any(model.distortion_coefficients):
-        raise InputError(
-            path,
-            f"expected zeros (undistort the images first), found {list(model.distortion_coefficients)}",
-            line=line_of(text, ["distortion_coefficients"]),
-            column="distortion_coefficients",
-        )
     (width, height), (fx, fy, cx, cy) = model.resolution, model.intrinsics
     if not (0.0 <= cx <= width - 1 and 0.0 <= cy <= height - 1):
         raise InputError(
@@ -77,7 +77,16 @@ def read_camera(path: Path) -> Camera:
             line=line_of(text, ["intrinsics"]),
             column="intrinsics",
         )
-    return Camera(width, height, fx, fy, cx, cy, _mounting(path, text, model.T_BS))
+    mounting = _mounting(path, text, model.T_BS)
+    k1, k2, p1, p2, k3 = _distortion(path, text, model)
+    try:
+        return Camera(
+            width, height, fx, fy, cx, cy, mounting,
+            (k1, k2, p1, p2, k3), model.psf_sigma_px, model.bit_depth,
+        )  # fmt: skip
+    except ValueError as error:
+        line = line_of(text, ["distortion_coefficients"])
+        raise InputError(path, str(error), line=line, column="distortion_coefficients") from None
 
 
 def read_imu_noise(path: Path) -> ImuNoise:
@@ -107,6 +116,7 @@ def read_imu_noise(path: Path) -> ImuNoise:
 
 def camera_yaml(camera: Camera, rate_hz: float) -> str:
     """Text of the camera's sensor.yaml."""
+    coefficients = camera.distortion if camera.distortion[4] else camera.distortion[:4]
     return _dump(
         {
             "sensor_type": "camera",
@@ -117,7 +127,9 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
             "camera_model": "pinhole",
             "intrinsics": [float(v) for v in (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)],
             "distortion_model": "radial-tangential",
-            "distortion_coefficients": [0.0, 0.0, 0.0, 0.0],
+            "distortion_coefficients": [float(v) for v in coefficients],
+            "psf_sigma_px": float(camera.psf_sigma_px),
+            "bit_depth": camera.bit_depth,
         }
     )
 
@@ -136,6 +148,23 @@ def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
             "accelerometer_random_walk": noise.accelerometer_walk,
         }
     )
+
+
+def _distortion(path: Path, text: str, model: _CameraFile) -> tuple[float, ...]:
+    """k1, k2, p1, p2 and k3, which may be left out with its last zero."""
+    found = model.distortion_coefficients
+    if model.distortion_model is None and not any(found):
+        return (0.0,) * 5
+    if model.distortion_model not in _RADIAL_TANGENTIAL:
+        # No distortion at all in one model is some in another: an equidistant lens is no pinhole.
+        name = "distortion_model"
+        problem = f"expected {_RADIAL_TANGENTIAL[0]}, found {model.distortion_model or 'none'}"
+    elif len(found) not in (4, 5):
+        name = "distortion_coefficients"
+        problem = f"expected 4 or 5 numbers (k1, k2, p1, p2, k3), found {len(found)}"
+    else:
+        return (*found, 0.0) if len(found) == 4 else found
+    raise InputError(path, problem, line=line_of(text, [name]), column=name)
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:

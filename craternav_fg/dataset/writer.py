@@ -51,7 +51,7 @@ def write_dataset(
         As in `Dataset`.
     stamps_ns : ndarray of int, shape (k,)
         Of the frames.
-    images : iterable of ndarray of uint8, shape (height, width), optional
+    images : iterable of ndarray of uint8 or, above 8 bits, uint16, shape (height, width), optional
         One per frame, taken one at a time.
     rims : sequence of FrameMeasurement, length k, optional
         Given in place of images.

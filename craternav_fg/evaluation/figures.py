@@ -15,7 +15,8 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog, chart_to_pixels
+from craternav_fg.catalog import Catalog, rim_points
+from craternav_fg.dataset.images import ImageArray
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -203,15 +204,12 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     return figure
 
 
-def draw_rims(axes: Axes, image: npt.NDArray[np.uint8], frame: FrameMeasurement, camera: Camera) -> None:
+def draw_rims(axes: Axes, image: ImageArray, frame: FrameMeasurement, camera: Camera) -> None:
     """Draw a frame's image with its measured rims and the direction towards the sun."""
-    axes.imshow(image, cmap="gray", vmin=0, vmax=255)
-    centres, S = chart_to_pixels(camera, frame.rims.chart)
-    angle = np.linspace(0.0, 2.0 * np.pi, 90)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    for m, shape in zip(centres, S, strict=True):
-        x, y = m[:, None] + np.linalg.cholesky(shape) @ circle
-        axes.plot(x, y, color="#F0E442", lw=1.0)
+    axes.imshow(image, cmap="gray", vmin=0, vmax=camera.full_scale)
+    rims = camera.pixels(rim_points(frame.rims.chart, 90))
+    for rim in np.concatenate([rims, rims[:, :1]], axis=1):
+        axes.plot(*rim.T, color="#F0E442", lw=1.0)
     if frame.sun is not None:
         length = 0.07 * camera.width_px
         x, y = camera.pixels(frame.sun.point)
@@ -226,7 +224,7 @@ def draw_rims(axes: Axes, image: npt.NDArray[np.uint8], frame: FrameMeasurement,
 
 
 def draw_overview(
-    images: Sequence[tuple[npt.NDArray[np.uint8], FrameMeasurement]],
+    images: Sequence[tuple[ImageArray, FrameMeasurement]],
     trajectories: Mapping[str, Trajectory],
     truth: Trajectory | None,
     camera: Camera,

@@ -112,8 +112,7 @@ def surfaces(
 def trace(
     P: FloatArray,
     R: FloatArray,
-    intrinsics: FloatArray,
-    points_px: FloatArray,
+    points: FloatArray,
     heights: Float32Array,
     slots: IntArray,
     frames: FloatArray,
@@ -122,19 +121,19 @@ def trace(
     slope: float,
     hits: FloatArray,
 ) -> None:
-    """Write plane coordinates `hits` (n, 2) where rays through pixels (n, 2) meet the ground; NaN in the sky.
+    """Write plane coordinates `hits` (n, 2) where rays meet the ground; NaN in the sky.
 
-    P (3,), R (3, 3): pose of the camera in the site frame. Steps are as long as the steepest slope allows.
+    P (3,), R (3, 3): pose of the camera in the site frame; `points` (n, 2): the rays' normalised coordinates.
+    Steps are as long as the steepest slope allows.
     """
-    fx, fy, cx, cy = intrinsics
     tolerance = 0.002 * frames[0, 0]
     near = 0.5 * frames[0, 0]
     pp = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
-    for r in range(points_px.shape[0]):
+    for r in range(points.shape[0]):
         hits[r, 0] = np.nan
         hits[r, 1] = np.nan
-        u = (points_px[r, 0] - cx) / fx
-        v = (points_px[r, 1] - cy) / fy
+        u = points[r, 0]
+        v = points[r, 1]
         dx = R[0, 0] * u + R[0, 1] * v + R[0, 2]
         dy = R[1, 0] * u + R[1, 1] * v + R[1, 2]
         dz = R[2, 0] * u + R[2, 1] * v + R[2, 2]

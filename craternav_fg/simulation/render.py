@@ -7,12 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.dataset.images import ImageArray
 from craternav_fg.simulation import rays
 from craternav_fg.simulation.terrain import Levels, Terrain
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Renderer:
     Parameters
     ----------
     camera : Camera
-        Pinhole, with its mounting on the lander.
+        With its mounting on the lander and its lens.
     terrain : Terrain
         What it looks at.
     options : RenderOptions
@@ -66,10 +66,10 @@ class Renderer:
         n = options.samples
         x = (np.arange(n * camera.width_px) + 0.5) / n - 0.5
         y = (np.arange(n * camera.height_px) + 0.5) / n - 0.5
-        self._points_px = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        self._points = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
 
-    def render(self, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> Image:
-        """Image (height_px, width_px), 8 bit grey, from the lander's pose.
+    def render(self, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> ImageArray:
+        """Image (height_px, width_px), grey levels up to the camera's full scale, from the lander's pose.
 
         Parameters
         ----------
@@ -93,13 +93,15 @@ class Renderer:
             sigma = np.sqrt(np.minimum(electrons, options.full_well_e) + options.read_noise_e**2)
             electrons += sigma * rng.standard_normal(electrons.shape, dtype=np.float32)
             signal = electrons / np.float32(options.full_well_e)
-        return np.clip(np.rint(255.0 * signal), 0.0, 255.0).astype(np.uint8)
+        full_scale = self.camera.full_scale
+        grey = np.clip(np.rint(full_scale * signal), 0.0, full_scale)
+        return grey.astype(np.uint8) if self.camera.bit_depth == 8 else grey.astype(np.uint16)
 
     def radiance(self, gTb: FloatArray, sun_g: FloatArray) -> Float32Array:
         """Brightness (height_px, width_px) before optics and sensor; white ground under the sun is 1."""
         camera, n = self.camera, self.options.samples
         levels = self._levels(gTb)
-        hits = self._hits(gTb, self._points_px, levels)
+        hits = self._hits(gTb, self._points, levels)
         light = np.empty(len(hits), np.float32)
         _, P = self._camera_pose(gTb)
         sun = self.terrain.relief.gRs.T @ np.asarray(sun_g, dtype=np.float64)
@@ -131,7 +133,7 @@ class Renderer:
             In g, m, and unit length; NaN in the sky.
         """
         levels = self._levels(gTb)
-        hits = self._hits(gTb, np.ascontiguousarray(points_px, dtype=np.float64), levels)
+        hits = self._hits(gTb, self.camera.normalised(np.asarray(points_px, dtype=np.float64)), levels)
         points = np.empty((len(hits), 3))
         normals = np.empty((len(hits), 3))
         rays.surfaces(
@@ -147,19 +149,18 @@ class Renderer:
         sRg = self.terrain.relief.gRs.T
         return np.ascontiguousarray(sRg @ gTc[:3, :3]), np.ascontiguousarray(sRg @ gTc[:3, 3])
 
-    def _hits(self, gTb: FloatArray, points_px: FloatArray, levels: Levels) -> FloatArray:
-        camera = self.camera
+    def _hits(self, gTb: FloatArray, points: FloatArray, levels: Levels) -> FloatArray:
         R, P = self._camera_pose(gTb)
-        intrinsics = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
-        hits = np.empty((len(points_px), 2))
+        points = np.ascontiguousarray(points)
+        hits = np.empty((len(points), 2))
 
         def work(lo: int, hi: int) -> None:
             rays.trace(
-                P, R, intrinsics, points_px[lo:hi], levels.heights_m, levels.slots, levels.frames_m,
+                P, R, points[lo:hi], levels.heights_m, levels.slots, levels.frames_m,
                 self.terrain.body.radius_m, levels.top_m, levels.slope, hits[lo:hi],
             )  # fmt: skip
 
-        self.terrain.run(work, len(points_px))
+        self.terrain.run(work, len(points))
         return hits
 
     def _levels(self, gTb: FloatArray) -> Levels:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from craternav_fg.config import (
     TrajectorySection,
 )
 from craternav_fg.dataset import SunVectors, write_dataset
+from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import CraternavError
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation import sensors
@@ -71,7 +73,7 @@ def simulate(
     seed = np.random.SeedSequence(scenario.seed, spawn_key=() if trial is None else (trial,))
     # One stream per subject, so that a change in one leaves the others as they were.
     crater_rng, imu_rng, initial_rng, frame_rng = (np.random.default_rng(s) for s in seed.spawn(4))
-    body, camera = scenario.body.body(), scenario.camera.camera()
+    body, camera = scenario.body.body(), _camera(scenario)
     try:
         descent = Descent(body, scenario.trajectory)
     except ValueError as error:
@@ -93,7 +95,7 @@ def simulate(
         if progress is not None:
             progress(frame + 1, len(stamps))
 
-    def images() -> Iterator[npt.NDArray[np.uint8]]:
+    def images() -> Iterator[ImageArray]:
         assert relief is not None
         renderer = _renderer(scenario, camera, catalog, relief, clutter)
         for k, stamp in enumerate(stamps.tolist()):
@@ -144,6 +146,16 @@ def sun_vectors(scenario: Scenario, body: Body, end_ns: int) -> SunVectors:
     stamps = np.append(np.arange(0, end_ns, SUN_INTERVAL_NS, dtype=np.int64), end_ns)
     turned = frames.rotation_exp(np.multiply.outer(-stamps * 1e-9, np.array(body.spin_rad_s)))
     return SunVectors(stamps, turned @ (_site(scenario.trajectory) @ enu))
+
+
+def _camera(scenario: Scenario) -> Camera:
+    """Give the camera with what the data set says of its images."""
+    camera, render = scenario.camera.camera(), scenario.render
+    if render is None:
+        return camera
+    # The mean over a pixel's samples blurs by their scatter.
+    pixel_px = math.sqrt((1.0 - render.samples**-2) / 12.0)
+    return replace(camera, psf_sigma_px=math.hypot(render.psf_sigma_px, pixel_px), bit_depth=render.bit_depth)
 
 
 def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief | None:
@@ -201,7 +213,7 @@ def _renderer(
     assert scenario.render is not None
     options = TerrainOptions(depth_scatter=scenario.terrain.depth_scatter)
     terrain = Terrain(catalog, relief, options, clutter)
-    render = scenario.render.model_dump(exclude={"sun_radius_deg"})
+    render = scenario.render.model_dump(exclude={"sun_radius_deg", "bit_depth"})
     sun_radius_rad = math.radians(scenario.render.sun_radius_deg)
     return Renderer(camera, terrain, RenderOptions(sun_radius_rad=sun_radius_rad, **render))
 

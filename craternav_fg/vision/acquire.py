@@ -14,9 +14,11 @@ from scipy.special import gammaln
 
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
+from craternav_fg.dataset.images import ImageArray
 from craternav_fg.vision import acquire_match as match
 from craternav_fg.vision import photometry
 from craternav_fg.vision.acquire_detect import Detections, DetectOptions, detect_rims
+from craternav_fg.vision.grey import on_8_bit_scale, undistorted
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
@@ -98,7 +100,7 @@ _TIGHTER = (1.0, 0.5, 0.25)
 
 
 def acquire(
-    image: npt.NDArray[np.uint8],
+    image: ImageArray,
     camera: Camera,
     catalog: Catalog,
     gTb: FloatArray,
@@ -110,7 +112,7 @@ def acquire(
 
     Parameters
     ----------
-    image : ndarray of uint8, shape (H, W)
+    image : ndarray of uint8 or uint16, shape (H, W)
     camera : Camera
     catalog : Catalog
     gTb : ndarray, shape (4, 4)
@@ -134,7 +136,10 @@ def acquire(
     rows, gains = _candidates(camera, catalog, prior, sun_g, options)
     if len(rows) < 2:
         return None
-    rims = detect_rims(image, camera, float(np.median(np.linalg.norm(gains, axis=-1))), options.detect)
+    # Rims found here only guide: an interpolated image will do, and all that follows is a pinhole's.
+    straight = undistorted(on_8_bit_scale(image, camera), camera)
+    camera = camera.pinhole
+    rims = detect_rims(straight, camera, float(np.median(np.linalg.norm(gains, axis=-1))), options.detect)
     if len(rims) < 2:
         return None
     return _Search(camera, catalog, rows, gains, rims, prior, options).run()

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.vision import crest
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, refine_rim
+from craternav_fg.vision.grey import GreyArray
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
@@ -95,14 +96,16 @@ _DARK = 6.0
 
 
 def detect_rims(
-    image: npt.NDArray[np.uint8], camera: Camera, gain: float, options: DetectOptions | None = None
+    image: GreyArray, camera: Camera, gain: float, options: DetectOptions | None = None
 ) -> Detections:
     """Find rims without a prediction.
 
     Parameters
     ----------
-    image : ndarray of uint8, shape (H, W)
+    image : ndarray, shape (H, W)
+        Grey levels up to 255.
     camera : Camera
+        Without distortion.
     gain : float
         Length of the shading gain of level ground (see `photometry`), about the cotangent of the
         sun's elevation: how strongly slopes show.

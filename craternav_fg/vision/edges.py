@@ -7,11 +7,16 @@ one follows from the shading gain (see `photometry`); where the gain runs along 
 contrast and no point.
 
 Blurring moves the crossing, as the inner wall is steeper than the outer slope; see `crest`.
+
+Rims are ellipses in the pixels of the camera without its distortion. The brightness is read in the image as
+it is: points and normals of a rim go through the lens first, and the edge points found go back.
 """
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+
+from craternav_fg.lens import distort, undistort
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
@@ -94,25 +99,77 @@ def rim_point(chart_px: FloatArray, angle: float, out: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def distorts(lens: FloatArray) -> bool:
+    """Whether `Camera.lens` has any distortion."""
+    return bool(np.any(lens[4:9] != 0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def through_lens(q: FloatArray, lens: FloatArray) -> float:
+    """Take what `rim_point` wrote to the pixels of the distorted image; return how much lengths shrink.
+
+    To first order in the rim's surroundings. The shrinkage is that across the rim: pixels of the camera
+    without distortion per pixel of the image.
+    """
+    work = np.empty(6)
+    fx, fy = lens[0], lens[1]
+    distort((q[0] - lens[2]) / fx, (q[1] - lens[3]) / fy, lens[4:], work)
+    xx, xy, yx, yy = work[2], work[3] * fx / fy, work[4] * fy / fx, work[5]
+    determinant = xx * yy - xy * yx
+    # Normals go by the inverse transpose.
+    nx = (yy * q[2] - yx * q[3]) / determinant
+    ny = (xx * q[3] - xy * q[2]) / determinant
+    g = np.sqrt(nx * nx + ny * ny)
+    q[0] = lens[2] + fx * work[0]
+    q[1] = lens[3] + fy * work[1]
+    q[2] = nx / g
+    q[3] = ny / g
+    q[4] /= g
+    q[5] /= g * g * g * determinant * determinant
+    return g
+
+
+@njit(cache=True, error_model="numpy")
+def _back_through_lens(point: FloatArray, move: FloatArray, lens: FloatArray) -> None:
+    """Take a point of the image and a small motion of it to the pixels of the camera without distortion."""
+    work = np.empty(6)
+    fx, fy = lens[0], lens[1]
+    undistort((point[0] - lens[2]) / fx, (point[1] - lens[3]) / fy, lens[4:], work)
+    xx, xy, yx, yy = work[2], work[3] * fx / fy, work[4] * fy / fx, work[5]
+    determinant = xx * yy - xy * yx
+    point[0] = lens[2] + fx * work[0]
+    point[1] = lens[3] + fy * work[1]
+    mx, my = move[0], move[1]
+    move[0] = (yy * mx - xy * my) / determinant
+    move[1] = (xx * my - yx * mx) / determinant
+
+
+@njit(cache=True, error_model="numpy")
 def shift_score(
     image: ImageArray, charts_px: FloatArray, gain_px: FloatArray, level: FloatArray, angles: FloatArray,
-    dx: float, dy: float, reach_share: float, reach_px: float,
+    dx: float, dy: float, reach_share: float, reach_px: float, lens: FloatArray,
 ) -> float:  # fmt: skip
-    """How well rims, all moved by (dx, dy) px, agree with the brightness.
+    """How well rims, all moved by (dx, dy) px of the camera without distortion, agree with the brightness.
 
     The mean over rim points of the brightness step across the rim, signed and weighed by the shading
     gain across it. `gain_px` (n, 2) is the gain's image per pixel of crater radius, `level` (n,) the
     brightness of level ground; the step is taken reach_share radii, at least reach_px, to both sides.
+    `lens` is `Camera.lens`, for the image's pixels.
     """
     total, mass = 0.0, 0.0
     q = np.empty(6)
+    bent = distorts(lens)
     for r in range(charts_px.shape[0]):
         for k in range(angles.shape[0]):
             rim_point(charts_px[r], angles[k], q)
             sign = -(gain_px[r, 0] * q[2] + gain_px[r, 1] * q[3]) / q[4]
+            q[0] += dx
+            q[1] += dy
+            if bent:
+                through_lens(q, lens)
             e = max(reach_px, reach_share * q[4])
-            inner = bilinear(image, q[0] + dx - e * q[2], q[1] + dy - e * q[3])
-            outer = bilinear(image, q[0] + dx + e * q[2], q[1] + dy + e * q[3])
+            inner = bilinear(image, q[0] - e * q[2], q[1] - e * q[3])
+            outer = bilinear(image, q[0] + e * q[2], q[1] + e * q[3])
             step = (inner - outer) / level[r]
             if step == step:
                 # Clipped: one deep shadow must not outweigh the other rims.
@@ -124,7 +181,7 @@ def shift_score(
 @njit(cache=True, error_model="numpy")
 def search_shift(
     image: ImageArray, charts_px: FloatArray, gain_px: FloatArray, level: FloatArray, angles: FloatArray,
-    start: FloatArray, radius: float, step: float, reach_share: float, reach_px: float,
+    start: FloatArray, radius: float, step: float, reach_share: float, reach_px: float, lens: FloatArray,
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Best common shift (2,) on a square grid about `start`, and its score (see `shift_score`)."""
     best = start.copy()
@@ -133,7 +190,7 @@ def search_shift(
     for i in range(-n, n + 1):
         for j in range(-n, n + 1):
             dx, dy = start[0] + i * step, start[1] + j * step
-            score = shift_score(image, charts_px, gain_px, level, angles, dx, dy, reach_share, reach_px)
+            score = shift_score(image, charts_px, gain_px, level, angles, dx, dy, reach_share, reach_px, lens)
             if score > top:
                 top = score
                 best[0] = dx
@@ -185,7 +242,7 @@ def _crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray
 def trace_rim(
     image: ImageArray, chart_px: FloatArray, gain_px: FloatArray, level: float, reach_px: float,
     smooth_share: float, smooth_px: float, psf_px: float, min_gain: float, min_step: float, noise_step: float,
-    count: int, bias: FloatArray, bias_share: FloatArray, bias_gain: FloatArray,
+    count: int, bias: FloatArray, bias_share: FloatArray, bias_gain: FloatArray, lens: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:  # fmt: skip
     """Edge points of one rim.
 
@@ -193,7 +250,7 @@ def trace_rim(
     ----------
     image : ndarray of float32, shape (H, W)
     chart_px : ndarray, shape (5,)
-        Predicted rim, chart in pixel coordinates.
+        Predicted rim, chart in the pixels of the camera without distortion, as the results and `gain_px`.
     gain_px : ndarray, shape (2,)
         Shading gain: -gain . n / h is the share by which a slope of 1 rising outward brightens the
         ground at a rim point with image normal n and support distance h.
@@ -216,6 +273,8 @@ def trace_rim(
         Normals about the rim.
     bias, bias_share, bias_gain : ndarray, shapes (m, k), (m,), (k,)
         Outward displacement of the crossing in radii, on a regular grid of blur (in radii) and signed gain.
+    lens : ndarray, shape (10,)
+        `Camera.lens`.
 
     Returns
     -------
@@ -239,12 +298,17 @@ def trace_rim(
     found, tried = 0, 0
     dot, square = _BLUNTNESS_WEIGHT, _BLUNTNESS_WEIGHT
     q = np.empty(6)
+    bent = distorts(lens)
+    shrinks = 1.0
     for k in range(count):
         rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
         h = q[4]
         gain = -(gain_px[0] * q[2] + gain_px[1] * q[3]) / h
         if np.abs(gain) < min_gain:
             continue
+        if bent:
+            shrinks = through_lens(q, lens)
+            h = q[4]
         smooth = max(smooth_px, smooth_share * h)
         side = max(2.0, 0.12 * h)
         step = 0.5 * max(1.0, 0.02 * h)
@@ -313,7 +377,7 @@ def trace_rim(
         normal[found, 1] = q[3]
         first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5]
         more[found] = shift
-        ratio[found] = 1.0 / np.abs(gain)
+        ratio[found] = shrinks / np.abs(gain)
         lever[found, 0] = -sign * q[2] / fall
         lever[found, 1] = -sign * q[3] / fall
         found += 1
@@ -322,6 +386,8 @@ def trace_rim(
         t = first[i] - bluntness * more[i]
         points[i, 0] += t * normal[i, 0]
         points[i, 1] += t * normal[i, 1]
+        if bent:
+            _back_through_lens(points[i], lever[i], lens)
     return points[:found], ratio[:found], lever[:found], tried, bluntness
 
 

@@ -1,5 +1,8 @@
 """An ellipse through edge points, in the ellipse chart, with its covariance.
 
+Pixels are those of `Camera.pinhole`: edge points of a lens that distorts are undistorted before, not the
+ellipse's parameters afterwards.
+
 The fit starts from the approximate-mean-square fit (`cv2.fitEllipseAMS`) and minimises the points'
 distances to the ellipse by Gauss-Newton under a redescending loss. It runs in the chart of pixel
 coordinates; an anisotropic scale turns that chart into the one of normalised coordinates, component

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
+from craternav_fg.dataset.images import ImageArray as GreyImage
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.vision import crest, edges, photometry
 from craternav_fg.vision.ellipse_fit import (
@@ -22,6 +23,7 @@ from craternav_fg.vision.ellipse_fit import (
     refine_rim,
     systematic_covariance,
 )
+from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.photometry import LevelMap
 from craternav_fg.vision.pose_correction import corrected_pose, squared_distance, variance_factor
 from craternav_fg.vision.sun import SunOptions, measure_sun_tilt
@@ -42,8 +44,6 @@ class GuidedOptions:
         Smaller rims are left out.
     margin_px : float
         Distance the predicted rim must keep from the image's border.
-    psf_px : float
-        Standard deviation of the point-spread function: its effect on the edge is removed.
     smooth_px, smooth_share : float
         Smoothing along the rim's normals: smooth_px, at least smooth_share radii. Less texture and
         noise, but more of the crest's asymmetry to remove.
@@ -82,7 +82,6 @@ class GuidedOptions:
 
     min_semi_minor_px: float = 12.0
     margin_px: float = 3.0
-    psf_px: float = 0.7
     smooth_px: float = 0.4
     smooth_share: float = 0.02
     level_sigma: float = 0.02
@@ -115,7 +114,7 @@ _STEP_SHARE = 0.12
 
 @dataclass(frozen=True)
 class _Scene:
-    """What is predicted of the rims of one frame: rows (n,) and quantities in pixels."""
+    """What is predicted of the rims of one frame: rows (n,) and quantities in pixels, without distortion."""
 
     rows: IntArray
     charts: FloatArray
@@ -161,7 +160,7 @@ class GuidedFrontEnd:
 
     def measure(
         self,
-        image: npt.NDArray[np.uint8],
+        image: GreyImage,
         stamp_ns: int,
         gTb: FloatArray,
         pose_covariance: FloatArray,
@@ -171,7 +170,7 @@ class GuidedFrontEnd:
 
         Parameters
         ----------
-        image : ndarray of uint8, shape (H, W)
+        image : ndarray of uint8 or uint16, shape (H, W)
         stamp_ns : int
             Time of exposure.
         gTb : ndarray, shape (4, 4)
@@ -190,7 +189,8 @@ class GuidedFrontEnd:
         turn = np.eye(6)
         turn[3:, 3:] = gTb[:3, :3].T
         prior = turn @ pose_covariance @ turn.T
-        pixels = np.ascontiguousarray(image, dtype=np.float32)
+        grey = on_8_bit_scale(image, self.camera)
+        pixels = np.ascontiguousarray(grey, dtype=np.float32)
         levels = LevelMap(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
         result = self._attempt(pixels, gTb, prior, sun_g, levels)
         if 2 * len(result.rims) < result.expected and result.expected >= _MIN_LOST_RIMS:
@@ -201,7 +201,7 @@ class GuidedFrontEnd:
                 result = wide
         attitude_rad = 0.0 if len(result.rims) >= _MIN_LOST_RIMS else np.sqrt(np.max(np.diag(prior)[:3]))
         sun = measure_sun_tilt(
-            image, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad
+            grey, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad
         )
         return FrameMeasurement(stamp_ns, result.rims, sun)
 
@@ -331,9 +331,12 @@ class GuidedFrontEnd:
             charts[:, :2] = (charts[:, :2] + 0.5) / factor - 0.5
             charts[:, 2] -= np.log(factor)
             charts[:, 4] -= np.log(factor)
+            lens = self.camera.lens.copy()
+            lens[:2] /= factor
+            lens[2:4] = (lens[2:4] + 0.5) / factor - 0.5
             best, _ = edges.search_shift(
                 small, charts, scene.gain_px[order] / factor, scene.level[order], _ANGLES, start / factor,
-                radius / factor, 1.0, _STEP_SHARE, 1.0,
+                radius / factor, 1.0, _STEP_SHARE, 1.0, lens,
             )  # fmt: skip
             start = best * factor
             radius = 1.5 * factor
@@ -351,7 +354,7 @@ class GuidedFrontEnd:
             step = max(0.5, reach / 8.0)
             out[i], _ = edges.search_shift(
                 image, scene.charts_px[one], scene.gain_px[one], scene.level[one], _ANGLES, shift, reach,
-                step, _STEP_SHARE, 1.0,
+                step, _STEP_SHARE, 1.0, self.camera.lens,
             )  # fmt: skip
         return out
 
@@ -368,8 +371,8 @@ class GuidedFrontEnd:
             count = int(np.clip(2.0 * minor_px, 56, 160))
             points, ratio, lever, tried, _ = edges.trace_rim(
                 image, scene.charts_px[i], scene.gain_px[i], scene.level[i], reach[0] + reach[1] * minor_px,
-                opt.smooth_share, opt.smooth_px, opt.psf_px, opt.min_gain, opt.min_step,
-                noise_step / scene.level[i], count, self._bias, crest.BLUR, crest.GAIN,
+                opt.smooth_share, opt.smooth_px, self.camera.psf_sigma_px, opt.min_gain, opt.min_step,
+                noise_step / scene.level[i], count, self._bias, crest.BLUR, crest.GAIN, self.camera.lens,
             )  # fmt: skip
             if tried < 0.4 * count or len(points) < opt.min_found_share * tried:
                 continue

@@ -17,6 +17,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.measurements import SunTilt
+from craternav_fg.vision.grey import GreyArray
 from craternav_fg.vision.photometry import ground_points, level_ground
 
 FloatArray = npt.NDArray[np.float64]
@@ -68,7 +69,7 @@ class SunOptions:
 
 
 def measure_sun_tilt(
-    image: npt.NDArray[np.uint8],
+    image: GreyArray,
     camera: Camera,
     body: Body,
     gTb: FloatArray,
@@ -80,7 +81,8 @@ def measure_sun_tilt(
 
     Parameters
     ----------
-    image : ndarray of uint8, shape (H, W)
+    image : ndarray, shape (H, W)
+        Grey levels up to 255.
     camera : Camera
     body : Body
         Sphere about the origin of g.
@@ -134,7 +136,7 @@ def measure_sun_tilt(
 
 
 def _block_gradients(
-    image: npt.NDArray[np.uint8],
+    image: GreyArray,
     camera: Camera,
     body: Body,
     gRc: FloatArray,
@@ -196,8 +198,8 @@ def _block_gradients(
     B = np.empty((len(t1), 2, 2))
     for k, tangent in enumerate((t1, t2)):
         c = tangent @ gRc
-        B[:, 0, k] = camera.fx_px * (c[:, 0] - points[keep, 0] * c[:, 2]) / depth
-        B[:, 1, k] = camera.fy_px * (c[:, 1] - points[keep, 1] * c[:, 2]) / depth
+        B[:, :, k] = (c[:, :2] - points[keep] * c[:, 2:]) / depth[:, None]
+    B = camera.pixels_jacobian(points[keep]) @ B
     tensor = np.empty((len(t1), 2, 2))
     tensor[:, 0, 0], tensor[:, 1, 1] = J[keep, 0], J[keep, 2]
     tensor[:, 0, 1] = tensor[:, 1, 0] = J[keep, 1]

@@ -103,9 +103,32 @@ CASES = {
         edit(layout.CAMERA_SENSOR, "71.3", "0.05"),
         [f"{layout.CAMERA_SENSOR}:11", "intrinsics", "0.05"],
     ),
-    "distorted": (
-        edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[-0.28, 0.07, 0.0, 0.0]\n"),
-        [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "-0.28"],
+    "distortion that folds": (
+        edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[-1.5, 0.0, 0.0, 0.0]\n"),
+        [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "folds inside the image"],
+    ),
+    "distortion of another model": (
+        edit(layout.CAMERA_SENSOR, "radial-tangential", "equidistant"),
+        [f"{layout.CAMERA_SENSOR}:12", "distortion_model", "radial-tangential", "equidistant"],
+    ),
+    "distortion of no model": (
+        lambda folder: (
+            edit(layout.CAMERA_SENSOR, "distortion_model: radial-tangential\n", "")(folder),
+            edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[-0.1, 0.0, 0.0, 0.0]\n")(folder),
+        ),
+        [f"{layout.CAMERA_SENSOR}:", "distortion_model", "found none"],
+    ),
+    "rational distortion": (
+        edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[0.1, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]\n"),
+        [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "4 or 5", "found 8"],
+    ),
+    "blur of a hundred pixels": (
+        edit(layout.CAMERA_SENSOR, "psf_sigma_px: 0.7", "psf_sigma_px: 100.0"),
+        [f"{layout.CAMERA_SENSOR}:14", "psf_sigma_px", "less than or equal to 10"],
+    ),
+    "images of fewer bits than said": (
+        edit(layout.CAMERA_SENSOR, "bit_depth: 8", "bit_depth: 12"),
+        [f"{START_NS}.png", "16-bit grey", "8-bit grey"],
     ),
     "fisheye": (
         edit(layout.CAMERA_SENSOR, "pinhole", "omni"),

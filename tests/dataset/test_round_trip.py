@@ -1,5 +1,6 @@
 import shutil
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,35 @@ def test_everything_reads_back_as_it_was(tmp_path):
     assert data.rims is None
     for k, image in enumerate(images):
         exact(data.image(k), image)
+
+
+def test_a_camera_that_distorts_reads_back_as_it_was(tmp_path):
+    """With grey levels of more than eight bits, and a third radial term or none."""
+    for k, k3 in enumerate((0.0, 1.0 / 3.0)):
+        rng = np.random.default_rng(8)
+        given = parts(rng)
+        lens = (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, k3)
+        camera = replace(given["camera"], distortion=lens, psf_sigma_px=0.1 + 0.7, bit_depth=12)
+        images = [rng.integers(0, 4096, (48, 64), dtype=np.uint16) for _ in FRAMES_NS]
+        write_dataset(tmp_path / f"{k}", images=images, **{**given, "camera": camera})
+        data = Dataset.open(tmp_path / f"{k}")
+        assert data.camera.distortion == lens
+        assert data.camera.psf_sigma_px == camera.psf_sigma_px
+        assert data.camera.full_scale == 4095
+        exact(data.camera.lens, camera.lens)
+        for i, image in enumerate(images):
+            exact(data.image(i), image)
+
+
+def test_grey_levels_beyond_the_cameras_bits_are_refused(tmp_path):
+    rng = np.random.default_rng(9)
+    given = parts(rng)
+    images = [np.full((48, 64), level, np.uint16) for level in (1023, 1023, 1024)]
+    given["camera"] = replace(given["camera"], bit_depth=10)
+    data = Dataset.open(write_dataset(tmp_path / "data", images=images, **given))
+    data.image(0)
+    with pytest.raises(InputError, match=r"grey levels of 10 bits, found 1024"):
+        data.image(2)
 
 
 def test_a_copy_of_what_was_read_reads_the_same(with_images, tmp_path):

@@ -71,8 +71,8 @@ def slope(rho, sharpness=12.0):
     return np.where(rho < 4.0, (1.0 - share) * wall + share * flank, 0.0)
 
 
-def render(catalog, gTb, sun_g, rng, *, noise=1.0, blur_px=0.7, roughness=0.0, level=110.0):
-    cam = camera()
+def render(catalog, gTb, sun_g, rng, *, noise=1.0, blur_px=0.7, roughness=0.0, level=110.0, cam=None):
+    cam = cam or camera()
     v, u = np.mgrid[0 : 2 * SIZE_PX, 0 : 2 * SIZE_PX]
     rays = np.dstack([cam.normalised(np.dstack([u, v]) / 2.0 - 0.25), np.ones(u.shape)]) @ gTb[:3, :3].T
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from craternav_fg.camera import Camera
 from craternav_fg.vision import crest, edges
 
 LEVEL = 100.0
@@ -9,6 +10,7 @@ CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
 # Gain towards -x: walls facing +x, on the left, are dark.
 GAIN = np.array([-20.0, 0.0])
 NO_BIAS = np.zeros((len(crest.BLUR), len(crest.GAIN)))
+PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
@@ -42,6 +44,7 @@ def trace(image, chart=CHART, min_gain=0.12, level=LEVEL):
         NO_BIAS,
         crest.BLUR,
         crest.GAIN,
+        PLAIN,
     )
 
 
@@ -111,7 +114,7 @@ def test_an_overexposed_wall_gives_no_points():
 def test_common_shift(shift):
     image = rim_image(CENTRE + shift)
     best, score = edges.search_shift(
-        image, CHART[None], GAIN[None], np.array([LEVEL]), ANGLES, np.zeros(2), 8.0, 1.0, 0.12, 1.0
+        image, CHART[None], GAIN[None], np.array([LEVEL]), ANGLES, np.zeros(2), 8.0, 1.0, 0.12, 1.0, PLAIN
     )
     np.testing.assert_array_equal(best, shift)
     assert score > 0.1

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -241,3 +243,53 @@ def test_a_systematic_error_that_repeats_counts_as_often(view):
     _, _, minor = scene.semi_axes_px(once.rims.chart)
     fit = GuidedOptions().fit
     np.testing.assert_allclose(floor_px, fit.floor_px + fit.floor_share * minor, rtol=0.02)
+
+
+# EuRoC's cam0, and a lens that bends the other way.
+@pytest.mark.parametrize("distortion", [(-0.283, 0.074, 2e-4, 2e-5, 0.0), (0.25, 0.1, -0.004, 0.006, 0.02)])
+def test_a_lens_that_distorts_costs_no_accuracy(distortion):
+    """Corners move by 20 and 45 px; the prediction is 30 px off besides."""
+    camera = replace(scene.camera(), distortion=distortion)
+    rng = np.random.default_rng(11)
+    catalog = scene.craters(rng)
+    gTb, sun_g = scene.pose(0.8, 10.0), scene.sun(30.0, 100.0)
+    image = scene.render(catalog, gTb, sun_g, rng, cam=camera)
+    wrong = scene.moved(gTb, [20.0 / camera.focal_px, -22.0 / camera.focal_px, 0.005])
+    out = GuidedFrontEnd(camera, catalog, SINGLE).measure(image, 0, wrong, scene.covariance(15.0), sun_g)
+    seen = catalog.visible(camera, gTb, min_semi_minor_px=12.0, margin_px=3.0)[0]
+    assert len(out.rims) >= 0.95 * len(seen) >= 15
+    e = check(out.rims, catalog, gTb)
+    distance2 = np.einsum("ni,ni->n", e, np.linalg.solve(out.rims.covariance, e[..., None])[..., 0])
+    # Of 5 each; the mean over so many rims scatters by less than a fifth.
+    assert 0.5 < np.mean(distance2) / 5.0 < 1.5
+
+
+def test_grey_levels_of_twelve_bits(view):
+    """The same image, finer grey levels: the same rims, not other ones by another scale."""
+    catalog, gTb, sun_g, image = view
+    fine = replace(scene.camera(), bit_depth=12)
+    args = (0, gTb, scene.covariance(1.0), sun_g)
+    coarse = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(image, *args)
+    levels = np.round(image * (4095.0 / 255.0)).astype(np.uint16)
+    out = GuidedFrontEnd(fine, catalog, SINGLE).measure(levels, *args)
+    np.testing.assert_array_equal(out.rims.craters, coarse.rims.craters)
+    sigma = np.sqrt(np.diagonal(coarse.rims.covariance, axis1=1, axis2=2))
+    assert np.mean(np.abs(out.rims.chart - coarse.rims.chart) / sigma) < 0.05
+    assert out.sun.tilt_rad == pytest.approx(coarse.sun.tilt_rad, abs=0.02)
+
+
+def test_a_soft_lens_is_corrected_by_the_width_it_is_said_to_have():
+    rng = np.random.default_rng(12)
+    catalog = scene.craters(rng)
+    gTb, sun_g = scene.pose(), scene.sun(25.0)
+    image = scene.render(catalog, gTb, sun_g, rng, blur_px=1.8)
+    bias = {}
+    for said_px in (0.7, 1.8):
+        camera = replace(scene.camera(), psf_sigma_px=said_px)
+        rims = (
+            GuidedFrontEnd(camera, catalog, SINGLE).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
+        )
+        _, _, minor = scene.semi_axes_px(rims.chart)
+        bias[said_px] = np.mean(minor - scene.semi_axes_px(scene.true_charts(catalog, gTb, rims.craters))[2])
+    assert abs(bias[1.8]) < 0.6 * abs(bias[0.7])
+    assert abs(bias[1.8]) < 0.2
