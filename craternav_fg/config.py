@@ -179,14 +179,17 @@ class RandomCraters(Section):
     source: Literal["random"]
     density: Positive
     """k of the size distribution: k r^-2 craters larger than r on a unit of area."""
+    size_frequency: tuple[tuple[Positive, Positive], ...] = ()
+    """In place of density: diameters, km, and how many craters are larger, per km^2. A power law joins
+    neighbours; the outer two continue beyond."""
     min_apparent_px: Positive
     """Smallest semi-minor axis, from the lowest altitude at which the crater is in view."""
     max_apparent_px: Positive
     """Largest semi-major axis, from the highest altitude at which the crater is in view."""
     reach: Positive
     """Half-width of the corridor along the ground track, in altitudes."""
-    separation: Annotated[float, Field(ge=1.0)]
-    """Centres are this many times the sum of their semi-major axes apart, at least."""
+    separation: NotNegative
+    """Centres are this many times the sum of their semi-major axes apart, at least; below 1 they overlap."""
     min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
     """Axis ratios b/a are uniform from here to 1."""
     clutter_px: tuple[Positive, Positive]
@@ -200,6 +203,9 @@ class RandomCraters(Section):
         ):
             if not small < large:
                 raise ValueError(f"{name} sizes must rise, found {small} to {large}")
+        table = np.array(self.size_frequency).reshape(-1, 2)
+        if len(table) == 1 or np.any(np.diff(table[:, 0]) <= 0.0) or np.any(np.diff(table[:, 1]) >= 0.0):
+            raise ValueError("size_frequency needs two rows or more, rising diameters and falling numbers")
         return self
 
 
@@ -248,6 +254,22 @@ class TerrainSection(Section):
     """Longest wave, rounded down to a power of two."""
     depth_scatter: Annotated[float, Field(ge=0.0, lt=1.0)]
     """Floors are raised by up to this part of their depth, at random."""
+    irregularity: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    """RMS deviation of the rims from their ellipses, as a part of the radius."""
+    degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Crests are worn round and floors filled by up to this much, at random; 1 leaves half of the depth."""
+    peaks_from_m: Positive | None = None
+    """Craters of a larger diameter have a central peak."""
+
+
+class HapkeSection(Section):
+    """Hapke's law; see `craternav_fg.simulation.render.Hapke`."""
+
+    single_scattering_albedo: Annotated[float, Field(gt=0.0, lt=1.0)]
+    asymmetry: Annotated[float, Field(gt=-1.0, lt=1.0)]
+    """Of the Henyey-Greenstein function: below 0 the grains scatter back."""
+    opposition_amplitude: NotNegative
+    opposition_width: Positive
 
 
 class RenderSection(Section):
@@ -269,6 +291,12 @@ class RenderSection(Section):
     """Standard deviation of the read-out noise, electrons."""
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
     """Of the grey levels; more than 8 are stored in images of 16."""
+    vignetting: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Part of the light that the image's corners lose."""
+    exposure_s: NotNegative = 0.0
+    """The image is blurred by the motion meanwhile; its stamp is that of the middle."""
+    hapke: HapkeSection | None = None
+    """Given: the ground's law in place of lunar_lambert."""
 
 
 class MeasurementSection(Section):

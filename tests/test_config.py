@@ -19,6 +19,19 @@ CASES = {
         "lever_arm_m = [0.0, 0.0, 0.0]\ndistortion = [-1.0, 0.0, 0.0, 0.0, 0.0]",
         ["camera", "folds inside the image"],
     ),
+    "sizes that do not fall": (
+        DEMO,
+        r"density = ",
+        "size_frequency = [[1.0, 0.1], [2.0, 0.2]]\ndensity = ",
+        ["craters", "size_frequency", "falling numbers"],
+    ),
+    "grains that swallow nothing": (
+        DEMO,
+        r"\Z",
+        "[render.hapke]\nsingle_scattering_albedo = 1.0\nasymmetry = 0.0\n"
+        "opposition_amplitude = 0.0\nopposition_width = 0.1\n",
+        ["render.hapke.single_scattering_albedo", "less than 1"],
+    ),
     "unknown key": (DEMO, r"width_px = ", "width = ", ["camera.width", "unknown key"]),
     "unknown table": (DEMO, r"\[sun\]", "[moon]", ["moon", "unknown key"]),
     "key missing": (DEMO, r"duration_s = 300.0", "", ["trajectory.duration_s", "missing"]),

@@ -12,9 +12,18 @@ FloatArray = npt.NDArray[np.float64]
 COMPLEX_KM = 15.0
 # A crater's flank has met the ground at this many radii.
 REACH = 2.3
-# Half-widths of the rounding of the crest's outer side and of the floor, in radii.
+# Half-widths of the rounding of the crest's outer side, of a fresh crater, and of the floor, in radii.
 CREST = 0.06
 FLOOR = 0.35
+# A worn crater's crest is wider by up to this factor more, its floor higher by up to this part of the depth.
+WORN_CREST = 3.0
+WORN_DEPTH = 0.5
+# Height of a central peak over the depth, and its half-width in radii.
+PEAK = 0.3
+PEAK_WIDTH = 0.14
+# Harmonics of an irregular outline.
+FIRST_HARMONIC = 3
+LAST_HARMONIC = 8
 # Other craters' flanks are suppressed this far from a crest, roughness twice as far, in radii.
 PROTECTED = 0.25
 # Roughness near a crater stays under this part of its radius: more would bend the crest's own rounding.
@@ -71,20 +80,56 @@ def roughness(x: float, rough: float, radius: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def crater_profile(rho: float, depth: float, rim: float) -> float:
+def crater_profile(rho: float, depth: float, rim: float, crest: float) -> float:
     """Height over the crest plane at a distance rho, in radii, from the centre of a crater.
+
+    `crest` is the half-width of the rounding of the crest's outer side, in radii.
 
     Slope zero and the curvature continuous on the crest, rho = 1: a grid then locates it without bias.
     """
     x = rho - 1.0
     if x > 0.0:
-        return -rim * (1.0 - (1.0 + np.sqrt(x * x + CREST * CREST) - CREST) ** -3)
+        return -rim * (1.0 - (1.0 + np.sqrt(x * x + crest * crest) - crest) ** -3)
     # The width c of the crest's inner side that gives both sides one curvature.
     floor = np.sqrt(1.0 + FLOOR * FLOOR) - FLOOR
-    q = depth / (floor * np.sqrt(1.0 + FLOOR * FLOOR)) * CREST / (3.0 * rim)
+    q = depth / (floor * np.sqrt(1.0 + FLOOR * FLOOR)) * crest / (3.0 * rim)
     c = q / np.sqrt(1.0 - 2.0 * q)
     y = 1.0 - (np.sqrt(x * x + c * c) - c) / (np.sqrt(1.0 + c * c) - c)
     return -depth * (1.0 - (np.sqrt(y * y + FLOOR * FLOOR) - FLOOR) / floor)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def outline(x: float, y: float, harmonics: FloatArray) -> float:
+    """Radius of an irregular crater in the direction (x, y), over that of its ellipse; 1 at the centre.
+
+    x and y are in radii; from the rim outwards it is the outline's.
+
+    `harmonics` (2 n,): cosine and sine amplitudes from `FIRST_HARMONIC` on, of the angle in which the
+    ellipse is a circle. Lower ones would only be another ellipse: it stays the outline's least-squares fit.
+    """
+    r = np.sqrt(x * x + y * y)
+    if r == 0.0:
+        return 1.0
+    # A floor that kept the outline's shape would have creases at its centre.
+    share = smoothstep(r)
+    c1, s1 = x / r, y / r
+    c, s = c1, s1
+    for _ in range(FIRST_HARMONIC - 1):
+        c, s = c * c1 - s * s1, s * c1 + c * s1
+    total = 1.0
+    for k in range(harmonics.shape[0] // 2):
+        total += share * (harmonics[2 * k] * c + harmonics[2 * k + 1] * s)
+        c, s = c * c1 - s * s1, s * c1 + c * s1
+    return total
+
+
+def random_outlines(rng: np.random.Generator, count: int, irregularity: float) -> FloatArray:
+    """Harmonics (count, 2 n) for `outline`; `irregularity` is the expected rms deviation from 1."""
+    order = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
+    scale = 1.0 / order
+    return np.asarray(
+        irregularity / np.sqrt(0.5 * np.sum(scale**2)) * scale * rng.standard_normal((count, len(order)))
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -157,7 +202,7 @@ def ground_levels(
             for k in range(2):
                 rough -= tangent[j, 3 + k] * (tangent[i, k] - tangent[j, k])
             rough = roughness(rho - 1.0, rough, (aa * bb) ** 0.25)
-            target = plane + crater_profile(rho, shape[j, 0], shape[j, 1]) + rough
+            target = plane + crater_profile(rho, shape[j, 0], shape[j, 1], CREST) + rough
             flank[i] += w * (target - flank[i])
         if np.isnan(heights[i]):
             heights[i] = share[i] * tangent[i, 2] + flank[i] + crest[i]

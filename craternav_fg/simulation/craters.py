@@ -32,6 +32,8 @@ class CraterFieldOptions:
     ----------
     density : float
         k of the scale-free size distribution: k r^-2 craters larger than r on a unit of area.
+    size_frequency : tuple of tuple of float
+        In place of `density`: diameters, km, and how many craters are larger, per km^2.
     min_apparent_px : float
         Smallest semi-minor axis, from the lowest altitude at which the crater is in view.
     max_apparent_px : float
@@ -41,7 +43,7 @@ class CraterFieldOptions:
     reach : float
         Half-width of the corridor in altitudes: how far from the point below it the lander sees.
     separation : float
-        Centres are this many times the sum of their semi-major axes apart, at least.
+        Centres are this many times the sum of their semi-major axes apart, at least; below 1 they overlap.
     min_axis_ratio : float
         Axis ratios b/a are uniform from here to 1.
     clutter_px : tuple of float
@@ -56,6 +58,7 @@ class CraterFieldOptions:
     separation: float = 1.3
     min_axis_ratio: float = 0.75
     clutter_px: tuple[float, float] = (2.5, 9.0)
+    size_frequency: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.min_apparent_px < self.max_apparent_px:
@@ -71,7 +74,7 @@ def random_craters(
     options: CraterFieldOptions,
     relief: Relief,
 ) -> Catalog:
-    """Random, non-overlapping craters with elliptical rims along a descent.
+    """Random craters with elliptical rims along a descent.
 
     Parameters
     ----------
@@ -234,10 +237,18 @@ def _draw_sizes(
     reach_m = options.reach * altitude_m[:, None]
     low = (centred @ along.T - reach_m).min(axis=0)
     high = (centred @ along.T + reach_m).max(axis=0)
-    # N(>r) = k r^-2.
-    most, least = sizes_m[0] ** -2, sizes_m[1] ** -2
-    n = int(rng.poisson(options.density * (most - least) * np.prod(high - low)))
-    semi_minor = 1.0 / np.sqrt(rng.uniform(least, most, n))
+    area_m2 = np.prod(high - low)
+    if options.size_frequency:
+        diameter, number = _continued(options.size_frequency)
+        least, most = np.exp(np.interp(np.log(2e-3 * np.array(sizes_m[::-1])), diameter, number))
+        n = int(rng.poisson(1e-6 * (most - least) * area_m2))
+        logs = np.interp(-np.log(rng.uniform(least, most, n)), -number, diameter)
+        semi_minor = 500.0 * np.exp(logs)
+    else:
+        # N(>r) = k r^-2.
+        most, least = sizes_m[0] ** -2, sizes_m[1] ** -2
+        n = int(rng.poisson(options.density * (most - least) * area_m2))
+        semi_minor = 1.0 / np.sqrt(rng.uniform(least, most, n))
     xy = rng.uniform(low, high, (n, 2)) @ along + plane.mean(axis=0)
     e = np.concatenate([xy, np.full((n, 1), body.radius_m)], axis=1)
     return _Field(
@@ -248,6 +259,16 @@ def _draw_sizes(
         lowest_m=np.zeros(n),
         highest_m=np.zeros(n),
     )
+
+
+def _continued(size_frequency: tuple[tuple[float, float], ...]) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of diameters and numbers (n,), with a point far beyond either end on its power law."""
+    x, y = np.log(np.array(size_frequency)).T
+    slopes = np.diff(y) / np.diff(x)
+    far = 20.0
+    x = np.concatenate([[x[0] - far], x, [x[-1] + far]])
+    y = np.concatenate([[y[0] - far * slopes[0]], y, [y[-1] + far * slopes[-1]]])
+    return x, y
 
 
 def _seen_from_m(

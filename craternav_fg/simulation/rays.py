@@ -226,12 +226,38 @@ def _sunlight(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def reflectance(mu0: float, mu: float, cos_phase: float, law: FloatArray) -> float:
+    """Brightness of ground over the cosine of incidence.
+
+    Parameters
+    ----------
+    mu0, mu, cos_phase : float
+        Cosines of incidence, emission and phase angle.
+    law : ndarray, shape (5,)
+        Share of Lommel-Seeliger in the Lunar-Lambert law; Hapke's single-scattering albedo w, which is 0 for
+        Lunar-Lambert, asymmetry, opposition amplitude B0 and width h (Hapke 2012, section 8; smooth surface).
+    """
+    lommel, w = law[0], law[1]
+    if w == 0.0:
+        return 2.0 * lommel / (mu0 + mu) + 1.0 - lommel
+    asymmetry, amplitude, width = law[2], law[3], law[4]
+    cosine = min(max(cos_phase, -1.0), 1.0)
+    # tan(g / 2) from cos g.
+    half = np.sqrt((1.0 - cosine) / max(1.0 + cosine, 1e-9))
+    scattered = (1.0 - asymmetry**2) / (1.0 + 2.0 * asymmetry * cosine + asymmetry**2) ** 1.5
+    gamma = np.sqrt(1.0 - w)
+    multiple = (1.0 + 2.0 * mu0) / (1.0 + 2.0 * mu0 * gamma) * (1.0 + 2.0 * mu) / (1.0 + 2.0 * mu * gamma)
+    opposition = 1.0 + amplitude / (1.0 + half / width)
+    return 0.25 * w / (mu0 + mu) * (opposition * scattered + multiple - 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shade(
     P: FloatArray,
     hits: FloatArray,
     sun: FloatArray,
     sun_radius: float,
-    lommel: float,
+    law: FloatArray,
     heights: Float32Array,
     slots: IntArray,
     frames: FloatArray,
@@ -240,7 +266,7 @@ def shade(
     slope: float,
     light: Float32Array,
 ) -> None:
-    """Write the brightness (n,) of ground points (n, 2): Lunar-Lambert, 0 in the sky."""
+    """Write the brightness (n,) of ground points (n, 2) under a law of `reflectance`, 0 in the sky."""
     q = np.empty(3)
     n = np.empty(3)
     for r in range(hits.shape[0]):
@@ -252,7 +278,9 @@ def shade(
         if mu0 <= 0.0:
             continue
         vx, vy, vz = P[0] - q[0], P[1] - q[1], P[2] - q[2]
-        mu = (n[0] * vx + n[1] * vy + n[2] * vz) / np.sqrt(vx * vx + vy * vy + vz * vz)
+        range_m = np.sqrt(vx * vx + vy * vy + vz * vz)
+        mu = (n[0] * vx + n[1] * vy + n[2] * vz) / range_m
         mu = max(mu, 0.0)
+        cos_phase = (sun[0] * vx + sun[1] * vy + sun[2] * vz) / range_m
         seen = _sunlight(q[0], q[1], q[2], cell, sun, sun_radius, heights, slots, frames, radius, top, slope)
-        light[r] = seen * mu0 * (2.0 * lommel / (mu0 + mu) + 1.0 - lommel)
+        light[r] = seen * mu0 * reflectance(mu0, mu, cos_phase, law)

@@ -1,6 +1,6 @@
 """Images of the terrain as the lander's camera takes them."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import cv2
 import numpy as np
@@ -14,6 +14,31 @@ from craternav_fg.simulation.terrain import Levels, Terrain
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
+# Points along each side between which the image's motion is interpolated.
+_MOTION_RASTER = 33
+# The sky is as far as this.
+_FAR_M = 1e12
+
+
+@dataclass(frozen=True)
+class Hapke:
+    """Hapke's reflectance of a surface without roughness of its own: the terrain has that.
+
+    Attributes
+    ----------
+    single_scattering_albedo : float
+        Part of the light that a grain does not swallow, above 0 and below 1.
+    asymmetry : float
+        Of the Henyey-Greenstein phase function: below 0 the grains scatter back.
+    opposition_amplitude, opposition_width : float
+        Of the surge about zero phase, B0 and h.
+    """
+
+    single_scattering_albedo: float
+    asymmetry: float
+    opposition_amplitude: float
+    opposition_width: float
+
 
 @dataclass(frozen=True)
 class RenderOptions:
@@ -25,12 +50,16 @@ class RenderOptions:
         Rays along each side of a pixel; the cost grows with the square.
     lunar_lambert : float
         Share of the Lommel-Seeliger law; the rest is Lambert's.
+    hapke : Hapke or None
+        Law in place of Lunar-Lambert.
     sun_radius_rad : float
         Half the angle under which the sun appears: the softness of shadows.
     flat_level : float
         Brightness of level ground at the site, seen from above, as a part of full scale.
     psf_sigma_px : float
         Gaussian blur of the optics; 0 for none.
+    vignetting : float
+        Part of the light that the image's corners lose; with the square of the distance from the middle.
     full_well_e : float
         Electrons at full scale: fewer give more shot noise; 0 for none.
     read_noise_e : float
@@ -39,9 +68,11 @@ class RenderOptions:
 
     samples: int = 1
     lunar_lambert: float = 0.55
+    hapke: Hapke | None = None
     sun_radius_rad: float = 0.00465
     flat_level: float = 0.4
     psf_sigma_px: float = 0.7
+    vignetting: float = 0.0
     full_well_e: float = 15000.0
     read_noise_e: float = 20.0
 
@@ -63,12 +94,20 @@ class Renderer:
         self.camera = camera
         self.terrain = terrain
         self.options = options
+        hapke = (0.0,) * 4 if options.hapke is None else astuple(options.hapke)
+        self._law = np.array([options.lunar_lambert, *hapke])
         n = options.samples
         x = (np.arange(n * camera.width_px) + 0.5) / n - 0.5
         y = (np.arange(n * camera.height_px) + 0.5) / n - 0.5
         self._points = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
 
-    def render(self, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> ImageArray:
+    def render(
+        self,
+        gTb: FloatArray,
+        sun_g: FloatArray,
+        rng: np.random.Generator,
+        sweep: tuple[FloatArray, FloatArray] | None = None,
+    ) -> ImageArray:
         """Image (height_px, width_px), grey levels up to the camera's full scale, from the lander's pose.
 
         Parameters
@@ -79,15 +118,22 @@ class Renderer:
             Unit vector towards the sun in g.
         rng : Generator
             Sensor noise.
+        sweep : tuple of ndarray, shape (4, 4), optional
+            Poses at the beginning and the end of the exposure, whose middle is at `gTb`: the image is blurred
+            by the motion between them.
         """
         options = self.options
         light = self.radiance(gTb, sun_g)
+        if sweep is not None:
+            light = self._swept(light, gTb, *sweep)
         if options.psf_sigma_px > 0.0:
             blurred = cv2.GaussianBlur(light, (0, 0), options.psf_sigma_px, borderType=cv2.BORDER_REPLICATE)
             light = blurred.astype(np.float32, copy=False)
         mu0 = max(float(sun_g @ self.terrain.relief.gRs[:, 2]), 0.01)
-        flat = mu0 * (2.0 * options.lunar_lambert / (mu0 + 1.0) + 1.0 - options.lunar_lambert)
+        flat = mu0 * rays.reflectance(mu0, 1.0, mu0, self._law)
         signal = light * np.float32(options.flat_level / flat)
+        if options.vignetting > 0.0:
+            signal *= self._transmission()
         if options.full_well_e > 0.0:
             electrons = signal * np.float32(options.full_well_e)
             sigma = np.sqrt(np.minimum(electrons, options.full_well_e) + options.read_noise_e**2)
@@ -108,7 +154,7 @@ class Renderer:
 
         def work(lo: int, hi: int) -> None:
             rays.shade(
-                P, hits[lo:hi], sun, self.options.sun_radius_rad, self.options.lunar_lambert,
+                P, hits[lo:hi], sun, self.options.sun_radius_rad, self._law,
                 levels.heights_m, levels.slots, levels.frames_m, self.terrain.body.radius_m,
                 levels.top_m, levels.slope, light[lo:hi],
             )  # fmt: skip
@@ -142,6 +188,49 @@ class Renderer:
         )  # fmt: skip
         gRs = self.terrain.relief.gRs
         return points @ gRs.T, normals @ gRs.T
+
+    def _swept(
+        self, light: Float32Array, gTb: FloatArray, begin: FloatArray, end: FloatArray
+    ) -> Float32Array:
+        """Mean of an image over the motion between two poses, as of level ground around each pixel."""
+        camera = self.camera
+        x = np.linspace(0.0, camera.width_px - 1.0, _MOTION_RASTER)
+        y = np.linspace(0.0, camera.height_px - 1.0, _MOTION_RASTER)
+        raster = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        ground, _ = self.ground_points(gTb, raster)
+        gTc = camera.gTc(gTb)
+        rays_c = np.concatenate([camera.normalised(raster), np.ones((len(raster), 1))], axis=1)
+        sky = np.isnan(ground[:, 0])
+        ground[sky] = gTc[:3, 3] + _FAR_M * rays_c[sky] @ gTc[:3, :3].T
+        ends = []
+        for pose in (begin, end):
+            T = camera.gTc(pose)
+            ends.append(camera.project((ground - T[:3, 3]) @ T[:3, :3]))
+        motion = (ends[1] - ends[0]).reshape(_MOTION_RASTER, _MOTION_RASTER, 2)
+        # The raster's outermost points are the outermost pixels' centres.
+        u = np.linspace(0.0, _MOTION_RASTER - 1.0, camera.width_px, dtype=np.float32)
+        v = np.linspace(0.0, _MOTION_RASTER - 1.0, camera.height_px, dtype=np.float32)
+        field = cv2.remap(motion.astype(np.float32), *np.meshgrid(u, v), cv2.INTER_LINEAR)
+        column, row = np.meshgrid(
+            np.arange(camera.width_px, dtype=np.float32), np.arange(camera.height_px, dtype=np.float32)
+        )
+        steps = int(np.ceil(2.0 * np.linalg.norm(motion, axis=-1).max())) + 1
+        total = np.zeros_like(light)
+        for share in (np.arange(steps, dtype=np.float32) + 0.5) / steps - 0.5:
+            total += cv2.remap(
+                light, column - share * field[..., 0], row - share * field[..., 1], cv2.INTER_CUBIC,
+                borderMode=cv2.BORDER_REPLICATE,
+            )  # fmt: skip
+        # Cubic interpolation swings below black beside shadows.
+        return np.maximum(total / np.float32(steps), 0.0)
+
+    def _transmission(self) -> Float32Array:
+        """Part of the light that reaches each pixel (height_px, width_px)."""
+        camera = self.camera
+        x = (np.arange(camera.width_px) - camera.cx_px) / camera.width_px
+        y = (np.arange(camera.height_px) - camera.cy_px) / camera.height_px
+        share = 2.0 * (x[None, :] ** 2 + y[:, None] ** 2)
+        return np.maximum(1.0 - self.options.vignetting * share, 0.0).astype(np.float32)
 
     def _camera_pose(self, gTb: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rotation and position of the camera in the site frame."""

@@ -29,7 +29,7 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation import sensors
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
-from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.trajectory import Trajectory
@@ -97,9 +97,13 @@ def simulate(
 
     def images() -> Iterator[ImageArray]:
         assert relief is not None
+        assert scenario.render is not None
         renderer = _renderer(scenario, camera, catalog, relief, clutter)
+        half_s = 0.5 * scenario.render.exposure_s
+        begin, end = (descent.evaluate(np.multiply(stamps, 1e-9) + side).gTb for side in (-half_s, half_s))
         for k, stamp in enumerate(stamps.tolist()):
-            yield renderer.render(poses[k], sun.at(stamp), frame_rng)
+            sweep = (begin[k], end[k]) if half_s > 0.0 else None
+            yield renderer.render(poses[k], sun.at(stamp), frame_rng, sweep)
             done(k)
 
     def rims(options: MeasurementSection) -> Iterator[FrameMeasurement]:
@@ -211,11 +215,21 @@ def _renderer(
 ) -> Renderer:
     assert scenario.terrain is not None
     assert scenario.render is not None
-    options = TerrainOptions(depth_scatter=scenario.terrain.depth_scatter)
+    ground = scenario.terrain
+    options = TerrainOptions(
+        depth_scatter=ground.depth_scatter,
+        irregularity=ground.irregularity,
+        degradation=ground.degradation,
+        peaks_from_m=math.inf if ground.peaks_from_m is None else ground.peaks_from_m,
+    )
     terrain = Terrain(catalog, relief, options, clutter)
-    render = scenario.render.model_dump(exclude={"sun_radius_deg", "bit_depth"})
-    sun_radius_rad = math.radians(scenario.render.sun_radius_deg)
-    return Renderer(camera, terrain, RenderOptions(sun_radius_rad=sun_radius_rad, **render))
+    light = scenario.render
+    options_given = light.model_dump(exclude={"sun_radius_deg", "bit_depth", "exposure_s", "hapke"})
+    hapke = None if light.hapke is None else Hapke(**light.hapke.model_dump())
+    sun_radius_rad = math.radians(light.sun_radius_deg)
+    return Renderer(
+        camera, terrain, RenderOptions(sun_radius_rad=sun_radius_rad, hapke=hapke, **options_given)
+    )
 
 
 def _site(options: TrajectorySection) -> FloatArray:

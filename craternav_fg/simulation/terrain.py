@@ -19,13 +19,20 @@ from numba import njit
 
 from craternav_fg.catalog import Catalog
 from craternav_fg.simulation.crater_shape import (
+    CREST,
+    PEAK,
+    PEAK_WIDTH,
     REACH,
+    WORN_CREST,
+    WORN_DEPTH,
     coverage,
     crater_profile,
     crest_height_over_centre_ground_m,
     depth_m,
     ground_levels,
+    outline,
     protection,
+    random_outlines,
     rim_height_m,
     roughness,
     smoothstep,
@@ -58,12 +65,22 @@ class TerrainOptions:
         Grids at most, each twice as wide as the one before. Beyond the last the body is smooth.
     depth_scatter : float
         Floors are raised by up to this part of their depth, at random: 0 gives fresh craters only.
+    irregularity : float
+        RMS deviation of the rims from their ellipses, as a part of the radius.
+    degradation : float
+        Crests are worn round and floors filled by up to this much of what `crater_shape` allows, at random.
+        The crests keep their place and height.
+    peaks_from_m : float
+        Craters of a larger diameter have a central peak.
     """
 
     cells: int = 2048
     cell_px: float = 0.5
     levels: int = 6
     depth_scatter: float = 0.35
+    irregularity: float = 0.0
+    degradation: float = 0.0
+    peaks_from_m: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -151,7 +168,7 @@ def _stamp(
     first: int,
     last: int,
 ) -> None:
-    """Stamp craters (n, 20), in their order, into the rows first..last of a grid.
+    """Stamp craters (n, 34), in their order, into the rows first..last of a grid.
 
     Those too small for the next coarser grid fade out over `fade` cells from the border.
 
@@ -164,6 +181,10 @@ def _stamp(
     for k in range(craters.shape[0]):
         c = craters[k]
         xc, yc, a, b, height, depth, rim, reach = c[0], c[1], c[11], c[12], c[13], c[14], c[15], c[19]
+        crest, peak, harmonics = c[20], c[21], c[22:]
+        # The largest deviation of an outline is under the sum of its harmonics.
+        widest = 1.0 + np.sum(np.abs(harmonics))
+        irregular = np.any(harmonics != 0.0)
         radius = np.sqrt(a * b)
         sunk = np.isnan(height)
         base = 0.0 if sunk else height
@@ -184,19 +205,25 @@ def _stamp(
                 X = scale * (c[2] * x + c[3] * y + c[4] * radius_m)
                 Y = scale * (c[5] * x + c[6] * y + c[7] * radius_m)
                 rho2 = (X / a) ** 2 + (Y / b) ** 2
-                if rho2 >= REACH * REACH:
+                if rho2 >= REACH * REACH * widest * widest:
                     continue
                 rho = np.sqrt(rho2)
+                if irregular:
+                    rho /= outline(X / a, Y / b, harmonics)
+                    if rho >= REACH:
+                        continue
                 inside = min(min(i, j), n - 1 - max(i, j)) - 4
                 share = 1.0 if shared else min(max(inside / fade, 0.0), 1.0)
                 if sunk:
-                    low = share * coverage(rho) * (rim + crater_profile(rho, depth, rim))
+                    low = share * coverage(rho) * (rim + crater_profile(rho, depth, rim, crest))
                     heights[j, i] += free[j - first, i] * low
                     continue
                 plane = np.sqrt((radius_m + height) ** 2 + X * X + Y * Y) - radius_m
                 clear = protection(rho - 1.0)
                 rough = relief[j, i] - (c[16] + c[17] * (x - xc) + c[18] * (y - yc))
-                target = plane + crater_profile(rho, depth, rim) + roughness(rho - 1.0, rough, radius)
+                target = plane + crater_profile(rho, depth, rim, crest) + roughness(rho - 1.0, rough, radius)
+                if peak > 0.0:
+                    target += peak * np.exp(-0.5 * (rho / PEAK_WIDTH) ** 2)
                 weight = share * coverage(rho)
                 # Its flank gives way to the crests already there, its own crest does not.
                 own = 1.0 - smoothstep((rho - 1.1) / 0.15)
@@ -263,10 +290,11 @@ class Terrain:
         self._pool = ThreadPoolExecutor(self._workers)
 
     def _rows(self, catalog: Catalog) -> FloatArray:
-        """Craters (n, 20) for `_stamp`, largest first.
+        """Craters (n, 34) for `_stamp`, largest first.
 
         Columns: 0-1 centre x, y; 2-10 axes l1, l2, n in the site frame; 11-15 a, b, height, depth, crest
-        over the ground; 16-18 relief at the centre and its gradient; 19 reach in the plane. All in m.
+        over the ground; 16-18 relief at the centre and its gradient; 19 reach in the plane, all in m;
+        20 half-width of the crest in radii; 21 height of the central peak, m; 22-33 harmonics of the outline.
         """
         axes = self.relief.gRs.T @ catalog.gRl
         rows = np.flatnonzero(axes[:, 2, 2] > 0.5)
@@ -278,7 +306,12 @@ class Terrain:
         level, gradient = self.relief.at(xy, radius)
         scatter = np.random.default_rng(self.relief.options.seed).uniform(size=len(catalog))[rows]
         depth = depth_m(radius) * (1.0 - self.options.depth_scatter * scatter)
-        out = np.zeros((len(rows), 20))
+        # Streams of their own: what is random already stays as it is.
+        outlines, wear = (np.random.default_rng([self.relief.options.seed, k]) for k in (1, 2))
+        harmonics = random_outlines(outlines, len(catalog), self.options.irregularity)[rows]
+        worn = self.options.degradation * wear.uniform(size=len(catalog))[rows]
+        depth *= 1.0 - WORN_DEPTH * worn
+        out = np.zeros((len(rows), 22 + harmonics.shape[1]))
         out[:, 0:2] = xy
         out[:, 2:11] = np.swapaxes(axes, 1, 2).reshape(-1, 9)
         out[:, 11:16] = np.stack([a, b, catalog.height_m[rows], depth, rim_height_m(radius)], axis=-1)
@@ -286,10 +319,14 @@ class Terrain:
         out[:, 17:19] = gradient
         # The gnomonic plane stretches lengths by up to 1 / cos^2.
         out[:, 19] = 1.05 * REACH * a / (axes[:, 2, 2] - 2.0 * a / self.body.radius_m).clip(0.3) ** 2
+        out[:, 19] *= 1.0 + np.abs(harmonics).sum(axis=1)
+        out[:, 20] = CREST * (1.0 + WORN_CREST * worn)
+        out[:, 21] = np.where(2.0 * radius > self.options.peaks_from_m, PEAK * depth, 0.0)
+        out[:, 22:] = harmonics
         return out
 
     def _offsets(self, c: FloatArray) -> FloatArray:
-        """How much higher the catalogue sets craters (n, 20) than the relief, m; NaN inside larger ones."""
+        """How much higher the catalogue sets craters (n, 34) than the relief, m; NaN inside larger ones."""
         crest = crest_height_over_centre_ground_m(c[:, 11], c[:, 12], self.body)
         axes = np.stack([c[:, 11:12] * c[:, 2:5], c[:, 12:13] * c[:, 5:8]], axis=1)
         share, flank = ground_levels(
@@ -381,8 +418,8 @@ class Terrain:
         c = self._craters
         extent = cells * frame[0]
         near: npt.NDArray[np.bool_] = np.all(
-            (c[:, :2] + LEVEL_REACH * c[:, 19:] > frame[1:])
-            & (c[:, :2] - LEVEL_REACH * c[:, 19:] < frame[1:] + extent),
+            (c[:, :2] + LEVEL_REACH * c[:, 19:20] > frame[1:])
+            & (c[:, :2] - LEVEL_REACH * c[:, 19:20] < frame[1:] + extent),
             axis=1,
         )
         craters = np.ascontiguousarray(c[near])

@@ -103,14 +103,14 @@ def test_crest_stands_over_level_ground_by_rim_height(radius_m: float) -> None:
 def test_profile_is_smooth_over_the_crest() -> None:
     rho = np.linspace(0.9, 1.1, 2001)
     for depth, rim in ((0.39, 0.072), (0.25, 0.072), (0.05, 0.015)):
-        h = np.array([crater_shape.crater_profile(x, depth, rim) for x in rho])
+        h = np.array([crater_shape.crater_profile(x, depth, rim, crater_shape.CREST) for x in rho])
         slope = np.gradient(h, rho)
         bend = np.gradient(slope, rho)
         assert h.argmax() == 1000
         assert h[1000] == pytest.approx(0.0, abs=1e-12)
         assert slope[1000] == pytest.approx(0.0, abs=2e-3 * abs(slope[0]))
         assert bend[996] == pytest.approx(bend[1004], rel=0.05)
-        assert crater_shape.crater_profile(0.0, depth, rim) == pytest.approx(-depth)
+        assert crater_shape.crater_profile(0.0, depth, rim, crater_shape.CREST) == pytest.approx(-depth)
 
 
 def test_clutter_is_small_and_spares_crests(catalog: Catalog) -> None:

@@ -45,35 +45,6 @@ def smooth():
     return Renderer(scene.CAMERA, terrain, RenderOptions())
 
 
-def crest_offsets_px(renderer, catalog, gTb, rows, count=16):
-    """How far outside the projected rim the ground rises no more, along the rim's normals, (rows, count).
-
-    Found in the ground's own normals at the points where rays through the pixels meet it.
-    """
-    theta = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
-    offsets = np.linspace(-1.6, 1.6, 17)
-    out = np.full((len(rows), count), np.nan)
-    for k, row in enumerate(rows):
-        rim_px = scene.project(gTb, scene.rim(catalog, row, theta))
-        along = scene.project(gTb, scene.rim(catalog, row, theta + 1e-4)) - rim_px
-        normal = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.linalg.norm(along, axis=1)[:, None]
-        middle = scene.project(gTb, catalog.centres[row : row + 1])
-        normal *= np.sign(np.sum(normal * (rim_px - middle), axis=1, keepdims=True))
-        px = rim_px[:, None] + offsets[:, None] * normal[:, None]
-        _, ground = renderer.ground_points(gTb, px.reshape(-1, 2))
-        local = (ground @ catalog.gRl[row]).reshape(count, len(offsets), 3)
-        outward = np.stack(
-            [np.cos(theta) / catalog.semi_major_m[row], np.sin(theta) / catalog.semi_minor_m[row]], axis=-1
-        )
-        rise = -np.einsum("aoi,ai->ao", local[:, :, :2], outward) / local[:, :, 2]
-        for a in range(count):
-            cross = np.flatnonzero((rise[a, :-1] > 0.0) & (rise[a, 1:] <= 0.0))
-            if len(cross):
-                i = cross[np.argmin(np.abs(offsets[cross]))]
-                out[k, a] = np.interp(0.0, -rise[a, i : i + 2], offsets[i : i + 2])
-    return out
-
-
 @pytest.mark.parametrize(
     ("frame", "tilt_deg", "heading_deg"),
     [(0, 0.0, 90.0), (0, 20.0, 200.0), (45, 12.0, 30.0), (59, 20.0, 90.0)],
@@ -81,7 +52,7 @@ def crest_offsets_px(renderer, catalog, gTb, rows, count=16):
 def test_crest_lies_on_the_projected_ellipse(renderer, catalog, frame, tilt_deg, heading_deg):
     gTb = scene.pose(scene.track()[frame], tilt_deg, heading_deg)
     rows, _ = catalog.visible(scene.CAMERA, gTb, min_semi_minor_px=8.0, margin_px=4.0)
-    offsets = crest_offsets_px(renderer, catalog, gTb, rows)
+    offsets = scene.crest_offsets_px(renderer, catalog, gTb, rows)
     assert len(rows) >= 10
     assert np.isnan(offsets).mean() < 0.02
     assert np.nanmean(np.abs(offsets)) < 0.04
