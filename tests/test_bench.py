@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from craternav_fg.bench import ratios, report
+from craternav_fg.bench import images, ratios, report
 from craternav_fg.bench.problems import Bench, make
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli import app
@@ -122,3 +122,13 @@ def test_a_figure_of_no_known_kind_is_refused_before_anything_is_measured(tmp_pa
     done = CliRunner().invoke(app, ["bench", "-o", str(tmp_path / "cost.xyz")])
     assert done.exit_code != 0
     assert "expected a name that ends in .png" in str(done.exception)
+
+
+def test_what_an_image_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
+    monkeypatch.setattr(images, "FRAMES", 1)
+    costs = images.render_costs()
+    assert set(costs) == {"render_s", "render_2x2_s", "render_altitude_ratio", "render_peak_mb"}
+    assert costs["render_2x2_s"] > costs["render_s"] > 0.0
+    assert costs["render_altitude_ratio"] >= 1.0
+    assert 50.0 < costs["render_peak_mb"] < 1500.0

@@ -1,0 +1,87 @@
+"""What an image costs: seconds a frame by altitude and samples, and the memory that takes."""
+
+import resource
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.config import load_scenario
+from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.relief import Relief, ReliefOptions
+from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+
+FloatArray = npt.NDArray[np.float64]
+
+ALTITUDES_M = (100e3, 30e3, 10e3, 2e3)
+# Frames timed at each altitude, a tenth of it apart; the first ones build the grids.
+FRAMES = 4
+
+
+def render_costs() -> dict[str, float]:
+    """Render short descents at several altitudes over one ground, with the demo's body and camera.
+
+    Returns
+    -------
+    dict of str to float
+        `render_s`: mean seconds a frame with one sample a pixel, grids included, over all altitudes;
+        `render_2x2_s`: the same with four; `render_altitude_ratio`: the dearest altitude's frames over the
+        cheapest's, both with one sample; `render_peak_mb`: most memory that the process has held so far.
+    """
+    scenario = load_scenario("lunar_descent")
+    body, camera = scenario.body.body(), scenario.camera.camera()
+    trajectory = scenario.trajectory
+    enu = frames.east_north_up(
+        np.radians(trajectory.site_latitude_deg), np.radians(trajectory.site_longitude_deg)
+    )
+    sun = enu @ np.array([np.cos(0.5) * 0.8, np.cos(0.5) * 0.6, np.sin(0.5)])
+    # Looking down, the image's top to the north.
+    looking = np.stack([enu[:, 0], -enu[:, 1], -enu[:, 2]], axis=-1) @ camera.bTc[:3, :3].T
+    relief = Relief(body, enu[:, 2], ReliefOptions())
+    options = CraterFieldOptions(focal_px=camera.focal_px)
+    track = (body.radius_m + np.geomspace(ALTITUDES_M[0], ALTITUDES_M[-1], 60))[:, None] * enu[:, 2]
+    rng = np.random.default_rng(0)
+    catalog = random_craters(rng, body, track, options, relief)
+    clutter = random_clutter(rng, body, track, options, catalog)
+    seconds = {}
+    for samples in (1, 2):
+        ground = Terrain(catalog, relief, TerrainOptions(), clutter)
+        renderer = Renderer(camera, ground, replace(RenderOptions(), samples=samples))
+        # Compiles.
+        renderer.render(frames.pose(looking, track[0]), sun, rng)
+        seconds[samples] = [
+            _frame_s(renderer, looking, enu, altitude_m, sun, rng) for altitude_m in ALTITUDES_M
+        ]
+    return {
+        "render_s": float(np.mean(seconds[1])),
+        "render_2x2_s": float(np.mean(seconds[2])),
+        "render_altitude_ratio": max(seconds[1]) / min(seconds[1]),
+        "render_peak_mb": _peak_mb(),
+    }
+
+
+def _frame_s(
+    renderer: Renderer,
+    looking: FloatArray,
+    enu: FloatArray,
+    altitude_m: float,
+    sun: FloatArray,
+    rng: np.random.Generator,
+) -> float:
+    """Mean seconds a frame of a level flight."""
+    began = time.perf_counter()
+    for k in range(FRAMES):
+        offset = 0.1 * k * altitude_m * enu[:, 0]
+        position = (renderer.terrain.body.radius_m + altitude_m) * enu[:, 2] + offset
+        renderer.render(frames.pose(looking, position), sun, rng)
+    return (time.perf_counter() - began) / FRAMES
+
+
+def _peak_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Bytes on macOS, KiB elsewhere.
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1.024e-3
