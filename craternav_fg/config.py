@@ -258,6 +258,10 @@ class TerrainSection(Section):
     """RMS deviation of the rims from their ellipses, as a part of the radius."""
     degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Crests are worn round and floors filled by up to this much, at random; 1 leaves half of the depth."""
+    dem: Annotated[str, Field(min_length=1)] | None = None
+    """Elevation model, a GeoTIFF relative to the scenario file: heights above the reference sphere."""
+    dem_unit_m: Positive = 1.0
+    """Metres that a unit of its values means."""
     peaks_from_m: Positive | None = None
     """Craters of a larger diameter have a central peak."""
 
@@ -360,6 +364,10 @@ def load_scenario(name: str | Path) -> Scenario:
     if isinstance(scenario.craters, CraterFile):
         resolved = str((path.parent / scenario.craters.path).resolve())
         scenario = scenario.model_copy(update={"craters": CraterFile(source="file", path=resolved)})
+    if scenario.terrain is not None and scenario.terrain.dem is not None:
+        resolved = str((path.parent / scenario.terrain.dem).resolve())
+        terrain = scenario.terrain.model_copy(update={"dem": resolved})
+        scenario = scenario.model_copy(update={"terrain": terrain})
     return scenario
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
+from craternav_fg.simulation.dem import Dem
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -97,10 +98,15 @@ class Relief:
         Any point above the landing site, in g. The terrain is good to 45 deg from it.
     options : ReliefOptions
         Roughness.
+    dem : Dem, optional
+        Heights that the roughness is added to.
     """
 
-    def __init__(self, body: Body, site_g: FloatArray, options: ReliefOptions) -> None:
+    def __init__(
+        self, body: Body, site_g: FloatArray, options: ReliefOptions, dem: Dem | None = None
+    ) -> None:
         self.body = body
+        self.dem = dem
         self.options = options
         self.gRs = frames.east_north_up(*frames.latitude_longitude(np.asarray(site_g, dtype=np.float64)))
         self._coarsest = int(np.floor(np.log2(options.coarsest_m)))
@@ -144,7 +150,21 @@ class Relief:
             height[rows] += np.einsum("yxn,yn,xn->n", c, wy, wx)
             gradient[rows, 0] += np.einsum("yxn,yn,xn->n", c, wy, dx) / 2.0**octave
             gradient[rows, 1] += np.einsum("yxn,yn,xn->n", c, dy, wx) / 2.0**octave
+        if self.dem is not None:
+            height += self.base_m(xy)
+            half_m = np.maximum(0.5 * shortest_m, 0.1 * self.dem.step_rad * self.body.radius_m)
+            for axis in (0, 1):
+                step = np.zeros_like(xy)
+                step[:, axis] = half_m
+                gradient[:, axis] += (self.base_m(xy + step) - self.base_m(xy - step)) / (2.0 * half_m)
         return height, gradient
+
+    def base_m(self, xy: FloatArray) -> FloatArray:
+        """Heights (n,) of the elevation model at plane points (n, 2), m; 0 without one."""
+        if self.dem is None:
+            return np.zeros(len(xy))
+        s = np.concatenate([xy, np.full((len(xy), 1), self.body.radius_m)], axis=1)
+        return self.dem.heights_m(s @ self.gRs.T)
 
     def grid(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
         """Heights (cells, cells), m, rows along y, at the plane points 2**exponent * (first + index).
@@ -161,6 +181,14 @@ class Relief:
             The shortest octave fades out over this many cells from the border, so that a coarser
             grid continues this one without a seam.
         """
+        heights = self._roughness(exponent, first, cells, fade)
+        if self.dem is not None:
+            x, y = (2.0**exponent * (start + np.arange(cells)) for start in first)
+            for j in range(cells):
+                heights[j] += self.base_m(np.stack([x, np.full(cells, y[j])], axis=-1)).astype(np.float32)
+        return heights
+
+    def _roughness(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
         if self.options.slope == 0.0 or exponent >= self._coarsest:
             return np.zeros((cells, cells), np.float32)
         # First lattice point needed at each octave: two more on either side than its grid covers.

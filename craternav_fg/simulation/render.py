@@ -259,7 +259,9 @@ class Renderer:
         sphere = self.terrain.body.radius_m
         # At the level of the ground: a catalogue may set it far below or above the reference sphere.
         altitude = float(np.linalg.norm(P)) - sphere
-        radius = sphere + min(self.terrain.lift_m(sphere * P[:2] / P[2]), 0.9 * altitude)
+        below = sphere * P[:2] / P[2]
+        ground_m = self.terrain.lift_m(below) + float(self.terrain.relief.base_m(below[None])[0])
+        radius = sphere + min(ground_m, 0.9 * altitude)
         x = np.linspace(-0.5, camera.width_px - 0.5, 17)
         y = np.linspace(-0.5, camera.height_px - 0.5, 17)
         uv = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))

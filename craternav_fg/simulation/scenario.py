@@ -28,6 +28,7 @@ from craternav_fg.errors import CraternavError
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation import sensors
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.dem import read_dem
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
@@ -66,7 +67,7 @@ def simulate(
     Raises
     ------
     InputError
-        When the folder holds something else, or the scenario's crater file is wrong.
+        When the folder holds something else, or the scenario's crater file or elevation model is wrong.
     CraternavError
         When the trajectory leads into the ground.
     """
@@ -82,6 +83,11 @@ def simulate(
     motion = descent.evaluate(np.multiply(stamps, 1e-9))
     sun = sun_vectors(scenario, body, int(stamps[-1]))
     relief = _relief(scenario, body, crater_rng)
+    if relief is not None and relief.dem is not None:
+        clear_m = float(np.min(body.altitude_m(motion.gP) - relief.dem.heights_m(motion.gP)))
+        if clear_m <= 0.0:
+            problem = f"the descent leads {-clear_m:.0f} m below the elevation model"
+            raise CraternavError(f"scenario: [trajectory]: {problem}")
     catalog, clutter = _craters(scenario, body, motion.gP, relief, crater_rng)
 
     ideal = sensors.ideal_imu(descent, sensors.imu_stamps(scenario.imu, 0, int(stamps[-1])), 0)
@@ -172,7 +178,8 @@ def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief 
         coarsest_m=terrain.coarsest_m,
         seed=int(rng.integers(2**31)),
     )
-    return Relief(body, _site(scenario.trajectory)[:, 2], options)
+    dem = None if terrain.dem is None else read_dem(Path(terrain.dem), terrain.dem_unit_m)
+    return Relief(body, _site(scenario.trajectory)[:, 2], options, dem)
 
 
 def _craters(

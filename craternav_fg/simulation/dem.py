@@ -1,0 +1,148 @@
+"""Elevation models: a raster of heights, from a GeoTIFF, as a smooth function of position on the body."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy.ndimage import spline_filter1d
+
+from craternav_fg.errors import CraternavError, InputError
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+
+# More are no base for a landing site, and would fill the memory.
+MAX_POINTS = 100_000_000
+
+
+@dataclass(frozen=True)
+class Dem:
+    """Heights over the reference sphere on a raster of latitude and longitude, joined by a cubic spline.
+
+    Attributes
+    ----------
+    coefficients : ndarray of float32, shape (rows, columns)
+        Of the B-splines, m.
+    frame : ndarray, shape (5,)
+        Longitude and latitude of the first point, steps along columns and rows, rad; 1 when the columns go
+        round the body, else 0.
+    """
+
+    coefficients: Float32Array
+    frame: FloatArray
+
+    @property
+    def step_rad(self) -> float:
+        """Distance of neighbouring rows."""
+        return abs(float(self.frame[3]))
+
+    def heights_m(self, directions: FloatArray) -> FloatArray:
+        """Heights (n,) in directions (n, 3) in g; beyond the raster those of its border, mirrored."""
+        out = np.empty(len(directions))
+        _sample(np.ascontiguousarray(directions), self.coefficients, self.frame, out)
+        return out
+
+
+def read_dem(path: Path, unit_m: float = 1.0) -> Dem:
+    """Read an elevation model.
+
+    Parameters
+    ----------
+    path : Path
+        GeoTIFF with one band, in geographic coordinates: longitude and latitude in degrees.
+    unit_m : float
+        Metres that a unit of its values means.
+
+    Raises
+    ------
+    CraternavError
+        When rasterio is not installed.
+    InputError
+        When the file is missing, no such raster, too large, or without heights somewhere.
+    """
+    try:
+        import rasterio
+    except ImportError:
+        raise CraternavError("elevation models need rasterio: pip install 'craternav_fg[geo]'") from None
+    if not path.is_file():
+        raise InputError(path, "file is missing")
+    try:
+        with rasterio.open(path) as raster:
+            _check(path, raster)
+            transform = raster.transform
+            values = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
+            heights = values * raster.scales[0] + raster.offsets[0]
+    except rasterio.errors.RasterioError as error:
+        raise InputError(path, f"expected a GeoTIFF: {' '.join(str(error).split())}") from None
+    holes = int(np.count_nonzero(~np.isfinite(heights)))
+    if holes:
+        raise InputError(path, f"expected heights everywhere, {holes} points have none")
+    # Of the first point's centre.
+    longitude, latitude = transform.c + 0.5 * transform.a, transform.f + 0.5 * transform.e
+    frame = np.radians([longitude, latitude, transform.a, transform.e])
+    around = abs(abs(transform.a) * heights.shape[1] - 360.0) < 0.5 * abs(transform.a)
+    rows = spline_filter1d(unit_m * heights, 3, axis=0, mode="mirror")
+    coefficients = spline_filter1d(rows, 3, axis=1, mode="grid-wrap" if around else "mirror")
+    return Dem(np.ascontiguousarray(coefficients, dtype=np.float32), np.append(frame, float(around)))
+
+
+def _check(path: Path, raster: object) -> None:
+    count, crs, transform, shape = (getattr(raster, name) for name in ("count", "crs", "transform", "shape"))
+    if count != 1:
+        raise InputError(path, f"expected one band, found {count}")
+    if crs is None or not crs.is_geographic:
+        found = "none" if crs is None else "projected ones"
+        raise InputError(path, f"expected geographic coordinates (longitude and latitude), found {found}")
+    if transform.b != 0.0 or transform.d != 0.0:
+        raise InputError(path, "expected rows along parallels, found a turned raster")
+    if min(shape) < 4 or shape[0] * shape[1] > MAX_POINTS:
+        problem = f"expected 4 x 4 to {MAX_POINTS} points, found {shape[0]} x {shape[1]}: crop it to the site"
+        raise InputError(path, problem)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _within(i: int, n: int, around: bool) -> int:
+    """Index of a point beyond the raster: of the other end, or mirrored."""
+    if around:
+        return i % n
+    i = abs(i)
+    return i if i < n else max(2 * n - 2 - i, 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample(directions: FloatArray, coefficients: Float32Array, frame: FloatArray, out: FloatArray) -> None:
+    rows, columns = coefficients.shape
+    around = frame[4] > 0.0
+    w = np.empty(4)
+    for k in range(directions.shape[0]):
+        x, y, z = directions[k]
+        v = (np.arctan2(z, np.sqrt(x * x + y * y)) - frame[1]) / frame[3]
+        # Within half a turn of the raster's middle, on whichever side its longitudes count from.
+        middle = frame[0] + 0.5 * (columns - 1) * frame[2]
+        off = np.arctan2(y, x) - middle
+        off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
+        u = (middle + off - frame[0]) / frame[2]
+        u = min(max(u, -1.0), float(columns)) if not around else u
+        v = min(max(v, -1.0), float(rows))
+        i, j = int(np.floor(u)), int(np.floor(v))
+        f, g = u - i, v - j
+        w[0] = (1.0 - f) ** 3 / 6.0
+        w[1] = (3.0 * f**3 - 6.0 * f * f + 4.0) / 6.0
+        w[3] = f**3 / 6.0
+        w[2] = 1.0 - w[0] - w[1] - w[3]
+        total = 0.0
+        for b in range(4):
+            if b == 0:
+                weight = (1.0 - g) ** 3 / 6.0
+            elif b == 1:
+                weight = (3.0 * g**3 - 6.0 * g * g + 4.0) / 6.0
+            elif b == 2:
+                weight = (3.0 * (1.0 - g) ** 3 - 6.0 * (1.0 - g) ** 2 + 4.0) / 6.0
+            else:
+                weight = g**3 / 6.0
+            row = _within(j - 1 + b, rows, False)
+            for a in range(4):
+                total += weight * w[a] * coefficients[row, _within(i - 1 + a, columns, around)]
+        out[k] = total
