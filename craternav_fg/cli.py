@@ -1,10 +1,12 @@
 """The command line `craternav`."""
 
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,9 +22,11 @@ from craternav_fg.bench import report as bench_report
 from craternav_fg.body import Body
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.evaluation.detections import rims_json, write_overlay, write_rims_csv
 from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, Run, read_run
 from craternav_fg.evaluation.runs import write_reconstruction
 from craternav_fg.files import replacing_folder
@@ -35,6 +39,8 @@ from craternav_fg.static.efficient import solve
 from craternav_fg.static.files import as_plain_data, read_rims, static_problem
 from craternav_fg.static.problem import Status
 from craternav_fg.static.robust import solve_robustly
+from craternav_fg.vision.canny import find_rims_canny
+from craternav_fg.vision.detect import BlindOptions, find_rims
 
 app = typer.Typer(
     help="Reconstruct a planetary landing from crater rims and an IMU.",
@@ -47,6 +53,16 @@ out = Console()
 
 PICTURES = (".png", ".pdf", ".svg")
 DEMO_DATASET = "dataset"
+
+
+class Method(StrEnum):
+    """Blind detectors."""
+
+    TEMPLATE = "template"
+    CANNY = "canny"
+
+
+METHODS = {Method.TEMPLATE: find_rims, Method.CANNY: find_rims_canny}
 LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, nothing else.")]
@@ -324,6 +340,51 @@ def reproduce(
             out.print(table)
         out.print(f"{result.note}\n", highlight=False, markup=False)
     _say(f"all numbers: {output / reproduction.MARKER}, drawings and tables: {output / 'reproduction.md'}")
+
+
+@app.command()
+def detect(
+    image: Annotated[Path, typer.Argument(help="Image file of any origin: PNG, TIFF, JPEG.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Table of rims; the overlay is written beside it.")
+    ] = Path("runs/rims.csv"),
+    sun_deg: Annotated[
+        float | None,
+        typer.Option(
+            "--sun",
+            help="Where in the image the light comes from: 0 right, 90 below, 180 left.  [default: seen]",
+        ),
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="Matching with a rendered crater, or grouped arcs of Canny edges.")
+    ] = Method.TEMPLATE,
+    min_radius_px: Annotated[
+        float, typer.Option("--min-radius", min=4.0, help="Smallest radius searched, px.")
+    ] = BlindOptions.min_radius_px,
+    as_json: JsonOption = False,
+) -> None:
+    """Find crater rims in an image without any prior."""
+    overlay = output.with_name(f"{output.stem}_overlay.png")
+    if image.resolve() in (output.resolve(), overlay.resolve()):
+        raise InputError(image, "would be overwritten by the result: choose another --output")
+    if sun_deg is not None and not math.isfinite(sun_deg):
+        raise InputError("--sun", f"expected an angle in degrees, found {sun_deg}")
+    pixels = read_foreign_image(image)
+    light_rad = None if sun_deg is None else math.radians(sun_deg)
+    began_s = time.perf_counter()
+    try:
+        rims = METHODS[method](pixels, light_rad, BlindOptions(min_radius_px=min_radius_px))
+    except EstimationError as error:
+        raise InputError(image, f"{error}; leave out --sun to go by the image") from error
+    detect_ms = 1e3 * (time.perf_counter() - began_s)
+    write_rims_csv(output, rims, image.name)
+    write_overlay(overlay, pixels, rims)
+    if as_json:
+        result = {"image": str(image), "method": method.value, "detect_ms": detect_ms, **rims_json(rims)}
+        out.print_json(json.dumps({**result, "csv": str(output), "overlay": str(overlay)}))
+        return
+    light = "" if math.isnan(rims.light_rad) else f", lit from {math.degrees(rims.light_rad) % 360.0:.0f} deg"
+    _say(f"{len(rims) or 'no'} rims{light}\n{output}\n{overlay}")
 
 
 def _from_smoother(run: Run, name: str) -> float | None:

@@ -1,0 +1,175 @@
+"""Crater rims from Canny edges: bright and dark arcs paired by the direction of the light.
+
+For comparison with `detect`; the way of Tian et al. (2019, section 4.1) and of most crater detectors
+before it. Along a rim the brightness rises towards the light on both walls: from the shadowed wall to the
+ground outside, and from the ground outside to the lit wall. Edges that fall towards the light are none of
+a rim's. What is left falls into arcs; two that face each other along the light and bend around one centre
+are taken for one crater's, and an ellipse is fitted to their points.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.camera import Camera
+from craternav_fg.vision.brightness import brightness, filled
+from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_light, ellipse_parameters, gather
+from craternav_fg.vision.ellipse_fit import FitFailure, RimFit, fit_rim
+from craternav_fg.vision.places import distinct, find_places
+
+FloatArray = npt.NDArray[np.float64]
+ImageArray = npt.NDArray[np.float32]
+
+# Gaussian blur before gradients are taken.
+_BLUR_PX = 1.2
+# Canny's thresholds, as shares of the gradient's 98 % quantile, and the least of the upper one, of 255.
+_LOW, _HIGH, _QUANTILE, _LEAST_STEP = 0.25, 0.6, 98.0, 4.0
+# Least cosine between an edge's gradient and the light.
+_MIN_COSINE = 0.2
+_MIN_ARC_POINTS = 8
+# Two arcs of a crater: ratio of their radii; distance of their centres, and how far the line between their
+# middles is off the light, in radii.
+_MAX_RATIO, _MAX_CENTRES, _MAX_ASIDE = 2.0, 0.8, 0.7
+# Largest scatter of the points about the ellipse: pixels, share of the semi-minor axis.
+_MAX_SCATTER = (0.5, 0.05)
+_MIN_COVERED, _MAX_AXIS_RATIO = 0.45, 2.2
+
+
+@dataclass(frozen=True)
+class _Arc:
+    """Edge points (n, 2), the circle through them, and whether the gradient points away from its centre."""
+
+    points: FloatArray
+    centre: FloatArray
+    radius: float
+    outward: bool
+
+
+def find_rims_canny(
+    image: npt.NDArray[np.generic], light_rad: float | None = None, options: BlindOptions | None = None
+) -> FoundRims:
+    """Find crater rims as `detect.find_rims` does, from Canny edges.
+
+    Parameters
+    ----------
+    image, light_rad, options
+        See `detect.find_rims`; of the options only the sizes and the fit count, and what finds the light.
+
+    Returns
+    -------
+    FoundRims
+        Their quality is the share of the rim that edges cover.
+
+    Raises
+    ------
+    ValueError, EstimationError
+        As `detect.find_rims`.
+    """
+    options = options or BlindOptions()
+    everywhere, pixels = filled(brightness(image))
+    largest = options.max_radius_share * min(pixels.shape)
+    places = find_places(everywhere, options.min_radius_px, largest, options.min_correlation)
+    places = distinct(places, options.max_places)
+    nothing = float("nan") if light_rad is None else float(light_rad)
+    if len(places) == 0:
+        return gather([], [], nothing)
+    light, certain = agreed_light(places, light_rad)
+    if not certain:
+        return gather([], [], light)
+    arcs = _arcs(everywhere, np.isnan(pixels), light, options.min_radius_px, largest)
+    camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
+    fits: list[RimFit] = []
+    covered: list[float] = []
+    for one, other in _pairs(arcs, light):
+        fit = fit_rim(np.concatenate([one.points, other.points]), camera, options.fit)
+        if isinstance(fit, FitFailure) or not _plausible(fit, options, largest):
+            continue
+        fits.append(fit)
+        covered.append(fit.arc_share)
+    return gather(fits, covered, light)
+
+
+def _arcs(
+    image: ImageArray,
+    holes: npt.NDArray[np.bool_],
+    light_rad: float,
+    min_radius_px: float,
+    max_radius_px: float,
+) -> list[_Arc]:
+    """Chains of edge pixels whose brightness rises towards the light."""
+    smooth = cv2.GaussianBlur(image, (0, 0), _BLUR_PX)
+    gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125)
+    gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
+    strength = cv2.magnitude(gx, gy)
+    # Canny takes gradients as 16-bit integers: quarters of the Sobel sum are enough.
+    high = max(_HIGH * float(np.percentile(strength, _QUANTILE)), _LEAST_STEP / 8.0)
+    whole = [np.rint(32.0 * g).clip(-32000, 32000).astype(np.int16) for g in (gx, gy)]
+    edge = cv2.Canny(whole[0], whole[1], 32.0 * _LOW / _HIGH * high, 32.0 * high, L2gradient=True) > 0
+    towards = np.cos(light_rad) * gx + np.sin(light_rad) * gy
+    edge &= (towards > _MIN_COSINE * strength) & ~holes
+    count, label = cv2.connectedComponents(edge.astype(np.uint8), connectivity=8)
+    y, x = np.nonzero(label)
+    order = np.argsort(label[y, x], kind="stable")
+    y, x = y[order], x[order]
+    bounds = np.searchsorted(label[y, x], np.arange(1, count + 1))
+    out = []
+    for first, last in pairwise(bounds):
+        if last - first < _MIN_ARC_POINTS:
+            continue
+        rows, columns = y[first:last], x[first:last]
+        points = np.column_stack([columns, rows]).astype(np.float64)
+        centre, radius = _circle(points)
+        if not 0.5 * min_radius_px < radius < 2.0 * max_radius_px:
+            continue
+        out_of = (points - centre) * np.column_stack([gx[rows, columns], gy[rows, columns]])
+        out.append(_Arc(points, centre, radius, bool(out_of.sum() > 0.0)))
+    return out
+
+
+def _circle(points: FloatArray) -> tuple[FloatArray, float]:
+    """Centre and radius of the circle through points, algebraic least squares; radius inf for a line."""
+    middle = points.mean(axis=0)
+    p = points - middle
+    square = np.sum(p**2, axis=1)
+    M = np.column_stack([2.0 * p, np.ones(len(p))])
+    solution, _, rank, _ = np.linalg.lstsq(M, square, rcond=1e-9)
+    if rank < 3:
+        return middle, float("inf")
+    return middle + solution[:2], float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0)))
+
+
+def _pairs(arcs: list[_Arc], light_rad: float) -> list[tuple[_Arc, _Arc]]:
+    """Shadowed and lit walls that may belong together."""
+    dark, lit = [a for a in arcs if a.outward], [a for a in arcs if not a.outward]
+    if not dark or not lit:
+        return []
+    s = np.array([np.cos(light_rad), np.sin(light_rad)])
+    radius = [np.array([a.radius for a in side]) for side in (dark, lit)]
+    centre = [np.array([a.centre for a in side]) for side in (dark, lit)]
+    middle = [np.array([a.points.mean(axis=0) for a in side]) for side in (dark, lit)]
+    size = np.sqrt(radius[0][:, None] * radius[1])
+    ratio = np.abs(np.log(radius[0][:, None] / radius[1]))
+    apart = np.linalg.norm(centre[0][:, None] - centre[1], axis=-1)
+    step = middle[0][:, None] - middle[1]
+    along, aside = step @ s, np.abs(step @ np.array([-s[1], s[0]]))
+    good = (
+        (ratio < np.log(_MAX_RATIO))
+        & (apart < _MAX_CENTRES * size)
+        & (along > 0.8 * size)
+        & (along < 2.4 * size)
+        & (aside < _MAX_ASIDE * size)
+    )
+    return [(dark[i], lit[j]) for i, j in zip(*np.nonzero(good), strict=True)]
+
+
+def _plausible(fit: RimFit, options: BlindOptions, largest: float) -> bool:
+    _, _, major, minor, _ = ellipse_parameters(fit.chart_px[None])[0]
+    return bool(
+        fit.arc_share >= _MIN_COVERED
+        and fit.rms_px < _MAX_SCATTER[0] + _MAX_SCATTER[1] * minor
+        and 0.5 * options.min_radius_px < minor
+        and major < min(largest, _MAX_AXIS_RATIO * minor)
+    )

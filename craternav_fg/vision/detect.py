@@ -1,0 +1,305 @@
+"""Crater rims in an image of which nothing is known: no pose, no catalogue, no camera.
+
+Places that look like a lit bowl (see `places`) agree on where the light comes from, which tells a
+cratered image from noise. Those that agree are traced and fitted as if they had been predicted (see
+`edges` and `ellipse_fit`), from circles, and judged by what the fit says of them.
+"""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.camera import Camera
+from craternav_fg.errors import EstimationError
+from craternav_fg.vision import crest, edges
+from craternav_fg.vision.brightness import brightness, filled
+from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, refine_rim
+from craternav_fg.vision.places import Places, common_light, distinct, find_places, lit_from, local_light
+
+FloatArray = npt.NDArray[np.float64]
+ImageArray = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class BlindOptions:
+    """What is taken for a crater.
+
+    Attributes
+    ----------
+    min_radius_px : float
+        Radius of the smallest craters searched, at least 4; below 10 rims are found less surely.
+    max_radius_share : float
+        Radius of the largest, as a share of the image's shorter side.
+    min_correlation : float
+        Least correlation with the canonical crater.
+    max_places : int
+        Of more places that look like craters the best are looked at.
+    max_light_deviation_rad : float
+        A place lit from further away than this from the common direction is none.
+    psf_px : float
+        Standard deviation of the point-spread function: its effect on the edge is removed.
+    min_quality : float
+        Least quality of a rim when enough places agree on the light.
+    lone_quality : float
+        The same when there are too few places to agree on anything.
+    fit : FitOptions
+        Of the ellipse fit, with the systematic floor.
+    """
+
+    min_radius_px: float = 8.0
+    max_radius_share: float = 0.45
+    min_correlation: float = 0.6
+    max_places: int = 1000
+    max_light_deviation_rad: float = float(np.deg2rad(40.0))
+    psf_px: float = 0.7
+    min_quality: float = 0.1
+    lone_quality: float = 0.8
+    fit: FitOptions = field(default_factory=lambda: FitOptions(floor_px=0.14))
+
+    def __post_init__(self) -> None:
+        if not self.min_radius_px >= 4.0:
+            raise ValueError(f"expected min_radius_px of at least 4, found {self.min_radius_px}")
+
+
+@dataclass(frozen=True)
+class FoundRims:
+    """Rims found in an image, best first.
+
+    Attributes
+    ----------
+    ellipses_px : ndarray, shape (n, 5)
+        Centre x, y, semi-major and semi-minor axis, px, rotation of the major axis from x to y, rad, in
+        (-pi/2, pi/2]. The middle of the first pixel is (0, 0).
+    charts_px : ndarray, shape (n, 5)
+        The same as ellipse charts in pixels.
+    covariance_px : ndarray, shape (n, 5, 5)
+        Of the charts.
+    quality : ndarray, shape (n,)
+        0 to 1: how surely each is a crater's rim, about its probability on rendered ground.
+    light_rad : float
+        Direction in the image, from x towards y, from which the light comes; NaN when the image leaves
+        that open.
+    """
+
+    ellipses_px: FloatArray
+    charts_px: FloatArray
+    covariance_px: FloatArray
+    quality: FloatArray
+    light_rad: float
+
+    def __len__(self) -> int:
+        return len(self.ellipses_px)
+
+
+# Fewer places cannot tell a common light from chance.
+_MIN_VOTES = 12
+# Share of the votes for the common light: a fifth to a quarter by chance, over a half on cratered ground.
+_CHANCE_SHARE, _CLEAR_SHARE = 0.32, 0.4
+# The light is taken to be the same over this share of the image.
+_LIGHT_REACH = 0.25
+# The rendered craters' gain is this much above that of the canonical crater that looks like them.
+_GAIN_FACTOR = 1.3
+# The best places tell the gain.
+_GAIN_PLACES = 20
+# Darker level ground, of 255, has no contrast to offer.
+_DARK = 6.0
+# Level ground around a crater: rings of these radii.
+_RINGS = np.array([1.5, 1.75, 2.0])[:, None]
+_TURN = 2.0 * np.pi * np.arange(32) / 32.0
+# Half length of the normals along which a rim is traced, one after the other: pixels, share of the radius.
+_REACHES = ((2.0, 0.35), (1.5, 0.14))
+# Smoothing along the normals: share of the radius, pixels.
+_SMOOTH = (0.02, 0.4)
+# Least gain of a searched normal; least step of an edge for a gain of 1, and in standard deviations of noise.
+_MIN_GAIN, _MIN_STEP, _STEP_SIGMAS = 0.12, 0.02, 3.0
+# Relative standard deviation of the level ground's brightness.
+_LEVEL_SIGMA = 0.05
+# Least share of the normals inside the image and with gain, and of those with an edge.
+_MIN_TRIED, _MIN_FOUND = 0.3, 0.35
+# Rim further from its place than this share of the radius is another's.
+_MAX_MOVE = 0.6
+# Logistic regression of right and wrong fits on rendered ground (smooth and 3 % irregular rims) and on noise:
+# weights of correlation, share of the normals that agree, scatter in radii, share of the rim covered.
+_WEIGHTS, _OFFSET = np.array([24.0, 3.5, -80.0, 5.7]), -21.6
+# Smoother rims are no better: real ones are rough.
+_LEAST_SCATTER = 0.02
+
+
+def find_rims(
+    image: npt.NDArray[np.generic], light_rad: float | None = None, options: BlindOptions | None = None
+) -> FoundRims:
+    """Find crater rims.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W) or (H, W, channels)
+        See `brightness`.
+    light_rad : float, optional
+        Direction in the image, from x towards y, from which the light comes; found in the image if not
+        given.
+    options : BlindOptions, optional
+
+    Returns
+    -------
+    FoundRims
+        Possibly none.
+
+    Raises
+    ------
+    ValueError
+        When the array is no image.
+    EstimationError
+        When the image's craters are clearly lit from elsewhere than `light_rad`.
+    """
+    options = options or BlindOptions()
+    everywhere, pixels = filled(brightness(image))
+    largest = options.max_radius_share * min(pixels.shape)
+    places = find_places(everywhere, options.min_radius_px, largest, options.min_correlation)
+    places = distinct(places, options.max_places)
+    least = options.min_quality
+    light = float("nan") if light_rad is None else float(light_rad)
+    if len(places) > 0:
+        light, certain = agreed_light(places, light_rad)
+        if not certain and len(places) >= _MIN_VOTES:
+            places = places.take(np.zeros(0, dtype=np.int64))
+        least = options.min_quality if certain else options.lone_quality
+        places = places.take(lit_from(places, light, options.max_light_deviation_rad))
+    if len(places) == 0:
+        return gather([], [], light_rad if light_rad is not None else float("nan"))
+    lights = local_light(places, _LIGHT_REACH * max(pixels.shape))
+    gain = _GAIN_FACTOR * float(np.median(places.gain[:_GAIN_PLACES]))
+    noise = edges.noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
+    camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
+    fits: list[RimFit] = []
+    quality: list[float] = []
+    for k in range(len(places)):
+        fit = _trace(pixels, places, k, float(lights[k]), gain, noise, camera, options)
+        if fit is not None and fit[1] >= least:
+            fits.append(fit[0])
+            quality.append(fit[1])
+    return gather(fits, quality, light)
+
+
+def agreed_light(places: Places, light_rad: float | None) -> tuple[float, bool]:
+    """Direction of the light, rad, and whether the places show one.
+
+    Parameters
+    ----------
+    places : Places
+        At least one.
+    light_rad : float, optional
+        What is known of it.
+
+    Raises
+    ------
+    EstimationError
+        When many places agree on another direction than `light_rad`.
+    """
+    common, share = common_light(places)
+    enough = len(places) >= _MIN_VOTES
+    if light_rad is None:
+        return common, enough and share > _CHANCE_SHARE
+    off = abs(float(np.angle(np.exp(1j * (common - light_rad)))))
+    if off < np.deg2rad(45.0):
+        return float(light_rad), enough and share > _CHANCE_SHARE
+    if enough and share > _CLEAR_SHARE:
+        seen, given = (float(np.rad2deg(a)) % 360.0 for a in (common, light_rad))
+        raise EstimationError(
+            f"the light is said to come from {given:.0f} deg, the craters are lit from {seen:.0f} deg"
+        )
+    return float(light_rad), False
+
+
+def gather(fits: list[RimFit], quality: list[float], light_rad: float) -> FoundRims:
+    """Put rims together, best first, those left out that are a better one's again."""
+    order = np.argsort(-np.array(quality), kind="stable")
+    charts = np.array([fits[i].chart_px for i in order]).reshape(-1, 5)
+    ellipses = ellipse_parameters(charts)
+    size = np.sqrt(ellipses[:, 2] * ellipses[:, 3])
+    kept: list[int] = []
+    for i in range(len(charts)):
+        apart = np.hypot(*(ellipses[kept, :2] - ellipses[i, :2]).T) > 0.5 * np.minimum(size[kept], size[i])
+        unlike = np.abs(np.log(size[kept] / size[i])) > 0.4
+        if np.all(apart | unlike):
+            kept.append(i)
+    rows = [int(order[i]) for i in kept]
+    covariance = np.array([fits[i].covariance for i in rows]).reshape(-1, 5, 5)
+    return FoundRims(
+        ellipses[kept], charts[kept], covariance, np.array([quality[i] for i in rows]), light_rad
+    )  # fmt: skip
+
+
+def ellipse_parameters(charts_px: FloatArray) -> FloatArray:
+    """Centre, semi-axes and rotation (n, 5), as in `FoundRims`, of ellipse charts (n, 5)."""
+    sxx = np.exp(2.0 * charts_px[:, 2])
+    sxy = charts_px[:, 3] * sxx
+    syy = np.exp(2.0 * charts_px[:, 4]) + charts_px[:, 3] * sxy
+    mean, half = 0.5 * (sxx + syy), 0.5 * (sxx - syy)
+    root = np.hypot(half, sxy)
+    angle = 0.5 * np.arctan2(sxy, half)
+    major, minor = np.sqrt(mean + root), np.sqrt(np.maximum(mean - root, 0.0))
+    return np.column_stack([charts_px[:, :2], major, minor, angle])
+
+
+@lru_cache(maxsize=1)
+def _crossings() -> FloatArray:
+    return crest.crossing_table()
+
+
+def _trace(
+    image: ImageArray,
+    places: Places,
+    k: int,
+    light_rad: float,
+    gain: float,
+    noise: float,
+    camera: Camera,
+    options: BlindOptions,
+) -> tuple[RimFit, float] | None:
+    """Fit the rim at a place, from a circle, and its quality; None when there is none."""
+    radius = float(places.radius_px[k])
+    chart = np.array([*places.xy_px[k], np.log(radius), 0.0, np.log(radius)])
+    direction = np.array([np.cos(light_rad), np.sin(light_rad)])
+    fit: RimFit | FitFailure = FitFailure.NO_ELLIPSE
+    tried = 0
+    for reach_px, reach_share in _REACHES:
+        size = float(np.exp(0.5 * (chart[2] + chart[4])))
+        level = ring_level(image, chart)
+        if not level > _DARK:
+            return None
+        # The crater's radius towards the light, in the image.
+        u = direction[0] / np.exp(chart[2])
+        v = (direction[1] - chart[3] * direction[0]) / np.exp(chart[4])
+        count = int(np.clip(2.0 * size, 56, 160))
+        points, ratio, lever, tried, _ = edges.trace_rim(
+            image, chart, gain * direction / np.hypot(u, v), level, reach_px + reach_share * size, *_SMOOTH,
+            options.psf_px, _MIN_GAIN, _MIN_STEP, _STEP_SIGMAS * np.sqrt(2.0) * noise / level, count,
+            _crossings(), crest.BLUR, crest.GAIN,
+        )  # fmt: skip
+        if tried < _MIN_TRIED * count or len(points) < _MIN_FOUND * tried:
+            return None
+        fit = refine_rim(points, chart, camera, options.fit, ratio, lever, _LEVEL_SIGMA)
+        if isinstance(fit, FitFailure):
+            return None
+        chart = fit.chart_px
+    assert isinstance(fit, RimFit)
+    minor = float(ellipse_parameters(chart[None])[0, 3])
+    moved = float(np.hypot(*(chart[:2] - places.xy_px[k])))
+    if minor < 0.5 * radius or moved > _MAX_MOVE * radius:
+        return None
+    scatter = max(fit.rms_px / minor, _LEAST_SCATTER)
+    evidence = np.array([places.correlation[k], fit.point_count / tried, scatter, fit.arc_share])
+    return fit, float(1.0 / (1.0 + np.exp(-(_WEIGHTS @ evidence + _OFFSET))))
+
+
+def ring_level(image: ImageArray, chart_px: FloatArray) -> float:
+    """Brightness of the ground around a rim: the median of rings; 0 where the image has none of them."""
+    c, s = np.exp(chart_px[2]) * np.cos(_TURN), np.exp(chart_px[4]) * np.sin(_TURN)
+    columns = np.rint(chart_px[0] + _RINGS * c).astype(np.int64).ravel()
+    rows = np.rint(chart_px[1] + _RINGS * (chart_px[3] * c + s)).astype(np.int64).ravel()
+    inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
+    values = image[rows[inside], columns[inside]]
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if len(values) > 0 else 0.0
