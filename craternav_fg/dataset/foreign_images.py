@@ -9,8 +9,8 @@ from PIL import Image
 
 from craternav_fg.errors import InputError
 
-# Larger ones need gigabytes.
-MAX_PIXELS = 64_000_000
+# Larger ones need more than two gigabytes.
+MAX_PIXELS = 25_000_000
 # Other modes, such as a palette or CMYK, are made colour first.
 _PLAIN = ("1", "L", "LA", "I", "I;16", "I;16B", "I;16L", "F", "RGB", "RGBA")
 

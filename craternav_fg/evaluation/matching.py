@@ -1,9 +1,10 @@
 """Detected rims against true ones: who is who, and by how many pixels they differ.
 
-Two ellipses are as far apart as the angle between the square roots of their Gaussian densities
-(Christian, Derksen and Watkins 2021, J. Astronaut. Sci. 68, 1056). In units of sigma = 0.85 / sqrt(ab),
-the angle that an error of 0.85 px makes about, its square is chi-square with four degrees of freedom; a
-detection is a rim's when it is below the 99 % quantile, as in NASA's crater detection challenge.
+Of two ellipses, each taken as a Gaussian density with its matrix for the covariance, the overlap is the
+integral of the square root of their product; the distance is the angle whose cosine is its square
+(Christian, Derksen and Watkins 2021, J. Astronaut. Sci. 68, 1056). In units of sigma = 0.85 / sqrt(ab) a
+detection is a true rim's when the squared distance is below 13.277, the 99 % quantile of chi-square with
+four degrees of freedom, as in NASA's crater detection challenge.
 """
 
 from dataclasses import dataclass

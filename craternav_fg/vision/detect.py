@@ -54,7 +54,7 @@ class BlindOptions:
     max_places: int = 1000
     max_light_deviation_rad: float = float(np.deg2rad(40.0))
     psf_px: float = 0.7
-    min_quality: float = 0.1
+    min_quality: float = 0.2
     lone_quality: float = 0.8
     fit: FitOptions = field(default_factory=lambda: FitOptions(floor_px=0.14))
 
@@ -301,5 +301,5 @@ def ring_level(image: ImageArray, chart_px: FloatArray) -> float:
     rows = np.rint(chart_px[1] + _RINGS * (chart_px[3] * c + s)).astype(np.int64).ravel()
     inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
     values = image[rows[inside], columns[inside]]
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) if len(values) > 0 else 0.0
+    values = np.sort(values[np.isfinite(values)])
+    return float(values[len(values) // 2]) if len(values) > 0 else 0.0

@@ -89,10 +89,11 @@ def find_places(
     """
     found: list[FloatArray] = [np.empty((0, 6))]
     factor = min_radius_px / float(TEMPLATE_RADII_PX[0])
+    small = image
     while factor * TEMPLATE_RADII_PX[0] < max_radius_px and min(image.shape) >= 2.0 * factor:
         size = (round(image.shape[1] / factor), round(image.shape[0] / factor))
         method = cv2.INTER_AREA if factor > 1.0 else cv2.INTER_CUBIC
-        small = np.asarray(cv2.resize(image, size, interpolation=method), dtype=np.float32)
+        small = np.asarray(cv2.resize(small, size, interpolation=method), dtype=np.float32)
         scale = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
         for radius, row in _octave(small, min_correlation):
             row[:, :2] = (row[:, :2] + 0.5) * scale - 0.5
@@ -134,7 +135,8 @@ def local_light(places: Places, reach_px: float) -> FloatArray:
     """Direction of the light at each place from its own dipole and its neighbours'."""
     step = places.xy_px[:, None] - places.xy_px[None]
     weight = np.exp(-0.5 * np.sum(step**2, axis=-1) / reach_px**2) * places.correlation**4
-    return np.asarray(np.angle(weight @ np.exp(1j * places.light_rad)))
+    x, y = weight @ np.cos(places.light_rad), weight @ np.sin(places.light_rad)
+    return np.asarray(np.arctan2(y, x))
 
 
 def _turn(angle: FloatArray) -> FloatArray:

@@ -1,0 +1,254 @@
+"""Rims in images without any prior: rendered ground, noise, damaged and unusual images."""
+
+import cv2
+import numpy as np
+import pytest
+
+from craternav_fg.bench.detect import HARD, accuracy, scene
+from craternav_fg.errors import EstimationError
+from craternav_fg.evaluation.matching import match
+from craternav_fg.vision.brightness import brightness
+from craternav_fg.vision.canny import find_rims_canny
+from craternav_fg.vision.detect import BlindOptions, find_rims
+
+DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny])
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return [scene(seed) for seed in range(4)]
+
+
+@pytest.fixture(scope="module")
+def one(scenes):
+    return scenes[1]
+
+
+def found_again(rims, reference, limit_px=0.3):
+    """Share of the reference's good rims that are found within some pixels."""
+    good = reference.ellipses_px[(reference.quality > 0.9) & (reference.ellipses_px[:, 3] > 12.0)]
+    off = np.abs(good[:, None, :4] - rims.ellipses_px[None, :, :4]).max(axis=-1)
+    return float(np.mean(off.min(axis=1, initial=np.inf) < limit_px))
+
+
+def test_plain_ground(scenes):
+    figures = accuracy(scenes, find_rims)
+    assert figures["rims"] > 80
+    assert figures["recall"] >= 0.97
+    assert figures["precision"] >= 0.97
+    assert figures["centre_px"] <= 0.15
+    assert figures["semi_major_px"] <= 0.12
+    assert figures["semi_minor_px"] <= 0.12
+
+
+def test_canny_finds_most_but_inside_the_crest(scenes):
+    figures = accuracy(scenes, find_rims_canny)
+    assert figures["recall"] >= 0.8
+    assert figures["precision"] >= 0.95
+    template = accuracy(scenes, find_rims)
+    assert figures["semi_minor_px"] > 3.0 * template["semi_minor_px"]
+
+
+def test_light_covariance_and_quality(scenes):
+    chi2 = []
+    for one in scenes:
+        rims = find_rims(one.image)
+        off = np.angle(np.exp(1j * (rims.light_rad - one.light_rad)))
+        assert abs(off) < np.deg2rad(12.0)
+        assert np.all(np.diff(rims.quality) <= 0.0)
+        assert np.all((rims.quality >= BlindOptions().min_quality) & (rims.quality <= 1.0))
+        assert np.all(rims.ellipses_px[:, 2] >= rims.ellipses_px[:, 3])
+        result = match(rims.ellipses_px, one.ellipses_px, one.wanted)
+        assert np.mean(rims.quality[result.detected] > 0.5) > 0.9
+        sigma = np.sqrt(0.5 * np.trace(rims.covariance_px[:, :2, :2], axis1=1, axis2=2))
+        hits = result.detected[one.wanted[result.true]]
+        chi2 += (0.5 * (result.centre_px / sigma[hits]) ** 2).tolist()
+    # The floor is that of irregular craters; the rendered ones are smooth.
+    assert 0.03 < np.mean(chi2) < 1.5
+
+
+@pytest.mark.slow
+def test_hard_ground():
+    """Craters that cut one another on rough ground."""
+    figures = accuracy([scene(seed, HARD) for seed in range(100, 108)], find_rims)
+    assert figures["rims"] > 300
+    assert figures["recall"] >= 0.85
+    assert figures["precision"] >= 0.92
+    assert figures["centre_px"] <= 0.4
+    assert figures["semi_major_px"] <= 0.25
+    assert figures["semi_minor_px"] <= 0.25
+
+
+@pytest.mark.slow
+def test_much_plain_ground():
+    figures = accuracy([scene(seed) for seed in range(100, 120)], find_rims)
+    assert figures["rims"] > 350
+    assert figures["recall"] >= 0.97
+    assert figures["precision"] >= 0.97
+
+
+def noise_images(size=400):
+    """White noise to noise as coarse as craters."""
+    rng = np.random.default_rng(4)
+    for k in range(20):
+        blur_px = [
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.7,
+            1.0,
+            1.3,
+            1.6,
+            2.0,
+            2.5,
+            3.0,
+            3.5,
+            4.0,
+            5.0,
+            6.0,
+            8.0,
+            10.0,
+            14.0,
+            20.0,
+            30.0,
+        ][k]
+        noise = rng.normal(size=(size, size))
+        if blur_px > 0.0:
+            noise = cv2.GaussianBlur(noise, (0, 0), blur_px)
+        image = (
+            100.0 + [4.0, 12.0, 25.0][k % 3] * noise / noise.std() + (k % 2) * rng.normal(size=noise.shape)
+        )
+        yield np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def gradient_images(size=400):
+    """Planes, bowls, saddles and waves larger than the image, with and without sensor noise."""
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[0:size, 0:size] / size
+    for k in range(20):
+        c = rng.normal(size=6)
+        height = c[0] * x + c[1] * y
+        if k % 4:
+            height = height + c[2] * x * x + c[3] * x * y + c[4] * y * y
+        if k % 4 == 3:
+            height = height + c[5] * np.sin(5.0 * x + 3.0 * y)
+        height = (height - height.min()) / np.ptp(height)
+        image = 20.0 + (200.0 if k % 2 else 60.0) * height + (k % 3 == 1) * rng.normal(size=x.shape)
+        yield np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@DETECTORS
+@pytest.mark.parametrize("images", [noise_images, gradient_images])
+def test_no_crater_is_invented(images, detector):
+    for image in images():
+        assert len(detector(image)) == 0
+        assert len(detector(image, 0.7)) == 0
+
+
+@pytest.mark.parametrize(
+    "convert",
+    [
+        lambda im: np.dstack([im, im, im]),
+        lambda im: np.dstack([im, im, im, np.full_like(im, 255)]),
+        lambda im: im.astype(np.uint16) * 257,
+        lambda im: im.astype(np.uint16) * 16,
+        lambda im: im.astype(np.float32) / 255.0,
+        lambda im: im.astype(np.float64) * 1e-3 - 0.05,
+        lambda im: im // 4,
+    ],
+    ids=["rgb", "rgba", "16 bit", "12 bit in 16", "float", "negative floats", "dim"],
+)
+def test_depth_and_colour_do_not_matter(one, convert):
+    reference = find_rims(one.image)
+    limit_px = 0.6 if convert(one.image).max() == one.image.max() // 4 else 0.3
+    assert found_again(find_rims(convert(one.image)), reference, limit_px) >= 0.9
+
+
+def test_holes_are_left_out(one):
+    image = one.image.astype(np.float32)
+    image[300:600, 300:600] = np.nan
+    image[::37, ::41] = np.inf
+    rims = find_rims(image)
+    assert np.isfinite(rims.ellipses_px).all()
+    x, y = rims.ellipses_px[:, :2].T
+    assert not np.any((x > 320) & (x < 580) & (y > 320) & (y < 580))
+    result = match(rims.ellipses_px, one.ellipses_px, one.wanted, rims.ellipses_px[:, 3] > 12.0)
+    ex, ey, a = one.ellipses_px[:, :3].T
+    clear = one.wanted & ((np.abs(ex - 450) > 150 + 1.3 * a) | (np.abs(ey - 450) > 150 + 1.3 * a))
+    assert np.isin(np.flatnonzero(clear), result.true).mean() > 0.9
+    assert len(result.false) <= 1
+
+
+@DETECTORS
+@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (3, 5), (16, 16), (40, 25), (7, 900)])
+def test_tiny_images(shape, detector):
+    rng = np.random.default_rng(0)
+    assert len(detector(rng.integers(0, 255, shape, dtype=np.uint8))) == 0
+
+
+@DETECTORS
+@pytest.mark.parametrize("value", [0, 1, 110, 255, np.nan])
+def test_constant_images(value, detector):
+    image = np.full((200, 300), value, dtype=np.float32 if np.isnan(value) else np.uint8)
+    assert len(detector(image)) == 0
+    assert len(detector(np.zeros((200, 300), dtype=np.bool_))) == 0
+
+
+def test_saturated_image_gives_rims_of_craters_only(one):
+    bright = np.clip(one.image.astype(np.float64) * 2.5, 0, 255).astype(np.uint8)
+    assert np.mean(bright == 255) > 0.05
+    rims = find_rims(bright)
+    result = match(rims.ellipses_px, one.ellipses_px, one.wanted, rims.ellipses_px[:, 3] > 12.0)
+    assert len(result.false) <= 1
+
+
+def test_known_light_gives_the_same_rims(one):
+    reference = find_rims(one.image)
+    rims = find_rims(one.image, one.light_rad + np.deg2rad(15.0))
+    assert found_again(rims, reference) >= 0.95
+    assert rims.light_rad == pytest.approx(one.light_rad + np.deg2rad(15.0))
+
+
+@DETECTORS
+@pytest.mark.parametrize("wrong_deg", [90.0, 180.0, -90.0])
+def test_wrong_light_is_noticed(one, detector, wrong_deg):
+    with pytest.raises(EstimationError, match=r"the craters are lit from \d+ deg"):
+        detector(one.image, one.light_rad + np.deg2rad(wrong_deg))
+
+
+def test_turned_image_has_turned_rims(one):
+    reference = find_rims(one.image)
+    turned = find_rims(np.rot90(one.image).copy())
+    x, y, a, b, angle = turned.ellipses_px.T
+    back = np.column_stack([one.image.shape[1] - 1 - y, x, a, b, angle + 0.5 * np.pi])
+    result = match(back, reference.ellipses_px[reference.quality > 0.9])
+    assert result.recall > 0.97
+    assert result.centre_px.max() < 0.5
+
+
+def test_smallest_radius_is_an_option(one):
+    small = find_rims(one.image, options=BlindOptions(min_radius_px=20.0))
+    assert 0 < len(small) < len(find_rims(one.image))
+    assert small.ellipses_px[:, 2].min() > 12.0
+    with pytest.raises(ValueError, match="at least 4"):
+        BlindOptions(min_radius_px=1.0)
+
+
+@pytest.mark.parametrize("shape", [(0, 10), (10,), (4, 4, 5), (2, 3, 4, 3)])
+def test_no_image(shape):
+    with pytest.raises(ValueError, match="expected an image"):
+        brightness(np.zeros(shape, dtype=np.uint8))
+    with pytest.raises(ValueError, match="expected an image"):
+        brightness(np.zeros((5, 5), dtype=np.complex64))
+
+
+def test_brightness_keeps_plain_bytes_and_tells_saturation():
+    rng = np.random.default_rng(1)
+    plain = rng.integers(0, 240, (50, 60), dtype=np.uint8)
+    assert np.array_equal(brightness(plain), plain)
+    deep = rng.integers(0, 3000, (50, 60)).astype(np.uint16)
+    deep[:10] = 4095
+    out = brightness(deep)
+    assert np.all(out[:10] == 255.0)
+    assert out[10:].max() < 250.0
