@@ -361,6 +361,10 @@ def detect(
     min_radius_px: Annotated[
         float, typer.Option("--min-radius", min=4.0, help="Smallest radius searched, px.")
     ] = BlindOptions.min_radius_px,
+    min_quality: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, help="Least quality of a rim: less finds more, also wrong ones."),
+    ] = BlindOptions.min_quality,
     as_json: JsonOption = False,
 ) -> None:
     """Find crater rims in an image without any prior."""
@@ -373,7 +377,8 @@ def detect(
     light_rad = None if sun_deg is None else math.radians(sun_deg)
     began_s = time.perf_counter()
     try:
-        rims = METHODS[method](pixels, light_rad, BlindOptions(min_radius_px=min_radius_px))
+        blind = BlindOptions(min_radius_px=min_radius_px, min_quality=min_quality)
+        rims = METHODS[method](pixels, light_rad, blind)
     except EstimationError as error:
         raise InputError(image, f"{error}; leave out --sun to go by the image") from error
     detect_ms = 1e3 * (time.perf_counter() - began_s)

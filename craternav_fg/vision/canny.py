@@ -56,7 +56,7 @@ def find_rims_canny(
     Parameters
     ----------
     image, light_rad, options
-        See `detect.find_rims`; of the options only the sizes and the fit count, and what finds the light.
+        See `detect.find_rims`; of the options those of sizes, light, fit and least quality count.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def _pairs(arcs: list[_Arc], light_rad: float) -> list[tuple[_Arc, _Arc]]:
 def _plausible(fit: RimFit, options: BlindOptions, largest: float) -> bool:
     _, _, major, minor, _ = ellipse_parameters(fit.chart_px[None])[0]
     return bool(
-        fit.arc_share >= _MIN_COVERED
+        fit.arc_share >= max(_MIN_COVERED, options.min_quality)
         and fit.rms_px < _MAX_SCATTER[0] + _MAX_SCATTER[1] * minor
         and 0.5 * options.min_radius_px < minor
         and major < min(largest, _MAX_AXIS_RATIO * minor)

@@ -54,8 +54,8 @@ class BlindOptions:
     max_places: int = 1000
     max_light_deviation_rad: float = float(np.deg2rad(40.0))
     psf_px: float = 0.7
-    min_quality: float = 0.2
-    lone_quality: float = 0.8
+    min_quality: float = 0.5
+    lone_quality: float = 0.95
     fit: FitOptions = field(default_factory=lambda: FitOptions(floor_px=0.14))
 
     def __post_init__(self) -> None:
@@ -95,8 +95,9 @@ class FoundRims:
 
 # Fewer places cannot tell a common light from chance.
 _MIN_VOTES = 12
-# Share of the votes for the common light: a fifth to a quarter by chance, over a half on cratered ground.
-_CHANCE_SHARE, _CLEAR_SHARE = 0.32, 0.4
+# Share of the votes for the common light: over a half on cratered ground, this by chance, and so much more
+# over the root of their number; to contradict what is known of the light it must be surer.
+_CHANCE_SHARE, _SPREAD, _SURE_SPREAD = 0.22, 1.0, 2.0
 # The light is taken to be the same over this share of the image.
 _LIGHT_REACH = 0.25
 # The rendered craters' gain is this much above that of the canonical crater that looks like them.
@@ -120,10 +121,11 @@ _LEVEL_SIGMA = 0.05
 _MIN_TRIED, _MIN_FOUND = 0.3, 0.35
 # Rim further from its place than this share of the radius is another's.
 _MAX_MOVE = 0.6
-# Logistic regression of right and wrong fits on rendered ground (smooth and 3 % irregular rims) and on noise:
-# weights of correlation, share of the normals that agree, scatter in radii, share of the rim covered.
-_WEIGHTS, _OFFSET = np.array([24.0, 3.5, -80.0, 5.7]), -21.6
-# Smoother rims are no better: real ones are rough.
+# Logistic regression of right and wrong fits on rendered ground (smooth, irregular and textured), on rough
+# ground without craters and on noise: weights of correlation, share of the normals that agree, scatter in
+# radii, share of the rim covered.
+_WEIGHTS, _OFFSET = np.array([32.0, 6.5, -50.0, 6.9]), -30.4
+# Smoother rims are no better, real ones are rough.
 _LEAST_SCATTER = 0.02
 
 
@@ -164,7 +166,7 @@ def find_rims(
         light, certain = agreed_light(places, light_rad)
         if not certain and len(places) >= _MIN_VOTES:
             places = places.take(np.zeros(0, dtype=np.int64))
-        least = options.min_quality if certain else options.lone_quality
+        least = options.min_quality if certain else max(options.lone_quality, options.min_quality)
         places = places.take(lit_from(places, light, options.max_light_deviation_rad))
     if len(places) == 0:
         return gather([], [], light_rad if light_rad is not None else float("nan"))
@@ -199,12 +201,14 @@ def agreed_light(places: Places, light_rad: float | None) -> tuple[float, bool]:
     """
     common, share = common_light(places)
     enough = len(places) >= _MIN_VOTES
+    excess = (share - _CHANCE_SHARE) * np.sqrt(len(places))
+    certain = bool(enough and excess > _SPREAD)
     if light_rad is None:
-        return common, enough and share > _CHANCE_SHARE
+        return common, certain
     off = abs(float(np.angle(np.exp(1j * (common - light_rad)))))
     if off < np.deg2rad(45.0):
-        return float(light_rad), enough and share > _CHANCE_SHARE
-    if enough and share > _CLEAR_SHARE:
+        return float(light_rad), certain
+    if certain and excess > _SURE_SPREAD:
         seen, given = (float(np.rad2deg(a)) % 360.0 for a in (common, light_rad))
         raise EstimationError(
             f"the light is said to come from {given:.0f} deg, the craters are lit from {seen:.0f} deg"
