@@ -6,7 +6,7 @@ most pairs contradict the prior. Those that explain further rims grow by them; a
 as many rims as it explains would hardly ever fall into place by chance.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,8 @@ from craternav_fg.catalog import Catalog
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.vision import acquire_match as match
 from craternav_fg.vision import photometry
-from craternav_fg.vision.acquire_detect import Detections, DetectOptions, detect_rims
+from craternav_fg.vision.acquire_detect import COARSE, Detections, detect_rims
+from craternav_fg.vision.detect import BlindOptions
 from craternav_fg.vision.grey import on_8_bit_scale, undistorted
 from factors.kernels import conic
 
@@ -31,7 +32,7 @@ class AcquireOptions:
 
     Attributes
     ----------
-    detect : DetectOptions
+    detect : BlindOptions
         Of the rims in the image.
     seeds : int
         The largest rims, which are taken for each crater in turn.
@@ -54,7 +55,7 @@ class AcquireOptions:
         The covariance of the matched rims' pose is multiplied by this: their errors have common parts.
     """
 
-    detect: DetectOptions = field(default_factory=DetectOptions)
+    detect: BlindOptions = COARSE
     seeds: int = 24
     hypotheses: int = 40
     gate: float = 30.0
@@ -139,7 +140,7 @@ def acquire(
     # Rims found here only guide: an interpolated image will do, and all that follows is a pinhole's.
     straight = undistorted(on_8_bit_scale(image, camera), camera)
     camera = camera.pinhole
-    rims = detect_rims(straight, camera, float(np.median(np.linalg.norm(gains, axis=-1))), options.detect)
+    rims = detect_rims(straight, camera, options.detect)
     if len(rims) < 2:
         return None
     return _Search(camera, catalog, rows, gains, rims, prior, options).run()

@@ -75,10 +75,10 @@ def find_rims_canny(
     places = distinct(places, options.max_places)
     nothing = float("nan") if light_rad is None else float(light_rad)
     if len(places) == 0:
-        return gather([], [], nothing)
+        return gather([], [], [], nothing)
     light, certain = agreed_light(places, light_rad)
     if not certain:
-        return gather([], [], light)
+        return gather([], [], [], light)
     arcs = _arcs(everywhere, np.isnan(pixels), light, options.min_radius_px, largest)
     camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
     fits: list[RimFit] = []
@@ -89,7 +89,7 @@ def find_rims_canny(
             continue
         fits.append(fit)
         covered.append(fit.arc_share)
-    return gather(fits, covered, light)
+    return gather(fits, covered, [light] * len(fits), light)
 
 
 def _arcs(

@@ -78,15 +78,18 @@ class FoundRims:
         Of the charts.
     quality : ndarray, shape (n,)
         0 to 1: how surely each is a crater's rim, about its probability on rendered ground.
+    lights_rad : ndarray, shape (n,)
+        Direction in the image, from x towards y, from which the light comes at each, as its walls and its
+        neighbours' show.
     light_rad : float
-        Direction in the image, from x towards y, from which the light comes; NaN when the image leaves
-        that open.
+        The same of the whole image, found or given; NaN when the image leaves it open.
     """
 
     ellipses_px: FloatArray
     charts_px: FloatArray
     covariance_px: FloatArray
     quality: FloatArray
+    lights_rad: FloatArray
     light_rad: float
 
     def __len__(self) -> int:
@@ -169,19 +172,21 @@ def find_rims(
         least = options.min_quality if certain else max(options.lone_quality, options.min_quality)
         places = places.take(lit_from(places, light, options.max_light_deviation_rad))
     if len(places) == 0:
-        return gather([], [], light_rad if light_rad is not None else float("nan"))
+        return gather([], [], [], light_rad if light_rad is not None else float("nan"))
     lights = local_light(places, _LIGHT_REACH * max(pixels.shape))
     gain = _GAIN_FACTOR * float(np.median(places.gain[:_GAIN_PLACES]))
     noise = edges.noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
     camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
     fits: list[RimFit] = []
     quality: list[float] = []
+    at_rims: list[float] = []
     for k in range(len(places)):
         fit = _trace(pixels, places, k, float(lights[k]), gain, noise, camera, options)
         if fit is not None and fit[1] >= least:
             fits.append(fit[0])
             quality.append(fit[1])
-    return gather(fits, quality, light)
+            at_rims.append(float(lights[k]))
+    return gather(fits, quality, at_rims, light)
 
 
 def agreed_light(places: Places, light_rad: float | None) -> tuple[float, bool]:
@@ -216,7 +221,7 @@ def agreed_light(places: Places, light_rad: float | None) -> tuple[float, bool]:
     return float(light_rad), False
 
 
-def gather(fits: list[RimFit], quality: list[float], light_rad: float) -> FoundRims:
+def gather(fits: list[RimFit], quality: list[float], lights_rad: list[float], light_rad: float) -> FoundRims:
     """Put rims together, best first, those left out that are a better one's again."""
     order = np.argsort(-np.array(quality), kind="stable")
     charts = np.array([fits[i].chart_px for i in order]).reshape(-1, 5)
@@ -230,9 +235,8 @@ def gather(fits: list[RimFit], quality: list[float], light_rad: float) -> FoundR
             kept.append(i)
     rows = [int(order[i]) for i in kept]
     covariance = np.array([fits[i].covariance for i in rows]).reshape(-1, 5, 5)
-    return FoundRims(
-        ellipses[kept], charts[kept], covariance, np.array([quality[i] for i in rows]), light_rad
-    )  # fmt: skip
+    of_rims = np.array([quality, lights_rad]).reshape(2, -1)[:, rows]
+    return FoundRims(ellipses[kept], charts[kept], covariance, of_rims[0], of_rims[1], light_rad)
 
 
 def ellipse_parameters(charts_px: FloatArray) -> FloatArray:
