@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from craternav_fg.bench import images, ratios, report
+from craternav_fg.bench import detect, images, ratios, report
 from craternav_fg.bench.problems import Bench, make
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli import app
@@ -132,3 +132,14 @@ def test_what_an_image_costs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert costs["render_2x2_s"] > costs["render_s"] > 0.0
     assert costs["render_altitude_ratio"] >= 1.0
     assert 50.0 < costs["render_peak_mb"] < 1500.0
+
+
+def test_detectors_are_measured() -> None:
+    figures = detect.detect_ms(images=1)
+    assert {"detect_ms", "detect_recall", "detect_hard_precision", "detect_canny_semi_minor_px"} <= set(
+        figures
+    )
+    assert np.isfinite(list(figures.values())).all()
+    assert 0.0 < figures["detect_ms"] < 5000.0
+    assert figures["detect_hard_rims"] > figures["detect_rims"] > 10
+    assert figures["detect_canny_recall"] < figures["detect_recall"]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.bench.problems import ALTITUDE_M, FOCAL_PX, MOON
-from craternav_fg.camera import Camera
+from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.evaluation.matching import match
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
@@ -17,7 +17,6 @@ from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, ellipse_parameters, find_rims
-from craternav_fg.vision.ellipse_fit import pixel_chart
 from craternav_fg.vision.photometry import level_ground
 
 FloatArray = npt.NDArray[np.float64]
@@ -127,7 +126,7 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     along = gain[-1] / np.linalg.norm(gain[-1])
     ends = camera.project((foot + np.outer([0.0, 100.0], along) - gTb[:3, 3]) @ gRc)
     return Scene(
-        renderer.render(gTb, sun_g, rng),
+        renderer.render(gTb, sun_g, rng).astype(np.uint8, copy=False),
         ellipse_parameters(pixel_chart(charts, camera)),
         np.linalg.norm(gain[:-1], axis=1),
         float(np.arctan2(*(ends[1] - ends[0])[::-1])),

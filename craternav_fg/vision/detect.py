@@ -284,7 +284,7 @@ def _trace(
         points, ratio, lever, tried, _ = edges.trace_rim(
             image, chart, gain * direction / np.hypot(u, v), level, reach_px + reach_share * size, *_SMOOTH,
             options.psf_px, _MIN_GAIN, _MIN_STEP, _STEP_SIGMAS * np.sqrt(2.0) * noise / level, count,
-            _crossings(), crest.BLUR, crest.GAIN,
+            _crossings(), crest.BLUR, crest.GAIN, camera.lens,
         )  # fmt: skip
         if tried < _MIN_TRIED * count or len(points) < _MIN_FOUND * tried:
             return None
