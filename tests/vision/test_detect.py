@@ -184,6 +184,17 @@ def test_holes_are_left_out(one):
     assert len(result.false) <= 1
 
 
+def test_night_and_sky_hold_no_rims(one):
+    image = one.image.copy()
+    image[:, 600:] = np.random.default_rng(2).integers(0, 5, image[:, 600:].shape)
+    rims = find_rims(image)
+    assert not np.any(rims.ellipses_px[:, 0] > 600.0)
+    result = match(rims.ellipses_px, one.ellipses_px, one.wanted, rims.ellipses_px[:, 3] > 12.0)
+    clear = one.wanted & (one.ellipses_px[:, 0] < 600.0 - 2.0 * one.ellipses_px[:, 2])
+    assert np.isin(np.flatnonzero(clear), result.true).mean() > 0.9
+    assert len(result.false) <= 1
+
+
 @DETECTORS
 @pytest.mark.parametrize("shape", [(1, 1), (1, 700), (3, 5), (16, 16), (40, 25), (7, 900)])
 def test_tiny_images(shape, detector):
