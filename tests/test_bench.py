@@ -1,5 +1,7 @@
 """The benchmark measures the same problem on both sides, and reports what it promises."""
 
+import contextlib
+import functools
 import json
 import time
 from pathlib import Path
@@ -21,7 +23,7 @@ from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.optimise import levenberg_marquardt
 
-TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5)
+TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5, 1)
 PROMISED = {
     "factor_ratio_n10",
     "factor_ratio_n30",
@@ -34,6 +36,8 @@ PROMISED = {
     "pose_ms_n3",
     "pose_ms_n10",
     "pose_vs_scipy_ratio",
+    "render_s",
+    "detect_ms",
 }
 
 
@@ -102,8 +106,17 @@ def test_factors_cost_what_cpp_factors_cost() -> None:
     assert ratios.factor_ratio(make(100, 30)).median < 0.9
 
 
+def quiet(what: str, done: int, total: int) -> None:
+    """Report nothing."""
+
+
 def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "QUICK", TINY)
+    monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
+    monkeypatch.setattr(images, "FRAMES", 1)
+    # Once for both outputs.
+    monkeypatch.setattr(report, "run", functools.cache(report.run))
+    monkeypatch.setattr("craternav_fg.cli._bar", lambda: contextlib.nullcontext(quiet))
     figure = tmp_path / "cost.png"
     done = CliRunner().invoke(app, ["bench", "-o", str(figure), "--json"])
     assert done.exit_code == 0, done.output

@@ -10,6 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from craternav_fg.bench import ratios
+from craternav_fg.bench.detect import detect_ms
+from craternav_fg.bench.images import render_costs
 from craternav_fg.bench.problems import make
 from craternav_fg.bench.ratios import Online, Ratio
 from craternav_fg.bench.static import static_scalars
@@ -41,6 +43,8 @@ class Sizes:
         Repetitions of both.
     static_problems : int
         Of the static solver, of each size.
+    images : int
+        In which rims are detected, of each kind of ground.
     """
 
     frames: tuple[int, ...]
@@ -50,10 +54,11 @@ class Sizes:
     lag_frames: int
     online_runs: int
     static_problems: int
+    images: int
 
 
-QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200)
-FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000)
+QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200, 3)
+FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000, 6)
 LAG_S = 30.0
 
 
@@ -103,7 +108,7 @@ def run(sizes: Sizes, report: Report) -> Result:
     -------
     Result
     """
-    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 5
+    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 7
     done = 0
 
     def step() -> None:
@@ -149,6 +154,10 @@ def run(sizes: Sizes, report: Report) -> Result:
         "online_frames": float(sizes.online_frames),
         **static_scalars(sizes.static_problems),
     }
+    step()
+    scalars.update(render_costs())
+    step()
+    scalars.update(detect_ms(sizes.images))
     step()
     return Result(measured, scalars, np.array(factor), sizes_s, online[-1])
 
