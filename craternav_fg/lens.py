@@ -16,8 +16,10 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
-_STEPS = 50
+_STEPS = 100
+_HALVINGS = 30
 _CONVERGED = 1e-14
+_ROUNDING = 1e-13
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -72,21 +74,36 @@ def undistort(x: float, y: float, lens: FloatArray, out: FloatArray) -> None:
     out : ndarray, shape (6,)
         Written; NaN when there are none before the distortion turns back.
     """
-    u, v = x, y
+    u, v = 0.0, 0.0
+    distort(u, v, lens, out)
+    ex, ey = x - out[0], y - out[1]
     for _ in range(_STEPS):
-        distort(u, v, lens, out)
         determinant = out[2] * out[5] - out[3] * out[4]
-        if not determinant > 0.0:
-            break
-        ex, ey = x - out[0], y - out[1]
         du = (out[5] * ex - out[3] * ey) / determinant
         dv = (out[2] * ey - out[4] * ex) / determinant
-        u += du
-        v += dv
         if abs(du) + abs(dv) < _CONVERGED * (1.0 + abs(u) + abs(v)):
-            out[0] = u
-            out[1] = v
+            out[0] = u + du
+            out[1] = v + dv
             return
+        # Where the distortion is nearly flat, a full Newton step leads away, or beyond a fold.
+        share = 1.0
+        for _ in range(_HALVINGS):
+            distort(u + share * du, v + share * dv, lens, out)
+            fx, fy = x - out[0], y - out[1]
+            if out[2] * out[5] > out[3] * out[4] and fx * fx + fy * fy < ex * ex + ey * ey:
+                break
+            share *= 0.5
+        else:
+            # Rounding leaves no better point: an error of some last digits is none.
+            if ex * ex + ey * ey < _ROUNDING**2 * (1.0 + x * x + y * y):
+                distort(u, v, lens, out)
+                out[0] = u
+                out[1] = v
+                return
+            break
+        u += share * du
+        v += share * dv
+        ex, ey = fx, fy
     out[:] = np.nan
 
 
