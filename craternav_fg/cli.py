@@ -4,17 +4,13 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 import craternav_fg
@@ -27,10 +23,9 @@ from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.evaluation.detections import rims_json, write_overlay, write_rims_csv
-from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, Run, read_run
+from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, read_run
 from craternav_fg.evaluation.runs import write_reconstruction
 from craternav_fg.files import replacing_folder
-from craternav_fg.reconstruction import Progress as Report
 from craternav_fg.reproduce import run as reproduction
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.terminal import tables
@@ -39,6 +34,19 @@ from craternav_fg.static.efficient import solve
 from craternav_fg.static.files import as_plain_data, read_rims, static_problem
 from craternav_fg.static.problem import Status
 from craternav_fg.static.robust import solve_robustly
+from craternav_fg.terminal import (
+    LEGEND,
+    bar,
+    err,
+    from_smoother,
+    number,
+    out,
+    row_of_estimator,
+    say,
+    show_poses,
+    show_run,
+    table_of_estimators,
+)
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
 
@@ -48,8 +56,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-err = Console(stderr=True)
-out = Console()
 
 PICTURES = (".png", ".pdf", ".svg")
 DEMO_DATASET = "dataset"
@@ -63,7 +69,6 @@ class Method(StrEnum):
 
 
 METHODS = {Method.TEMPLATE: find_rims, Method.CANNY: find_rims_canny}
-LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, nothing else.")]
 EstimatorOption = Annotated[
@@ -76,7 +81,7 @@ EstimatorOption = Annotated[
 
 def _version(show: bool) -> None:
     if show:
-        _say(craternav_fg.__version__)
+        say(craternav_fg.__version__)
         raise typer.Exit
 
 
@@ -101,7 +106,7 @@ def demo(
     """Simulate a descent, reconstruct it with every estimator, and compare them."""
     began_s = time.perf_counter()
     case = load_scenario(scenario)
-    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, _bar() as report:
+    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
         simulate_scenario(
             case, folder / DEMO_DATASET, progress=lambda done, total: report("simulated frames", done, total)
         )
@@ -115,7 +120,7 @@ def demo(
             earlier_s={"simulation": simulated_s},
             progress=report,
         )
-    _show_run(output, summary, as_json)
+    show_run(output, summary, as_json)
 
 
 @app.command()
@@ -126,12 +131,12 @@ def simulate(
 ) -> None:
     """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
     case = load_scenario(scenario)
-    with _bar() as report:
+    with bar() as report:
         simulate_scenario(case, output, progress=lambda done, total: report("simulated frames", done, total))
     if as_json:
         out.print_json(json.dumps({"dataset": str(output)}))
     else:
-        _say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
+        say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 
 
 @app.command()
@@ -149,11 +154,11 @@ def reconstruct(
     if data.resolve().is_relative_to(output.resolve()):
         raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
     dataset = Dataset.open(data)
-    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, _bar() as report:
+    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
         summary = write_reconstruction(
             dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report
         )
-    _show_run(output, summary, as_json)
+    show_run(output, summary, as_json)
 
 
 @app.command()
@@ -166,7 +171,7 @@ def compare(
     if as_json:
         result = {
             str(run.path): {
-                name: {**run.metrics["estimators"][name], "from_smoother_rms_m": _from_smoother(run, name)}
+                name: {**run.metrics["estimators"][name], "from_smoother_rms_m": from_smoother(run, name)}
                 for name in run.trajectories
             }
             for run in loaded
@@ -174,14 +179,14 @@ def compare(
         out.print_json(json.dumps(result))
         return
     for run in loaded:
-        table = _table()
+        table = table_of_estimators()
         table.add_column("off m", justify="right", no_wrap=True)
         for name in run.trajectories:
-            row = _row(name, run.metrics["estimators"][name])
-            table.add_row(*row, _number(_from_smoother(run, name)))
-        _say(f"{run.path}")
+            cells = row_of_estimator(name, run.metrics["estimators"][name])
+            table.add_row(*cells, number(from_smoother(run, name)))
+        say(f"{run.path}")
         out.print(table)
-    _say(f"{LEGEND}\noff: RMS distance from the smoother")
+    say(f"{LEGEND}\noff: RMS distance from the smoother")
 
 
 @app.command()
@@ -198,7 +203,7 @@ def bench(
     """Measure cost against graphs of the same size made of GTSAM's own C++ factors."""
     if output.suffix not in PICTURES:
         raise InputError(output, f"expected a name that ends in {' or '.join(PICTURES)}")
-    with _bar() as report:
+    with bar() as report:
         result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)
     bench_report.write_figure(result, output)
     if as_json:
@@ -210,10 +215,10 @@ def bench(
         table.add_column(heading, justify="right", no_wrap=True)
     for name, ratio in result.ratios.items():
         numbers = (ratio.median, ratio.low, ratio.high, ratio.ours_us, ratio.reference_us)
-        table.add_row(name, *map(_number, numbers))
+        table.add_row(name, *map(number, numbers))
     out.print(table)
     for name, value in result.scalars.items():
-        out.print(f"{name}: {_number(value)}", highlight=False)
+        out.print(f"{name}: {number(value)}", highlight=False)
     out.print(f"figure: {output}", highlight=False, soft_wrap=True)
 
 
@@ -262,7 +267,7 @@ def pose(
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))
     else:
-        _show_poses(values)
+        show_poses(values)
     if result.status not in (Status.SOLVED, Status.AMBIGUOUS):
         raise EstimationError(f"no pose: {result.status.value}: {result.reason}")
 
@@ -278,29 +283,6 @@ def _numbers(option: str, text: str | None, count: int) -> list[float] | None:
     if len(values) != count or not np.isfinite(values).all():
         raise InputError(option, f"expected {count} numbers, separated by commas, found {text!r}")
     return values
-
-
-def _show_poses(values: dict[str, Any]) -> None:
-    if values["wrong"]:
-        _say(f"left out as wrong matches: {', '.join(values['wrong'])}")
-    if values["status"] not in ("solved", "ambiguous"):
-        return
-    for found in values["poses"]:
-        gP, attitude, sigma_m, sigma_deg = (
-            ", ".join(f"{number:{form}}" for number in found[name])
-            for name, form in (
-                ("position_m", ".2f"),
-                ("attitude_wxyz", ".8f"),
-                ("position_sigma_m", ".3g"),
-                ("attitude_sigma_deg", ".3g"),
-            )
-        )
-        _say(
-            f"probability {found['probability']:.3f}: latitude {found['latitude_deg']:.5f}, longitude "
-            f"{found['longitude_deg']:.5f} deg, altitude {found['altitude_m']:.1f} m"
-        )
-        _say(f"  position in g {gP} m; sigma {sigma_m} m")
-        _say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")
 
 
 @app.command()
@@ -327,19 +309,19 @@ def reproduce(
         workers=workers,
     )  # fmt: skip
     contents = reproduction.CONTENTS
-    with replacing_folder(output, marker=reproduction.MARKER, ours=contents) as folder, _bar() as report:
+    with replacing_folder(output, marker=reproduction.MARKER, ours=contents) as folder, bar() as report:
         results = reproduction.reproduce(names, options, report)
         reproduction.write(folder, results, options)
     if as_json:
         out.print_json(json.dumps([row.as_dict() for result in results for row in result.rows]))
         return
     for result in results:
-        _say(f"{result.name}: {result.title}\n")
+        say(f"{result.name}: {result.title}\n")
         for heading, table in tables(result):
-            _say(heading)
+            say(heading)
             out.print(table)
         out.print(f"{result.note}\n", highlight=False, markup=False)
-    _say(f"all numbers: {output / reproduction.MARKER}, drawings and tables: {output / 'reproduction.md'}")
+    say(f"all numbers: {output / reproduction.MARKER}, drawings and tables: {output / 'reproduction.md'}")
 
 
 @app.command()
@@ -389,117 +371,7 @@ def detect(
         out.print_json(json.dumps({**result, "csv": str(output), "overlay": str(overlay)}))
         return
     light = "" if math.isnan(rims.light_rad) else f", lit from {math.degrees(rims.light_rad) % 360.0:.0f} deg"
-    _say(f"{len(rims) or 'no'} rims{light}\n{output}\n{overlay}")
-
-
-def _from_smoother(run: Run, name: str) -> float | None:
-    """RMS distance of an estimator's positions from the smoother's: there without ground truth, too."""
-    if "smoother" not in run.trajectories:
-        return None
-    step = run.trajectories[name].gP - run.trajectories["smoother"].gP
-    return float(np.sqrt(np.mean(np.sum(step**2, axis=1))))
-
-
-def _show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
-    for warning in _warnings(summary):
-        err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
-    if as_json:
-        out.print_json(json.dumps(summary))
-        return
-    if any(values["position_rms_m"] is not None for values in summary["estimators"].values()):
-        table = _table()
-        for name, values in summary["estimators"].items():
-            table.add_row(*_row(name, values))
-        out.print(table)
-        _say(LEGEND)
-    else:
-        _say("no ground truth: figures/sigmas.png shows what each estimator believes of its errors,")
-        _say(f"craternav compare {folder} how far they lie apart")
-    counts = summary["craters_per_frame"]
-    seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
-    _say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
-    _say(f"{summary['wall_s']:.0f} s of computing ({seconds})")
-    for path in sorted(folder.glob("*")):
-        what = sorted(p.name for p in path.iterdir()) if path.name == "figures" else []
-        _say(f"  {path}{'/: ' + ', '.join(what) if what else ''}")
-
-
-def _warnings(summary: dict[str, Any]) -> list[str]:
-    """Tell what a user of the run must know before believing it."""
-    out = [f"no trajectory of {message}" for message in summary["failures"].values()]
-    found = np.array(summary["craters_per_frame"])
-    blind = found == 0
-    if not blind.any():
-        return out
-    growing = "there the trajectory rests on the IMU, and its covariance grows"
-    expected = summary["craters_expected_per_frame"]
-    lost = blind & (np.array(expected) > 0) if expected is not None else np.zeros_like(blind)
-    if blind.all() and expected is not None:
-        out.append(
-            f"no rim was found in any frame ({int(lost.sum())} should show some): no pose within the prior "
-            "explains the images; check catalogue, sun.csv, T_BS and the initial state"
-        )
-        return out
-    if lost.any():
-        out.append(
-            f"{int(lost.sum())} frames should show catalogue craters and none was found, the first: frame "
-            f"{int(np.argmax(lost))}: {growing}; if they are many, check the IMU's units and axes, the body"
-        )
-    empty = blind & ~lost
-    if empty.any():
-        out.append(
-            f"{int(empty.sum())} frames without a catalogue crater, the first: frame "
-            f"{int(np.argmax(empty))}: {growing}"
-        )
-    return out
-
-
-def _say(text: str) -> None:
-    """Print a line as it is: to be copied, not wrapped or coloured."""
-    out.print(text, highlight=False, markup=False, soft_wrap=True)
-
-
-def _table() -> Table:
-    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
-    table.add_column("estimator", no_wrap=True)
-    for heading in ("RMS m", "end m", "RMS m/s", "RMS deg", "end deg", "ANEES"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
-
-
-def _row(name: str, values: dict[str, Any]) -> list[str]:
-    fields = (
-        "position_rms_m",
-        "position_final_m",
-        "velocity_rms_m_s",
-        "attitude_rms_deg",
-        "attitude_final_deg",
-        "anees",
-    )
-    return [name, *(_number(values[field]) for field in fields)]
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
-
-
-@contextmanager
-def _bar() -> Iterator[Report]:
-    """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
-    columns = (TextColumn("{task.description:24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
-        tasks: dict[str, TaskID] = {}
-
-        def report(what: str, done: int, total: int) -> None:
-            # One bar for all estimators: their name changes, their number does not.
-            kind = what.split()[0]
-            if kind not in tasks:
-                tasks[kind] = progress.add_task(what, total=total)
-            progress.update(tasks[kind], description=what, completed=done, total=total)
-
-        yield report
+    say(f"{len(rims) or 'no'} rims{light}\n{output}\n{overlay}")
 
 
 def main() -> None:

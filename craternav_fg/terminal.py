@@ -1,0 +1,159 @@
+"""What the command line shows: tables of results, warnings, progress."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from craternav_fg.evaluation.run_folder import Run
+from craternav_fg.reconstruction import Progress as Report
+
+err = Console(stderr=True)
+out = Console()
+
+LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
+
+
+def say(text: str) -> None:
+    """Print a line as it is: to be copied, not wrapped or coloured."""
+    out.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def number(value: float | None) -> str:
+    """Write a number with three digits, a dash for none."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def table_of_estimators() -> Table:
+    """Give an empty table with a column for each figure of `row`."""
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
+    table.add_column("estimator", no_wrap=True)
+    for heading in ("RMS m", "end m", "RMS m/s", "RMS deg", "end deg", "ANEES"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def row_of_estimator(name: str, values: dict[str, Any]) -> list[str]:
+    """Give the cells of an estimator's metrics."""
+    fields = (
+        "position_rms_m",
+        "position_final_m",
+        "velocity_rms_m_s",
+        "attitude_rms_deg",
+        "attitude_final_deg",
+        "anees",
+    )
+    return [name, *(number(values[field]) for field in fields)]
+
+
+def from_smoother(run: Run, name: str) -> float | None:
+    """Give the RMS distance of an estimator's positions from the smoother's: there without ground truth, too."""
+    if "smoother" not in run.trajectories:
+        return None
+    step = run.trajectories[name].gP - run.trajectories["smoother"].gP
+    return float(np.sqrt(np.mean(np.sum(step**2, axis=1))))
+
+
+def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
+    """Print a run's warnings, and its figures or the JSON of its summary."""
+    for warning in _warnings(summary):
+        err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
+    if as_json:
+        out.print_json(json.dumps(summary))
+        return
+    if any(values["position_rms_m"] is not None for values in summary["estimators"].values()):
+        table = table_of_estimators()
+        for name, values in summary["estimators"].items():
+            table.add_row(*row_of_estimator(name, values))
+        out.print(table)
+        say(LEGEND)
+    else:
+        say("no ground truth: figures/sigmas.png shows what each estimator believes of its errors,")
+        say(f"craternav compare {folder} how far they lie apart")
+    counts = summary["craters_per_frame"]
+    seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
+    say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
+    say(f"{summary['wall_s']:.0f} s of computing ({seconds})")
+    for path in sorted(folder.glob("*")):
+        what = sorted(p.name for p in path.iterdir()) if path.name == "figures" else []
+        say(f"  {path}{'/: ' + ', '.join(what) if what else ''}")
+
+
+def _warnings(summary: dict[str, Any]) -> list[str]:
+    """Tell what a user of the run must know before believing it."""
+    out = [f"no trajectory of {message}" for message in summary["failures"].values()]
+    found = np.array(summary["craters_per_frame"])
+    blind = found == 0
+    if not blind.any():
+        return out
+    growing = "there the trajectory rests on the IMU, and its covariance grows"
+    expected = summary["craters_expected_per_frame"]
+    lost = blind & (np.array(expected) > 0) if expected is not None else np.zeros_like(blind)
+    if blind.all() and expected is not None:
+        out.append(
+            f"no rim was found in any frame ({int(lost.sum())} should show some): no pose within the prior "
+            "explains the images; check catalogue, sun.csv, T_BS and the initial state"
+        )
+        return out
+    if lost.any():
+        out.append(
+            f"{int(lost.sum())} frames should show catalogue craters and none was found, the first: frame "
+            f"{int(np.argmax(lost))}: {growing}; if they are many, check the IMU's units and axes, the body"
+        )
+    empty = blind & ~lost
+    if empty.any():
+        out.append(
+            f"{int(empty.sum())} frames without a catalogue crater, the first: frame "
+            f"{int(np.argmax(empty))}: {growing}"
+        )
+    return out
+
+
+def show_poses(values: dict[str, Any]) -> None:
+    """Print the poses of one image and what was left out, as `static.files.as_plain_data` gives them."""
+    if values["wrong"]:
+        say(f"left out as wrong matches: {', '.join(values['wrong'])}")
+    if values["status"] not in ("solved", "ambiguous"):
+        return
+    for found in values["poses"]:
+        gP, attitude, sigma_m, sigma_deg = (
+            ", ".join(f"{number:{form}}" for number in found[name])
+            for name, form in (
+                ("position_m", ".2f"),
+                ("attitude_wxyz", ".8f"),
+                ("position_sigma_m", ".3g"),
+                ("attitude_sigma_deg", ".3g"),
+            )
+        )
+        say(
+            f"probability {found['probability']:.3f}: latitude {found['latitude_deg']:.5f}, longitude "
+            f"{found['longitude_deg']:.5f} deg, altitude {found['altitude_m']:.1f} m"
+        )
+        say(f"  position in g {gP} m; sigma {sigma_m} m")
+        say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")
+
+
+@contextmanager
+def bar() -> Iterator[Report]:
+    """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
+    columns = (TextColumn("{task.description:24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
+        tasks: dict[str, TaskID] = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            # One bar for all estimators: their name changes, their number does not.
+            kind = what.split()[0]
+            if kind not in tasks:
+                tasks[kind] = progress.add_task(what, total=total)
+            progress.update(tasks[kind], description=what, completed=done, total=total)
+
+        yield report
