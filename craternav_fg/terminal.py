@@ -56,7 +56,7 @@ def row_of_estimator(name: str, values: dict[str, Any]) -> list[str]:
 
 
 def from_smoother(run: Run, name: str) -> float | None:
-    """Give the RMS distance of an estimator's positions from the smoother's: there without ground truth, too."""
+    """Give an estimator's RMS distance from the smoother's positions: there without ground truth, too."""
     if "smoother" not in run.trajectories:
         return None
     step = run.trajectories[name].gP - run.trajectories["smoother"].gP
