@@ -253,6 +253,10 @@ def pose(
     """Find the lander's pose from the matched rims of one image, without a start."""
     body = Body("", body_radius_m, 1.0, (0.0, 0.0, 0.0))
     sensor = read_camera(camera)
+    if sensor.distorts:
+        raise InputError(
+            camera, "expected a lens without distortion: an ellipse in its image is no ellipse of a rim"
+        )
     matched, craters = read_rims(rims, sensor, catalog, body, sigma_px=sigma_px, edge_points=edge_points)
     problem = static_problem(
         matched,

@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +135,14 @@ def test_a_pose_from_files(files: Files, run: Run) -> None:
     assert shown.code == 0
     assert f"latitude {pose['latitude_deg']:.5f}" in shown.out
     assert f"position in g {pose['position_m'][0]:.2f}" in shown.out
+
+
+def test_a_lens_that_distorts_is_refused(files: Files, run: Run) -> None:
+    sensor = files.folder / "sensor.yaml"
+    sensor.write_text(camera_yaml(replace(CAMERA, distortion=(-0.1, 0.0, 0.0, 0.0, 0.0)), 1.0))
+    done = run()
+    assert done.code == 2
+    assert "sensor.yaml: expected a lens without distortion" in done.err
 
 
 def test_as_a_process(files: Files) -> None:
