@@ -13,7 +13,7 @@ from craternav_fg.bench.problems import FOCAL_PX, Bench
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.ekf import ekf
-from craternav_fg.estimators.graph import GraphOptions, add_frame, add_prior
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
@@ -78,7 +78,7 @@ def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 10
     Ratio
     """
     values = bench.values(np.random.default_rng(1), scale=0.1)
-    ours = gtsam.NonlinearFactorGraph()
+    ours = FactorGraph()
     reference = gtsam.NonlinearFactorGraph()
     problem = bench.problem
     model = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)

@@ -10,6 +10,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.graph import (
+    FactorGraph,
     GraphOptions,
     add_frame,
     add_imu,
@@ -130,7 +131,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     -------
     gtsam.NonlinearFactorGraph
     """
-    graph = gtsam.NonlinearFactorGraph()
+    graph = FactorGraph()
     add_prior(graph, problem.initial)
     add_frame(graph, problem, options, X(0), problem.frames[0])
     number = 0

@@ -14,6 +14,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
+    FactorGraph,
     GraphOptions,
     add_frame,
     add_imu,
@@ -109,7 +110,7 @@ class OnlineSession:
             At the initial state's stamp.
         start : Start
         """
-        graph = gtsam.NonlinearFactorGraph()
+        graph = FactorGraph()
         values = gtsam.Values()
         initial = self._descent.initial
         add_prior(graph, initial)
@@ -140,7 +141,7 @@ class OnlineSession:
         begin_ns = self._stamps_ns[-1]
         if frame.stamp_ns <= begin_ns:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
-        graph = gtsam.NonlinearFactorGraph()
+        graph = FactorGraph()
         values = gtsam.Values()
         intervals = []
         state, last = self.state, self._last
@@ -203,7 +204,7 @@ class OnlineSession:
     def _move_gravity(self, stamp_ns: int) -> None:
         """Build anew the IMU factors whose midpoints a correction moved."""
         tree = self._solver.tree
-        graph = gtsam.NonlinearFactorGraph()
+        graph = FactorGraph()
         kept, moved, drop = [], [], []
         for one in self._intervals:
             if not tree.valueExists(X(one.number)):

@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import X
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Start
-from craternav_fg.estimators.graph import GraphOptions, add_frame, pose_covariance_in_g
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, pose_covariance_in_g
 from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.measurements import FrameMeasurement
 
@@ -59,7 +59,7 @@ def find_start(
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3(prior.gTb))
     for scale in NOISE_SCALES:
-        graph = gtsam.NonlinearFactorGraph()
+        graph = FactorGraph()
         graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(prior.gTb), noise))
         add_frame(graph, descent, options, X(0), frames[number], scale)
         values = levenberg_marquardt(graph, values).values
