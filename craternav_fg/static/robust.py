@@ -1,5 +1,6 @@
 """Robust solver: rims that are matched to the wrong crater are found, named and left out."""
 
+import itertools
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from craternav_fg.static.robust_kernel import consensus, distances2
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
+# Rounds in which rims may come back.
 _ROUNDS = 5
 
 
@@ -25,8 +27,8 @@ class RobustOptions:
     gate : float
         Squared Mahalanobis distance, 5 degrees of freedom, above which a rim does not agree with a pose.
     least_rims : int
-        Rims that must agree; one less with a prior or the sun, two less with a known attitude. Fewer
-        agree on some pose whatever they are matched to.
+        Rims that must agree, one less with a prior, the sun or a known attitude: fewer agree on some pose
+        whatever they are matched to. With a known attitude a single rim is taken as it is.
     minimal_sets : int
         Pairs of rims (single ones with a known attitude) that are tried at most, the best measured first.
     solve : SolveOptions
@@ -52,9 +54,7 @@ def solve_robustly(problem: StaticProblem, options: RobustOptions = RobustOption
     StaticResult
         Its `wrong` names the rims that were left out; the residuals are of all rims.
     """
-    least = options.least_rims - (problem.prior is not None or problem.sun is not None)
-    least -= 2 * (problem.attitude is not None)
-    least = max(least, 1)
+    least = _least(problem, options)
     rims = problem.rims
     if len(rims) < least:
         return StaticResult(
@@ -67,9 +67,18 @@ def solve_robustly(problem: StaticProblem, options: RobustOptions = RobustOption
         bounds.sun_array(problem), attitude, bounds.first_free(problem), _seeds(problem, options),
         options.gate,
     )  # fmt: skip
-    result, seen = _settle(problem, members, least, options)
-    wrong = tuple(name for name, kept in zip(rims.identifiers, seen, strict=True) if not kept)
-    return replace(result, wrong=wrong if result.poses else ())
+    result, kept = _settle(problem, members, least, options)
+    wrong = tuple(name for name, agrees in zip(rims.identifiers, kept, strict=True) if not agrees)
+    poses = tuple(_of_all(problem, pose) for pose in result.poses)
+    return replace(result, poses=poses, wrong=wrong if poses else ())
+
+
+def _least(problem: StaticProblem, options: RobustOptions) -> int:
+    """Rims that must agree."""
+    if problem.attitude is not None:
+        # One of several that agrees with none of the others proves nothing.
+        return 1 if len(problem.rims) == 1 else max(options.least_rims - 1, 2)
+    return max(options.least_rims - (problem.prior is not None or problem.sun is not None), 1)
 
 
 def _settle(
@@ -77,30 +86,27 @@ def _settle(
 ) -> tuple[StaticResult, BoolArray]:
     """Solve from the rims that agree, until they are those that agree with the solution."""
     rims = problem.rims
-    result = StaticResult(Status.NO_POSE, "", ())
-    for _ in range(_ROUNDS):
+    for turn in itertools.count():
         if members.sum() < least:
-            return (
-                StaticResult(
-                    Status.NO_POSE, f"no {least} of the {len(rims)} rims agree on a pose within the gate", ()
-                ),
-                members,
-            )
+            reason = f"no {least} of the {len(rims)} rims agree on a pose within the gate"
+            return StaticResult(Status.NO_POSE, reason, ()), members
         part = replace(problem, rims=rims.take(members))
         result = solve(part, options.solve)
         if not result.poses or result.status is Status.UNDETERMINED:
-            return result, members
+            break
         gTb = result.poses[0].gTb
         d2 = distances2(
             gTb, bounds.information(part, gTb), bounds.first_free(problem), members,
             rims.packed(problem.bTc),
         )  # fmt: skip
         agree = d2 < options.gate
+        # A rim at the gate could come and go for ever.
+        if turn >= _ROUNDS:
+            agree &= members
         if (agree == members).all():
             break
         members = agree
-    poses = tuple(_of_all(problem, pose) for pose in result.poses)
-    return replace(result, poses=poses), members
+    return result, members
 
 
 def _of_all(problem: StaticProblem, pose: StaticPose) -> StaticPose:

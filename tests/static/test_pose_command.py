@@ -201,6 +201,15 @@ def test_a_wrong_match_is_named(files: Files, run: Run) -> None:
     check_pose(values["poses"][0], files.gTb)
 
 
+def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: Run) -> None:
+    quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
+    rims = files.rims(files.rows[0], files.rows[1].replace("01-b", "01-d"))
+    done = run("--robust", "--attitude", quaternion, "--attitude-sigma-deg", "40", "--json", rims=rims)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert json.loads(done.out)["poses"] == []
+
+
 def test_sigma_scales_the_covariance(files: Files) -> None:
     with_sigma = files.rims(*(f"{row},2.0" for row in files.rows), header=f"{HEADER},sigma_px")
     rims, _ = read_rims(with_sigma, CAMERA, files.folder / "craters.csv", MOON, sigma_px=1.0, edge_points=60)

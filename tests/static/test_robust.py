@@ -6,9 +6,12 @@ import gtsam
 import numpy as np
 import pytest
 
-from craternav_fg.static.problem import KnownAttitude, StaticProblem, Status
-from craternav_fg.static.robust import solve_robustly
-from tests.static.scenes import Scene, bTc, level_axes, make_scene, on_ground
+from craternav_fg.static.edge_fit import chart_covariance
+from craternav_fg.static.efficient import solve
+from craternav_fg.static.problem import KnownAttitude, MatchedRims, StaticProblem, Status
+from craternav_fg.static.robust import RobustOptions, solve_robustly
+from factors.kernels.conic import project_rims
+from tests.static.scenes import CAMERA, Scene, bTc, camera_pose, level_axes, make_scene, on_ground
 
 
 def mismatched(
@@ -99,3 +102,42 @@ def test_two_rims_cannot_check_each_other() -> None:
     assert solve_robustly(scene.measured).status is Status.TOO_FEW_RIMS
     exact = replace(scene.measured, attitude=KnownAttitude(scene.gTb[:3, :3]))
     assert solve_robustly(exact).status is Status.SOLVED
+
+
+def test_one_true_and_one_wrong_match_with_a_known_attitude_are_no_pose() -> None:
+    """Either could be the wrong one."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng, 50e3, 2)
+        problem, _ = mismatched(rng, scene, 1, False)
+        result = solve_robustly(replace(problem, attitude=KnownAttitude(scene.gTb[:3, :3])))
+        assert result.status is Status.NO_POSE
+        assert result.reason == "no 2 of the 2 rims agree on a pose within the gate"
+        assert result.wrong == ()
+
+
+def test_concentric_circles_and_a_wrong_match_leave_a_direction_free() -> None:
+    gTc = camera_pose(np.random.default_rng(1), 50e3, 0.5)
+    centres = np.array([[0.0, 0.0, 0.0]] * 3 + [[6e3, 0.0, 0.0]])
+    axes = np.array([level_axes(size, size, 0.0) for size in (1e3, 2e3, 3e3, 1.5e3)])
+    charts, seen = project_rims(gTc, np.eye(4), centres, axes)
+    assert seen.all()
+    covariance = np.array([chart_covariance(chart, CAMERA, 1.0, 60) for chart in charts])
+    centres[3] = [0.0, 15e3, 0.0]
+    result = solve_robustly(StaticProblem(MatchedRims(tuple("ABCD"), centres, axes, charts, covariance)))
+    assert result.status is Status.UNDETERMINED
+    assert result.wrong == ("D",)
+    for pose in result.poses:
+        assert pose.residuals.shape == (4, 5)
+
+
+@pytest.mark.parametrize("seed", [144, 0, 1, 2])
+def test_with_a_tight_gate_too_the_pose_is_that_of_the_rims_not_named(seed: int) -> None:
+    """In the first scene a rim at the gate comes and goes."""
+    scene = make_scene(np.random.default_rng(seed), 50e3, 10)
+    result = solve_robustly(scene.measured, RobustOptions(gate=8.0))
+    rims = scene.measured.rims
+    kept = np.array([name not in result.wrong for name in rims.identifiers])
+    again = solve(replace(scene.measured, rims=rims.take(kept)))
+    np.testing.assert_allclose(again.pose.gTb, result.pose.gTb, atol=1e-6)
+    assert (np.sum(result.pose.residuals[kept] ** 2, axis=1) < 8.0).all()
