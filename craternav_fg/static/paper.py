@@ -5,6 +5,7 @@ of an unweighted estimate, (J'J)^-1 J' N J (J'J)^-1 with N from the charts' nois
 nothing of a bias, of which the centres of the image ellipses, eq. (10), have one.
 """
 
+from dataclasses import replace
 from enum import Enum
 from functools import partial
 
@@ -14,6 +15,7 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.static import paper_equations as equations
+from craternav_fg.static.efficient import refine
 from craternav_fg.static.least_squares import (
     EVERYTHING,
     TRANSLATION,
@@ -24,6 +26,7 @@ from craternav_fg.static.least_squares import (
 from craternav_fg.static.paper_centres import centre_covariance, centre_pose
 from craternav_fg.static.paper_equations import PaperRims
 from craternav_fg.static.problem import (
+    KnownAttitude,
     PosePrior,
     StaticError,
     StaticPose,
@@ -76,7 +79,8 @@ def solve_paper(problem: StaticProblem, method: Method, start: FloatArray | None
     Returns
     -------
     StaticResult
-        With one pose, or none and the reason.
+        With one pose, or none and the reason. There is none, either, when the rims contradict each other:
+        when no pose near the solution explains their charts, whatever the method makes of them.
 
     Raises
     ------
@@ -149,6 +153,11 @@ def _result(
         return StaticResult(
             Status.NO_POSE, f"from the solution of {name} the rim of {hidden} is not to be seen", ()
         )
+    # The equations' own residuals are biased, or leave shapes out; the charts that the likeliest pose near
+    # by leaves unexplained judge every method alike.
+    likeliest = refine(_as_the_paper(problem, method, gTb), gTb)
+    if likeliest.status is Status.NO_POSE:
+        return likeliest
     residuals = rims.residuals(gTb, problem.bTc)
     turn = _adjoint(problem.bTc)
     S = np.full((6, 6), np.nan) if covariance is None else turn @ covariance @ turn.T
@@ -164,6 +173,13 @@ def _result(
             reason = f"the solution of {name} lies {np.sqrt(distance):.0f} standard deviations off the prior"
             return StaticResult(Status.NO_POSE, reason, ())
     return StaticResult(Status.SOLVED, "", (pose,))
+
+
+def _as_the_paper(problem: StaticProblem, method: Method, gTb: FloatArray) -> StaticProblem:
+    """The problem with what a method uses of it: no prior, the attitude exact, the sun for one method."""
+    attitude = None if problem.attitude is None else KnownAttitude(gTb[:3, :3])
+    sun = problem.sun if method is Method.CRATER_AND_SUN else None
+    return replace(problem, prior=None, attitude=attitude, sun=sun)
 
 
 def _adjoint(T: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """The paper's static methods: exact without noise, honest covariances, clear refusals."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from craternav_fg.static.problem import (
 from factors.kernels import conic
 from factors.kernels.gauss_newton import move
 from tests.factors.conftest import View, make_view
+from tests.static.scenes import make_scene
 
 UNBIASED = (Method.EDGES, Method.TWO_CRATERS, Method.SHAPES)
 SIGMA = np.diag([1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
@@ -229,3 +231,17 @@ def test_circles_seen_alike_leave_a_direction_free() -> None:
     result = solve_paper(problem, Method.SHAPES, view.gTb)
     assert result.status is Status.UNDETERMINED
     assert np.isnan(result.poses[0].covariance).all()
+
+
+@pytest.mark.parametrize("method", [*UNBIASED, Method.IMAGE_CENTRES])
+def test_a_match_to_the_neighbour_is_no_pose(method: Method) -> None:
+    """A rim is taken for another crater, and the start is the truth: the equations converge all the same."""
+    for seed in range(15):
+        scene = make_scene(np.random.default_rng(seed), 50e3, 4)
+        assert solve_paper(scene.measured, method, scene.gTb).status is not Status.NO_POSE
+        rims = scene.measured.rims
+        other = np.array([0, 1, 2, 2])
+        wrong = replace(rims, centres=rims.centres[other] + [[0], [0], [0], [1]], axes=rims.axes[other])
+        result = solve_paper(replace(scene.measured, rims=wrong), method, scene.gTb)
+        assert result.status in (Status.NO_POSE, Status.NOT_CONVERGED)
+        assert not result.poses
