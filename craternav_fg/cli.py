@@ -31,7 +31,7 @@ from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.terminal import tables
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
 from craternav_fg.static.efficient import solve
-from craternav_fg.static.files import as_plain_data, read_rims, static_problem
+from craternav_fg.static.files import SIGMA_RANGE_PX, as_plain_data, read_rims, static_problem
 from craternav_fg.static.problem import Status
 from craternav_fg.static.robust import solve_robustly
 from craternav_fg.terminal import (
@@ -242,9 +242,16 @@ def pose(
     ] = None,
     robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and leave them out.")] = False,
     sigma_px: Annotated[
-        float, typer.Option(min=1e-6, help="Standard deviation of edge points, without a column sigma_px.")
+        float,
+        typer.Option(
+            min=SIGMA_RANGE_PX[0],
+            max=SIGMA_RANGE_PX[1],
+            help="Standard deviation of edge points, without a column sigma_px.",
+        ),
     ] = 1.0,
-    edge_points: Annotated[int, typer.Option(min=6, help="Edge points that an ellipse rests on.")] = 60,
+    edge_points: Annotated[
+        int, typer.Option(min=6, max=100_000, help="Edge points that an ellipse rests on.")
+    ] = 60,
     body_radius_m: Annotated[
         float, typer.Option(min=1.0, help="Of the catalogue's sphere; the Moon's by default.")
     ] = 1737400.0,
@@ -273,7 +280,9 @@ def pose(
     else:
         show_poses(values)
     if result.status not in (Status.SOLVED, Status.AMBIGUOUS):
-        raise EstimationError(f"no pose: {result.status.value}: {result.reason}")
+        raise EstimationError(f"{result.status.value}: {result.reason}")
+    for warning in result.warnings:
+        err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
 
 
 def _numbers(option: str, text: str | None, count: int) -> list[float] | None:

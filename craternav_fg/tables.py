@@ -1,7 +1,7 @@
 """CSV tables with named columns: read fast, refused with file, line and column."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -9,6 +9,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pa_compute
 import pyarrow.csv as pa_csv
 
 from craternav_fg.errors import InputError
@@ -75,10 +76,10 @@ class Table:
         """1-based line of the file in which a row stands."""
         with self.path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream)
-            next(reader)
+            _first_cells(reader)
             count = -1
             for cells in reader:
-                count += bool(cells)
+                count += not _is_blank(cells)
                 if count == row:
                     return reader.line_num
         return row + 2
@@ -100,8 +101,10 @@ class Table:
             )
 
 
-def read_table(path: Path, columns: Sequence[Column], *, ignored: Sequence[str] = ()) -> Table:
-    """Read a CSV file with a header.
+def read_table(
+    path: Path, columns: Sequence[Column], *, ignored: Sequence[str] = (), others: bool = False
+) -> Table:
+    """Read a CSV file with a header; blank lines and spaces around cells don't matter.
 
     Parameters
     ----------
@@ -110,6 +113,9 @@ def read_table(path: Path, columns: Sequence[Column], *, ignored: Sequence[str] 
         All that may occur, in any order.
     ignored : sequence of str
         Further column names that may occur and are not read.
+    others : bool
+        Columns of any other name may occur, too, but for those that begin like an optional one: `sigma` is
+        more likely `sigma_px` misspelt than not to be read.
 
     Returns
     -------
@@ -121,12 +127,12 @@ def read_table(path: Path, columns: Sequence[Column], *, ignored: Sequence[str] 
     InputError
         When the file is missing, a column is missing or unknown, or a cell is not of its kind.
     """
-    names, found = _read_header(path, columns, ignored)
+    names, found, header_line = _read_header(path, columns, ignored, others)
     by_name = {column.name: column for column in found}
     try:
         table = pa_csv.read_csv(
             path,
-            read_options=pa_csv.ReadOptions(column_names=names, skip_rows=1),
+            read_options=pa_csv.ReadOptions(column_names=names, skip_rows=header_line),
             convert_options=pa_csv.ConvertOptions(
                 column_types={column.name: _ARROW[column.kind] for column in found},
                 include_columns=[column.name for column in found],
@@ -182,44 +188,65 @@ def _from_arrow(values: pa.ChunkedArray, column: Column) -> Any:
     if values.null_count and not column.may_be_empty:
         raise _EmptyCellError
     if column.kind == "text":
-        return values.to_pylist()
+        texts = pa_compute.utf8_trim_whitespace(values).to_pylist()
+        if "" in texts:
+            raise _EmptyCellError
+        return texts
     array = values.to_numpy()
     return np.ascontiguousarray(array, dtype=np.int64 if column.kind == "integer" else np.float64)
 
 
 def _read_header(
-    path: Path, columns: Sequence[Column], ignored: Sequence[str]
-) -> tuple[list[str], list[Column]]:
+    path: Path, columns: Sequence[Column], ignored: Sequence[str], others: bool
+) -> tuple[list[str], list[Column], int]:
+    """Give the columns' names, those that are read, and the line of the header."""
     if not path.is_file():
         raise InputError(path, "file is missing")
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            cells = next(csv.reader(stream), [])
+            reader = csv.reader(stream)
+            cells, line = _first_cells(reader), max(reader.line_num, 1)
     except UnicodeDecodeError as error:
         raise InputError(path, f"expected a text file in UTF-8: {error.reason}", line=1) from None
     by_name = {column.name: column for column in columns}
     expected = ", ".join(column.name for column in columns if not column.optional)
+    if len(cells) == 1:
+        for sign, found in ((";", "semicolons"), ("\t", "tabs")):
+            if sign in cells[0]:
+                raise InputError(path, f"expected columns separated by commas, found {found}", line=line)
+    optional = [column.name for column in columns if column.optional]
     names: list[str] = []
     for cell in cells:
         name, bracket, unit = cell.strip().removeprefix("#").strip().partition(" [")
-        if name not in by_name and name not in ignored:
+        passed = others and not any(name.lower().startswith(right[:5].lower()) for right in optional)
+        if name not in by_name and name not in ignored and not passed:
             raise InputError(
-                path, f"expected only the columns {expected}, found another one", line=1, column=name
+                path, f"expected only the columns {expected}, found another one", line=line, column=name
             )
         if name in names:
-            raise InputError(path, "expected each column once, found this one twice", line=1, column=name)
+            raise InputError(path, "expected each column once, found this one twice", line=line, column=name)
         wanted = by_name[name].unit if name in by_name else None
         if bracket and wanted is not None and unit.rstrip("]") != wanted:
             raise InputError(
-                path, f"expected the unit [{wanted}], found [{unit.rstrip(']')}]", line=1, column=name
+                path, f"expected the unit [{wanted}], found [{unit.rstrip(']')}]", line=line, column=name
             )
         names.append(name)
     for column in columns:
         if not column.optional and column.name not in names:
             raise InputError(
-                path, f"expected the columns {expected}, this one is missing", line=1, column=column.name
+                path, f"expected the columns {expected}, this one is missing", line=line, column=column.name
             )
-    return names, [by_name[name] for name in names if name in by_name]
+    return names, [by_name[name] for name in names if name in by_name], line
+
+
+def _is_blank(cells: list[str]) -> bool:
+    """Whether a line that the csv module read is blank."""
+    return not cells or (len(cells) == 1 and not cells[0].strip())
+
+
+def _first_cells(reader: Iterator[list[str]]) -> list[str]:
+    """Cells of the first line that is not blank."""
+    return next((cells for cells in reader if not _is_blank(cells)), [])
 
 
 def _read_slowly(path: Path, names: list[str], by_name: Mapping[str, Column]) -> dict[str, Any]:
@@ -227,9 +254,9 @@ def _read_slowly(path: Path, names: list[str], by_name: Mapping[str, Column]) ->
     with path.open(encoding="utf-8-sig", newline="") as stream:
         reader = csv.reader(stream)
         try:
-            next(reader)
+            _first_cells(reader)
             for cells in reader:
-                if not cells:
+                if _is_blank(cells):
                     continue
                 if len(cells) != len(names):
                     raise InputError(

@@ -3,13 +3,14 @@
 Works for one rim or more, with or without a prior, a known attitude, the sun's tilt.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.static import bounds
 from craternav_fg.static.bounds import MAX_SIGMA
+from craternav_fg.static.caveats import caveats
 from craternav_fg.static.problem import StaticPose, StaticProblem, StaticResult, Status
 from craternav_fg.static.solve_kernel import invert, minimise, solutions
 from factors.kernels.validity import UNSEEN
@@ -100,9 +101,11 @@ def _judge(
     """Make a result of local minima, the cheapest first: which fit, are determined, are probable."""
     # The negated form is also true for NaN.
     if not len(costs) or not costs[0] < UNSEEN**2:
-        return StaticResult(Status.NO_POSE, "no pose sees all rims, in front of it and from above", ())
+        return StaticResult(
+            Status.NO_POSE, "from nowhere are all rims in front of the camera and seen from above", ()
+        )
     if costs[0] > largest_cost(problem, options):
-        return StaticResult(Status.NO_POSE, _misfit(problem, gTb[0], costs[0]), ())
+        return StaticResult(Status.NO_POSE, _misfit(problem, options, gTb[0], costs[0]), ())
     first = bounds.first_free(problem)
     range_m = bounds.range_to(problem, gTb[0])
     covariances, logs = np.empty_like(N), np.empty(len(N))
@@ -131,8 +134,9 @@ def _judge(
         )
     if len(poses) > 1:
         text = ", ".join(f"{share:.3g}" for share in shares)
-        return StaticResult(Status.AMBIGUOUS, f"{len(poses)} poses, of probabilities {text}", poses)
-    return StaticResult(Status.SOLVED, "", poses)
+        reason = f"{len(poses)} poses, of probabilities {text}"
+        return StaticResult(Status.AMBIGUOUS, reason, poses, warnings=caveats(problem, poses))
+    return StaticResult(Status.SOLVED, "", poses, warnings=caveats(problem, poses))
 
 
 def local_minima(
@@ -164,13 +168,32 @@ def largest_cost(problem: StaticProblem, options: SolveOptions) -> float:
     )
 
 
-def _misfit(problem: StaticProblem, gTb: FloatArray, cost: float) -> str:
-    """Say how badly the best pose fits, and which rim fits worst."""
+def _misfit(problem: StaticProblem, options: SolveOptions, gTb: FloatArray, cost: float) -> str:
+    """Say how badly the best pose fits, and what is to blame: what is known beside the rims, or a rim.
+
+    Shares of the squared norm don't tell: the weaker source gives way to the stronger wrong one. What all
+    others agree without is at fault.
+    """
+    beside = {"prior": problem.prior, "attitude": problem.attitude, "sun": problem.sun}
+    known = [name for name, value in beside.items() if value is not None]
+    text = f"the best pose leaves a squared norm of {cost:.3g}"
+    if known and len(problem.rims) == 1:
+        what = " or the ".join(known)
+        return f"{text}: the match of crater {problem.rims.identifiers[0]!r} or the {what} is wrong"
+    culprits = []
+    for name in known:
+        others = replace(problem, **{name: None})  # type: ignore[arg-type]
+        _, costs, _, _ = local_minima(others, options)
+        if len(costs) and costs[0] <= largest_cost(others, options):
+            culprits.append(name)
+    if culprits:
+        match = ", or a match is wrong" if len(problem.rims) == 2 else ""
+        return f"{text}: the {' or the '.join(culprits)} contradicts the rest, which agrees without it{match}"
     each = np.sum(problem.rims.residuals(gTb, problem.bTc) ** 2, axis=1)
     k = int(np.argmax(each))
     return (
-        f"the best pose leaves a squared norm of {cost:.3g}, most of it ({each[k]:.3g}) at crater "
-        f"{problem.rims.identifiers[k]!r}: a wrong match, or another camera"
+        f"{text}, the most by a single rim ({each[k]:.3g}) at crater {problem.rims.identifiers[k]!r}: "
+        "a wrong match, or another camera"
     )
 
 

@@ -35,6 +35,11 @@ MAJOR = "ellipseSemimajor(px)"
 MINOR = "ellipseSemiminor(px)"
 ROTATION = "ellipseRotation(deg)"
 SIGMA = "sigma_px"
+SIGMA_RANGE_PX = (1e-6, 1e3)
+_SMALLEST_AXIS_PX = 0.1
+_LARGEST_IMAGES = 10
+# Of an angle's standard deviation.
+_SIGMA_RANGE_DEG = (1e-6, 360.0)
 _ELLIPSE = (CENTRE_X, CENTRE_Y, MAJOR, MINOR, ROTATION)
 
 
@@ -49,6 +54,7 @@ def read_rims(
         CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
         ellipseRotation(deg) (of the major axis, from the image's x axis towards its y axis), CRATER_ID,
         and optionally sigma_px, the standard deviation of the rim's edge points along the rim's normal.
+        Further columns are not read.
     camera : Camera
     catalog_path : Path
         Catalogue with Robbins' columns.
@@ -71,19 +77,29 @@ def read_rims(
         twice or not in the catalogue.
     """
     table = read_table(
-        path, (*(Column(name) for name in _ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True))
+        path,
+        (*(Column(name) for name in _ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True)),
+        others=True,
     )
     if not len(table):
         raise InputError(path, "expected at least one rim, found none")
-    _check_values(table)
+    _check_values(table, camera)
     catalog = _craters(table, catalog_path, body)
     n = len(table)
-    charts, covariances = np.empty((n, 5)), np.empty((n, 5, 5))
     sigmas = table.columns[SIGMA] if SIGMA in table.columns else np.full(n, sigma_px)
-    for k, (x, y, a, b, turn) in enumerate(table.numbers(*_ELLIPSE).tolist()):
-        charts[k], _ = normalised_chart(ellipse_chart(x, y, a, b, np.radians(turn)), camera)
-        covariances[k] = chart_covariance(charts[k], camera, float(sigmas[k]), edge_points)
+    charts = np.array(
+        [
+            normalised_chart(ellipse_chart(x, y, a, b, np.radians(turn)), camera)[0]
+            for x, y, a, b, turn in table.numbers(*_ELLIPSE).tolist()
+        ]
+    )
     _check_inside(table, charts, camera)
+    covariances = np.array(
+        [
+            chart_covariance(chart, camera, float(sigma), edge_points)
+            for chart, sigma in zip(charts, sigmas, strict=True)
+        ]
+    )
     return MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances), catalog
 
 
@@ -108,19 +124,21 @@ def static_problem(
     Raises
     ------
     StaticError
-        For a quaternion or a direction of no length, and a standard deviation that is not positive.
+        For a quaternion or a direction of no length, and a standard deviation out of range.
     """
+    least, most = _SIGMA_RANGE_DEG
+    for name, sigma in (("attitude", attitude_sigma_deg or least), ("sun", sun[1] if sun else least)):
+        if not least <= sigma <= most:
+            raise StaticError(
+                f"{name}: expected a standard deviation of {least:g} to {most:g} deg, found {sigma:g}"
+            )
     known = None
     if attitude_wxyz is not None:
-        if not np.linalg.norm(attitude_wxyz) > 0.0:
-            raise StaticError("attitude: expected a quaternion, found zero")
-        gRb = frames.from_quaternion_wxyz(np.array(attitude_wxyz))
+        gRb = frames.from_quaternion_wxyz(_direction("attitude: expected a quaternion", attitude_wxyz))
         known = KnownAttitude(gRb, float(np.radians(attitude_sigma_deg)))
     tilt = None
     if sun is not None:
-        if not np.linalg.norm(sun[2:]) > 0.0:
-            raise StaticError("sun: expected a direction, found zero")
-        towards = np.array(sun[2:]) / np.linalg.norm(sun[2:])
+        towards = _direction("sun: expected a direction", sun[2:])
         ground = ground_sun_direction(towards, catalog, np.arange(len(catalog)), np.zeros(3))
         tilt = SunTilt(
             float(np.radians(sun[0])), float(np.radians(sun[1])), rims.chart[:, :2].mean(axis=0), ground
@@ -128,21 +146,36 @@ def static_problem(
     return StaticProblem(rims, camera.bTc, attitude=known, sun=tilt)
 
 
+def _direction(expected: str, values: Sequence[float]) -> FloatArray:
+    """Unit vector along `values`, of whatever length."""
+    v = np.array(values)
+    largest = np.abs(v).max()
+    if not largest > 0.0:
+        raise StaticError(f"{expected}, found zero")
+    # First to about one: the squares of large and small numbers overflow.
+    v /= largest
+    return np.asarray(v / np.linalg.norm(v))
+
+
 def as_plain_data(problem: StaticProblem, result: StaticResult, body: Body) -> dict[str, Any]:
-    """Give a result as lists, numbers and texts: what JSON can carry; None for what is not known."""
+    """Give a result as lists, numbers and texts: what JSON can carry.
+
+    Poses are those to be used: none of a problem that is not determined, whatever samples there are.
+    """
+    usable = result.status in (Status.SOLVED, Status.AMBIGUOUS)
     return {
         "status": result.status.name.lower(),
         "reason": result.reason,
         "rims": list(problem.rims.identifiers),
         "wrong": list(result.wrong),
-        "poses": [_pose(problem, result, pose, body) for pose in result.poses],
+        "warnings": list(result.warnings),
+        "poses": [_pose(problem, pose, body) for pose in result.poses] if usable else [],
     }
 
 
-def _pose(problem: StaticProblem, result: StaticResult, pose: StaticPose, body: Body) -> dict[str, Any]:
+def _pose(problem: StaticProblem, pose: StaticPose, body: Body) -> dict[str, Any]:
     gP = pose.gTb[:3, 3]
     latitude, longitude = frames.latitude_longitude(gP)
-    known = result.status is not Status.UNDETERMINED
     return {
         "probability": pose.probability,
         "squared_norm": pose.cost,
@@ -151,17 +184,21 @@ def _pose(problem: StaticProblem, result: StaticResult, pose: StaticPose, body: 
         "latitude_deg": float(np.degrees(latitude)),
         "longitude_deg": float(np.degrees(longitude)),
         "altitude_m": float(body.altitude_m(gP)),
-        "covariance": pose.covariance.tolist() if known else None,
-        "position_sigma_m": np.sqrt(np.diag(pose.position_covariance)).tolist() if known else None,
-        "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(pose.covariance)[:3])).tolist() if known else None,
+        "covariance": pose.covariance.tolist(),
+        "position_sigma_m": np.sqrt(np.diag(pose.position_covariance)).tolist(),
+        "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(pose.covariance)[:3])).tolist(),
         "residuals": dict(zip(problem.rims.identifiers, pose.residuals.tolist(), strict=True)),
     }
 
 
-def _check_values(table: Table) -> None:
-    for name in (MINOR, MAJOR, *([SIGMA] if SIGMA in table.columns else [])):
-        for row in np.flatnonzero(table.columns[name] <= 0.0).tolist():
-            table.fail(row, name, f"expected more than 0, found {table.columns[name][row]:g}")
+def _check_values(table: Table, camera: Camera) -> None:
+    """Refuse what no image shows, and what arithmetic does not survive."""
+    largest = _LARGEST_IMAGES * max(camera.width_px, camera.height_px)
+    limits = {MINOR: (_SMALLEST_AXIS_PX, largest), MAJOR: (_SMALLEST_AXIS_PX, largest), SIGMA: SIGMA_RANGE_PX}
+    for name, (least, most) in limits.items():
+        values = table.columns.get(name, np.empty(0))
+        for row in np.flatnonzero((values < least) | (values > most)).tolist():
+            table.fail(row, name, f"expected {least:g} to {most:g} px, found {values[row]:g}")
     for row in np.flatnonzero(table.columns[MINOR] > table.columns[MAJOR]).tolist():
         table.fail(
             row, MINOR,

@@ -257,16 +257,20 @@ class StaticResult:
         when there is none.
     wrong : tuple of str
         Identifiers of the rims that were found to be wrongly matched.
+    warnings : tuple of str
+        What to know before a pose is believed, one line each: that nothing checks the matches, that the
+        covariance is no description of the errors.
     """
 
     status: Status
     reason: str
     poses: tuple[StaticPose, ...]
     wrong: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def solved(self) -> bool:
-        """Whether there is one pose, to be used without looking further."""
+        """Whether there is one pose; what it is worth, `warnings` say."""
         return self.status is Status.SOLVED
 
     @property

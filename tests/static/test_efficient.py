@@ -204,6 +204,51 @@ def test_rims_that_contradict_each_other_name_the_worst() -> None:
     assert not result.poses
 
 
+def contradicting(name: str) -> StaticProblem:
+    """Six good rims, and one thing known beside them that is far off."""
+    scene = make_scene(np.random.default_rng(3), 50e3, 6)
+    gRb = scene.gTb[:3, :3] @ frames.rotation_exp(np.array([0.0, 0.3, 0.0]))
+    if name == "attitude":
+        return replace(scene.measured, attitude=KnownAttitude(gRb))
+    if name == "vague attitude":
+        return replace(scene.measured, attitude=KnownAttitude(gRb, 1e-3))
+    if name == "prior":
+        prior = PosePrior(frames.pose(gRb, scene.gTb[:3, 3]), np.diag([1e-6] * 3 + [1e4] * 3))
+        return replace(scene.measured, prior=prior)
+    return with_sun(scene, scene.measured, 1e-3, off_rad=1.0)
+
+
+@pytest.mark.parametrize("name", ["attitude", "vague attitude", "prior", "sun"])
+def test_what_contradicts_good_rims_is_named(name: str) -> None:
+    result = solve(contradicting(name))
+    assert result.status is Status.NO_POSE
+    what = name.removeprefix("vague ")
+    assert result.reason.endswith(f": the {what} contradicts the rest, which agrees without it")
+
+
+def test_a_wrong_match_beside_a_good_attitude_is_named() -> None:
+    scene = make_scene(np.random.default_rng(3), 50e3, 6)
+    centres = scene.measured.rims.centres.copy()
+    centres[4] += [1500.0, 0.0, 0.0]
+    wrong = replace(scene.measured, rims=replace(scene.measured.rims, centres=centres))
+    result = solve(replace(wrong, attitude=KnownAttitude(scene.gTb[:3, :3])))
+    assert "'c4'" in result.reason
+    assert "attitude" not in result.reason
+
+
+@pytest.mark.parametrize(
+    ("count", "attitude", "warned"), [(2, False, True), (3, False, False), (1, True, True), (2, True, False)]
+)
+def test_matches_that_nothing_checks_are_warned_of(count: int, attitude: bool, warned: bool) -> None:
+    scene = make_scene(np.random.default_rng(0), 10e3, count)
+    problem = scene.measured
+    if attitude:
+        problem = replace(problem, attitude=KnownAttitude(scene.gTb[:3, :3]))
+    result = solve(problem)
+    assert result.solved
+    assert any("hardly: a wrong one can pass unnoticed" in text for text in result.warnings) is warned
+
+
 def test_an_attitude_that_looks_away_is_no_pose() -> None:
     scene = make_scene(np.random.default_rng(3), 50e3, 3)
     up = scene.gTb[:3, :3] @ frames.rotation_exp(np.pi * bTc[:3, 0])

@@ -19,6 +19,7 @@ from craternav_fg.cli import main
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
 from craternav_fg.static.files import read_rims
+from craternav_fg.static.problem import MatchedRims
 from factors.kernels.conic import project_rims
 from factors.kernels.sun import sun_tilt
 
@@ -52,7 +53,7 @@ class Files:
         paths = (rims or self.rims(), "--camera", self.folder / "sensor.yaml")
         return ["pose", *map(str, paths), "--catalog", str(self.folder / "craters.csv")]
 
-    def read(self, rims: Path) -> object:
+    def read(self, rims: Path) -> tuple[MatchedRims, Catalog]:
         return read_rims(rims, CAMERA, self.folder / "craters.csv", MOON, sigma_px=1.0, edge_points=60)
 
 
@@ -131,6 +132,8 @@ def test_a_pose_from_files(files: Files, run: Run) -> None:
     assert pose["altitude_m"] == pytest.approx(np.linalg.norm(files.gTb[:3, 3]) - MOON.radius_m, abs=1.0)
     assert np.array(pose["covariance"]).shape == (6, 6)
     assert set(pose["residuals"]) == set(files.catalog.identifiers)
+    assert values["warnings"] == []
+    assert done.err == ""
     shown = run()
     assert shown.code == 0
     assert f"latitude {pose['latitude_deg']:.5f}" in shown.out
@@ -155,7 +158,11 @@ def test_one_rim_with_an_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
     done = run("--attitude", quaternion, "--json", rims=files.rims(files.rows[0]))
     assert done.code == 0, done.err
-    check_pose(json.loads(done.out)["poses"][0], files.gTb)
+    values = json.loads(done.out)
+    check_pose(values["poses"][0], files.gTb)
+    (warning,) = values["warnings"]
+    assert warning.startswith("1 rim checks its match hardly")
+    assert done.err == f"craternav: warning: {warning}\n"
 
 
 def test_one_rim_with_the_sun(files: Files, run: Run) -> None:
@@ -178,10 +185,10 @@ def test_one_rim_alone_is_refused_but_shown_as_json(files: Files, run: Run) -> N
     done = run("--json", rims=files.rims(files.rows[0]))
     assert done.code == 2
     assert done.err.count("\n") == 1
-    assert "no pose: the image leaves a direction of the pose free: rank 5" in done.err
+    assert done.err.startswith("craternav: the image leaves a direction of the pose free: rank 5")
     values = json.loads(done.out)
     assert values["status"] == "undetermined"
-    assert values["poses"][0]["covariance"] is None
+    assert values["poses"] == []
 
 
 def test_a_wrong_match_is_named(files: Files, run: Run) -> None:
@@ -193,7 +200,7 @@ def test_a_wrong_match_is_named(files: Files, run: Run) -> None:
     (files.folder / "craters.csv").write_text(text + other + "\n")
     refused = run(rims=files.rims(*rows))
     assert refused.code == 2
-    assert "no pose explains the rims" in refused.err
+    assert refused.err.startswith("craternav: no pose explains the rims: the best pose leaves")
     done = run("--robust", "--json", rims=files.rims(*rows))
     assert done.code == 0, done.err
     values = json.loads(done.out)
@@ -235,7 +242,10 @@ def cell(row: str, column: int, value: str) -> str:
         ),
         (lambda r: [r[0], cell(r[1], 0, "5000")], r"rims\.csv:3: ellipseCenterX\(px\): .*1024 x 768 image"),
         (lambda r: [cell(r[0], 1, "-400")], r"rims\.csv:2: ellipseCenterY\(px\): .*found its centre at -400"),
-        (lambda r: [cell(r[0], 3, "0")], r"rims\.csv:2: ellipseSemiminor\(px\): expected more than 0"),
+        (lambda r: [cell(r[0], 3, "0")], r"rims\.csv:2: ellipseSemiminor\(px\): expected 0\.1 to 10240 px"),
+        (lambda r: [cell(r[0], 3, "1e-200")], r"rims\.csv:2: ellipseSemiminor\(px\): .* found 1e-200"),
+        (lambda r: [r[1], cell(r[0], 2, "1e200")], r"rims\.csv:3: ellipseSemimajor\(px\): .* found 1e\+200"),
+        (lambda r: [cell(r[0], 0, "1e200")], r"rims\.csv:2: ellipseCenterX\(px\): .*1024 x 768 image"),
         (
             lambda r: [cell(r[0], 3, "900")],
             r"rims\.csv:2: ellipseSemiminor\(px\): expected at most the",
@@ -247,6 +257,52 @@ def cell(row: str, column: int, value: str) -> str:
 def test_a_bad_cell_is_named(files: Files, spoil: Callable[[list[str]], list[str]], says: str) -> None:
     with pytest.raises(InputError, match=says):
         files.read(files.rims(*spoil(files.rows)))
+
+
+@pytest.mark.parametrize("sigma", ["0", "1e-200", "1e200", "-1"])
+def test_a_standard_deviation_out_of_range_is_named(files: Files, sigma: str) -> None:
+    rims = files.rims(f"{files.rows[0]},1.0", f"{files.rows[1]},{sigma}", header=f"{HEADER},sigma_px")
+    with pytest.raises(InputError, match=r"rims\.csv:3: sigma_px: expected 1e-06 to 1000 px, found"):
+        files.read(rims)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace(",", ", "),
+        lambda text: "\n  \n" + text,
+        lambda text: text.replace("\n", "\n   \n\n"),
+        lambda text: "".join(f"{line},{'note' if k == 0 else 'x'}\n" for k, line in enumerate(text.split())),
+        lambda text: text.replace("\n", ",\n"),
+    ],
+    ids=["spaces", "blank first", "blank between", "another column", "closing comma"],
+)
+def test_how_a_table_is_laid_out_does_not_matter(files: Files, change: Callable[[str], str]) -> None:
+    path = files.rims()
+    plain, _ = files.read(path)
+    text = path.read_text()
+    path.write_text(change(text))
+    rims, _ = files.read(path)
+    assert rims.identifiers == plain.identifiers
+    np.testing.assert_array_equal(rims.chart, plain.chart)
+    path.write_text(change(text.replace("01-d", "99-z")))
+    line = next(k for k, row in enumerate(path.read_text().split("\n"), 1) if "99-z" in row)
+    with pytest.raises(InputError, match=rf"rims\.csv:{line}: CRATER_ID: .*found '99-z'"):
+        files.read(path)
+
+
+@pytest.mark.parametrize(("sign", "name"), [(";", "semicolons"), ("\t", "tabs")])
+def test_another_separator_is_named(files: Files, sign: str, name: str) -> None:
+    path = files.rims()
+    path.write_text(path.read_text().replace(",", sign))
+    with pytest.raises(InputError, match=rf"rims\.csv:1: expected columns separated by commas, found {name}"):
+        files.read(path)
+
+
+def test_a_column_almost_of_the_standard_deviation_is_not_passed_over(files: Files) -> None:
+    rims = files.rims(*(f"{row},1.0" for row in files.rows), header=f"{HEADER},sigma")
+    with pytest.raises(InputError, match=r"rims\.csv:1: sigma: expected only the columns"):
+        files.read(rims)
 
 
 def test_a_file_without_rims(files: Files) -> None:
@@ -267,7 +323,11 @@ def test_a_file_without_rims(files: Files) -> None:
             "craternav: --attitude: expected 4 numbers, separated by commas, found",
         ),
         (("--sun", "1,2,x,0,0"), "craternav: --sun: expected 5 numbers"),
-        (("--sun", "1,0,1,0,0"), "craternav: sun: expected finite numbers, a positive sigma and a direction"),
+        (
+            ("--sun", "1,0,1,0,0"),
+            "craternav: sun: expected a standard deviation of 1e-06 to 360 deg, found 0",
+        ),
+        (("--sun", "1,1,0,0,0"), "craternav: sun: expected a direction, found zero"),
         (("--attitude", "0,0,0,0"), "craternav: attitude: expected a quaternion, found zero"),
     ],
 )
