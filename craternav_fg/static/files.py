@@ -147,7 +147,7 @@ def static_problem(
 
 
 def _direction(expected: str, values: Sequence[float]) -> FloatArray:
-    """Unit vector along `values`, of whatever length."""
+    """Give the unit vector along `values`, of whatever length."""
     v = np.array(values)
     largest = np.abs(v).max()
     if not largest > 0.0:

@@ -176,7 +176,7 @@ def _result(
 
 
 def _as_the_paper(problem: StaticProblem, method: Method, gTb: FloatArray) -> StaticProblem:
-    """The problem with what a method uses of it: no prior, the attitude exact, the sun for one method."""
+    """Keep of the problem what a method uses: no prior, the attitude exact, the sun for one method."""
     attitude = None if problem.attitude is None else KnownAttitude(gTb[:3, :3])
     sun = problem.sun if method is Method.CRATER_AND_SUN else None
     return replace(problem, prior=None, attitude=attitude, sun=sun)
