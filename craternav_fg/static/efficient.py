@@ -38,13 +38,13 @@ class SolveOptions:
     misfit_sigma : float
         A squared norm further than this above its expectation contradicts itself.
     noise_allowance : float
-        Factor on the squared norm's limit: charts of the smallest rims scatter so much more than
-        their covariances say.
+        Factor on the squared norm's limit: the errors of the smallest rims' charts have longer tails
+        than Gaussian ones.
     """
 
     planes: int = 2
     rolls: int = 64
-    iterations: int = 100
+    iterations: int = 300
     least_probability: float = 0.01
     misfit_sigma: float = 5.0
     noise_allowance: float = 1.6

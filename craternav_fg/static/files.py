@@ -15,7 +15,7 @@ from craternav_fg.catalog_files import ID, import_catalog
 from craternav_fg.dataset.rims import ground_sun_direction
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SunTilt
-from craternav_fg.static.edge_fit import chart_covariance
+from craternav_fg.static.edge_fit import fit_covariance
 from craternav_fg.static.problem import (
     KnownAttitude,
     MatchedRims,
@@ -96,7 +96,7 @@ def read_rims(
     _check_inside(table, charts, camera)
     covariances = np.array(
         [
-            chart_covariance(chart, camera, float(sigma), edge_points)
+            fit_covariance(chart, camera, float(sigma), edge_points)
             for chart, sigma in zip(charts, sigmas, strict=True)
         ]
     )

@@ -6,7 +6,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.static.bounds import cramer_rao
-from craternav_fg.static.edge_fit import chart_covariance, fit_edges, rim_points
+from craternav_fg.static.edge_fit import chart_covariance, fit_covariance, fit_edges, rim_points
 from craternav_fg.static.problem import KnownAttitude, MatchedRims, PosePrior, StaticProblem
 from factors.kernels.conic import project_rims
 from tests.static.scenes import CAMERA, camera_pose, level_axes
@@ -127,6 +127,33 @@ def test_a_rims_covariance_is_the_scatter_of_fits_to_its_edge_points() -> None:
     own = np.mean([fit[1] for fit in fits if fit is not None], axis=0)
     np.testing.assert_allclose(own * unit, covariance * unit, atol=0.03)
     np.testing.assert_allclose(pixel_chart(chart, camera)[:2], points.mean(axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [12, 60])
+@pytest.mark.parametrize("size_px", [4.0, 6.0])
+def test_fits_to_small_rims_scatter_as_they_say_and_more_than_the_bound(size_px: float, count: int) -> None:
+    """Squared distances of fits from the true rim, 5 expected, by each fit's own covariance."""
+    scale = 1.0 / CAMERA.fx_px
+    chart = np.array([0.05, -0.05, np.log(1.5 * size_px * scale), 0.2, np.log(size_px * scale)])
+    rng = np.random.default_rng(1)
+    spreads = {"own": [], "bound": [], "fit": []}
+    bound = chart_covariance(chart, CAMERA, 1.0, count)
+    expected = fit_covariance(chart, CAMERA, 1.0, count)
+    for _ in range(1200):
+        angles = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(count) / count
+        points, normals = rim_points(chart, CAMERA, angles)
+        fit = fit_edges(points + rng.normal(size=(count, 1)) * normals, CAMERA, 1.0)
+        if fit is None:
+            continue
+        error = fit[0] - chart
+        for name, covariance in (("own", fit[1]), ("bound", bound), ("fit", expected)):
+            spreads[name].append(error @ np.linalg.solve(covariance, error))
+    assert len(spreads["own"]) > 1100
+    # Sampling: 5 +- 3 * 0.1; of the smallest rims of few points the tails count.
+    limit = 0.3 if size_px > 5.0 or count > 50 else 0.8
+    assert np.mean(spreads["own"]) == pytest.approx(5.0, abs=limit)
+    assert np.mean(spreads["fit"]) == pytest.approx(5.0, abs=limit)
+    assert np.mean(spreads["bound"]) > 1.03 * np.mean(spreads["fit"])
 
 
 def test_points_on_a_line_are_no_ellipse() -> None:
