@@ -1,8 +1,9 @@
 """The Monte Carlo runs behind figs. 11 to 14: one image, its rims with noise, every static method.
 
 The paper's methods start at the truth, as if a filter had predicted it well: what is compared is what their
-equations are worth, not how far they converge. The efficient solver has no start; where the image leaves
-several poses, the one nearest the truth is counted, the same advantage.
+equations are worth, not how far they converge. Where the optimiser stops without having converged, the pose
+that it reached counts, and the data say so. The efficient solver has no start; where the image leaves several
+poses, the one nearest the truth is counted, the same advantage.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from craternav_fg.static import paper_equations as equations
 from craternav_fg.static.least_squares import minimise
 from craternav_fg.static.paper_centres import centre_pose
 from craternav_fg.static.paper_equations import PaperRims
-from craternav_fg.static.problem import StaticProblem
+from craternav_fg.static.problem import StaticProblem, Status
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,15 +35,16 @@ TWO_PRINTED = "two_craters_printed"
 TWO = "two_craters"
 SHAPES = "shapes"
 EFFICIENT = "efficient"
-METHODS = (CENTRES, EDGES_PRINTED, EDGES, TWO_PRINTED, TWO, SHAPES, EFFICIENT)
+PAPERS = (CENTRES, EDGES_PRINTED, EDGES, TWO_PRINTED, TWO, SHAPES)
+METHODS = (*PAPERS, EFFICIENT)
 # By these a third crater is needed.
 OF_THREE = (CENTRES, EDGES_PRINTED, EDGES)
 
 _BATCH = 25
 # Errors drawn from the bound's Gaussian in each trial.
 _DRAWS = 200
-# With the printed sign there is no pose; a few trials show it.
-_PRINTED_TRIALS = 5
+# With the printed sign the minimisation runs away; a few trials show it.
+PRINTED_TRIALS = 5
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,6 @@ class Batch:
     craters : int
     altitude_m, noise_px, arc : float
     points : tuple of int
-    semi_axes_m : tuple of float
     seed, first, last : int
         Trials first to last - 1.
     """
@@ -67,17 +68,19 @@ class Batch:
     seed: int
     first: int
     last: int
-    semi_axes_m: tuple[float, float] = (500.0, 2500.0)
 
 
 def run_batch(batch: Batch) -> list[dict[str, float]]:
-    """Errors of every method in every trial of a batch; NaN where a method gives no pose."""
+    """Errors of every method in every trial of a batch; NaN where a method gives no pose.
+
+    `converged` of a method of the paper is 0 where the error is that of the pose at which it stopped.
+    """
     return [_run_trial(batch, trial) for trial in range(batch.first, batch.last)]
 
 
 def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
     rng = np.random.default_rng([batch.seed, 11, batch.craters, round(batch.altitude_m), trial])
-    scene = random_scene(rng, batch.craters, batch.altitude_m, semi_axes_m=batch.semi_axes_m)
+    scene = random_scene(rng, batch.craters, batch.altitude_m)
     counts = rng.integers(batch.points[0], batch.points[1] + 1, batch.craters)
     problem, bound = measure(scene, rng, counts, batch.arc, batch.noise_px)
     record = {
@@ -88,15 +91,19 @@ def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
         "fitted": float(problem is not None),
         "solutions": 0.0,
     }
-    poses = {}
+    poses: dict[str, tuple[FloatArray, bool]] = {}
     if problem is not None:
-        poses = _paper_poses(problem, scene, printed=trial < _PRINTED_TRIALS)
-        found = efficient.solve(problem).poses
-        record["solutions"] = float(len(found))
-        if found:
-            poses[EFFICIENT] = min((pose.gTb for pose in found), key=lambda gTc: _error_m(scene, gTc))
+        poses = _paper_poses(problem, scene, printed=trial < PRINTED_TRIALS)
+        result = efficient.solve(problem)
+        # Of an undetermined pose, samples of a continuum are no solutions.
+        if result.status in (Status.SOLVED, Status.AMBIGUOUS):
+            record["solutions"] = float(len(result.poses))
+            nearest = min((pose.gTb for pose in result.poses), key=lambda gTc: _error_m(scene, gTc))
+            poses[EFFICIENT] = nearest, True
     for method in METHODS:
-        gTc = poses.get(method)
+        gTc, converged = poses.get(method, (None, None))
+        if method in PAPERS:
+            record[f"{method}_converged"] = np.nan if converged is None else float(converged)
         record[f"{method}_m"] = np.nan if gTc is None else _error_m(scene, gTc)
         record[f"{method}_deg"] = np.nan if gTc is None else _error_deg(scene, gTc)
     for block, unit in ((bound[3:, 3:], "m"), (np.degrees(1.0) ** 2 * bound[:3, :3], "deg")):
@@ -117,8 +124,13 @@ def _error_deg(scene: Scene, gTc: FloatArray) -> float:
     return float(np.degrees(np.linalg.norm(turn)))
 
 
-def _paper_poses(problem: StaticProblem, scene: Scene, *, printed: bool) -> dict[str, FloatArray]:
-    """Poses (4, 4) by every method of the paper that has one, from the truth; as printed on demand."""
+def _paper_poses(
+    problem: StaticProblem, scene: Scene, *, printed: bool
+) -> dict[str, tuple[FloatArray, bool]]:
+    """Poses (4, 4) that the paper's methods reach from the truth, and whether they converged.
+
+    As printed on demand.
+    """
     seen = PaperRims(problem.rims)
     enough = len(problem.rims) >= 3
     systems = {
@@ -130,12 +142,12 @@ def _paper_poses(problem: StaticProblem, scene: Scene, *, printed: bool) -> dict
         systems[EDGES_PRINTED] = partial(equations.edges, seen, printed_sign=True)
         systems[TWO_PRINTED] = partial(equations.two_craters, seen, printed_sign=True)
     out = {
-        method: minimise(system, scene.gTc)[0]
+        method: minimise(system, scene.gTc)
         for method, system in systems.items()
         if enough or method not in OF_THREE
     }
     if enough:
-        out[CENTRES], _ = centre_pose(seen, scene.gTc)
+        out[CENTRES] = centre_pose(seen, scene.gTc)
     return out
 
 
@@ -158,7 +170,7 @@ def simulate(
     Returns
     -------
     pyarrow.Table
-        A row per trial: per method its errors, NaN where it gives no pose; the bound.
+        A row per trial: per method its errors, NaN where it gives no pose, whether it converged; the bound.
     """
     conditions = [(1e3 * km, options.noise_px) for km in altitudes_km(options)] + list(extra)
     batches = [

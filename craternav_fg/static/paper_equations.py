@@ -123,7 +123,9 @@ def lines_of_sight(
     seen : PaperRims
     gTc : ndarray, shape (4, 4)
     printed_sign : bool
-        Take P - L as printed: no pose fulfils it with outward normals.
+        Take P - L as printed: with outward normals no pose that sees the rims from outside fulfils it. Two
+        craters on one plane are seen so from beneath it, from the pose turned by half a turn about the line
+        through their centres.
 
     Returns
     -------

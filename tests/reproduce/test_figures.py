@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from craternav_fg import frames
 from craternav_fg.reproduce import centres, los
+from craternav_fg.reproduce.scenes import matched, random_scene
 from craternav_fg.reproduce.static_pose import METHODS, Batch, run_batch
+from craternav_fg.static.paper_equations import PaperRims, edges
 
 # Deviation, deg: angles of incidence by altitudes of los.TILTS_DEG, los.ALTITUDES.
 DEVIATION = np.array(
@@ -40,6 +43,12 @@ MONTE_CARLO = {
     },
 }  # fmt: skip
 
+# The image has little room for five large craters from there; how they are drawn, the reference does not say.
+CROWDED = (
+    "five craters of 0.5 to 2.5 km from 10 km: (10) 262 m, (13) 21 m, efficient 14 m, bound 16 m, for the "
+    "reference's 75, 24, 17 and 21 m; with none above 1.25 km they agree"
+)
+
 
 def test_fig02_is_the_table_of_the_reference() -> None:
     rows = los.fig02().rows
@@ -68,9 +77,8 @@ def test_fig03_has_the_trends_and_magnitudes_of_the_reference() -> None:
 
 
 def columns(km: int, craters: int, trials: int, *, seed: int = 7) -> dict[str, np.ndarray]:
-    """Errors of every method; five craters at 10 km are small ones, as the reference had them."""
-    largest_m = 1250.0 if (km, craters) == (10, 5) else 2500.0
-    batch = Batch(craters, 1e3 * km, 1.0, 1.0, (10, 100), seed, 0, trials, (500.0, largest_m))
+    """Errors of every method in the set-up that the reference states."""
+    batch = Batch(craters, 1e3 * km, 1.0, 1.0, (10, 100), seed, 0, trials)
     records = run_batch(batch)
     return {name: np.array([record[name] for record in records]) for name in records[0]}
 
@@ -97,7 +105,18 @@ def test_static_errors_are_those_of_the_reference(km: int, craters: int) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("km", "craters"), sorted(MONTE_CARLO))
+@pytest.mark.parametrize(
+    ("km", "craters"),
+    [
+        pytest.param(
+            *key,
+            marks=[pytest.mark.xfail(strict=True, raises=AssertionError, reason=CROWDED)]
+            if key == (10, 5)
+            else [],
+        )
+        for key in sorted(MONTE_CARLO)
+    ],
+)
 def test_static_errors_are_those_of_the_reference_in_full(km: int, craters: int) -> None:
     compare(km, craters, 300)
 
@@ -108,6 +127,22 @@ def test_printed_sign_has_no_pose_and_fine_noise_the_papers_error() -> None:
     fine = run_batch(Batch(2, 1e5, 0.01, 1.0, (10, 100), 7, 0, 40))
     errors = np.array([record["two_craters_m"] for record in fine])
     assert 65.0 < errors.mean() < 260.0
+
+
+def test_printed_sign_holds_of_two_craters_from_beneath() -> None:
+    scene = random_scene(np.random.default_rng(3), 2, 3e4)
+    seen = PaperRims(matched(scene, scene.charts, np.repeat(np.eye(5)[None], 2, axis=0)).rims)
+    line = scene.centres[1] - scene.centres[0]
+    turn = frames.rotation_exp(np.pi * line / np.linalg.norm(line))
+    beneath = frames.pose(
+        turn @ scene.gTc[:3, :3], scene.centres[0] + turn @ (scene.gTc[:3, 3] - scene.centres[0])
+    )
+    assert beneath[2, 3] < 0.0
+    for gTc, printed_sign, fulfilled in (
+        (beneath, True, True), (beneath, False, False), (scene.gTc, True, False), (scene.gTc, False, True),
+    ):  # fmt: skip
+        e, _ = edges(seen, gTc, printed_sign=printed_sign)
+        assert (np.abs(e).max() < 1e-9) == fulfilled
 
 
 def test_two_craters_have_no_columns_of_three() -> None:
