@@ -91,7 +91,8 @@ def fig02() -> Reproduction:
         f"{'grows' if by_altitude else 'does not grow'} as the camera comes down, up to {values.max():.2f} "
         "deg at i = 30 deg, h = 5 r. The closed form (r/rho)^2 sin i cos i, rho = h / cos i, is within "
         f"{100.0 * np.abs(closed / values - 1.0).max():.1f} %. A pixel of the paper's camera is "
-        f"{pixel_deg:.3f} deg: at i = 30 deg the deviation exceeds it from {highest} r downwards."
+        f"{pixel_deg:.3f} deg: at i = 30 deg the deviation exceeds it from {highest} r downwards. This is "
+        "one crater on the optical axis; the paper averages three in the image, which see other angles."
     )
     return Reproduction(
         "fig02",
