@@ -20,57 +20,94 @@ class Equation:
     """A method of the paper: its name, and the columns of its errors as printed and corrected."""
 
     name: str
-    as_printed: str | None
-    corrected: str | None
+    as_printed: str
+    corrected: str
 
 
-CENTRES = Equation("(10)", runs.CENTRES, None)
-EDGES = Equation("(13)", None, runs.EDGES)
-TWO = Equation("(23)", None, runs.TWO)
-SHAPES = Equation("(19), unweighted", runs.SHAPES, None)
+# In (10) and (19) there is nothing to put right: both columns hold the same.
+CENTRES = Equation("(10)", runs.CENTRES, runs.CENTRES)
+EDGES = Equation("(13)", runs.EDGES_PRINTED, runs.EDGES)
+TWO = Equation("(23)", runs.TWO_PRINTED, runs.TWO)
+SHAPES = Equation("(19), unweighted", runs.SHAPES, runs.SHAPES)
 
 
 class Condition:
-    """The trials of one altitude and noise, and their statistics."""
+    """The trials of one altitude and noise, and their statistics.
+
+    Every method and the bound are averaged over the same trials: those whose rims have ellipses and of which
+    the efficient solver gives a pose. With the printed sign only the first few of them were tried.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, shape (trials,)
+        All trials, counted or not.
+    counted : ndarray of bool, shape (trials,)
+    unit : str
+    """
 
     def __init__(self, data: pa.Table, altitude_m: float, noise_px: float, unit: str) -> None:
         keep = (data["altitude_m"].to_numpy() == altitude_m) & (data["noise_px"].to_numpy() == noise_px)
         self.columns = {name: data[name].to_numpy()[keep] for name in data.column_names}
         self.unit = unit
+        self.counted = self.columns["solutions"] > 0.0
 
     def values(self, method: str) -> FloatArray:
-        """Errors (trials,) of a method that found a pose."""
-        column = self.columns[f"{method}_{self.unit}"]
+        """Errors of a method in the counted trials."""
+        column = self.columns[f"{method}_{self.unit}"][self.counted]
         return np.asarray(column[np.isfinite(column)])
 
-    def statistic(self, method: str | None, kind: str) -> float | None:
+    def bounds(self) -> FloatArray:
+        """Bound's rms in each counted trial."""
+        return np.asarray(self.columns[f"bound_rms_{self.unit}"][self.counted])
+
+    def statistic(self, method: str, kind: str) -> float | None:
         """Mean, standard deviation or root mean square of a method's errors; None where there is none."""
-        if method is None or not len(self.values(method)):
-            return None
         values = self.values(method)
+        if not len(values):
+            return None
         if kind == MEAN:
             return float(values.mean())
         return float(values.std()) if kind == STD else float(np.sqrt(np.mean(values**2)))
 
-    def bound(self, kind: str) -> float:
+    def bound(self, kind: str) -> float | None:
         """Give the same statistic of errors that are Gaussian with the bound as their covariance."""
-        square = float(np.mean(self.columns[f"bound_rms_{self.unit}"] ** 2))
-        mean = float(np.mean(self.columns[f"bound_mean_{self.unit}"]))
+        if not self.counted.any():
+            return None
+        square = float(np.mean(self.bounds() ** 2))
+        mean = float(np.mean(self.columns[f"bound_mean_{self.unit}"][self.counted]))
         if kind == MEAN:
             return mean
         return float(np.sqrt(square - mean**2)) if kind == STD else float(np.sqrt(square))
 
+    def standard_error(self, method: str, kind: str) -> float:
+        """Give the sampling error of a method's mean or standard deviation."""
+        values = self.values(method)
+        std = float(values.std()) if len(values) else 0.0
+        if std == 0.0 or kind == MEAN:
+            return std / np.sqrt(max(len(values), 1))
+        fourth = float(np.mean((values - values.mean()) ** 4))
+        return float(np.sqrt((fourth - std**4) / len(values)) / (2.0 * std))
+
     def row(
-        self, figure: str, quantity: str, equation: Equation, kind: str, where: str, paper: float | None,
-        headline: bool,
+        self, figure: str, quantity: str, equation: Equation, kind: str, where: str,
+        printed: tuple[float, float] | None, headline: bool,
     ) -> Row:  # fmt: skip
-        """Row of a method's statistic beside the bound's."""
-        corrected = self.statistic(equation.corrected or equation.as_printed, kind)
-        trials = np.sqrt(len(self.columns["trial"]))
-        # Of a mean; of a standard deviation about as much. The paper's own deviation is about its mean.
-        own = 0.0 if paper is None else paper / np.sqrt(_PAPER_TRIALS)
-        error = float(np.hypot((self.statistic(equation.corrected, STD) or 0.0) / trials, own))
-        views = float(np.std(self.columns[f"bound_mean_{self.unit}"]))
+        """Row of a method's statistic beside the bound's, and the paper's mean or standard deviation."""
+        corrected, bound = self.statistic(equation.corrected, kind), self.bound(kind)
+        paper = None if printed is None or kind == RMS else printed[(MEAN, STD).index(kind)]
+        judged = verdict(None, corrected, None)
+        if printed is not None and paper is not None:
+            # Of the paper's mean; of its standard deviation about as much.
+            own = printed[1] / np.sqrt(_PAPER_TRIALS)
+            views = float(np.std(self.columns[f"bound_mean_{self.unit}"][self.counted])) if bound else 0.0
+            judged = verdict(
+                paper,
+                corrected,
+                # The least mean of an error's length follows from the bound, its least scatter does not.
+                bound if kind == MEAN else None,
+                error=float(np.hypot(self.standard_error(equation.corrected, kind), own)),
+                bound_error=float(np.hypot(views / np.sqrt(max(self.counted.sum(), 1)), own)),
+            )
         return Row(
             figure,
             f"{quantity} error of {equation.name}, {kind}",
@@ -78,15 +115,9 @@ class Condition:
             self.unit,
             paper,
             self.statistic(equation.as_printed, kind),
-            self.statistic(equation.corrected, kind),
+            corrected,
             self.statistic(runs.EFFICIENT, kind),
-            self.bound(kind),
-            verdict(
-                paper,
-                corrected,
-                self.bound(kind),
-                error=error,
-                bound_error=float(np.hypot(views / trials, own)),
-            ),
+            bound,
+            judged,
             headline,
         )

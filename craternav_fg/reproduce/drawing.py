@@ -102,13 +102,18 @@ def draw_errors(
         axes.plot(x, s.mean, s.line, marker=s.marker, color=s.colour, ms=4.5, lw=1.5, label=name)
     if paper:
         x, mean, deviation = np.array(paper).T
-        # On a logarithmic scale the lower end of a bar may lie below all.
-        low = np.maximum(mean - deviation, 0.2 * mean)
-        axes.errorbar(
-            x, mean, [mean - low, deviation], fmt="*", color="k", ms=12, capsize=4, lw=1.2, zorder=5,
-            label="paper (mean, 1 sigma)",
-        )  # fmt: skip
+        axes.plot(x, mean, "*", color="k", ms=12, zorder=5, label="paper (mean, 1 sigma)")
+        axes.plot(x, mean + deviation, "_", color="k", ms=8, zorder=5)
+        shown = deviation < mean
+        axes.plot(x[shown], (mean - deviation)[shown], "_", color="k", ms=8, zorder=5)
     axes.set_yscale("log")
+    if paper:
+        bottom = axes.get_ylim()[0]
+        # An end at or below zero is not on a logarithmic axis: the bar runs to the axis, without a cap.
+        axes.vlines(
+            x, np.where(shown, mean - deviation, bottom), mean + deviation, color="k", lw=1.2, zorder=5
+        )
+        axes.set_ylim(bottom=bottom)
     axes.set_xlabel("altitude, km")
     axes.set_ylabel(quantity)
     axes.set_title(title, fontsize=10)

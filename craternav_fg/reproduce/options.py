@@ -6,6 +6,8 @@ from craternav_fg.errors import CraternavError
 
 # No ellipse fit is of use on arcs shorter than about a third of the rim.
 LEAST_ARC = 0.35
+# From higher up the smallest rims, of 0.5 km, have semi-axes under 3 px, and ellipses of their points fail.
+HIGHEST_KM = 200.0
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,7 @@ class ReproduceOptions:
     craters : int
         Of figs. 11 and 12; figs. 13 and 14 are of two.
     altitudes_km : tuple of float
-        Lowest and highest altitude of figs. 11 to 14.
+        Lowest and highest altitude of figs. 11 to 14; at most `HIGHEST_KM`.
     altitude_steps : int
         Altitudes from the one to the other.
     noise_px : float
@@ -48,8 +50,9 @@ class ReproduceOptions:
         checks = (
             (self.craters >= 3, f"craters: expected 3 or more, found {self.craters}"),
             (
-                0.0 < low <= high < 1e4,
-                f"altitudes: expected 0 < low <= high < 10000 km, found {low:g} {high:g}",
+                0.0 < low <= high <= HIGHEST_KM,
+                f"altitudes: expected 0 < low <= high <= {HIGHEST_KM:g} km, found {low:g} {high:g}: from "
+                "higher up the smallest rims have too few pixels",
             ),
             (self.altitude_steps >= 1, f"altitude steps: expected 1 or more, found {self.altitude_steps}"),
             (

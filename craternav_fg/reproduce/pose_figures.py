@@ -1,6 +1,7 @@
 """Figs. 11 to 14: errors of position and attitude over the altitude, three craters and two."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +21,8 @@ from craternav_fg.reproduce.conditions import (
     Equation,
 )
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.pose_notes import NOTES, compared_with_three, efficiency, fine_noise
+from craternav_fg.reproduce.pose_notes import compared_with_three, efficiency, fine_noise
+from craternav_fg.reproduce.pose_notes import note as note_of
 from craternav_fg.reproduce.rows import Reproduction, Row
 from craternav_fg.reproduce.static_pose import altitudes_km
 
@@ -73,16 +75,16 @@ def draw_up(
     for equation in (*main, *others):
         for kind in (MEAN, STD, RMS):
             for km, condition in conditions.items():
-                paper = None
-                if equation is main[-1] and kind in (MEAN, STD) and km in printed:
-                    paper = printed[km][(MEAN, STD).index(kind)]
+                paper = printed.get(km) if equation is main[-1] and kind in (MEAN, STD) else None
                 headline = paper is not None or (kind == MEAN and equation in main)
                 where = f"{km:g} km, {craters} craters, {options.noise_px:g} px"
                 rows.append(condition.row(name, quantity, equation, kind, where, paper, headline))
-    extra = _fine_rows(name, quantity, data, craters, options, printed)
-    note = NOTES[name](conditions, options, printed)
+    extra = _fine_rows(name, quantity, data, craters, options)
+    note = note_of(name, conditions, options, printed)
     if name == "fig13":
-        note += "".join(fine_noise(row, FINE_NOISE_PX) for row in extra)
+        for row in extra:
+            if row.corrected is not None:
+                note += fine_noise(row.corrected, printed[100.0][0], FINE_NOISE_PX)
         note += "" if three is None else compared_with_three(conditions, three, options)
     note += efficiency(conditions)
     return Reproduction(
@@ -109,9 +111,8 @@ def fine_conditions(options: ReproduceOptions) -> list[tuple[float, float]]:
 
 
 def _fine_rows(
-    name: str, quantity: str, data: pa.Table, craters: int, options: ReproduceOptions,
-    printed: Mapping[float, tuple[float, float]],
-) -> list[Row]:  # fmt: skip
+    name: str, quantity: str, data: pa.Table, craters: int, options: ReproduceOptions
+) -> list[Row]:
     if name != "fig13":
         return []
     out = []
@@ -119,7 +120,8 @@ def _fine_rows(
         km = altitude / 1e3
         where = f"{km:g} km, {craters} craters, {noise:g} px"
         condition = Condition(data, altitude, noise, "m")
-        out.append(condition.row(name, quantity, TWO, MEAN, where, printed[km][0], True))
+        row = condition.row(name, quantity, TWO, MEAN, where, None, True)
+        out.append(replace(row, verdict="not the paper's set-up: it prints no number"))
     return out
 
 
@@ -128,10 +130,8 @@ def _draw(
     label: str, main: Sequence[Equation], others: Sequence[Equation],
 ) -> Figure:  # fmt: skip
     series = {}
-    methods = [e.as_printed if e is CENTRES else e.corrected for e in main]
-    methods += [e.corrected or e.as_printed for e in others]
+    methods = [e.corrected for e in (*main, *others)]
     for method in (*methods, runs.EFFICIENT):
-        assert method is not None
         legend, colour, marker = _STYLE[method]
         shown = method == runs.EFFICIENT or method in methods[: len(main)]
         values = [c.values(method) for c in conditions.values()]
@@ -142,7 +142,7 @@ def _draw(
         series[legend] = drawing.Series(
             colour, marker, "-" if shown else ":", mean, low if shown else None, high if shown else None
         )
-    bound = np.array([c.bound(MEAN) for c in conditions.values()])
+    bound = np.array([c.bound(MEAN) for c in conditions.values()], dtype=np.float64)
     series["bound"] = drawing.Series("k", "", "--", bound)
     paper = [(km, *values) for km, values in printed.items() if km in conditions]
     first = next(iter(conditions.values())).columns

@@ -6,35 +6,73 @@ import numpy as np
 import pyarrow as pa
 
 from craternav_fg.reproduce import static_pose as runs
-from craternav_fg.reproduce.conditions import MEAN, Condition
+from craternav_fg.reproduce.conditions import (
+    CENTRES,
+    EDGES,
+    MEAN,
+    SHAPES,
+    TWO,
+    Condition,
+)
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import Row, number
+from craternav_fg.reproduce.rows import number
 
 
 def efficiency(conditions: Mapping[float, Condition]) -> str:
-    """Say how near the efficient solver comes to the bound, and how often it has several poses or none."""
-    error, bound, found, fitted = (
-        np.concatenate([c.columns[name.format(c.unit)] for c in conditions.values()])
-        for name in (f"{runs.EFFICIENT}_{{}}", "bound_rms_{}", "solutions", "fitted")
+    """Say how near the efficient solver comes to the bound, and which trials count."""
+    found, fitted = (
+        np.concatenate([c.columns[name] for c in conditions.values()]) for name in ("solutions", "fitted")
     )
-    ratio = np.sqrt(np.nanmean((error / bound) ** 2)) if np.isfinite(error).any() else np.nan
-    text = (
-        f"The efficient solver, without a start, errs by {ratio:.2f} times the bound (rms over all "
-        f"{len(found)} trials, each by its own bound)"
-    )
-    if (found > 1).any():
-        text += (
-            f"; in {np.mean(found > 1):.1%} of the trials it finds several poses, of which the nearest counts"
+    counted = int(np.sum(found > 0.0))
+    text = ""
+    ratios = [_ratios(km, c) for km, c in conditions.items() if c.counted.sum() > 1]
+    if ratios:
+        text = (
+            "The efficient solver, without a start, errs by these multiples of the bound, rms over rms (in "
+            "brackets each trial by its own bound; +- one standard error): " + ", ".join(ratios) + ". "
         )
-    lost = (fitted > 0.0) & (found == 0)
-    if lost.any():
-        text += f"; in {np.mean(lost):.1%} it finds none"
+    text += f"Every method and the bound are averaged over the same {counted} of {len(found)} trials"
     if not fitted.all():
-        text += (
-            f". In {np.mean(fitted == 0.0):.1%} of the trials the points of a rim determine no ellipse; "
-            "these count for no method"
-        )
-    return text + "."
+        text += f"; in {np.mean(fitted == 0.0):.1%} the points of a rim determine no ellipse"
+    lost = (fitted > 0.0) & (found == 0.0)
+    if lost.any():
+        text += f"; in {np.mean(lost):.1%} the efficient solver gives no pose"
+    if (found > 1).any():
+        text += f"; in {np.mean(found > 1):.1%} it gives several, of which the nearest to the truth counts"
+    return text + "." + _stopped(conditions)
+
+
+def _ratios(km: float, condition: Condition) -> str:
+    """Efficient solver's rms by the bound's at an altitude, over the trials and each by its own."""
+    error, bound = condition.values(runs.EFFICIENT) ** 2, condition.bounds() ** 2
+    parts = []
+    for e, b in ((error, bound), (error / bound, np.ones(len(bound)))):
+        square = e.mean() / b.mean()
+        sampling = (e - square * b).std() / (b.mean() * 2.0 * np.sqrt(square * len(e)))
+        parts.append(f"{np.sqrt(square):.2f} +- {sampling:.2f}")
+    return f"{parts[0]} ({parts[1]}) at {km:g} km"
+
+
+def _stopped(conditions: Mapping[float, Condition]) -> str:
+    """Say in which share of the counted trials each method of the paper did not converge."""
+    parts = []
+    for equation in (CENTRES, EDGES, TWO, SHAPES):
+        name = f"{equation.corrected}_converged"
+        stopped = {km: c.columns[name][c.counted] == 0.0 for km, c in conditions.items() if c.counted.any()}
+        shares = {km: float(s.mean()) for km, s in stopped.items() if s.any()}
+        if shares:
+            overall = np.concatenate(list(stopped.values())).mean()
+            share, worst = max((share, km) for km, share in shares.items())
+            parts.append(f"{equation.name} in {overall:.1%} ({share:.1%} of those from {worst:g} km)")
+    if not parts:
+        return ""
+    return f" Even from the truth {' and '.join(parts)} did not converge; the pose reached counts."
+
+
+def _mean(condition: Condition, method: str | None = None) -> float:
+    """Mean error of a method, or of the bound, of a condition of which some trial counts."""
+    value = condition.bound(MEAN) if method is None else condition.statistic(method, MEAN)
+    return np.nan if value is None else value
 
 
 def _values(conditions: Mapping[float, Condition], method: str) -> str:
@@ -49,12 +87,20 @@ def _values(conditions: Mapping[float, Condition], method: str) -> str:
 
 def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
     """Say what becomes of eq. (11) with its printed sign."""
-    off = [c.columns[f"{method}_m"] for c in conditions.values()]
-    median = float(np.nanmedian(np.concatenate(off))) / 1e3
-    far = f"{median:.2g} km off in the median" if median < 1e6 else "without end"
+    off = np.concatenate([c.values(method) for c in conditions.values()])
+    where = "."
+    if len(off):
+        median = float(np.median(off)) / 1e3
+        far = f"{median:.2g} km off" if median < 1e6 else "without end"
+        where = (
+            f", {far} in the median of the first {runs.PRINTED_TRIALS} trials of each altitude, which are "
+            "all that the column as printed holds."
+        )
     return (
-        "With n outward, as eq. (21) has it, eq. (11) is fulfilled by no pose as printed, P - L: the "
-        f"minimisation runs away, {far}. Corrected is L - P, the same as n inward."
+        "With n outward, as eq. (21) has it, no pose that sees the craters from outside fulfils eq. (11) as "
+        "printed, P - L (two craters on one plane fulfil it from beneath, half a turn about the line through "
+        f"their centres). Started at the truth, the minimisation runs away{where} Corrected is L - P, the "
+        "same as n inward, started at the truth too. "
     )
 
 
@@ -64,25 +110,21 @@ def _note_fig11(
 ) -> str:  # fmt: skip
     low, high = min(conditions), max(conditions)
     ratio = {
-        km: (conditions[km].statistic(runs.CENTRES, MEAN) or np.nan)
-        / (conditions[km].statistic(runs.EDGES, MEAN) or np.nan)
-        for km in (low, high)
+        km: _mean(conditions[km], runs.CENTRES) / _mean(conditions[km], runs.EDGES) for km in (low, high)
     }
     arcs = {km: float(np.median(conditions[km].columns["arc_bound_rms_m"])) for km in (low, high)}
     medians = {km: float(np.median(conditions[km].values(runs.EDGES))) for km in (low, high)}
     text = (
-        f"{_printed_sign(conditions, runs.EDGES_PRINTED)} Eq. (13) then has "
+        f"{_printed_sign(conditions, runs.EDGES_PRINTED)}Eq. (13) then has "
         f"{_values(conditions, runs.EDGES)} (medians {number(medians[low])} and "
         f"{number(medians[high])} m: a few weak triples make the mean). "
     )
     if {low, high} <= set(printed):
-        slope = (conditions[high].statistic(runs.EDGES, MEAN) or np.nan) / (
-            conditions[low].statistic(runs.EDGES, MEAN) or np.nan
-        )
+        slope = _mean(conditions[high], runs.EDGES) / _mean(conditions[low], runs.EDGES)
         text += (
             f"The paper prints {printed[low][0]:g} and {printed[high][0]:g} m. Its error grows by "
             f"{printed[high][0] / printed[low][0]:.2g} over these altitudes, ours by {slope:.2g} and the "
-            f"bound by {conditions[high].bound(MEAN) / conditions[low].bound(MEAN):.2g}, as they must when "
+            f"bound by {_mean(conditions[high]) / _mean(conditions[low]):.2g}, as they must when "
             "the noise is constant in pixels: one set-up does not give both of the paper's numbers. "
         )
     return text + (
@@ -101,8 +143,8 @@ def _note_fig12(
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
     low, high = min(conditions), max(conditions)
-    growth = conditions[high].bound(MEAN) / conditions[low].bound(MEAN)
-    centres = [conditions[km].statistic(runs.CENTRES, MEAN) or np.nan for km in (low, high)]
+    growth = _mean(conditions[high]) / _mean(conditions[low])
+    centres = [_mean(conditions[km], runs.CENTRES) for km in (low, high)]
     return (
         "The paper's text prints no number of this figure; it says that the attitude error falls as the "
         "altitude rises. With noise that is constant in pixels that cannot be of a good estimate: the "
@@ -120,11 +162,11 @@ def _note_fig13(
 ) -> str:  # fmt: skip
     high = max(conditions)
     text = (
-        f"{_printed_sign(conditions, runs.TWO_PRINTED)} Eq. (23), in km and with |q| = 1 (its rows have "
+        f"{_printed_sign(conditions, runs.TWO_PRINTED)}Eq. (23), in km and with |q| = 1 (its rows have "
         f"different units, and nothing weighs them), then has {_values(conditions, runs.TWO)}. "
     )
     if high in printed:
-        bound = conditions[high].bound(MEAN)
+        bound = _mean(conditions[high])
         text += (
             f"The paper's largest mean, {printed[high][0]:g} m at {high:g} km, cannot be had: at "
             f"{options.noise_px:g} px an efficient estimator errs by {number(bound)} m, "
@@ -133,11 +175,11 @@ def _note_fig13(
     return text
 
 
-def fine_noise(row: Row, noise_px: float) -> str:
-    """Say at which noise eq. (23) has the error of two craters that the paper prints."""
+def fine_noise(corrected: float, paper: float, noise_px: float) -> str:
+    """Say at which noise, not the paper's, eq. (23) has about the error of two craters that it prints."""
     return (
-        f"It takes edge points of {noise_px:g} px for eq. (23) to have {number(row.corrected)} m there, the "
-        f"paper's {number(row.paper)} m. "
+        f"Only with edge points of {noise_px:g} px, which is not the paper's set-up, does eq. (23) come to "
+        f"{number(corrected)} m there, about the paper's {number(paper)} m. "
     )
 
 
@@ -165,9 +207,8 @@ def _note_fig14(
 ) -> str:  # fmt: skip
     text = f"Eq. (23) has {_values(conditions, runs.TWO)}. "
     for km, (mean, _) in printed.items():
-        if km in conditions:
-            bound = conditions[km].bound(MEAN)
-            corrected = conditions[km].statistic(runs.TWO, MEAN) or np.nan
+        if km in conditions and conditions[km].counted.any():
+            bound, corrected = _mean(conditions[km]), _mean(conditions[km], runs.TWO)
             text += (
                 f"The paper's largest mean, {mean:g} deg at {km:g} km, cannot be had: at "
                 f"{options.noise_px:g} px an efficient estimator errs by {bound:.3g} deg, "
@@ -177,4 +218,17 @@ def _note_fig14(
     return text
 
 
-NOTES = {"fig11": _note_fig11, "fig12": _note_fig12, "fig13": _note_fig13, "fig14": _note_fig14}
+_NOTES = {"fig11": _note_fig11, "fig12": _note_fig12, "fig13": _note_fig13, "fig14": _note_fig14}
+
+
+def note(
+    figure: str, conditions: Mapping[float, Condition], options: ReproduceOptions,
+    printed: Mapping[float, tuple[float, float]],
+) -> str:  # fmt: skip
+    """Say what one of figs. 11 to 14 shows of the paper's statements, and what cannot be had."""
+    empty = [
+        f"{km:g}" for km in sorted({min(conditions), max(conditions)}) if not conditions[km].counted.any()
+    ]
+    if empty:
+        return f"No trial counts at {' and '.join(empty)} km: nothing to compare over the altitude. "
+    return _NOTES[figure](conditions, options, printed)

@@ -92,6 +92,8 @@ def verdict(
 ) -> str:
     """Judge a number of the paper by what its corrected equations give, and by the bound.
 
+    "Reproduced" needs trials enough to tell: a standard error as small as the difference that is allowed.
+
     Parameters
     ----------
     paper, corrected, bound : float or None
@@ -105,7 +107,7 @@ def verdict(
     parts = []
     if corrected is None:
         parts.append("not reproduced")
-    elif abs(corrected - paper) <= _MET * paper:
+    elif max(abs(corrected - paper), error) <= _MET * paper:
         parts.append("reproduced")
     else:
         ratio = corrected / paper
@@ -125,4 +127,4 @@ def number(value: float | None) -> str:
         return "-"
     if abs(value) < 1e-6:
         return "0"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -94,6 +94,9 @@ def _report(results: Sequence[Reproduction], options: ReproduceOptions) -> str:
         "As printed: the paper's equations as they stand; corrected: put right; efficient: the "
         "maximum-likelihood solver; bound: an estimator that attains the Cramér-Rao bound, in the same "
         "statistic. reproduction.json has all rows.",
+        "",
+        "The paper's methods are started at the truth, the efficient solver without a start: their errors "
+        "here are what the equations are worth, and leave out what a worse start would cost.",
     ]
     for result in results:
         lines += [
