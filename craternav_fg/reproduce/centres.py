@@ -134,7 +134,7 @@ def fig04(data: pa.Table) -> Reproduction:
         "The paper's text prints no number of this figure. At one altitude, over the angles of incidence, "
         "the error goes with the deviation to the power (fitted to the medians) "
         + ", ".join(f"{p:.2f} at {h} r" for p, h in zip(powers, FIG04_ALTITUDES, strict=True))
-        + ": it grows with it where the power is positive, in proportion only where it is near 1. The "
+        + f": {'faster than' if min(powers) > 1.0 else 'not everywhere faster than'} in proportion. The "
         "deviation is the mean of the three craters', the median over the triples; eq. (10) is started at "
         "the truth."
     )

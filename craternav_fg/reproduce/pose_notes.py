@@ -66,7 +66,7 @@ def _stopped(conditions: Mapping[float, Condition]) -> str:
             parts.append(f"{equation.name} in {overall:.1%} ({share:.1%} of those from {worst:g} km)")
     if not parts:
         return ""
-    return f" Even from the truth {' and '.join(parts)} did not converge; the pose reached counts."
+    return f" Even from the truth some did not converge, {', '.join(parts)}; the pose reached counts."
 
 
 def _mean(condition: Condition, method: str | None = None) -> float:

@@ -1,6 +1,7 @@
 """The reproduced figures against figures measured with an independent prototype."""
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from craternav_fg import frames
@@ -74,6 +75,17 @@ def test_fig03_has_the_trends_and_magnitudes_of_the_reference() -> None:
         assert errors[tilt, 5] > errors[tilt, 10] > errors[tilt, 50]
     for altitude in (50, 15, 10, 5):
         assert errors[30, altitude] > errors[15, altitude] > errors[5, altitude]
+
+
+def test_fig04_gives_the_power_of_the_deviation() -> None:
+    deviation = np.array([[tilt * 10.0 / h**2 for h in los.ALTITUDES] for tilt in los.TILTS_DEG]).ravel()
+    for power, words in ((2.0, ": faster than in proportion"), (0.5, "not everywhere faster")):
+        columns = {"centres_error_radii": deviation**power, "edges_error_radii": 0.0 * deviation}
+        data = pa.table({"deviation_deg": deviation, **columns})
+        note = centres.fig04(data).note
+        assert f"{power:.2f} at 30 r" in note
+        assert f"{power:.2f} at 5 r" in note
+        assert words in note
 
 
 def columns(km: int, craters: int, trials: int, *, seed: int = 7) -> dict[str, np.ndarray]:
