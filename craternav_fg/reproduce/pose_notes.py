@@ -58,7 +58,7 @@ def _stopped(conditions: Mapping[float, Condition]) -> str:
     parts = []
     for equation in (CENTRES, EDGES, TWO, SHAPES):
         name = f"{equation.corrected}_converged"
-        stopped = {km: c.columns[name][c.counted] == 0.0 for km, c in conditions.items() if c.counted.any()}
+        stopped = {km: c.columns[name][c.counted] == 0.0 for km, c in conditions.items()}
         shares = {km: float(s.mean()) for km, s in stopped.items() if s.any()}
         if shares:
             overall = np.concatenate(list(stopped.values())).mean()
