@@ -1,7 +1,7 @@
 """Ratios of cost, each from one run in which both sides take turns."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -169,13 +169,25 @@ def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
     return 1e6 * float(np.median(seconds)) / (len(bench.gTb) - 1)
 
 
-def batch_seconds(bench: Bench, repetitions: int = 3) -> float:
-    """Median duration of our batch optimisation."""
-    values = bench.values(np.random.default_rng(1))
-    graph = build_graph(bench.problem, GraphOptions(), values)
+def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
+    """Durations (repetitions, benches) of our batch optimisation, s: all sizes in turn, again and again.
+
+    A machine that slows down or speeds up between sizes would bend the curve; so each turn has its own.
+    """
     options = LmOptions(relative_tolerance=RELATIVE_TOLERANCE)
-    times = [_seconds(lambda: levenberg_marquardt(graph, values, options)) for _ in range(repetitions)]
-    return float(np.median(times))
+    problems = []
+    for bench in benches:
+        values = bench.values(np.random.default_rng(1))
+        problems.append((build_graph(bench.problem, GraphOptions(), values), values))
+    return np.array(
+        [
+            [
+                _seconds(lambda g=graph, v=values: levenberg_marquardt(g, v, options))
+                for graph, values in problems
+            ]  # type: ignore[misc]
+            for _ in range(repetitions)
+        ]
+    )
 
 
 def exponent(sizes: npt.ArrayLike, seconds: npt.ArrayLike) -> float:
