@@ -26,8 +26,8 @@ _matrix = gtsam.Pose3.matrix
 
 # kernel(gTb, bTc, linearise, e, J): writes e (rows,) and, when asked, J (rows, 6) for the body's twist.
 PoseKernel = Callable[[FloatArray, FloatArray, bool, FloatArray, FloatArray], None]
-# kernel(gTb, data, linearise, out): writes out (7, rows), J' above e; tells whether that is finite.
-PackedKernel = Callable[[FloatArray, FloatArray, bool, FloatArray], bool]
+# kernel(gTb, data, linearise, out): writes out (7, rows), J' above e; gives a sum finite only where that is.
+PackedKernel = Callable[[FloatArray, FloatArray, bool, FloatArray], float]
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def packed_pose_factor(
         Length of the residual, at least 1.
     kernel : callable
         Writes J', columns for the right twist [w, rho], and e below it into one array (7, rows); returns
-        False when that is not finite.
+        a sum that is finite only where all that is.
     data : ndarray
         Handed to the kernel, with the mounting that `constant_mounting` gives; nobody else may change it.
     mounting_key : int, optional
@@ -163,11 +163,13 @@ def packed_pose_factor(
     # Column-major, as GTSAM's own matrices are: copied without a stride.
     J = out[:6].T
     if mounting_key is not None:
-        return _of_both(key, mounting_key, lambda T, linearise: kernel(T, data, linearise, out), e, J)
+        return _of_both(
+            key, mounting_key, lambda T, linearise: math.isfinite(kernel(T, data, linearise, out)), e, J
+        )
 
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
-        if not kernel(_matrix(_at_pose(values, key)), data, linearise, out):
+        if not math.isfinite(kernel(_matrix(_at_pose(values, key)), data, linearise, out)):
             raise _not_finite(key)
         if linearise:
             H[0] = J

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -170,7 +171,7 @@ def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
 
 
 def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
-    """Durations (repetitions, benches) of our batch optimisation, s: all sizes in turn, again and again.
+    """Measure the durations (repetitions, benches) of our batch optimisation, s: all sizes in turn, again and again.
 
     A machine that slows down or speeds up between sizes would bend the curve; so each turn has its own.
     """
@@ -179,15 +180,11 @@ def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
     for bench in benches:
         values = bench.values(np.random.default_rng(1))
         problems.append((build_graph(bench.problem, GraphOptions(), values), values))
-    return np.array(
-        [
-            [
-                _seconds(lambda g=graph, v=values: levenberg_marquardt(g, v, options))
-                for graph, values in problems
-            ]  # type: ignore[misc]
-            for _ in range(repetitions)
-        ]
-    )
+    seconds = np.empty((repetitions, len(problems)))
+    for turn in seconds:
+        for k, (graph, values) in enumerate(problems):
+            turn[k] = _seconds(partial(levenberg_marquardt, graph, values, options))
+    return seconds
 
 
 def exponent(sizes: npt.ArrayLike, seconds: npt.ArrayLike) -> float:

@@ -15,6 +15,8 @@ from factors.kernels.validity import UNSEEN
 
 FloatArray = npt.NDArray[np.float64]
 
+# Sums may be fused and reordered; NaN and infinity keep their meaning, but are not to be tested for in here.
+_FUSED = {"contract", "reassoc", "arcp", "nsz"}
 # bTc (3 x 4), kind and scale of the loss; then per crater: centre, axes, chart, whitening (lower triangle).
 HEADER = 14
 CRATER = 3 + 6 + 5 + 15
@@ -66,8 +68,8 @@ def pack(
     return data
 
 
-@njit(cache=True, error_model="numpy")
-def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> bool:
+@njit(cache=True, error_model="numpy", fastmath=_FUSED)
+def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
     """Conic shape: zero when every predicted rim has the measured chart.
 
     Parameters
@@ -82,8 +84,9 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
 
     Returns
     -------
-    bool
-        Whether all that was written is finite; `validity` says what a crater gets that the pose cannot see.
+    float
+        A sum that is finite only where all that was written is; `validity` says what a crater gets that the
+        pose cannot see.
     """
     B = data[:12]
     R = np.empty(9)
@@ -176,7 +179,6 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
             sums[3] += r0
             sums[4] += r1
             sums[5] += r2
-    # A sum is finite only when its terms are.
     for j in range(6):
         total += sums[j]
-    return bool(np.isfinite(total))
+    return total

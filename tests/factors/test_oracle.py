@@ -189,7 +189,7 @@ def test_shape_residuals(case: View) -> None:
     W = np.linalg.inv(np.linalg.cholesky(case.covariances))
     out = np.empty((7, 5 * n))
     data = packed.pack(EYE, c.centres, c.axes, case.charts, W, robust.NONE, 1.0)
-    assert packed.shape_residuals(pose, data, True, out)
+    assert np.isfinite(packed.shape_residuals(pose, data, True, out))
     J = out[:6].T
     for k, (flat, motion) in enumerate(rims(case)):
         q, dq = conics(flat, motion)
