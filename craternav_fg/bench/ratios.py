@@ -171,7 +171,7 @@ def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
 
 
 def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
-    """Measure the durations (repetitions, benches) of our batch optimisation, s: all sizes in turn, repeatedly.
+    """Measure the durations (repetitions, benches) of our batch optimisation, s: all sizes, in turns.
 
     A machine that slows down or speeds up between sizes would bend the curve; so each turn has its own.
     """
