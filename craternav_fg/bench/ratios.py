@@ -47,7 +47,7 @@ class Ratio:
 def interleaved(ours: Callable[[], object], reference: Callable[[], object], repetitions: int) -> Ratio:
     """Time two functions in turns; each turn gives one ratio."""
     ours(), reference()
-    seconds = np.array([[_seconds(ours), _seconds(reference)] for _ in range(repetitions)])
+    seconds = np.array([[seconds_of(ours), seconds_of(reference)] for _ in range(repetitions)])
     return summary(seconds[:, 0] / seconds[:, 1], seconds[:, 0], seconds[:, 1])
 
 
@@ -157,7 +157,7 @@ def online(bench: Bench, lag_s: float | None = None) -> Online:
     seconds = []
     for frame in bench.problem.frames[1:]:
         seconds.append(
-            (_seconds(lambda frame=frame: session.update(frame)), _seconds(reference.update))  # type: ignore[misc]
+            (seconds_of(lambda frame=frame: session.update(frame)), seconds_of(reference.update))  # type: ignore[misc]
         )
     ours_s, reference_s = np.array(seconds).T
     return Online(ours_s, reference_s)
@@ -166,7 +166,7 @@ def online(bench: Bench, lag_s: float | None = None) -> Online:
 def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
     """Cost of one frame of the distributed EKF, microseconds."""
     ekf().estimate(bench.problem)
-    seconds = [_seconds(lambda: ekf().estimate(bench.problem)) for _ in range(repetitions)]
+    seconds = [seconds_of(lambda: ekf().estimate(bench.problem)) for _ in range(repetitions)]
     return 1e6 * float(np.median(seconds)) / (len(bench.gTb) - 1)
 
 
@@ -183,7 +183,7 @@ def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
     seconds = np.empty((repetitions, len(problems)))
     for turn in seconds:
         for k, (graph, values) in enumerate(problems):
-            turn[k] = _seconds(partial(levenberg_marquardt, graph, values, options))
+            turn[k] = seconds_of(partial(levenberg_marquardt, graph, values, options))
     return seconds
 
 
@@ -192,8 +192,8 @@ def exponent(sizes: npt.ArrayLike, seconds: npt.ArrayLike) -> float:
     return float(np.polyfit(np.log(np.asarray(sizes)), np.log(np.asarray(seconds)), 1)[0])
 
 
-def _seconds(function: Callable[[], object]) -> float:
-    # The process's own time: another process on the machine costs neither side anything.
+def seconds_of(function: Callable[[], object]) -> float:
+    """Time one call, s: of the process's own, so that what else runs does not count."""
     began = time.process_time()
     function()
     return time.process_time() - began

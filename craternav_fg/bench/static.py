@@ -1,12 +1,13 @@
 """Cost of the static solver: from no start, and against SciPy on the same residual from the same start."""
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from craternav_fg.bench.problems import ALTITUDE_M, FOCAL_PX
+from craternav_fg.bench.ratios import seconds_of
 from craternav_fg.camera import Camera
 from craternav_fg.static.edge_fit import chart_covariance
 from craternav_fg.static.efficient import refine, solve
@@ -17,9 +18,7 @@ from factors.kernels.gauss_newton import screw
 
 FloatArray = npt.NDArray[np.float64]
 
-FOCAL_PX = 512 / np.tan(np.radians(22))
 CAMERA = Camera(1024, 1024, FOCAL_PX, FOCAL_PX, 511.5, 511.5)
-ALTITUDE_M = 50e3
 EDGE_POINTS = 60
 # Of the start for both sides: about what a single rim's plane gives.
 START_SIGMA = np.repeat([np.radians(2.0), 1e3], 3)
@@ -46,7 +45,7 @@ def static_scalars(repetitions: int = 200) -> dict[str, float]:
         problems = [_problem(rng, n) for _ in range(repetitions)]
         solve(problems[0])
         out[f"pose_ms_n{n}"] = 1e3 * float(
-            np.median([_seconds(lambda p=problem: solve(p)) for problem in problems])  # type: ignore[misc]
+            np.median([seconds_of(lambda p=problem: solve(p)) for problem in problems])  # type: ignore[misc]
         )
     return {**out, "pose_vs_scipy_ratio": _scipy_ratio(rng, repetitions)}
 
@@ -60,7 +59,7 @@ def _scipy_ratio(rng: np.random.Generator, repetitions: int) -> float:
         ours, theirs = _ours(problem, start), _scipy(problem, start)
         ours(), theirs()
         # Each by itself: a call right after the other's pays for caches that the other has filled.
-        times = [np.median([_seconds(run) for _ in range(5)]) for run in (ours, theirs)]
+        times = [np.median([seconds_of(run) for _ in range(5)]) for run in (ours, theirs)]
         ratios.append(times[0] / times[1])
     return float(np.median(ratios))
 
@@ -104,10 +103,3 @@ def _problem(rng: np.random.Generator, n: int) -> StaticProblem:
     noise = np.linalg.cholesky(covariance) @ rng.normal(size=(n, 5, 1))
     names = tuple(str(k) for k in range(n))
     return StaticProblem(MatchedRims(names, centres, axes, charts + noise[..., 0], covariance))
-
-
-def _seconds(run: Callable[[], object]) -> float:
-    """Time one call, s: of the process, what else runs does not count."""
-    begin = time.process_time()
-    run()
-    return time.process_time() - begin

@@ -135,7 +135,9 @@ class Isam:
             When a variable is there already, a slot is void, a factor raised or the system is indeterminate;
             the solver then holds what it held before.
         """
-        self._bound()
+        # Not between a state and what is done again with it: slots that are to be dropped would be void.
+        if values.size():
+            self._bound()
         factors = self.tree.getFactorsUnsafe()
         known = factors.size()
         point = self.tree.getLinearizationPoint()

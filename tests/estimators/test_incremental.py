@@ -128,6 +128,27 @@ def test_a_variable_given_twice_is_refused_and_nothing_lost() -> None:
     assert_allclose(solver.tree.calculateEstimatePose3(X(2)).translation(), [2, 0, 0], atol=1e-6)
 
 
+def test_slots_stay_until_the_next_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A replacement in a tree that is due to be replaced must hit the factor it was meant for."""
+    monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 4)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP", 2)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.SNAPSHOT_RAD", 10.0)
+    solver = Isam()
+    for number in range(5):
+        slots = step(solver, number)
+    trees = solver.trees
+    solver.again()
+    metre = gtsam.Pose3(gtsam.Rot3(), np.array([2.0, 0.0, 0.0]))
+    graph = gtsam.NonlinearFactorGraph()
+    model = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+    graph.push_back(gtsam.BetweenFactorPose3(X(3), X(4), metre, model))
+    solver.update(graph, gtsam.Values(), 4.0, drop=slots)
+    assert solver.trees == trees
+    assert_allclose(solver.tree.calculateEstimatePose3(X(4)).translation(), [5, 0, 0], atol=1e-6)
+    step(solver, 5)
+    assert solver.trees == trees + 1
+
+
 @pytest.mark.parametrize("make", [Isam, lambda: FixedLagIsam(30.0)], ids=["all", "lag"])
 def test_callbacks_get_the_held_values(make: Callable[[], Isam]) -> None:
     """A copy of all values for every callback would make the cost of a frame grow."""
