@@ -32,7 +32,7 @@ FIELDS = {
 
 def craternav(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own."""
-    command = [sys.executable, "-m", "craternav_fg.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "craternav_fg", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

@@ -149,7 +149,7 @@ def test_a_lens_that_distorts_is_refused(files: Files, run: Run) -> None:
 
 
 def test_as_a_process(files: Files) -> None:
-    command = [sys.executable, "-m", "craternav_fg.cli", *files.arguments(), "--json"]
+    command = [sys.executable, "-m", "craternav_fg", *files.arguments(), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["status"] == "solved"
 

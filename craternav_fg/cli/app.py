@@ -1,0 +1,44 @@
+"""The application that the commands join, and what they share."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+import craternav_fg
+from craternav_fg.cli.terminal import err, say
+from craternav_fg.errors import CraternavError
+
+app = typer.Typer(
+    help="Reconstruct a planetary landing from crater rims and an IMU.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, nothing else.")]
+
+
+def _version(show: bool) -> None:
+    if show:
+        say(craternav_fg.__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Reconstruct a planetary landing from crater rims and an IMU."""
+    del version
+
+
+def main() -> None:
+    """Run the command line: a known error is one line on stderr and exit code 2."""
+    try:
+        app()
+    except CraternavError as error:
+        err.print(f"craternav: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        sys.exit(2)

@@ -1,0 +1,132 @@
+"""Commands on descents: simulate, reconstruct, compare."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from craternav_fg.cli.app import JsonOption, app
+from craternav_fg.cli.terminal import (
+    LEGEND,
+    bar,
+    from_smoother,
+    number,
+    out,
+    row_of_estimator,
+    say,
+    show_run,
+    table_of_estimators,
+)
+from craternav_fg.config import load_scenario
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
+from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, read_run
+from craternav_fg.evaluation.runs import write_reconstruction
+from craternav_fg.files import replacing_folder
+from craternav_fg.simulation.scenario import simulate as simulate_scenario
+
+DEMO_DATASET = "dataset"
+
+EstimatorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--estimator", "-e", help=f"One of {', '.join(ESTIMATORS)}; may be repeated.  [default: all]"
+    ),
+]
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")] = Path("runs/demo"),
+    scenario: Annotated[
+        str, typer.Option(help="Name of a built-in scenario, or a TOML file.")
+    ] = "lunar_descent",
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a descent, reconstruct it with every estimator, and compare them."""
+    began_s = time.perf_counter()
+    case = load_scenario(scenario)
+    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
+        simulate_scenario(
+            case, folder / DEMO_DATASET, progress=lambda done, total: report("simulated frames", done, total)
+        )
+        simulated_s = time.perf_counter() - began_s
+        summary = write_reconstruction(
+            Dataset.open(folder / DEMO_DATASET),
+            folder,
+            tuple(ESTIMATORS),
+            label=DEMO_DATASET,
+            began_s=began_s,
+            earlier_s={"simulation": simulated_s},
+            progress=report,
+        )
+    show_run(output, summary, as_json)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
+    case = load_scenario(scenario)
+    with bar() as report:
+        simulate_scenario(case, output, progress=lambda done, total: report("simulated frames", done, total))
+    if as_json:
+        out.print_json(json.dumps({"dataset": str(output)}))
+    else:
+        say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
+
+
+@app.command()
+def reconstruct(
+    data: Annotated[Path, typer.Argument(help="Folder of the data set.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")],
+    estimators: EstimatorOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Reconstruct the trajectory of a data set."""
+    began_s = time.perf_counter()
+    names = tuple(dict.fromkeys(estimators or ESTIMATORS))
+    for name in names:
+        estimator(name)
+    if data.resolve().is_relative_to(output.resolve()):
+        raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
+    dataset = Dataset.open(data)
+    with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
+        summary = write_reconstruction(
+            dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report
+        )
+    show_run(output, summary, as_json)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Compare the estimators of one or more runs."""
+    loaded = [read_run(path) for path in runs]
+    if as_json:
+        result = {
+            str(run.path): {
+                name: {**run.metrics["estimators"][name], "from_smoother_rms_m": from_smoother(run, name)}
+                for name in run.trajectories
+            }
+            for run in loaded
+        }
+        out.print_json(json.dumps(result))
+        return
+    for run in loaded:
+        table = table_of_estimators()
+        table.add_column("off m", justify="right", no_wrap=True)
+        for name in run.trajectories:
+            cells = row_of_estimator(name, run.metrics["estimators"][name])
+            table.add_row(*cells, number(from_smoother(run, name)))
+        say(f"{run.path}")
+        out.print(table)
+    say(f"{LEGEND}\noff: RMS distance from the smoother")
