@@ -1,6 +1,6 @@
 """The command line `craternav`: a module for each group of commands."""
 
-from craternav_fg.cli import benchmark, descents, detection, pose, reproduction
+from craternav_fg.cli import benchmark, descents, detection, pose, report, reproduction
 from craternav_fg.cli.app import app, main
 
-__all__ = ["app", "benchmark", "descents", "detection", "main", "pose", "reproduction"]
+__all__ = ["app", "benchmark", "descents", "detection", "main", "pose", "report", "reproduction"]

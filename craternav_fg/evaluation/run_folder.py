@@ -3,8 +3,9 @@
 metrics.json        errors of every estimator, wall time
 truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in g)
 states.parquet      every estimator's states with covariances, one row per frame
-residuals.parquet   every rim against every estimator's pose, one row per rim and estimator; `weight` is the
-                    one it had, 0 if rejected as a wrong match, null where the estimator does not choose
+residuals.parquet   every rim against every estimator's pose, one row per rim and estimator: as measured
+                    (`chart`), and what is left of it (`whitened`, `chi2`); `weight` is the one it had, 0 if
+                    rejected as a wrong match, null where the estimator does not choose
 figures/            PNG
 run.toml            what was run on what, with versions
 """
@@ -37,7 +38,7 @@ FloatArray = npt.NDArray[np.float64]
 
 MARKER = "run.toml"
 # All that a run's folder may hold: the demo's has its data set, too.
-CONTENTS = ("*.toml", "*.tum", "*.json", "*.parquet", "figures", "dataset")
+CONTENTS = ("*.toml", "*.tum", "*.json", "*.parquet", "*.html", "figures", "overlays", "dataset")
 METRICS = "metrics.json"
 STATES = "states.parquet"
 RESIDUALS = "residuals.parquet"
@@ -180,6 +181,23 @@ def read_run(folder: Path | str) -> Run:
     return Run(path, summary, trajectories, truth, path / told["dataset"])
 
 
+def read_residuals(folder: Path) -> pa.Table:
+    """Read a run's residuals, see the module.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or damaged.
+    """
+    path = folder / RESIDUALS
+    if not path.is_file():
+        raise InputError(path, "is missing from the run")
+    try:
+        return pq.read_table(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise InputError(path, f"is damaged: {error}") from None
+
+
 def _states(trajectories: Mapping[str, Trajectory]) -> pa.Table:
     columns: dict[str, list[pa.Array]] = {}
 
@@ -243,6 +261,7 @@ def _residuals(
     """Whitened chart residuals (measured minus predicted) of every rim at every estimator's pose."""
     stamps = np.concatenate([np.full(len(f.rims), f.stamp_ns) for f in measured])
     craters = np.concatenate([f.rims.craters for f in measured])
+    charts = np.concatenate([f.rims.chart for f in measured])
     parts = []
     for name, trajectory in trajectories.items():
         whitened = [np.empty((0, 5))]
@@ -261,6 +280,7 @@ def _residuals(
                     "estimator": pa.array([name] * len(e)),
                     "stamp_ns": pa.array(stamps.astype(np.int64)),
                     "crater_id": pa.array([catalog.identifiers[row] for row in craters]),
+                    "chart": _vectors(charts),
                     "whitened": _vectors(e),
                     "chi2": pa.array(np.sum(e**2, axis=1)),
                     "weight": pa.nulls(len(e), pa.float64())

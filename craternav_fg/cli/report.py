@@ -1,0 +1,42 @@
+"""Command that writes a page on a run."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from craternav_fg.cli.app import JsonOption, app
+from craternav_fg.cli.terminal import out, say
+from craternav_fg.evaluation.run_folder import read_run
+from craternav_fg.report.page import write_page
+from craternav_fg.report.recording import write_recording
+from craternav_fg.report.run_page import run_page
+
+REPORT = "report.html"
+
+
+@app.command()
+def report(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help=f"HTML file.  [default: {REPORT} in the folder]")
+    ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(help="Write a .rrd file for the rerun viewer, too: trajectories and rims in 3-D."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a report: one HTML page that needs no network."""
+    path = output or run / REPORT
+    loaded = read_run(run)
+    write_page(run_page(loaded), path)
+    written = {"report": str(path)}
+    if recording is not None:
+        write_recording(loaded, recording)
+        written["recording"] = str(recording)
+    if as_json:
+        out.print_json(json.dumps(written))
+    else:
+        say("\n".join(written.values()))

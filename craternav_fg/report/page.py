@@ -1,0 +1,115 @@
+"""A self-contained HTML page: text, tables, drawings and pictures in sections."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from craternav_fg.files import replacing
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; `warning` sets it off."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    warning: bool = False
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A table's cell: what is shown, what it is sorted by, and whether it is a cause of concern."""
+
+    text: str
+    key: float | str
+    concern: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; each row belongs to an estimator (and hides with it), or to none (an empty name)."""
+
+    kind: ClassVar[str] = "table"
+    headings: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[Cell]]]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawing as inline SVG, see `craternav_fg.report.svg`."""
+
+    kind: ClassVar[str] = "drawing"
+    svg: Markup
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Drawings of which one is shown, by the label of the button that shows it."""
+
+    kind: ClassVar[str] = "choice"
+    drawings: Sequence[tuple[str, Drawing]]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures to leaf through: data URIs, each with its caption."""
+
+    kind: ClassVar[str] = "pictures"
+    pictures: Sequence[tuple[str, str]]
+    caption: str = ""
+
+
+Block = Text | Table | Drawing | Choice | Pictures
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page; `identifier` is the target of its link in the page's menu."""
+
+    identifier: str
+    title: str
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page.
+
+    Attributes
+    ----------
+    title, subtitle : str
+    sections : sequence of Section
+    series : sequence of (str, str)
+        Name and colour of what the reader may show and hide in all drawings and tables.
+    """
+
+    title: str
+    subtitle: str
+    sections: Sequence[Section]
+    series: Sequence[tuple[str, str]] = field(default_factory=tuple)
+
+
+def write_page(page: Page, path: Path) -> None:
+    """Write a page as one HTML file, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        When `path` is a folder or cannot be written.
+    """
+    environment = Environment(
+        loader=PackageLoader("craternav_fg.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    html = environment.get_template("page.html").render(page=page)
+    with replacing(path) as temporary:
+        temporary.write_text(html, encoding="utf-8")

@@ -1,0 +1,51 @@
+"""Pictures of a run's folder, small enough for a page."""
+
+import base64
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from craternav_fg.errors import InputError
+from craternav_fg.report.page import Pictures
+
+OVERLAYS = "overlays"
+# What stands in for overlays that were not asked for, the best first.
+INSTEAD = ("contact_sheet.png", "overview.png")
+MAX_PICTURES = 24
+MAX_WIDTH_PX = 1000
+JPEG_QUALITY = 80
+
+
+def frame_pictures(run: Path) -> Pictures | None:
+    """Give the overlays of a run's frames, or its overview; None for a run without images.
+
+    Raises
+    ------
+    InputError
+        When a picture is damaged.
+    """
+    overlays = sorted((run / OVERLAYS).glob("*.png"))
+    caption = "Frames with their rims."
+    if len(overlays) > MAX_PICTURES:
+        caption = f"{MAX_PICTURES} of {len(overlays)} frames with their rims; all are in {OVERLAYS}/."
+        chosen = np.linspace(0, len(overlays) - 1, MAX_PICTURES).astype(int)
+        overlays = [overlays[k] for k in chosen]
+    if not overlays:
+        overlays = [p for p in (run / "figures" / name for name in INSTEAD) if p.is_file()][:1]
+        caption = "Some frames with their rims."
+    if not overlays:
+        return None
+    return Pictures([(_data_uri(path), path.stem.replace("_", " ")) for path in overlays], caption)
+
+
+def _data_uri(path: Path) -> str:
+    """Give a picture as JPEG within a URI, no wider than a page."""
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise InputError(path, "expected a PNG image, found something else")
+    scale = MAX_WIDTH_PX / picture.shape[1]
+    if scale < 1.0:
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    _, coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return f"data:image/jpeg;base64,{base64.b64encode(coded.tobytes()).decode('ascii')}"

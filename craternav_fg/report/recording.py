@@ -1,0 +1,127 @@
+"""A run as a recording for the rerun viewer: trajectories over the crater map, frames with their rims."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pyarrow.compute as pc
+
+from craternav_fg import frames
+from craternav_fg.catalog import Catalog, rim_points
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import CraternavError
+from craternav_fg.evaluation import figures
+from craternav_fg.evaluation.run_folder import Run, read_residuals
+from craternav_fg.files import replacing
+
+FloatArray = npt.NDArray[np.float64]
+
+# Craters this many times the first altitude away are not in the recording.
+REACH_ALTITUDES = 4.0
+JPEG_QUALITY = 85
+YELLOW, GREY = (240, 228, 66), (140, 140, 140)
+
+
+def write_recording(run: Run, path: Path) -> None:
+    """Write a run as a `.rrd` file for the rerun viewer.
+
+    The scene is in local level axes at the first estimate's ground point: x east, y north, z up, km. The
+    first estimator of the run carries the camera; each frame's image is shown with its measured rims.
+
+    Parameters
+    ----------
+    run : Run
+    path : Path
+
+    Raises
+    ------
+    CraternavError
+        When the viewer's library is not installed.
+    InputError
+        When the run's data set cannot be read, or `path` not be written.
+    """
+    try:
+        import rerun as rr
+    except ImportError:
+        raise CraternavError("recordings need rerun: pip install 'craternav_fg[viewer]'") from None
+    dataset = Dataset.open(run.dataset)
+    first = next(iter(run.trajectories.values()))
+    lat, lon = frames.latitude_longitude(first.gP[0])
+    gRe = frames.east_north_up(lat, lon)
+    gO = first.gP[0] * (dataset.body.radius_m / np.linalg.norm(first.gP[0]))
+
+    def local_km(gP: FloatArray) -> FloatArray:
+        return 1e-3 * (gP - gO) @ gRe
+
+    with replacing(path) as temporary:
+        recording = rr.RecordingStream("craternav_fg", recording_id=run.path.resolve().name)
+        recording.save(temporary)
+        recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        altitude_m = float(dataset.body.altitude_m(first.gP[0]))
+        rims = _catalogue_rims(dataset.catalog, gO, REACH_ALTITUDES * altitude_m)
+        recording.log("world/craters", rr.LineStrips3D(list(local_km(rims)), colors=[GREY]), static=True)
+        lines = {name: (t, figures.COLOURS.get(name, figures.OTHER)) for name, t in run.trajectories.items()}
+        if run.truth is not None:
+            lines["truth"] = (run.truth, "#FFFFFF")
+        for name, (trajectory, colour) in lines.items():
+            rgb = tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))
+            strip = rr.LineStrips3D([local_km(trajectory.gP)], colors=[rgb])
+            recording.log(f"world/trajectories/{name}", strip, static=True)
+        _log_frames(rr, recording, run, dataset, local_km(first.gP), gRe)
+        recording.flush()
+        recording.disconnect()
+
+
+def _log_frames(
+    rr: Any, recording: Any, run: Run, dataset: Dataset, position_km: FloatArray, gRe: FloatArray
+) -> None:
+    """Log pose, camera, image and measured rims of each frame at its time."""
+    name, trajectory = next(iter(run.trajectories.items()))
+    camera = dataset.camera
+    table = read_residuals(run.path)
+    own = table.filter(pc.equal(table["estimator"], name))
+    stamps = own["stamp_ns"].to_numpy()
+    charts = own["chart"].combine_chunks().flatten().to_numpy(zero_copy_only=False).reshape(-1, 5)
+    identifiers = np.array(own["crater_id"].to_pylist())
+    lander = "world/lander"
+    pinhole = rr.Pinhole(
+        focal_length=[camera.fx_px, camera.fy_px], principal_point=[camera.cx_px, camera.cy_px],
+        resolution=[camera.width_px, camera.height_px],
+        camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=2.0,
+    )  # fmt: skip
+    recording.log(
+        f"{lander}/camera",
+        rr.Transform3D(translation=1e-3 * camera.bTc[:3, 3], mat3x3=camera.bTc[:3, :3]),
+        static=True,
+    )
+    recording.log(f"{lander}/camera/image", pinhole, static=True)
+    for k, stamp in enumerate(trajectory.stamps_ns.tolist()):
+        recording.set_time("time", duration=1e-9 * (stamp - int(trajectory.stamps_ns[0])))
+        attitude = gRe.T @ trajectory.gRb[k]
+        recording.log(lander, rr.Transform3D(translation=position_km[k], mat3x3=attitude))
+        if dataset.rims is None:
+            image = dataset.image(k)
+            grey = (255.0 / camera.full_scale * image).astype(np.uint8)
+            _, coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+            recording.log(
+                f"{lander}/camera/image", rr.EncodedImage(contents=coded.tobytes(), media_type="image/jpeg")
+            )
+        rows = stamps == stamp
+        outlines = camera.pixels(rim_points(charts[rows], 72))
+        outlines = np.concatenate([outlines, outlines[:, :1]], axis=1)
+        recording.log(
+            f"{lander}/camera/image/rims",
+            rr.LineStrips2D(list(outlines), colors=[YELLOW], labels=identifiers[rows].tolist()),
+        )
+
+
+def _catalogue_rims(catalog: Catalog, gO: FloatArray, reach_m: float) -> FloatArray:
+    """Points around the catalogue's rims in space, shape (n, 49, 3), g, m, of those near a point."""
+    near = np.linalg.norm(catalog.centres - gO, axis=1) < reach_m
+    angle = np.linspace(0.0, 2.0 * np.pi, 49)[None, :, None]
+    axes = catalog.axes[near]
+    along, across = axes[:, None, 0], axes[:, None, 1]
+    rims = catalog.centres[near][:, None] + np.cos(angle) * along + np.sin(angle) * across
+    return np.asarray(rims)

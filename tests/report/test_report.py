@@ -1,0 +1,192 @@
+"""The page of a run: what is in it, with whatever the run lacks."""
+
+import base64
+import html.parser
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.figure import Figure
+
+from craternav_fg import cli
+from craternav_fg.errors import InputError
+from craternav_fg.evaluation.run_folder import read_run
+from craternav_fg.report.page import write_page
+from craternav_fg.report.run_page import run_page
+from craternav_fg.report.svg import inline_svg
+
+
+class Reader(html.parser.HTMLParser):
+    """Collects identifiers, references and the text of table cells."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.identifiers: list[str] = []
+        self.references: list[str] = []
+        self.tables: list[list[list[str]]] = []
+        self.warnings: list[str] = []
+        self._into: list[str] | None = None
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        values = dict(attributes)
+        self.identifiers += [str(values["id"])] if "id" in values else []
+        self.references += [str(values[k]) for k in ("href", "src", "xlink:href") if values.get(k)]
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self._into = self.tables[-1][-1]
+            self._into.append("")
+        elif values.get("class") == "warning":
+            self._into = self.warnings
+            self._into.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th", "p"):
+            self._into = None
+
+    def handle_data(self, data: str) -> None:
+        if self._into is not None:
+            self._into[-1] += data.strip()
+
+
+def read(run: Path, out: Path) -> Reader:
+    write_page(run_page(read_run(run)), out)
+    reader = Reader()
+    reader.feed(out.read_text("utf-8"))
+    return reader
+
+
+@pytest.fixture(scope="module")
+def page_file(made_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("page") / "r.html"
+    write_page(run_page(read_run(made_run)), out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def page(page_file: Path) -> Reader:
+    reader = Reader()
+    reader.feed(page_file.read_text("utf-8"))
+    return reader
+
+
+@pytest.fixture
+def run(made_run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made_run, tmp_path / "run"))
+
+
+def test_the_page_needs_no_other_file_and_no_network(page: Reader, page_file: Path) -> None:
+    assert all(r.startswith(("#", "data:")) for r in page.references), page.references
+    text = page_file.read_text("utf-8")
+    assert not re.search(r"@import|url\((?!#)|<link|<script[^>]+src", text)
+
+
+def test_identifiers_are_unique_and_every_link_within_the_page_has_its_target(
+    page: Reader, page_file: Path
+) -> None:
+    assert len(set(page.identifiers)) == len(page.identifiers)
+    assert {r[1:] for r in page.references if r.startswith("#")} <= set(page.identifiers)
+    clips = re.findall(r"url\(#([^)]+)\)", page_file.read_text("utf-8"))
+    assert clips
+    assert set(clips) <= set(page.identifiers)
+
+
+def test_the_summary_holds_the_metrics_of_every_estimator(page: Reader, made_run: Path) -> None:
+    summary = page.tables[0]
+    estimators = read_run(made_run).metrics["estimators"]
+    assert [row[0] for row in summary[1:]] == list(estimators)
+    for row in summary[1:]:
+        assert float(row[1].replace(",", "")) == pytest.approx(estimators[row[0]]["position_rms_m"], rel=6e-3)
+
+
+def test_the_residual_table_has_every_crater_with_its_mean(page: Reader, made_run: Path) -> None:
+    rows = {row[0]: row for row in page.tables[1][1:]}
+    table = pq.read_table(made_run / "residuals.parquet").to_pylist()
+    own = [r for r in table if r["estimator"] == "smoother"]
+    assert set(rows) == {r["crater_id"] for r in own}
+    crater = own[0]["crater_id"]
+    chi2 = [r["chi2"] for r in own if r["crater_id"] == crater]
+    assert int(rows[crater][1]) == len(chi2)
+    assert float(rows[crater][3]) == pytest.approx(np.mean(chi2) / 5, rel=6e-3)
+
+
+def test_the_same_drawing_gives_the_same_text() -> None:
+    def drawn() -> str:
+        figure = Figure()
+        figure.subplots().plot([0.0, 1.0], [1.0, 3.0], label="smoother")
+        return inline_svg(figure, "name")
+
+    assert drawn() == drawn()
+
+
+def test_overlays_are_in_the_page_and_shrunk_to_it(page: Reader) -> None:
+    pictures = [r.split(",", 1)[1] for r in page.references if r.startswith("data:image")]
+    assert len(pictures) == 3
+    last = cv2.imdecode(np.frombuffer(base64.b64decode(pictures[-1]), np.uint8), cv2.IMREAD_COLOR)
+    assert last is not None
+    assert last.shape[1] == 1000
+    assert last.mean() == pytest.approx(120, abs=3)
+
+
+def test_without_truth_the_page_says_so_and_shows_what_is_believed(run: Path, tmp_path: Path) -> None:
+    dataset = run / "dataset"
+    shutil.rmtree(dataset / "mav0" / "state_groundtruth_estimate0")
+    assert cli_main("reconstruct", dataset, "-o", tmp_path / "blind", "-e", "smoother", "-e", "ekf") == 0
+    page = read(tmp_path / "blind", tmp_path / "r.html")
+    assert "sigmas" in page.identifiers
+    assert not {"errors", "bounds", "consistency"} & set(page.identifiers)
+
+
+def test_a_run_whose_data_set_is_gone_has_a_page_without_map(run: Path, tmp_path: Path) -> None:
+    shutil.rmtree(run / "dataset")
+    page = read(run, tmp_path / "r.html")
+    assert "map" not in page.identifiers
+    assert any(str(run / "dataset") in warning for warning in page.warnings)
+
+
+def test_names_are_escaped(run: Path, tmp_path: Path) -> None:
+    odd = run.rename(tmp_path / "a<b>&c")
+    text_of = tmp_path / "r.html"
+    read(odd, text_of)
+    assert "a&lt;b&gt;&amp;c" in text_of.read_text("utf-8")
+    assert "a<b>" not in text_of.read_text("utf-8")
+
+
+@pytest.mark.parametrize("damaged", ["residuals.parquet", "overlays/frame_0001.png"])
+def test_a_damaged_run_is_one_error_that_names_the_file(run: Path, tmp_path: Path, damaged: str) -> None:
+    (run / damaged).write_bytes(b"PAR1 or PNG it is not")
+    out = tmp_path / "r.html"
+    with pytest.raises(InputError, match=re.escape(damaged)):
+        write_page(run_page(read_run(run)), out)
+    assert not out.exists()
+
+
+def test_the_command_writes_into_the_run_and_reads_its_own_result_as_part_of_it(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli_main("report", run) == 0
+    assert capsys.readouterr().out.strip() == str(run / "report.html")
+    # A run with its page may be replaced by the next one: the page is ours.
+    assert cli_main("report", run, "--json") == 0
+
+
+def test_what_is_no_run_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli_main("report", tmp_path) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def cli_main(*arguments: object) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["craternav", *map(str, arguments)])
+        try:
+            cli.main()
+        except SystemExit as leaving:
+            return int(leaving.code or 0)
+    return 0
