@@ -59,24 +59,24 @@ def linearise_rims(
     n = len(rims)
     rows = rims.craters
     centres, axes = catalog.centres[rows], catalog.axes[rows]
-    conics = np.array([conic.chart_to_conic(y) for y in rims.chart]).reshape(n, 6)
-    conic_jacobians = np.array([conic.chart_to_conic_jacobian(y) for y in rims.chart]).reshape(n, 6, 5)
     if model == "chart":
         predicted, H, usable = conic.chart_jacobian(gTb, camera.bTc, centres, axes)
         innovation = rims.chart - predicted
         covariance = rims.covariance
         if noise == "fixed":
             # |q| = 1 makes the columns of dq/dy orthogonal to q: the pseudo-inverse is dy/dq.
-            inverse = np.linalg.pinv(conic_jacobians)
+            inverse = np.asarray(np.linalg.pinv(_conic_jacobians(rims)), dtype=np.float64)
             covariance = inverse @ PAPER_NOISE @ np.swapaxes(inverse, 1, 2)
     else:
+        conics = np.array([conic.chart_to_conic(y) for y in rims.chart]).reshape(n, 6)
         semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
         h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
         innovation = -h
         if noise == "fixed":
             of_conic = np.broadcast_to(PAPER_NOISE, (n, 6, 6))
         else:
-            of_conic = conic_jacobians @ rims.covariance @ np.swapaxes(conic_jacobians, 1, 2)
+            J = _conic_jacobians(rims)
+            of_conic = J @ rims.covariance @ np.swapaxes(J, 1, 2)
         covariance = D @ of_conic @ np.swapaxes(D, 1, 2)
     A = np.zeros((n, 5, 6))
     residual = np.zeros((n, 5))
@@ -84,6 +84,11 @@ def linearise_rims(
         A[usable], residual[usable] = _whiten(H[usable], innovation[usable], covariance[usable])
     A[:, :, 3:] = A[:, :, 3:] @ gTb[:3, :3].T
     return A, residual, usable
+
+
+def _conic_jacobians(rims: RimSet) -> FloatArray:
+    """Give the derivatives (n, 6, 5) of the conics with |q| = 1 in the charts."""
+    return np.array([conic.chart_to_conic_jacobian(y) for y in rims.chart]).reshape(len(rims), 6, 5)
 
 
 def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

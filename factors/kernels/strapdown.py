@@ -20,6 +20,8 @@ ATTITUDE, POSITION, VELOCITY, RATE, GYRO_BIAS, ACCELEROMETER_BIAS = (
     slice(12, 15),
     slice(15, 18),
 )
+# The states that are propagated.
+WITHOUT_RATE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17])
 
 
 @njit(cache=True, error_model="numpy")
@@ -96,7 +98,7 @@ def _times_transition(
 
 
 @njit(cache=True, error_model="numpy")
-def propagate(
+def _propagate(
     gTb: FloatArray,
     gV: FloatArray,
     bias: FloatArray,
@@ -107,47 +109,14 @@ def propagate(
     mu: float,
     spin: FloatArray,
     noise: FloatArray,
+    transition: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Propagate a state and its covariance through rows of an IMU log.
-
-    A row's specific force is a mean along turning axes; it counts with the first orders of the turn
-    inside the row, f + (w dt) x f / 2. Gravity and the frame's rotation act at the row's predicted
-    midpoint; the spin is removed from the attitude exactly.
-
-    Parameters
-    ----------
-    gTb : ndarray, shape (4, 4)
-        Pose of the body in g.
-    gV : ndarray, shape (3,)
-        Velocity relative to g, in g, m/s.
-    bias : ndarray, shape (6,)
-        Gyro (rad/s), accelerometer (m/s^2).
-    covariance : ndarray, shape (18, 18)
-        Of the error state.
-    dt_s : ndarray, shape (m,)
-        Durations of the rows, m >= 1.
-    gyro, accelerometer : ndarray, shape (m, 3)
-        Interval means of the inertial angular velocity (rad/s) and the specific force (m/s^2) in b.
-    mu : float
-        Gravitational parameter, m^3/s^2.
-    spin : ndarray, shape (3,)
-        Of the body in g, rad/s.
-    noise : ndarray, shape (4,)
-        Gyro and accelerometer densities, gyro and accelerometer bias walks.
-
-    Returns
-    -------
-    gTb : ndarray, shape (4, 4)
-    gV : ndarray, shape (3,)
-    rate : ndarray, shape (3,)
-        Inertial angular velocity in b, mean over the last row, rad/s.
-    covariance : ndarray, shape (18, 18)
-    """
+    """Do what `propagate` does; a transition (15, 15) that is not empty is multiplied by the rows' own."""
     R = gTb[:3, :3].copy()
     P = gTb[:3, 3].copy()
     V = gV.copy()
     rate = np.zeros(3)
-    index = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17])
+    index = WITHOUT_RATE
     S = np.empty((15, 15))
     for i in range(15):
         for j in range(15):
@@ -229,6 +198,9 @@ def propagate(
             for j in range(3):
                 R[i, j] = W[i, 0] * RE[0, j] + W[i, 1] * RE[1, j] + W[i, 2] * RE[2, j]
 
+        if transition.shape[0] > 0:
+            _times_transition(transition, M, A, C, B, RF, dt)
+            transition[:] = M
         _times_transition(S, M, A, C, B, RF, dt)
         for i in range(15):
             for j in range(i):
@@ -275,3 +247,92 @@ def propagate(
             T[i, j] = 0.5 * (R[i, 0] * E[0, j] + R[i, 1] * E[1, j] + R[i, 2] * E[2, j])
         T[i, 3] = P[i]
     return T, V, rate, out
+
+
+@njit(cache=True, error_model="numpy")
+def propagate(
+    gTb: FloatArray,
+    gV: FloatArray,
+    bias: FloatArray,
+    covariance: FloatArray,
+    dt_s: FloatArray,
+    gyro: FloatArray,
+    accelerometer: FloatArray,
+    mu: float,
+    spin: FloatArray,
+    noise: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Propagate a state and its covariance through rows of an IMU log.
+
+    A row's specific force is a mean along turning axes; it counts with the first orders of the turn
+    inside the row, f + (w dt) x f / 2. Gravity and the frame's rotation act at the row's predicted
+    midpoint; the spin is removed from the attitude exactly.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    gV : ndarray, shape (3,)
+        Velocity relative to g, in g, m/s.
+    bias : ndarray, shape (6,)
+        Gyro (rad/s), accelerometer (m/s^2).
+    covariance : ndarray, shape (18, 18)
+        Of the error state.
+    dt_s : ndarray, shape (m,)
+        Durations of the rows, m >= 1.
+    gyro, accelerometer : ndarray, shape (m, 3)
+        Interval means of the inertial angular velocity (rad/s) and the specific force (m/s^2) in b.
+    mu : float
+        Gravitational parameter, m^3/s^2.
+    spin : ndarray, shape (3,)
+        Of the body in g, rad/s.
+    noise : ndarray, shape (4,)
+        Gyro and accelerometer densities, gyro and accelerometer bias walks.
+
+    Returns
+    -------
+    gTb : ndarray, shape (4, 4)
+    gV : ndarray, shape (3,)
+    rate : ndarray, shape (3,)
+        Inertial angular velocity in b, mean over the last row, rad/s.
+    covariance : ndarray, shape (18, 18)
+    """
+    return _propagate(gTb, gV, bias, covariance, dt_s, gyro, accelerometer, mu, spin, noise, np.empty((0, 0)))
+
+
+@njit(cache=True, error_model="numpy")
+def transition(
+    gTb: FloatArray,
+    gV: FloatArray,
+    bias: FloatArray,
+    dt_s: FloatArray,
+    gyro: FloatArray,
+    accelerometer: FloatArray,
+    mu: float,
+    spin: FloatArray,
+    noise: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Transition of the error state through rows of an IMU log, and the noise that they add.
+
+    Parameters
+    ----------
+    gTb, gV, bias, dt_s, gyro, accelerometer, mu, spin, noise
+        As for `propagate`.
+
+    Returns
+    -------
+    F : ndarray, shape (15, 15)
+        Error after = F error before + noise, of the error state without the angular velocity
+        (`WITHOUT_RATE`), which is not propagated.
+    Q : ndarray, shape (15, 15)
+        Covariance of that noise.
+    """
+    F = np.eye(15)
+    added = _propagate(gTb, gV, bias, np.zeros((SIZE, SIZE)), dt_s, gyro, accelerometer, mu, spin, noise, F)[
+        3
+    ]
+    Q = np.empty((15, 15))
+    for i in range(15):
+        for j in range(15):
+            Q[i, j] = added[WITHOUT_RATE[i], WITHOUT_RATE[j]]
+    return F, Q

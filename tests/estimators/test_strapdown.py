@@ -100,6 +100,22 @@ def test_an_interval_cut_in_two_is_the_same():
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
+def test_transition_and_its_noise_make_the_propagated_covariance():
+    T, V, _ = start()
+    spin = np.array([0.0, 0.0, MOON_SPIN])
+    dt, w, f = row_means(4.0, 50.0)
+    bias = np.array([1e-4, -2e-4, 3e-4, 0.01, -0.02, 0.03])
+    root = np.random.default_rng(1).normal(size=(18, 18)) * np.repeat([1e-3, 10.0, 0.1, 1e-3, 1e-6, 1e-4], 3)
+    P = root.T @ root
+    F, Q = strapdown.transition(T, V, bias, dt, w, f, MOON_MU, spin, LN200S)
+    part = np.ix_(strapdown.WITHOUT_RATE, strapdown.WITHOUT_RATE)
+    expected = strapdown.propagate(T, V, bias, P, dt, w, f, MOON_MU, spin, LN200S)[3][part]
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        (F @ P[part] @ F.T + Q) / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-12
+    )
+
+
 def perturbed(T, V, bias, d):
     """Truth that differs from a mean by an error-state vector (18,)."""
     out = T.copy()

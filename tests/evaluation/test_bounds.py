@@ -1,0 +1,142 @@
+"""Posterior Cramér-Rao bound against the estimators' own graph, inverted densely."""
+
+import dataclasses
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+from numpy.testing import assert_allclose
+
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.graph import GraphOptions, insert_state, pose_covariance_in_g, state_stamps
+from craternav_fg.evaluation.bounds import attitude_rms_deg, position_rms_m, posterior_bound
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.trajectory import Trajectory
+from factors.custom import Loss
+from factors.kernels import robust
+from tests.descents import problem, scenario
+
+NO_LOSS = GraphOptions(loss=Loss(robust.NONE, 1.0))
+
+
+@pytest.fixture(scope="module")
+def descent(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Trajectory]:
+    """Eleven frames; the prior's mean is moved to the truth, where the graph is linearised."""
+    p, truth = problem(tmp_path_factory.mktemp("bounds"), scenario(duration_s=20.0), 0)
+    initial = dataclasses.replace(p.initial, gTb=truth.gTb[0], gV=truth.gV[0])
+    return dataclasses.replace(p, initial=initial), truth
+
+
+def true_values(p: Problem, truth: Trajectory) -> tuple[gtsam.Values, list[int]]:
+    """Truth at the frames, carried by the IMU to the states between; numbers of the frames' states."""
+    values, numbers = gtsam.Values(), [0]
+    for k, frame in enumerate(p.frames):
+        state = FilterState(truth.gTb[k], truth.gV[k], np.zeros(3), truth.bias[k], np.eye(18))
+        nav = gtsam.NavState(gtsam.Pose3(state.gTb), state.gV)
+        insert_state(values, numbers[-1], nav, state.bias)
+        if k + 1 == len(p.frames):
+            break
+        begin = frame.stamp_ns
+        stamps = state_stamps(begin, p.frames[k + 1].stamp_ns, NO_LOSS.keyframe_s)
+        for n, end in enumerate(stamps[:-1], numbers[-1] + 1):
+            state = filter_state.propagate(state, p, begin, int(end))
+            begin = int(end)
+            insert_state(values, n, gtsam.NavState(gtsam.Pose3(state.gTb), state.gV), state.bias)
+        numbers.append(numbers[-1] + len(stamps))
+    return values, numbers
+
+
+def dense(p: Problem, truth: Trajectory) -> np.ndarray:
+    """Pose covariances (k, 6, 6) by inverting the whole information matrix at the truth."""
+    values, numbers = true_values(p, truth)
+    ordering = gtsam.Ordering()
+    for key in values.keys():  # noqa: SIM118 (Values is no mapping)
+        ordering.push_back(key)
+    A, _ = build_graph(p, NO_LOSS, values).linearize(values).jacobian(ordering)
+    scale = np.linalg.norm(A, axis=0)
+    R = np.linalg.qr(A / scale, mode="r")
+    inverse = np.linalg.inv(R) / scale[:, None]
+    sizes = {"x": 6, "v": 3, "b": 6}
+    begins, offset = {}, 0
+    for i in range(ordering.size()):
+        begins[ordering.at(i)] = offset
+        offset += sizes[chr(gtsam.Symbol(ordering.at(i)).chr())]
+    out = []
+    for n, T in zip(numbers, truth.gTb, strict=True):
+        rows = inverse[begins[X(n)] : begins[X(n)] + 6]
+        out.append(pose_covariance_in_g(rows @ rows.T, T[:3, :3]))
+    return np.array(out)
+
+
+def part(p: Problem, truth: Trajectory, frames: int) -> tuple[Problem, Trajectory]:
+    """First frames alone."""
+    cut = Trajectory(truth.stamps_ns[:frames], truth.gTb[:frames], truth.gV[:frames], truth.bias[:frames])
+    return dataclasses.replace(p, frames=p.frames[:frames]), cut
+
+
+def correlation(covariance: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    sigma = np.sqrt(np.einsum("kii->ki", reference))
+    return covariance / (sigma[:, :, None] * sigma[:, None, :])
+
+
+def test_smoothed_bound_is_the_inverse_of_all_information(descent: tuple[Problem, Trajectory]) -> None:
+    p, truth = descent
+    bound, reference = posterior_bound(p, p.frames, truth), dense(p, truth)
+    assert_allclose(correlation(bound.smoothed, reference), correlation(reference, reference), atol=2e-3)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 6])
+def test_filtered_bound_is_that_of_the_frames_so_far(
+    descent: tuple[Problem, Trajectory], frames: int
+) -> None:
+    p, truth = descent
+    bound = posterior_bound(p, p.frames, truth).filtered[frames - 1 : frames]
+    reference = dense(*part(p, truth, frames))[-1:]
+    assert_allclose(correlation(bound, reference), correlation(reference, reference), atol=2e-3)
+
+
+def test_a_blind_stretch_is_bridged_by_the_imu(descent: tuple[Problem, Trajectory]) -> None:
+    """Frames without rims and sun: the bound still holds, filtered from before, smoothed from both sides."""
+    p, truth = descent
+    blind = [
+        frame if k < 3 or k > 8 else FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
+        for k, frame in enumerate(p.frames)
+    ]
+    p = dataclasses.replace(p, frames=blind)
+    bound, reference = posterior_bound(p, p.frames, truth), dense(p, truth)
+    assert_allclose(correlation(bound.smoothed, reference), correlation(reference, reference), atol=2e-3)
+    assert np.all(np.diff(position_rms_m(bound.filtered)[2:9]) > 0.0)
+
+
+def test_what_was_read_does_not_matter(descent: tuple[Problem, Trajectory]) -> None:
+    """Only how well: the same covariances about other readings give the same bound."""
+    p, truth = descent
+    other = [
+        dataclasses.replace(
+            frame,
+            rims=RimSet(frame.rims.craters, frame.rims.chart + 0.01, frame.rims.covariance),
+            sun=None if frame.sun is None else dataclasses.replace(frame.sun, tilt_rad=1.0),
+        )
+        for frame in p.frames
+    ]
+    here, there = posterior_bound(p, p.frames, truth), posterior_bound(p, other, truth)
+    assert_allclose(there.filtered, here.filtered, rtol=1e-12)
+    assert_allclose(there.smoothed, here.smoothed, rtol=1e-12)
+
+
+def test_units() -> None:
+    S = np.diag([1e-4, 4e-4, 4e-4, 9.0, 16.0, 144.0])[None]
+    assert_allclose(position_rms_m(S), [13.0])
+    assert_allclose(attitude_rms_deg(S), [np.degrees(0.03)])
+
+
+def test_refuses_other_stamps(descent: tuple[Problem, Trajectory], tmp_path: Path) -> None:
+    p, truth = descent
+    with pytest.raises(EstimationError, match="different stamps"):
+        posterior_bound(p, p.frames[:-1], truth)
