@@ -236,11 +236,28 @@ class Crater(Section):
         return self
 
 
+class CraterTrials(Section):
+    """How the listed craters differ from trial to trial of a Monte Carlo campaign."""
+
+    place_sigma_m: NotNegative
+    """Standard deviation by which a place is moved, east and north."""
+    semi_axes_m: tuple[Positive, Positive]
+    """Both semi-axes are uniform between these, the orientation between 0 and 180 deg."""
+
+    @model_validator(mode="after")
+    def _axes_in_order(self) -> "CraterTrials":
+        if not self.semi_axes_m[0] <= self.semi_axes_m[1]:
+            raise ValueError(f"semi_axes_m must rise, found {self.semi_axes_m[0]} to {self.semi_axes_m[1]}")
+        return self
+
+
 class CraterList(Section):
     """Craters named one by one."""
 
     source: Literal["list"]
     crater: Annotated[tuple[Crater, ...], Field(min_length=1)]
+    trials: CraterTrials | None = None
+    """Given: each trial draws its own; a simulation that is no trial has the list."""
 
 
 class TerrainSection(Section):

@@ -36,6 +36,7 @@ from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
+AnyCraters = RandomCraters | CraterFile | CraterList
 
 SUN_INTERVAL_NS = 10_000_000_000
 
@@ -55,7 +56,8 @@ def simulate(
     folder : Path
         Replaced when it is empty or a data set.
     trial : int, optional
-        Number of a Monte Carlo trial: with the scenario's seed it determines all randomness.
+        Number of a Monte Carlo trial: with the scenario's seed it determines all randomness; listed
+        craters are then drawn anew if the list says so.
     progress : callable, optional
         Called with the frames done and their number.
 
@@ -88,6 +90,8 @@ def simulate(
         if clear_m <= 0.0:
             problem = f"the descent leads {-clear_m:.0f} m below the elevation model"
             raise CraternavError(f"scenario: [trajectory]: {problem}")
+    if trial is not None:
+        scenario = scenario.model_copy(update={"craters": trial_craters(scenario.craters, crater_rng)})
     catalog, clutter = _craters(scenario, body, motion.gP, relief, crater_rng)
 
     ideal = sensors.ideal_imu(descent, sensors.imu_stamps(scenario.imu, 0, int(stamps[-1])), 0)
@@ -140,6 +144,29 @@ def simulate(
         rims=None if scenario.measurements is None else list(rims(scenario.measurements)),
         truth=Trajectory(stamps, poses, motion.gV, bias[np.searchsorted(imu.stamps_ns, stamps)]),
     )
+
+
+def trial_craters(craters: AnyCraters, rng: np.random.Generator) -> AnyCraters:
+    """Craters of one trial: those of a list that varies drawn anew, all others as they are."""
+    if not isinstance(craters, CraterList) or craters.trials is None:
+        return craters
+    n = len(craters.crater)
+    east, north = rng.normal(scale=craters.trials.place_sigma_m, size=(2, n))
+    axes = np.sort(rng.uniform(*craters.trials.semi_axes_m, size=(n, 2)), axis=1)
+    angles = rng.uniform(0.0, 180.0, size=n)
+    drawn = tuple(
+        crater.model_copy(
+            update={
+                "east_m": crater.east_m + float(east[k]),
+                "north_m": crater.north_m + float(north[k]),
+                "semi_major_m": float(axes[k, 1]),
+                "semi_minor_m": float(axes[k, 0]),
+                "angle_deg": float(angles[k]),
+            }
+        )
+        for k, crater in enumerate(craters.crater)
+    )
+    return craters.model_copy(update={"crater": drawn})
 
 
 def frame_stamps(options: TrajectorySection) -> npt.NDArray[np.int64]:
