@@ -94,13 +94,27 @@ def preintegrate(
     FactorError
         When a field is not finite or mis-shaped, or the interval is empty.
     """
-    m = np.shape(dt_s)[0] if np.ndim(dt_s) else 0
-    dt = validation.array("dt_s", dt_s, (m,))
-    if m == 0 or not (dt > 0.0).all():
-        raise FactorError("dt_s: expected at least one row, all of positive duration")
-    w = validation.array("gyro", gyro, (m, 3))
-    f = validation.array("accelerometer", accelerometer, (m, 3))
-    b = validation.array("bias", bias, (6,))
+    return integrate(parameters(noise, spin, gravity), dt_s, gyro, accelerometer, bias)
+
+
+def parameters(
+    noise: ImuNoise, spin: npt.ArrayLike, gravity: npt.ArrayLike
+) -> gtsam.PreintegrationCombinedParams:
+    """Parameters of one interval.
+
+    They stay those of the factor that is made with them: what is later written to their `n_gravity` changes
+    its gravity, which the preintegration itself knows nothing of.
+
+    Parameters
+    ----------
+    noise, spin, gravity
+        As for `preintegrate`.
+
+    Raises
+    ------
+    FactorError
+        When a field is not finite or mis-shaped.
+    """
     params = gtsam.PreintegrationCombinedParams(validation.array("gravity", gravity, (3,)))
     eye = np.eye(3)
     params.setGyroscopeCovariance(noise.gyro_density**2 * eye)
@@ -109,6 +123,37 @@ def preintegrate(
     params.setBiasAccCovariance(noise.accelerometer_walk**2 * eye)
     params.setIntegrationCovariance(INTEGRATION_VARIANCE * eye)
     params.setOmegaCoriolis(validation.array("spin", spin, (3,)))
+    return params
+
+
+def integrate(
+    params: gtsam.PreintegrationCombinedParams,
+    dt_s: npt.ArrayLike,
+    gyro: npt.ArrayLike,
+    accelerometer: npt.ArrayLike,
+    bias: npt.ArrayLike,
+) -> gtsam.PreintegratedCombinedMeasurements:
+    """Preintegrate the rows of one interval with parameters that no other interval may have.
+
+    Parameters
+    ----------
+    params : gtsam.PreintegrationCombinedParams
+        From `parameters`.
+    dt_s, gyro, accelerometer, bias
+        As for `preintegrate`.
+
+    Raises
+    ------
+    FactorError
+        When a field is not finite or mis-shaped, or the interval is empty.
+    """
+    m = np.shape(dt_s)[0] if np.ndim(dt_s) else 0
+    dt = validation.array("dt_s", dt_s, (m,))
+    if m == 0 or not (dt > 0.0).all():
+        raise FactorError("dt_s: expected at least one row, all of positive duration")
+    w = validation.array("gyro", gyro, (m, 3))
+    f = validation.array("accelerometer", accelerometer, (m, 3))
+    b = validation.array("bias", bias, (6,))
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(b[3:], b[:3]))
     # A row's force is the mean along turning axes; GTSAM takes it along the axes at the row's beginning.
     f = f + 0.5 * np.cross((w - b[:3]) * dt[:, None], f - b[3:])

@@ -5,7 +5,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from craternav_fg.bench.problems import Bench
-from craternav_fg.estimators.graph import add_imu, add_prior, bias_vector, insert_state
+from craternav_fg.estimators.graph import FactorGraph, add_imu, add_prior, bias_vector, insert_state
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 
 
@@ -36,10 +36,10 @@ class Reference:
         problem = self._bench.problem
         i = self._number
         begin_ns, end_ns = (problem.frames[k].stamp_ns for k in (i, i + 1))
-        graph = gtsam.NonlinearFactorGraph()
+        graph = FactorGraph()
         values = gtsam.Values()
         midpoint = self._state.position() + 0.5e-9 * (end_ns - begin_ns) * self._state.velocity()
-        pim = add_imu(graph, problem, i, begin_ns, end_ns, midpoint, self._bias)
+        pim = add_imu(graph, problem, i, begin_ns, end_ns, midpoint, self._bias).pim
         bias = gtsam.imuBias.ConstantBias(self._bias[3:], self._bias[:3])
         insert_state(values, i + 1, pim.predict(self._state, bias), self._bias)
         self._number = i = i + 1

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
+from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.graph import (
@@ -27,7 +28,7 @@ from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
-MAX_REBUILDS = 5
+MAX_OPTIMISATIONS = 5
 
 
 class BatchSmoother:
@@ -81,9 +82,8 @@ def optimum(
     EstimationError
         When the optimisation does not converge.
     """
-    midpoints = _midpoints(values)
-    for _ in range(MAX_REBUILDS):
-        graph = build_graph(problem, options, values)
+    graph = build_graph(problem, options, values)
+    for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
         result = levenberg_marquardt(graph, values)
         if not result.converged:
             raise EstimationError(
@@ -91,10 +91,8 @@ def optimum(
                 "initial state contradict each other (check frames, units and mounting)"
             )
         values = result.values
-        moved = _midpoints(values)
-        if np.abs(moved - midpoints).max(initial=0.0) < MIDPOINT_TOLERANCE_M:
+        if not last or not _move_gravity(graph, problem.body, values):
             break
-        midpoints = moved
     lost, count = _out_of_sight(problem, options, values)
     if 2 * lost > count:
         raise EstimationError(f"no convergence: {lost} of {count} rims are out of sight of the poses reached")
@@ -117,7 +115,7 @@ def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values)
     return lost, count
 
 
-def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -> FactorGraph:
     """Build the graph of a whole descent, gravity and biases linearised at given values.
 
     Parameters
@@ -129,7 +127,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
 
     Returns
     -------
-    gtsam.NonlinearFactorGraph
+    FactorGraph
     """
     graph = FactorGraph()
     add_prior(graph, problem.initial)
@@ -146,10 +144,15 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     return graph
 
 
-def _midpoints(values: gtsam.Values) -> FloatArray:
-    states = sum(gtsam.Symbol(key).chr() == ord("x") for key in values.keys())  # noqa: SIM118
-    positions = np.array([values.atPose3(X(i)).translation() for i in range(states)])
-    return np.asarray(0.5 * (positions[1:] + positions[:-1]))
+def _move_gravity(graph: FactorGraph, body: Body, values: gtsam.Values) -> bool:
+    """Take gravity where the states now are; False when it was there already."""
+    before = graph.intervals
+    states = [one.number for one in before] + [before[-1].number + 1] if before else []
+    positions = np.array([values.atPose3(X(i)).translation() for i in states]).reshape(-1, 3)
+    midpoints = 0.5 * (positions[1:] + positions[:-1])
+    graph.intervals = [one.moved(body, midpoint) for one, midpoint in zip(before, midpoints, strict=True)]
+    steps = [float(np.linalg.norm(one.midpoint - m)) for one, m in zip(before, midpoints, strict=True)]
+    return max(steps, default=0.0) >= MIDPOINT_TOLERANCE_M
 
 
 def trajectory(

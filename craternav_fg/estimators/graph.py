@@ -1,6 +1,6 @@
 """The factor graph of a descent: priors, frames, IMU intervals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import gtsam
@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
+from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement
@@ -15,7 +16,7 @@ from craternav_fg.trajectory import InitialState
 from factors.conic_shape import conic_shape_factor
 from factors.crater_centre import crater_centre_factor
 from factors.custom import Loss
-from factors.imu import imu_factor, preintegrate
+from factors.imu import imu_factor, integrate, parameters
 from factors.kernels import robust
 from factors.rim_points import rim_points_factor
 from factors.sun_tilt import sun_tilt_factor
@@ -53,16 +54,49 @@ class GraphOptions:
             raise EstimationError(f"keyframe_s: expected a positive number, found {self.keyframe_s}")
 
 
+@dataclass(frozen=True)
+class ImuInterval:
+    """An IMU factor of a graph, from state `number` to the next.
+
+    Attributes
+    ----------
+    number : int
+    midpoint : ndarray, shape (3,)
+        In g: where gravity is taken.
+    pim : gtsam.PreintegratedCombinedMeasurements
+    params : gtsam.PreintegrationCombinedParams
+        The factor's own, its gravity among them.
+    slot : int
+        Of the factor in a solver.
+    """
+
+    number: int
+    midpoint: FloatArray
+    pim: gtsam.PreintegratedCombinedMeasurements
+    params: gtsam.PreintegrationCombinedParams
+    slot: int = -1
+
+    def moved(self, body: Body, midpoint: FloatArray) -> "ImuInterval":
+        """Take the factor's gravity at another midpoint (3,); whoever linearised it must do so again."""
+        self.params.n_gravity = body.gravity(midpoint)
+        return replace(self, midpoint=midpoint)
+
+
 class FactorGraph(gtsam.NonlinearFactorGraph):
-    """A graph that keeps the Python objects of its custom factors.
+    """A graph that keeps the Python objects of its custom factors, and its IMU intervals.
 
     GTSAM hands a factor to its callback. Where nobody keeps the object, one is made for every call: a tenth
     of the time to linearise ten rims.
+
+    Attributes
+    ----------
+    intervals : list of ImuInterval
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._kept: list[gtsam.CustomFactor] = []
+        self.intervals: list[ImuInterval] = []
 
     def push_back(self, factor: Any) -> None:
         """Add a factor, or all those of a graph."""
@@ -118,19 +152,19 @@ def add_frame(
 
 
 def add_imu(
-    graph: gtsam.NonlinearFactorGraph,
+    graph: FactorGraph,
     descent: Descent,
     number: int,
     begin_ns: int,
     end_ns: int,
     midpoint: FloatArray,
     bias: FloatArray,
-) -> gtsam.PreintegratedCombinedMeasurements:
+) -> ImuInterval:
     """Add the IMU factor from state `number` to the next.
 
     Parameters
     ----------
-    graph : gtsam.NonlinearFactorGraph
+    graph : FactorGraph
     descent : Descent
     number : int
         Of the state at the beginning.
@@ -140,17 +174,14 @@ def add_imu(
         Predicted position in g half-way, where gravity is taken.
     bias : ndarray, shape (6,)
         Gyro, then accelerometer: where the preintegration is linearised.
-
-    Returns
-    -------
-    gtsam.PreintegratedCombinedMeasurements
     """
-    gravity = descent.body.gravity(midpoint)
-    rows = descent.imu.between(begin_ns, end_ns)
-    pim = preintegrate(descent.imu_noise, descent.body.spin_rad_s, gravity, *rows, bias)
+    params = parameters(descent.imu_noise, descent.body.spin_rad_s, descent.body.gravity(midpoint))
+    pim = integrate(params, *descent.imu.between(begin_ns, end_ns), bias)
     i, j = number, number + 1
     graph.push_back(imu_factor([X(i), V(i), X(j), V(j), B(i), B(j)], pim))
-    return pim
+    interval = ImuInterval(number, midpoint, pim, params)
+    graph.intervals.append(interval)
+    return interval
 
 
 def state_stamps(begin_ns: int, end_ns: int, longest_s: float) -> IntArray:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -16,6 +16,7 @@ from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
     FactorGraph,
     GraphOptions,
+    ImuInterval,
     add_frame,
     add_imu,
     add_prior,
@@ -32,6 +33,9 @@ FloatArray = npt.NDArray[np.float64]
 
 # Gravity changes by 1e-6 m/s^2 a metre on the Moon: a midpoint that moved by less is left alone.
 MIDPOINT_TOLERANCE_M = 10.0
+# Nor does it matter while corrections since add up to less than this part of the position's sigma: a shift of
+# 100 m is 1e-4 m/s^2, half a metre in 100 s. Linearising all IMU factors again costs more than all else.
+LAZINESS = 0.3
 # A wide prior makes the first frames nonlinear: iterate until the newest position moves by less.
 SETTLED_M = 5.0
 MAX_EXTRA_UPDATES = 5
@@ -50,17 +54,6 @@ def _from_gtsam() -> FloatArray:
 
 # All but the position, which is turned from b to g.
 FROM_GTSAM = _from_gtsam()
-
-
-@dataclass(frozen=True)
-class _Interval:
-    """An IMU factor of the graph: from state `number` on, in a slot, with gravity of a midpoint (3,) in g."""
-
-    number: int
-    begin_ns: int
-    end_ns: int
-    midpoint: FloatArray
-    slot: int = -1
 
 
 class OnlineSession:
@@ -86,7 +79,8 @@ class OnlineSession:
         self._frame_numbers: list[int] = []
         self._stamps_ns: list[int] = []
         self._states: list[FilterState] = []
-        self._intervals: list[_Interval] = []
+        self._intervals: list[ImuInterval] = []
+        self._corrected = np.zeros(3)
 
     @property
     def frame_numbers(self) -> list[int]:
@@ -117,7 +111,7 @@ class OnlineSession:
         add_frame(graph, self._descent, self._options, X(0), frame)
         gTb = start.gTb if start.frame == 0 else initial.gTb
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
-        self._update(graph, values, [], 0, frame.stamp_ns)
+        self._update(graph, values, 0, frame.stamp_ns)
 
     def predict(self, stamp_ns: int) -> FilterState:
         """Predict the state at a later stamp by the IMU; nothing is changed.
@@ -143,29 +137,20 @@ class OnlineSession:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = FactorGraph()
         values = gtsam.Values()
-        intervals = []
         state, last = self.state, self._last
         for end_ns in state_stamps(begin_ns, frame.stamp_ns, self._options.keyframe_s):
             ahead = filter_state.propagate(state, self._descent, begin_ns, int(end_ns))
             midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
             add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias)
-            intervals.append(_Interval(last, begin_ns, int(end_ns), midpoint))
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
         add_frame(graph, self._descent, self._options, X(last), frame)
-        self._update(graph, values, intervals, last, frame.stamp_ns)
+        self._update(graph, values, last, frame.stamp_ns)
 
-    def _update(
-        self,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        intervals: list[_Interval],
-        last: int,
-        stamp_ns: int,
-    ) -> None:
+    def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
         predicted = position = values.atPose3(X(last)).translation()
-        self._add(graph, values, intervals, stamp_ns)
+        self._add(graph, values, stamp_ns)
         # What fails here is taken back: the frame is in, linearised less well.
         with suppress(EstimationError):
             for _ in range(MAX_EXTRA_UPDATES):
@@ -174,22 +159,19 @@ class OnlineSession:
                     break
                 position = moved
                 self._solver.again()
-            if np.linalg.norm(position - predicted) > MIDPOINT_TOLERANCE_M:
+            self._corrected = self._corrected + position - predicted
+            if np.linalg.norm(self._corrected) > max(
+                MIDPOINT_TOLERANCE_M, LAZINESS * self._position_sigma_m()
+            ):
                 self._move_gravity(stamp_ns)
+                self._corrected = np.zeros(3)
         self._states.append(self._state(last, stamp_ns))
         self._last = last
         self._stamps_ns.append(stamp_ns)
         self._frame_numbers.append(last)
 
-    def _add(
-        self,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        intervals: list[_Interval],
-        stamp_ns: int,
-        drop: Sequence[int] = (),
-    ) -> None:
-        """Update the solver; the graph begins with the factors of these intervals."""
+    def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
+        """Update the solver; the graph begins with the factors of its intervals."""
         time_s = 1e-9 * (stamp_ns - self._descent.initial.stamp_ns)
         trees = self._solver.trees
         slots: list[int] = []
@@ -199,13 +181,16 @@ class OnlineSession:
             # A new tree has new slots: what is in it keeps its gravity.
             if self._solver.trees != trees:
                 self._intervals.clear()
-            self._intervals += [replace(one, slot=slot) for one, slot in zip(intervals, slots, strict=False)]
+            self._intervals += [
+                replace(one, slot=slot) for one, slot in zip(graph.intervals, slots, strict=False)
+            ]
 
     def _move_gravity(self, stamp_ns: int) -> None:
-        """Build anew the IMU factors whose midpoints a correction moved."""
+        """Move the gravity of IMU factors to where their states now are, and linearise them again."""
         tree = self._solver.tree
+        factors = tree.getFactorsUnsafe()
         graph = FactorGraph()
-        kept, moved, drop = [], [], []
+        kept, drop = [], []
         for one in self._intervals:
             if not tree.valueExists(X(one.number)):
                 continue
@@ -214,13 +199,19 @@ class OnlineSession:
             if np.linalg.norm(midpoint - one.midpoint) < MIDPOINT_TOLERANCE_M:
                 kept.append(one)
                 continue
-            bias = bias_vector(tree.calculateEstimateConstantBias(B(one.number)))
-            add_imu(graph, self._descent, one.number, one.begin_ns, one.end_ns, midpoint, bias)
-            moved.append(replace(one, midpoint=midpoint))
+            graph.push_back(factors.at(one.slot))
+            graph.intervals.append(one.moved(self._descent.body, midpoint))
             drop.append(one.slot)
         self._intervals = kept
-        if moved:
-            self._add(graph, gtsam.Values(), moved, stamp_ns, drop)
+        if drop:
+            self._add(graph, gtsam.Values(), stamp_ns, drop)
+
+    def _position_sigma_m(self) -> float:
+        """Tell how well the position was known at the last frame."""
+        if not self._states:
+            return float(np.sqrt(3.0) * self._descent.initial.position_sigma_m)
+        covariance = self._states[-1].covariance[strapdown.POSITION, strapdown.POSITION]
+        return float(np.sqrt(np.trace(covariance)))
 
     def _state(self, n: int, stamp_ns: int) -> FilterState:
         tree = self._solver.tree

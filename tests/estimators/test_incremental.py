@@ -257,10 +257,10 @@ def test_a_lag_must_be_positive() -> None:
         FixedLagIsam(0.0)
 
 
-def test_imu_factors_are_built_anew_where_a_correction_moved_gravity(
+def test_gravity_is_taken_anew_where_a_correction_moved_the_states(
     trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A start 20 km off puts gravity at wrong places: one graph keeps that error, rebuilt ones lose it."""
+    """A start 20 km off puts gravity at wrong places: one optimisation keeps that error, more lose it."""
     p, _ = trials[0]
     expected = BatchSmoother().estimate(p)
 
@@ -273,10 +273,10 @@ def test_imu_factors_are_built_anew_where_a_correction_moved_gravity(
         return away
 
     monkeypatch.setattr(OnlineSession, "smoothed_values", displaced)
-    rebuilt = BatchSmoother().estimate(p)
-    monkeypatch.setattr(batch, "MAX_REBUILDS", 1)
+    again = BatchSmoother().estimate(p)
+    monkeypatch.setattr(batch, "MAX_OPTIMISATIONS", 1)
     once = BatchSmoother().estimate(p)
-    off = [np.linalg.norm(t.gP - expected.gP, axis=1).max() for t in (rebuilt, once)]
+    off = [np.linalg.norm(t.gP - expected.gP, axis=1).max() for t in (again, once)]
     assert off[0] < 0.1
     assert off[1] > 1.0
 
