@@ -3,7 +3,7 @@
 import importlib.resources
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,7 +13,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.errors import InputError
 from craternav_fg.frames import pose, rotation_exp
 from craternav_fg.imu import ImuNoise
-from craternav_fg.sections import Positive, Section, Vector, load_toml
+from craternav_fg.sections import Positive, Section, Vector, read_toml, validate
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 
@@ -331,6 +331,45 @@ class MeasurementSection(Section):
     sun_tilt_sigma_deg: Positive
 
 
+class FaultsSection(Section):
+    """What goes wrong and the data set does not tell."""
+
+    wrong_matches: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the measured rims that bear the name of another crater; not with images."""
+    map_place: NotNegative = 0.0
+    """Error of the catalogue's places, east and north, as a part of the semi-major axis (1 sigma)."""
+    map_size: NotNegative = 0.0
+    """Error of the catalogue's semi-axes, each as a part of itself."""
+    map_height: NotNegative = 0.0
+    """Error of the catalogue's rim heights, as a part of the semi-major axis."""
+    mounting_deg: NotNegative = 0.0
+    """Angle by which the camera is turned from its mounting in the data set, about an axis at random."""
+    image_delay_s: float = 0.0
+    """Images are exposed so much later than they are stamped."""
+    outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
+    """Times from and to which there is no image; the first one is always there."""
+    without_sun: bool = False
+    """No sun tilt is measured; not with images."""
+
+    @model_validator(mode="after")
+    def _outages_last(self) -> "FaultsSection":
+        for begin, end in self.outages_s:
+            if not begin < end:
+                raise ValueError(f"outages_s: expected ends after beginnings, found {begin} to {end}")
+        return self
+
+
+Interval = tuple[NotNegative, Positive]
+
+
+class ExpectedSection(Section):
+    """Between what an estimator's figures should lie in the mean over trials."""
+
+    position_final_m: Interval | None = None
+    position_rms_m: Interval | None = None
+    anees: Interval | None = None
+
+
 class Scenario(Section):
     """One simulated case."""
 
@@ -348,6 +387,9 @@ class Scenario(Section):
     """Given: the data set holds images."""
     measurements: MeasurementSection | None = None
     """Given: the data set holds measured rims and no images."""
+    faults: FaultsSection = Field(default_factory=FaultsSection)
+    expected: dict[str, ExpectedSection] = Field(default_factory=dict)
+    """By estimator: what the case is there to show."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scenario":
@@ -355,6 +397,8 @@ class Scenario(Section):
             raise ValueError("expected either a table [render] or a table [measurements]")
         if self.terrain is None and (self.render is not None or self.craters.source == "random"):
             raise ValueError("expected a table [terrain] for [render] and for random craters")
+        if self.measurements is None and (self.faults.wrong_matches > 0.0 or self.faults.without_sun):
+            raise ValueError("wrong_matches and without_sun need a table [measurements]")
         return self
 
 
@@ -370,14 +414,14 @@ def load_scenario(name: str | Path) -> Scenario:
     ------
     InputError
         When there is no such scenario, or it is wrong (see `load_toml`).
+
+    Notes
+    -----
+    A file with `base = "NAME"` holds what differs from that scenario: a built-in one, or a file beside it. A
+    table [measurements] takes the place of a base's [render], and the other way round.
     """
-    path = Path(name)
-    if path.suffix != ".toml" and not path.is_file():
-        path = built_in_scenarios().get(str(name), path)
-        if path.suffix != ".toml":
-            known = ", ".join(built_in_scenarios())
-            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}")
-    scenario = load_toml(path, Scenario)
+    path = _find(name)
+    scenario = _with_base(path)
     if isinstance(scenario.craters, CraterFile):
         resolved = str((path.parent / scenario.craters.path).resolve())
         scenario = scenario.model_copy(update={"craters": CraterFile(source="file", path=resolved)})
@@ -386,6 +430,52 @@ def load_scenario(name: str | Path) -> Scenario:
         terrain = scenario.terrain.model_copy(update={"dem": resolved})
         scenario = scenario.model_copy(update={"terrain": terrain})
     return scenario
+
+
+def _find(name: str | Path) -> Path:
+    path = Path(name)
+    if path.suffix != ".toml" and not path.is_file():
+        path = built_in_scenarios().get(str(name), path)
+        if path.suffix != ".toml":
+            known = ", ".join(built_in_scenarios())
+            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}")
+    return path
+
+
+def _with_base(path: Path) -> Scenario:
+    """Read a scenario that may hold only what differs from another."""
+    text, data = read_toml(path)
+    seen = [path]
+    while "base" in data:
+        base = data.pop("base")
+        if not isinstance(base, str):
+            raise InputError(path, f"expected the name of a scenario, found {base!r}", column="base")
+        beside = seen[-1].parent / base
+        seen.append(beside if beside.suffix == ".toml" else _find(base))
+        if seen[-1] in seen[:-1]:
+            raise InputError(path, f"is its own base, by way of {seen[-1]}", column="base")
+        _, under = read_toml(seen[-1])
+        for given, other in (("measurements", "render"), ("render", "measurements")):
+            if given in data:
+                under.pop(other, None)
+        data = _merged(under, data)
+    return validate(path, data, Scenario, text=text)
+
+
+def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Tables key by key, all else as `over` has it."""
+    out = dict(under)
+    for key, value in over.items():
+        below = under.get(key)
+        out[key] = value
+        # Craters of another source have other keys: they take the place of the whole table.
+        if (
+            isinstance(value, dict)
+            and isinstance(below, dict)
+            and value.get("source", below.get("source")) == below.get("source")
+        ):
+            out[key] = _merged(below, value)
+    return out
 
 
 def built_in_scenarios() -> dict[str, Path]:

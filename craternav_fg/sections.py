@@ -35,12 +35,17 @@ def load_toml(path: Path, model: type[M]) -> M:
         When the file is missing or no TOML, or a key is unknown, missing, of the wrong type or out of
         range: names the file, the line where it can be told, and the key.
     """
+    text, data = read_toml(path)
+    return validate(path, data, model, text=text)
+
+
+def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
+    """Text of a TOML file and what it says, or `InputError`."""
     text = read_text(path)
     try:
-        data = tomllib.loads(text)
+        return text, tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(path, f"expected TOML: {error}") from None
-    return validate(path, data, model, text=text)
 
 
 def read_text(path: Path) -> str:

@@ -150,3 +150,52 @@ def test_the_camera_sees_its_field_of_view():
     # Optical axis along b's z; the top of the image (-y) looks along b's x.
     assert camera.bTc[:3, 2] == pytest.approx([0.0, 0.0, 1.0])
     assert -camera.bTc[:3, 1] == pytest.approx([1.0, 0.0, 0.0])
+
+
+def write(folder, name, text):
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_a_scenario_with_a_base_is_the_base_but_for_what_it_says(tmp_path):
+    path = write(tmp_path, "a.toml", 'base = "lunar_descent"\n[trajectory.start]\naltitude_m = 60000.0\n')
+    base, case = load_scenario("lunar_descent"), load_scenario(path)
+    assert case.trajectory.start.altitude_m == 60000.0
+    start = base.trajectory.start.model_copy(update={"altitude_m": 60000.0})
+    trajectory = base.trajectory.model_copy(update={"start": start})
+    assert case == base.model_copy(update={"trajectory": trajectory})
+
+
+def test_a_base_may_stand_beside_and_have_a_base_and_rims_take_the_place_of_images(tmp_path):
+    write(tmp_path, "b.toml", f'base = "lunar_descent"\n{MEASUREMENTS}\n')
+    case = load_scenario(write(tmp_path, "a.toml", 'base = "b.toml"\nseed = 9\n'))
+    assert case.seed == 9
+    assert case.render is None
+    assert case.measurements == load_scenario("paper_case3").measurements
+
+
+def test_craters_of_another_source_replace_the_base_s(tmp_path):
+    text = 'base = "lunar_descent"\n[craters]\nsource = "file"\npath = "map.csv"\n'
+    craters = load_scenario(write(tmp_path, "a.toml", text)).craters
+    assert craters.path == str(tmp_path / "map.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('base = "a.toml"\n', ["a.toml", "its own base"]),
+        ('base = "nowhere"\n', ["nowhere", "lunar_descent"]),
+        ("base = 3\n", ["a.toml", "base", "3"]),
+        ('base = "lunar_descent"\n[sun]\nelevation_deg = -3.0\n', ["a.toml:3", "sun.elevation_deg", "-3.0"]),
+        ('base = "lunar_descent"\n[faults]\nwrong_matches = 0.1\n', ["a.toml", "measurements"]),
+        (
+            'base = "lunar_descent"\n[faults]\noutages_s = [[5.0, 2.0]]\n',
+            ["a.toml:2", "outages_s", "5.0 to 2.0"],
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_base_or_on_top_of_it_is_told(tmp_path, text, told):
+    with pytest.raises(InputError) as error:
+        load_scenario(write(tmp_path, "a.toml", text))
+    for part in told:
+        assert part in str(error.value)

@@ -26,7 +26,7 @@ from craternav_fg.dataset import SunVectors, write_dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import CraternavError
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.simulation import sensors
+from craternav_fg.simulation import faults, sensors
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.dem import read_dem
 from craternav_fg.simulation.relief import Relief, ReliefOptions
@@ -75,13 +75,14 @@ def simulate(
     """
     seed = np.random.SeedSequence(scenario.seed, spawn_key=() if trial is None else (trial,))
     # One stream per subject, so that a change in one leaves the others as they were.
-    crater_rng, imu_rng, initial_rng, frame_rng = (np.random.default_rng(s) for s in seed.spawn(4))
+    streams = (np.random.default_rng(s) for s in seed.spawn(5))
+    crater_rng, imu_rng, initial_rng, frame_rng, fault_rng = streams
     body, camera = scenario.body.body(), _camera(scenario)
     try:
         descent = Descent(body, scenario.trajectory)
     except ValueError as error:
         raise CraternavError(f"scenario: [trajectory]: {error}") from None
-    stamps = frame_stamps(scenario.trajectory)
+    stamps = frame_stamps(scenario.trajectory, scenario.faults.outages_s)
     motion = descent.evaluate(np.multiply(stamps, 1e-9))
     sun = sun_vectors(scenario, body, int(stamps[-1]))
     relief = _relief(scenario, body, crater_rng)
@@ -99,7 +100,9 @@ def simulate(
     initial = sensors.initial_state(
         motion.gTb[0], motion.gV[0], int(stamps[0]), scenario.initial_error, scenario.imu, initial_rng
     )
-    poses = motion.gTb
+    exposed_s = np.multiply(stamps, 1e-9) + scenario.faults.image_delay_s
+    poses = descent.evaluate(exposed_s).gTb
+    told = faults.misread(catalog, scenario.faults, fault_rng)
 
     def done(frame: int) -> None:
         if progress is not None:
@@ -110,7 +113,7 @@ def simulate(
         assert scenario.render is not None
         renderer = _renderer(scenario, camera, catalog, relief, clutter)
         half_s = 0.5 * scenario.render.exposure_s
-        begin, end = (descent.evaluate(np.multiply(stamps, 1e-9) + side).gTb for side in (-half_s, half_s))
+        begin, end = (descent.evaluate(exposed_s + side).gTb for side in (-half_s, half_s))
         for k, stamp in enumerate(stamps.tolist()):
             sweep = (begin[k], end[k]) if half_s > 0.0 else None
             yield renderer.render(poses[k], sun.at(stamp), frame_rng, sweep)
@@ -118,7 +121,7 @@ def simulate(
 
     def rims(options: MeasurementSection) -> Iterator[FrameMeasurement]:
         for k, stamp in enumerate(stamps.tolist()):
-            yield sensors.measure(
+            frame = sensors.measure(
                 poses[k],
                 stamp,
                 sun.at(stamp),
@@ -128,13 +131,14 @@ def simulate(
                 options=options,
                 rng=frame_rng,
             )
+            yield faults.mismatch(frame, catalog, scenario.faults, fault_rng)
             done(k)
 
     return write_dataset(
         folder,
         body=body,
-        camera=camera,
-        catalog=catalog,
+        camera=faults.remounted(camera, scenario.faults, fault_rng),
+        catalog=told,
         imu=imu,
         imu_noise=scenario.imu.noise(),
         initial=initial,
@@ -142,7 +146,7 @@ def simulate(
         stamps_ns=stamps,
         images=None if scenario.render is None else images(),
         rims=None if scenario.measurements is None else list(rims(scenario.measurements)),
-        truth=Trajectory(stamps, poses, motion.gV, bias[np.searchsorted(imu.stamps_ns, stamps)]),
+        truth=Trajectory(stamps, motion.gTb, motion.gV, bias[np.searchsorted(imu.stamps_ns, stamps)]),
     )
 
 
@@ -169,10 +173,17 @@ def trial_craters(craters: AnyCraters, rng: np.random.Generator) -> AnyCraters:
     return craters.model_copy(update={"crater": drawn})
 
 
-def frame_stamps(options: TrajectorySection) -> npt.NDArray[np.int64]:
-    """Stamps of the images, from 0 to the end of the descent, ns."""
+def frame_stamps(
+    options: TrajectorySection, outages_s: Sequence[tuple[float, float]] = ()
+) -> npt.NDArray[np.int64]:
+    """Stamps of the images, from 0 to the end of the descent, without those in outages, ns."""
     count = math.floor(options.duration_s / options.frame_interval_s + 1e-9) + 1
-    return np.round(np.arange(count) * options.frame_interval_s * 1e9).astype(np.int64)
+    seconds = np.arange(count) * options.frame_interval_s
+    lost = np.zeros(count, dtype=np.bool_)
+    for begin, end in outages_s:
+        lost |= (seconds >= begin) & (seconds < end)
+    lost[0] = False
+    return np.round(seconds[~lost] * 1e9).astype(np.int64)
 
 
 def sun_vectors(scenario: Scenario, body: Body, end_ns: int) -> SunVectors:

@@ -1,0 +1,105 @@
+"""Hard cases: what is wrong is wrong by as much as asked, in the data set alone, and nothing else changes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.catalog import Catalog
+from craternav_fg.config import FaultsSection, Scenario
+from craternav_fg.dataset import Dataset
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.simulation.faults import mismatch, misread, remounted
+from craternav_fg.simulation.scenario import simulate
+from tests.descents import scenario
+
+MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
+
+
+def catalogue(n: int) -> Catalog:
+    rng = np.random.default_rng(1)
+    return Catalog(
+        tuple(f"C{k}" for k in range(n)),
+        rng.uniform(-1.2, 1.2, n), rng.uniform(-3.0, 3.0, n),
+        np.full(n, 2000.0), np.full(n, 1900.0), rng.uniform(0.0, 3.0, n), np.zeros(n), MOON,
+    )  # fmt: skip
+
+
+def test_a_misread_map_is_off_by_the_parts_asked_for() -> None:
+    true = catalogue(4000)
+    faults = FaultsSection(map_place=0.02, map_size=0.01, map_height=0.05)
+    told = misread(true, faults, np.random.default_rng(2))
+    gRe = frames.east_north_up(true.latitude_rad, true.longitude_rad)
+    off = np.einsum("nji,nj->ni", gRe, told.centres - true.centres) / true.semi_major_m[:, None]
+    assert_allclose(off.std(axis=0), [0.02, 0.02, 0.05], rtol=0.05)
+    assert_allclose(np.abs(off.mean(axis=0)), 0.0, atol=4e-3)
+    area = told.semi_major_m * told.semi_minor_m / (true.semi_major_m * true.semi_minor_m)
+    assert_allclose(np.log(area).std(), np.sqrt(2.0) * 0.01, rtol=0.05)
+    assert np.all(told.semi_major_m >= told.semi_minor_m)
+    # Axes that changed places have turned: the longer one keeps within the scatter to where it was.
+    assert told.identifiers == true.identifiers
+
+
+def test_a_rim_that_is_misread_in_size_only_keeps_its_outline_but_for_the_size() -> None:
+    true = catalogue(500)
+    told = misread(true, FaultsSection(map_size=0.1), np.random.default_rng(3))
+    swapped = told.angle_rad != true.angle_rad
+    assert 0.1 < swapped.mean() < 0.6
+    # The direction of each true axis is still one of the axes.
+    cosine = np.einsum("ni,ni->n", told.gRl[:, :, 0], true.gRl[:, :, 0])
+    assert_allclose(np.where(swapped, 0.0, 1.0), np.abs(cosine), atol=1e-9)
+
+
+def frame(n: int) -> FrameMeasurement:
+    return FrameMeasurement(0, RimSet(np.arange(n), np.zeros((n, 5)), np.tile(np.eye(5), (n, 1, 1))), None)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10])
+def test_wrong_names_are_wrong_as_often_as_asked_and_never_there_twice(n: int) -> None:
+    catalog, rng = catalogue(20), np.random.default_rng(4)
+    wrong = []
+    for _ in range(2000):
+        craters = mismatch(frame(n), catalog, FaultsSection(wrong_matches=0.3), rng).rims.craters
+        assert len(set(craters.tolist())) == n
+        wrong.append(np.mean(craters != np.arange(n)))
+    assert np.mean(wrong) == pytest.approx(0.3, abs=0.03)
+
+
+def test_the_mounting_is_turned_by_the_angle_asked_for_and_not_moved() -> None:
+    camera = scenario().camera.camera()
+    told = remounted(camera, FaultsSection(mounting_deg=0.2), np.random.default_rng(5))
+    angle = np.linalg.norm(frames.rotation_log(camera.bTc[:3, :3].T @ told.bTc[:3, :3]))
+    assert np.degrees(angle) == pytest.approx(0.2, rel=1e-9)
+    assert_array_equal(told.bTc[:3, 3], camera.bTc[:3, 3])
+
+
+def made(folder: Path, **faults: object) -> Dataset:
+    case = scenario(duration_s=8.0).model_dump()
+    case["faults"].update(faults)
+    return Dataset.open(simulate(Scenario.model_validate(case), folder))
+
+
+def test_each_fault_changes_what_it_should_and_nothing_else(tmp_path: Path) -> None:
+    plain = made(tmp_path / "plain")
+    late = made(tmp_path / "late", image_delay_s=0.5)
+    lost = made(tmp_path / "lost", outages_s=((2.0, 6.0),))
+    dark = made(tmp_path / "dark", without_sun=True)
+    assert plain.truth is not None
+    assert late.truth is not None
+    assert lost.truth is not None
+    assert plain.rims is not None
+    assert late.rims is not None
+    assert dark.rims is not None
+    # The truth is that of the stamps; the rims are those of half a second, and some 75 m, later.
+    assert_array_equal(late.truth.gTb, plain.truth.gTb)
+    assert_array_equal(late.imu.gyro, plain.imu.gyro)
+    shift = np.abs(late.rims[0].rims.chart[0] - plain.rims[0].rims.chart[0])
+    assert np.max(shift) > 1e-3
+    kept = np.isin(plain.stamps_ns, lost.stamps_ns)
+    assert_array_equal(plain.stamps_ns[~kept] * 1e-9, [2.0, 4.0])
+    assert_array_equal(lost.truth.gTb, plain.truth.gTb[kept])
+    assert all(f.sun is None for f in dark.rims)
+    assert_array_equal(dark.rims[0].rims.chart, plain.rims[0].rims.chart)
