@@ -1,6 +1,7 @@
 """The batch smoother: all states from all data."""
 
 import itertools
+from contextlib import suppress
 
 import gtsam
 import numpy as np
@@ -10,6 +11,8 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
     FactorGraph,
     GraphOptions,
@@ -29,10 +32,18 @@ from factors.kernels.conic import project_rims
 FloatArray = npt.NDArray[np.float64]
 
 MAX_OPTIMISATIONS = 5
+# An optimum is doubted when its sum of squares is above this many times its degrees of freedom, and these
+# standard deviations more.
+DOUBT, DOUBT_SIGMAS = 1.3, 6.0
 
 
 class BatchSmoother:
-    """Levenberg-Marquardt over the whole descent, begun at the online smoother's result.
+    """Levenberg-Marquardt over the whole descent, begun at the filter's result.
+
+    That is the filter of ellipse charts for the centre-based baseline, too: what it reaches is then its own
+    optimum and no fault of its start. An optimum that the measurements contradict may be a wrong one: then
+    the online smoother's result, which costs more and rests less on the first frames, is begun at as well,
+    and the better optimum taken.
 
     Parameters
     ----------
@@ -54,14 +65,33 @@ class BatchSmoother:
         EstimationError
             When the optimisation does not converge.
         """
+        found = []
+        with suppress(EstimationError, np.linalg.LinAlgError):
+            states = ekf().states(problem)[problem.start.frame :]
+            guess, numbers = initial_values(problem, problem.start, states, self.options.keyframe_s)
+            found.append(optimum(problem, self.options, guess))
+            if self.options.rims == "centre" or not _doubtful(*found[0]):
+                return trajectory(problem, *found[0], numbers)
         session = OnlineSmoother(self.options).run(problem)
-        graph, values = optimum(problem, self.options, session.smoothed_values())
-        return trajectory(problem, graph, values, session.frame_numbers)
+        try:
+            found.append(optimum(problem, self.options, session.smoothed_values()))
+        except EstimationError:
+            if not found:
+                raise
+        best = min(found, key=lambda one: one[0].error(one[1]))
+        return trajectory(problem, *best, session.frame_numbers)
+
+
+def _doubtful(graph: FactorGraph, values: gtsam.Values) -> bool:
+    """Whether an optimum's sum of squares is far above what the covariances say."""
+    rows = sum(graph.at(i).dim() for i in range(graph.size()))
+    freedom = max(rows - values.dim(), 1)
+    return 2.0 * graph.error(values) > DOUBT * freedom + DOUBT_SIGMAS * np.sqrt(2.0 * freedom)
 
 
 def optimum(
     problem: Problem, options: GraphOptions, values: gtsam.Values
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+) -> tuple[FactorGraph, gtsam.Values]:
     """Optimise a whole descent, gravity's midpoints renewed until they stand.
 
     Parameters
@@ -73,7 +103,7 @@ def optimum(
 
     Returns
     -------
-    graph : gtsam.NonlinearFactorGraph
+    graph : FactorGraph
     values : gtsam.Values
         Its optimum.
 

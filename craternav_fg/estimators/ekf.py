@@ -79,6 +79,10 @@ class DistributedEkf:
         ValueError
             When the IMU log does not cover the frames.
         """
+        return filter_state.trajectory([frame.stamp_ns for frame in problem.frames], self.states(problem))
+
+    def states(self, problem: Problem) -> list[FilterState]:
+        """Filter as `estimate` does; the states at all frames."""
         states = filter_state.until_start(problem)
         base = states[-1]
         first = problem.start.frame
@@ -97,7 +101,7 @@ class DistributedEkf:
             else:
                 base = self._update(prior, frame, problem, fusion)
                 states.append(base)
-        return filter_state.trajectory([frame.stamp_ns for frame in problem.frames], states)
+        return states
 
     def _step_each(
         self,

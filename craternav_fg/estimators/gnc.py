@@ -5,7 +5,6 @@ GTSAM's own optimiser for it refuses custom factors; here Levenberg-Marquardt ru
 weighted anew in every round.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,12 +15,11 @@ from gtsam.symbol_shorthand import X
 from scipy.stats import chi2
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
 from craternav_fg.estimators.consensus import Track, robust_track
-from craternav_fg.estimators.filter_state import FilterState
-from craternav_fg.estimators.graph import GraphOptions, add_frame, insert_state, state_stamps
+from craternav_fg.estimators.first_guess import initial_values
+from craternav_fg.estimators.graph import GraphOptions, add_frame
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.measurements import ArcSet, FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -96,7 +94,7 @@ class GncSmoother:
         graph_options = self.options.graph
         probability = self.options.inlier_probability
         track = robust_track(problem, float(chi2.ppf(probability, COMPONENTS["chart"])), graph_options)
-        values, numbers = initial_values(problem, track, graph_options.keyframe_s)
+        values, numbers = initial_values(problem, track.start, track.states, graph_options.keyframe_s)
         kept, values = self._decide(problem, track, values, numbers)
         graph, values = optimum(_with_weights(problem, kept), graph_options, values)
         return replace(trajectory(problem, graph, values, numbers), rim_weights=tuple(kept))
@@ -125,59 +123,6 @@ class GncSmoother:
             squared, previous = rims.squared(values), weights
             mu *= self.options.growth
         return rims.split((squared <= limit2).astype(np.float64)), values
-
-
-def initial_values(problem: Problem, track: Track, keyframe_s: float) -> tuple[gtsam.Values, list[int]]:
-    """Values of all states from a filter's at the frames.
-
-    Parameters
-    ----------
-    problem : Problem
-    track : Track
-    keyframe_s : float
-        Longest interval between two states.
-
-    Returns
-    -------
-    values : gtsam.Values
-    numbers : list of int
-        Of the frames' states.
-    """
-    at_frames = [*_before(problem, track), *track.states]
-    values = gtsam.Values()
-    numbers = []
-    last = 0
-    for k, (frame, state) in enumerate(zip(problem.frames, at_frames, strict=True)):
-        _insert(values, last, state)
-        numbers.append(last)
-        if k + 1 < len(problem.frames):
-            begin_ns = frame.stamp_ns
-            stamps = state_stamps(begin_ns, problem.frames[k + 1].stamp_ns, keyframe_s)
-            for end_ns in stamps[:-1]:
-                state = filter_state.propagate(state, problem, begin_ns, int(end_ns))
-                last, begin_ns = last + 1, int(end_ns)
-                _insert(values, last, state)
-            last += 1
-    return values, numbers
-
-
-def _before(problem: Problem, track: Track) -> list[FilterState]:
-    """States at the frames before the start's: the prior, moved to where it leads to the start."""
-    first = track.start.frame
-    if first == 0:
-        return []
-    prior = filter_state.carried_prior(problem, problem.frames[: first + 1])
-    gTb = prior[0].gTb.copy()
-    gTb[:3, :3] = track.start.gTb[:3, :3] @ prior[-1].gTb[:3, :3].T @ gTb[:3, :3]
-    gTb[:3, 3] += track.start.gTb[:3, 3] - prior[-1].gTb[:3, 3]
-    states = [replace(prior[0], gTb=gTb)]
-    for before, frame in itertools.pairwise(problem.frames[:first]):
-        states.append(filter_state.propagate(states[-1], problem, before.stamp_ns, frame.stamp_ns))
-    return states
-
-
-def _insert(values: gtsam.Values, number: int, state: FilterState) -> None:
-    insert_state(values, number, gtsam.NavState(gtsam.Pose3(state.gTb), state.gV), state.bias)
 
 
 def truncated_weights(squared: FloatArray, mu: float, limit2: float) -> FloatArray:

@@ -15,6 +15,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import batch
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSession, OnlineSmoother
 from craternav_fg.evaluation.metrics import errors, nees
@@ -264,15 +265,14 @@ def test_gravity_is_taken_anew_where_a_correction_moved_the_states(
     p, _ = trials[0]
     expected = BatchSmoother().estimate(p)
 
-    def displaced(session: OnlineSession) -> gtsam.Values:
-        values = session._solver.tree.calculateBestEstimate()
-        away = gtsam.Values(values)
-        for number in range(session.frame_numbers[-1] + 1):
+    def displaced(*arguments: Any) -> tuple[gtsam.Values, list[int]]:
+        values, numbers = initial_values(*arguments)
+        for number in range(numbers[-1] + 1):
             pose = values.atPose3(X(number))
-            away.update(X(number), gtsam.Pose3(pose.rotation(), 1.012 * pose.translation()))
-        return away
+            values.update(X(number), gtsam.Pose3(pose.rotation(), 1.012 * pose.translation()))
+        return values, numbers
 
-    monkeypatch.setattr(OnlineSession, "smoothed_values", displaced)
+    monkeypatch.setattr(batch, "initial_values", displaced)
     again = BatchSmoother().estimate(p)
     monkeypatch.setattr(batch, "MAX_OPTIMISATIONS", 1)
     once = BatchSmoother().estimate(p)

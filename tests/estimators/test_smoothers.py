@@ -13,8 +13,11 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph, optimum
+from craternav_fg.estimators.ekf import DistributedEkf
+from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.graph import GraphOptions, state_stamps
 from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
@@ -86,6 +89,24 @@ def test_online_and_batch_are_consistent(trials: list[tuple[Problem, Trajectory]
         for pairs in (online, batch)
     ]
     assert rms[1] < 0.8 * rms[0]
+
+
+def test_a_start_that_leads_astray_is_replaced_by_the_online_smoothers(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Begun above the wrong craters, the optimum contradicts the measurements, or there is none."""
+    p, _ = trials[0]
+    expected = BatchSmoother().estimate(p)
+
+    def astray(self: DistributedEkf, problem: Problem) -> list[FilterState]:
+        states = filter_state.until_start(problem)
+        turned = states[0].gTb.copy()
+        turned[:3, :3] = turned[:3, :3] @ frames.rotation_exp(np.array([0.0, 0.0, 2.5]))
+        return [dataclasses.replace(states[0], gTb=turned)] * len(problem.frames)
+
+    monkeypatch.setattr(DistributedEkf, "states", astray)
+    found = BatchSmoother().estimate(p)
+    assert_allclose(found.gP, expected.gP, atol=0.5)
 
 
 def test_batch_ends_where_online_ends(trials: list[tuple[Problem, Trajectory]]) -> None:

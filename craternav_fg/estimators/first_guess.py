@@ -1,0 +1,70 @@
+"""Values of all states of a graph from a filter's, which carries them from frame to frame."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import gtsam
+
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Problem, Start
+from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.graph import insert_state, state_stamps
+
+
+def initial_values(
+    problem: Problem, start: Start, states: Sequence[FilterState], keyframe_s: float
+) -> tuple[gtsam.Values, list[int]]:
+    """Values of all states from a filter's at the frames.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Start
+        Where the filter began.
+    states : sequence of FilterState
+        At the start's frame and those after it.
+    keyframe_s : float
+        Longest interval between two states.
+
+    Returns
+    -------
+    values : gtsam.Values
+    numbers : list of int
+        Of the frames' states.
+    """
+    at_frames = [*_before(problem, start), *states]
+    values = gtsam.Values()
+    numbers = []
+    last = 0
+    for k, (frame, state) in enumerate(zip(problem.frames, at_frames, strict=True)):
+        _insert(values, last, state)
+        numbers.append(last)
+        if k + 1 < len(problem.frames):
+            begin_ns = frame.stamp_ns
+            stamps = state_stamps(begin_ns, problem.frames[k + 1].stamp_ns, keyframe_s)
+            for end_ns in stamps[:-1]:
+                state = filter_state.propagate(state, problem, begin_ns, int(end_ns))
+                last, begin_ns = last + 1, int(end_ns)
+                _insert(values, last, state)
+            last += 1
+    return values, numbers
+
+
+def _before(problem: Problem, start: Start) -> list[FilterState]:
+    """States at the frames before the start's: the prior, moved to where it leads to the start."""
+    first = start.frame
+    if first == 0:
+        return []
+    prior = filter_state.carried_prior(problem, problem.frames[: first + 1])
+    gTb = prior[0].gTb.copy()
+    gTb[:3, :3] = start.gTb[:3, :3] @ prior[-1].gTb[:3, :3].T @ gTb[:3, :3]
+    gTb[:3, 3] += start.gTb[:3, 3] - prior[-1].gTb[:3, 3]
+    states = [replace(prior[0], gTb=gTb)]
+    for before, frame in itertools.pairwise(problem.frames[:first]):
+        states.append(filter_state.propagate(states[-1], problem, before.stamp_ns, frame.stamp_ns))
+    return states
+
+
+def _insert(values: gtsam.Values, number: int, state: FilterState) -> None:
+    insert_state(values, number, gtsam.NavState(gtsam.Pose3(state.gTb), state.gV), state.bias)
