@@ -12,12 +12,14 @@ from craternav_fg.static import bounds
 from craternav_fg.static.bounds import MAX_SIGMA
 from craternav_fg.static.caveats import caveats
 from craternav_fg.static.problem import StaticPose, StaticProblem, StaticResult, Status
-from craternav_fg.static.solve_kernel import invert, minimise, solutions
+from craternav_fg.static.solve_kernel import distance2, invert, minimise, solutions
 from factors.kernels.validity import UNSEEN
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+# Minima whose squared norm exceeds the least by more are improbable beyond any distance that poses can have.
+_WINDOW = 60.0
 _UNKNOWN_ATTITUDE = np.empty((0, 0))
 
 
@@ -34,7 +36,10 @@ class SolveOptions:
     iterations : int
         Linearisations of one minimisation at most.
     least_probability : float
-        Less probable solutions are left out.
+        Less probable solutions are left out, unless they are so far off that they matter all the same.
+    raised : float
+        What is left out raises no component's mean squared error by more than this part of the most
+        probable pose's variance: a tenth leaves its standard deviations true to 5 %.
     misfit_sigma : float
         A squared norm further than this above its expectation contradicts itself.
     noise_allowance : float
@@ -44,8 +49,9 @@ class SolveOptions:
 
     planes: int = 2
     rolls: int = 64
-    iterations: int = 300
+    iterations: int = 3000
     least_probability: float = 0.01
+    raised: float = 0.1
     misfit_sigma: float = 5.0
     noise_allowance: float = 1.6
 
@@ -125,7 +131,9 @@ def _judge(
     minimum[0] = True
     shares = _shares(np.where(minimum, -0.5 * (costs - costs[0] + logs - logs[0]), -np.inf))
     order = np.argsort(-shares, kind="stable")
-    order = order[shares[order] >= options.least_probability]
+    apart2 = np.array([distance2(gTb[order[0]], gTb[k], N[order[0]]) for k in order])
+    matters = _that_matter(shares[order], apart2, options)
+    order, apart2 = order[matters], apart2[matters]
     shares = shares[order] / shares[order].sum()
     poses = _poses(problem, gTb[order], covariances[order], costs[order], shares)
     if not converged[order[0]]:
@@ -134,7 +142,8 @@ def _judge(
         )
     if len(poses) > 1:
         text = ", ".join(f"{share:.3g}" for share in shares)
-        reason = f"{len(poses)} poses, of probabilities {text}"
+        far = ", ".join(f"{apart:.3g}" for apart in np.sqrt(apart2[1:]))
+        reason = f"{len(poses)} poses, of probabilities {text}, {far} standard deviations from the first"
         return StaticResult(Status.AMBIGUOUS, reason, poses, warnings=caveats(problem, poses))
     return StaticResult(Status.SOLVED, "", poses, warnings=caveats(problem, poses))
 
@@ -151,7 +160,7 @@ def local_minima(
     return solutions(
         problem.bTc, rims.centres, rims.axes, rims.chart, rims.whitening, prior, weight,
         bounds.sun_array(problem), attitude, bounds.first_free(problem), reference, options.rolls,
-        options.iterations, -2.0 * np.log(0.01 * options.least_probability),
+        options.iterations, _WINDOW,
     )  # fmt: skip
 
 
@@ -201,6 +210,17 @@ def _shares(logs: FloatArray) -> FloatArray:
     """Probabilities of minima whose unnormalised logarithms are given."""
     weights = np.exp(logs - logs.max())
     return np.asarray(weights / weights.sum())
+
+
+def _that_matter(shares: FloatArray, apart2: FloatArray, options: SolveOptions) -> npt.NDArray[np.bool_]:
+    """Mask of the solutions to be told of; `apart2` are squared Mahalanobis distances from the first."""
+    matters = shares >= options.least_probability
+    # No component is off by more of its variance than the squared distance says.
+    effect = shares * apart2
+    rank = np.argsort(effect)
+    matters[rank[np.cumsum(effect[rank]) > options.raised]] = True
+    matters[0] = True
+    return np.asarray(matters)
 
 
 def _poses(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 from scipy.optimize import least_squares
 
 from craternav_fg import frames
@@ -89,6 +90,27 @@ def test_two_rims_seen_from_afar_have_a_mirrored_solution_and_both_are_returned(
         first, second = (frames.rotation_log(scene.gTb[:3, :3].T @ p.gTb[:3, :3]) for p in result.poses[:2])
         assert np.linalg.norm(first - second) > np.radians(3.0)
     assert seen >= 3
+
+
+def test_what_is_left_out_of_a_solution_does_not_matter() -> None:
+    """Of all minima weighed by their probabilities, no component errs by more than the best one's sigma says.
+
+    A mirrored pose a hundred standard deviations away matters with a probability of 1 in 1000.
+    """
+    improbable = 0
+    for seed in range(250):
+        scene = make_scene(np.random.default_rng(seed), 100e3, 2)
+        result = solve(scene.measured)
+        if result.status is Status.AMBIGUOUS:
+            improbable += result.poses[1].probability < 0.01
+            continue
+        best, *others = solve(scene.measured, SolveOptions(least_probability=1e-12)).poses
+        moment = best.covariance.copy()
+        for other in others:
+            error = gtsam.Pose3(best.gTb).localCoordinates(gtsam.Pose3(other.gTb))
+            moment += other.probability * np.outer(error, error)
+        assert eigh(moment, best.covariance, eigvals_only=True).max() < 1.1 + 1e-6
+    assert improbable >= 3
 
 
 def test_one_rim_and_the_attitude_give_the_position() -> None:

@@ -125,28 +125,31 @@ def test_rms_over_bound_of_the_minimum_nearest_the_truth(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("drawn", [False, True], ids=["fitted", "drawn"])
 @pytest.mark.parametrize(
     ("altitude_m", "count", "largest", "ambiguous"),
     [
-        (10e3, 2, 1.05, 0.005),
+        (10e3, 2, 1.05, 0.01),
         (10e3, 3, 1.05, 0.0),
-        (50e3, 2, 1.10, 0.05),
+        (10e3, 5, 1.05, 0.0),
+        (50e3, 2, 1.05, 0.05),
         (50e3, 3, 1.05, 0.005),
-        (100e3, 2, 1.50, 0.1),
-        (100e3, 3, 1.10, 0.01),
+        (50e3, 5, 1.05, 0.0),
+        (100e3, 2, 1.10, 0.12),
+        (100e3, 3, 1.10, 0.015),
         (100e3, 5, 1.10, 0.0),
     ],
 )
 def test_rms_over_bound_as_a_user_has_it(
-    altitude_m: float, count: int, largest: float, ambiguous: float
+    altitude_m: float, count: int, largest: float, ambiguous: float, drawn: bool
 ) -> None:
     """What is called solved, by the solver alone; how much is left out as ambiguous, and fails.
 
-    1.05, and 1.10 from 100 km, is wanted: two rims from 50 and 100 km have 1.0 to 1.07 and 1.07 to 1.3, from
-    seed to seed, by the few solutions (never without a warning) that are the mirrored ones.
+    The ratio's sampling error is 0.02 to 0.04, 0.07 for five rims from 100 km: few views with a weak geometry
+    have much of the bound.
     """
-    trials = run(2000, altitude_m, count, drawn=False, seed=1)
-    assert trials.share(Status.NO_POSE, Status.NOT_CONVERGED, Status.UNDETERMINED) < 0.005
+    trials = run(2000, altitude_m, count, drawn=drawn, seed=1)
+    assert trials.share(Status.NO_POSE, Status.NOT_CONVERGED, Status.UNDETERMINED) < 0.002
     assert trials.share(Status.AMBIGUOUS) <= ambiguous
     assert trials.ratio(trials.solved) <= largest
 
