@@ -193,9 +193,13 @@ def _motions(problem: StaticProblem, gTb: FloatArray) -> list[tuple[str, FloatAr
         )
         across = np.cross(sight, gRc[:, 0])
         across /= np.linalg.norm(across)
-        for axis in (across, np.cross(sight, across)):
+        for axis, letter in ((np.cross(across, sight), "x"), (across, "y")):
             out.append(
-                (f"swing round the centre of crater {name!r} with the view held on it", about(axis, centre))
+                (
+                    f"swing round the centre of crater {name!r} about the image's {letter} axis, with the view "
+                    "held on it",
+                    about(axis, centre),
+                )
             )
         out.append(
             (

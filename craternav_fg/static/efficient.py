@@ -18,8 +18,8 @@ from factors.kernels.validity import UNSEEN
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Minima whose squared norm exceeds the least by more are improbable beyond any distance that poses can have.
-_WINDOW = 60.0
+# Minima whose squared norm exceeds the least by more have probabilities below 1e-6: other faults are likelier.
+_WINDOW = 30.0
 _UNKNOWN_ATTITUDE = np.empty((0, 0))
 
 

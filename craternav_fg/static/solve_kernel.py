@@ -230,10 +230,11 @@ def starts_on_curve(
     bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, data: FloatArray,
     prior: FloatArray, prior_weight: FloatArray, sun: FloatArray, first: int, rolls: int,
 ) -> FloatArray:  # fmt: skip
-    """Poses (k, 4, 4) that show a single rim as it is, and are the best in this among their neighbours.
+    """Poses (k, 4, 4) that show a single rim as it is, the best in this among their neighbours first of all.
 
     They lie on a curve, narrow and bent, on which minimising all at once creeps: so the rim alone decides
-    first. Prior and sun then choose on the curve; without them every fourth pose is a sample of it.
+    first. Prior and sun then choose on the curve, and every eighth angle starts all the same, for minima
+    beside it that a vague prior leaves; without them every fourth is a sample of it.
     """
     poses = starts_of_one(rolls, bTc, centres[0], axes[0], charts[0])
     total = poses.shape[0]
@@ -253,6 +254,7 @@ def starts_on_curve(
         if prior_weight.shape[0] + sun.shape[0]:
             # The two planes take turns.
             best = costs[k] <= costs[(k + 2) % total] and costs[k] <= costs[(k - 2) % total]
+            best = best or k % 16 < 2
         else:
             best = k % 8 < 2
         if best:

@@ -92,10 +92,13 @@ def test_the_rank_of_one_rim(off_nadir_deg: float, size: tuple[float, float], ra
 
 def test_free_directions_in_words() -> None:
     turn = "rotation about the normal of crater 'A' through its centre"
-    swing = "swing round the centre of crater 'A' with the view held on it"
+    swings = tuple(
+        f"swing round the centre of crater 'A' about the image's {axis} axis, with the view held on it"
+        for axis in "xy"
+    )
     tilt, nadir = tilted(35.0), tilted(0.0)
     assert cramer_rao(problem_at(tilt, [(2e3, 2e3)]), tilt).observability.words == (turn,)
-    assert cramer_rao(problem_at(nadir, [(2e3, 2e3)]), nadir).observability.words == (turn, swing, swing)
+    assert cramer_rao(problem_at(nadir, [(2e3, 2e3)]), nadir).observability.words == (turn, *swings)
     (words,) = cramer_rao(problem_at(tilt, [(2e3, 1.2e3)]), tilt).observability.words
     assert words.startswith("a motion that leaves the image of crater 'A' as it is")
 

@@ -98,7 +98,7 @@ def test_what_is_left_out_of_a_solution_does_not_matter() -> None:
     A mirrored pose a hundred standard deviations away matters with a probability of 1 in 1000.
     """
     improbable = 0
-    for seed in range(250):
+    for seed in range(150):
         scene = make_scene(np.random.default_rng(seed), 100e3, 2)
         result = solve(scene.measured)
         if result.status is Status.AMBIGUOUS:
@@ -110,7 +110,7 @@ def test_what_is_left_out_of_a_solution_does_not_matter() -> None:
             error = gtsam.Pose3(best.gTb).localCoordinates(gtsam.Pose3(other.gTb))
             moment += other.probability * np.outer(error, error)
         assert eigh(moment, best.covariance, eigvals_only=True).max() < 1.1 + 1e-6
-    assert improbable >= 3
+    assert improbable >= 2
 
 
 def test_one_rim_and_the_attitude_give_the_position() -> None:
@@ -151,6 +151,32 @@ def test_one_rim_with_a_prior() -> None:
         pose = solve(replace(scene.measured, prior=PosePrior(prior, np.diag(sigma**2)))).poses[0]
         distances.append(squared_distance(pose.gTb, scene.gTb, pose.covariance))
     assert np.mean(distances) == pytest.approx(6.0, abs=0.85)
+
+
+def test_all_poses_of_one_rim_with_a_vague_prior_are_found() -> None:
+    """Of a prior a quarter turn off: the ellipse, its half-turn, each with a second plane."""
+    sigma = np.repeat([1.0, 20e3], 3)
+    options = SolveOptions(misfit_sigma=50.0)
+    found = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng, 50e3, 1, off_nadir_deg=(5.0, 40.0))
+        centre, normal = scene.true.rims.centres[0], scene.true.rims.normals[0]
+
+        def turned(angle: float, at: Scene = scene, c: np.ndarray = centre, n: np.ndarray = normal) -> np.ndarray:
+            R = frames.rotation_exp(angle * n)
+            return frames.pose(R @ at.gTb[:3, :3], c + R @ (at.gTb[:3, 3] - c))
+
+        problem = replace(scene.measured, prior=PosePrior(turned(0.5 * np.pi), np.diag(sigma**2)))
+        result = solve(problem, options)
+        costs = np.array([pose.cost for pose in result.poses])
+        for start in (turned(0.0), turned(np.pi), turned(0.5 * np.pi), turned(-0.5 * np.pi)):
+            screw(start, np.repeat([0.3, 8e3], 3) * rng.normal(size=6))
+            local = refine(problem, start, options)
+            if local.poses and local.poses[0].cost < costs[0] + 3.0:
+                assert np.abs(costs - local.poses[0].cost).min() < 1e-3
+                found += 1
+    assert found >= 20
 
 
 def test_a_poor_prior_helps_two_rims() -> None:
