@@ -41,6 +41,22 @@ class InitialState:
 
 
 @dataclass(frozen=True)
+class Calibrated:
+    """What was estimated along with a trajectory, each with its standard deviation.
+
+    Attributes
+    ----------
+    mounting_rad : (ndarray, ndarray), shape (3,) each, or None
+        Rotation vector, in b, that turns the mounting believed into the camera's.
+    image_delay_s : (float, float), or None
+        From an image's stamp to its exposure.
+    """
+
+    mounting_rad: tuple[FloatArray, FloatArray] | None = None
+    image_delay_s: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Trajectory:
     """States of the lander, with covariances where they are estimates.
 
@@ -64,6 +80,8 @@ class Trajectory:
     rim_weights : tuple of ndarray, or None
         For each stamp, the weights (n,) of the measured rims: 1 used, 0 rejected as a wrong match. None
         where nothing chose among them.
+    calibrated : Calibrated, or None
+        What was estimated along.
     """
 
     stamps_ns: IntArray
@@ -74,6 +92,7 @@ class Trajectory:
     velocity_covariance: FloatArray | None = None
     bias_covariance: FloatArray | None = None
     rim_weights: tuple[FloatArray, ...] | None = None
+    calibrated: Calibrated | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated
 from craternav_fg.estimators.ekf import ekf
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
@@ -26,6 +27,7 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
+from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.conic import project_rims
 
@@ -153,7 +155,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     problem : Problem
     options : GraphOptions
     values : gtsam.Values
-        Of all states: each frame's, and those between.
+        Of all states: each frame's, and those between. Gets what is estimated along, where it is missing.
 
     Returns
     -------
@@ -161,7 +163,16 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     """
     graph = FactorGraph()
     add_prior(graph, problem.initial)
-    add_frame(graph, problem, options, X(0), problem.frames[0])
+    add_calibration(graph, values, options.calibration)
+
+    def add_image(number: int, frame: FrameMeasurement) -> None:
+        key = int(X(number))
+        if options.calibration:
+            state = values.atPose3(key), values.atVector(V(number)), values.atConstantBias(B(number))
+            key = add_exposure(graph, values, problem, options.calibration, number, frame.stamp_ns, state)
+        add_frame(graph, problem, options, key, frame)
+
+    add_image(0, problem.frames[0])
     number = 0
     for before, frame in itertools.pairwise(problem.frames):
         stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, options.keyframe_s)]
@@ -170,7 +181,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
             bias = bias_vector(values.atConstantBias(B(number)))
             add_imu(graph, problem, number, int(begin_ns), int(end_ns), 0.5 * (ends[0] + ends[1]), bias)
             number += 1
-        add_frame(graph, problem, options, X(number), frame)
+        add_image(number, frame)
     return graph
 
 
@@ -219,4 +230,5 @@ def trajectory(
         ),
         velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in numbers]),
         bias_covariance=np.array([bias_covariance_ours(tree.marginalCovariance(B(n))) for n in numbers]),
+        calibrated=calibrated(tree, values),
     )

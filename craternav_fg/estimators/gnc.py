@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import X, Y
 from scipy.stats import chi2
 
 from craternav_fg.errors import EstimationError
@@ -153,7 +153,9 @@ class _Rims:
     def __init__(self, problem: Problem, options: GraphOptions, numbers: Sequence[int]) -> None:
         self._problem = problem
         self._options = options
-        self._keys = [X(number) for number in numbers]
+        # Image factors hold on to the exposure, where that is not the state itself.
+        letter = Y if options.calibration else X
+        self._keys = [letter(number) for number in numbers]
         self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])
         self.count = int(self._ends[-1])

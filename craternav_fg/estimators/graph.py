@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
+from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.conic_shape import conic_shape_factor
@@ -41,11 +42,14 @@ class GraphOptions:
         On each crater's whitened norm. Huber at 3.3 sigma, about the 95 % point of 5 dimensions.
     keyframe_s : float
         Longest interval between two states: gravity is constant within one.
+    calibration : Calibration
+        What the batch smoother estimates along.
     """
 
     rims: Literal["chart", "centre"] = "chart"
     loss: Loss = Loss(robust.HUBER, 3.3)
     keyframe_s: float = 1.0
+    calibration: Calibration = Calibration()
 
     def __post_init__(self) -> None:
         if self.rims not in ("chart", "centre"):

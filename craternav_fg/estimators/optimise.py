@@ -18,6 +18,8 @@ FloatArray = npt.NDArray[np.float64]
 # bias (accelerometer m/s^2, gyro rad/s), mounting of the camera (rad, m).
 STEP_SCALES: dict[str, FloatArray] = {
     "x": np.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3]),
+    "y": np.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3]),
+    "d": np.full(1, 0.1),
     "v": np.full(3, 5.0),
     "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
     "b": np.array([3e-3, 3e-3, 3e-3, 5e-6, 5e-6, 5e-6]),

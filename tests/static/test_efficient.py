@@ -163,7 +163,9 @@ def test_all_poses_of_one_rim_with_a_vague_prior_are_found() -> None:
         scene = make_scene(rng, 50e3, 1, off_nadir_deg=(5.0, 40.0))
         centre, normal = scene.true.rims.centres[0], scene.true.rims.normals[0]
 
-        def turned(angle: float, at: Scene = scene, c: np.ndarray = centre, n: np.ndarray = normal) -> np.ndarray:
+        def turned(
+            angle: float, at: Scene = scene, c: np.ndarray = centre, n: np.ndarray = normal
+        ) -> np.ndarray:
             R = frames.rotation_exp(angle * n)
             return frames.pose(R @ at.gTb[:3, :3], c + R @ (at.gTb[:3, 3] - c))
 

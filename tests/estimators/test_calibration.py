@@ -1,0 +1,107 @@
+"""Mounting and image delay estimated along: found, honest, and not there unless asked for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from craternav_fg import frames
+from craternav_fg.config import FaultsSection
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.calibration import Calibration
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.trajectory import Trajectory
+from tests.descents import problem, scenario
+
+TRIALS = 8
+MOUNTING_DEG, DELAY_S = 0.2, 0.02
+# The axis of the mounting's error is at random: so much falls on each of three.
+MOUNTING_SIGMA_RAD = np.radians(MOUNTING_DEG) / np.sqrt(3.0)
+
+
+def smooth(p: Problem, calibration: Calibration) -> Trajectory:
+    return BatchSmoother(GraphOptions(calibration=calibration)).estimate(p)
+
+
+def interval(dof: int) -> tuple[float, float]:
+    """99.8 % interval of the mean of all trials' NEES."""
+    return tuple(float(chi2.ppf(q, dof * TRIALS)) / TRIALS for q in (0.001, 0.999))  # type: ignore[return-value]
+
+
+@pytest.fixture(scope="module")
+def mounted(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Trajectory]]:
+    case = scenario(duration_s=60.0, faults=FaultsSection(mounting_deg=MOUNTING_DEG))
+    folder = tmp_path_factory.mktemp("mounted")
+    return [problem(folder, case, trial) for trial in range(TRIALS)]
+
+
+@pytest.fixture(scope="module")
+def delayed(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Trajectory]]:
+    case = scenario(duration_s=60.0, faults=FaultsSection(image_delay_s=DELAY_S))
+    folder = tmp_path_factory.mktemp("delayed")
+    return [problem(folder, case, trial) for trial in range(TRIALS)]
+
+
+def pose_nees(t: Trajectory, truth: Trajectory) -> float:
+    assert t.pose_covariance is not None
+    return float(nees(errors(t, truth).pose, t.pose_covariance)[-1])
+
+
+def test_a_wrong_mounting_is_found_and_the_pose_is_honest_again(
+    mounted: list[tuple[Problem, Trajectory]], tmp_path: Path
+) -> None:
+    poses, believed, untold = [], [], []
+    for trial, (p, truth) in enumerate(mounted):
+        t = smooth(p, Calibration(mounting_sigma_rad=MOUNTING_SIGMA_RAD))
+        assert t.calibrated is not None
+        assert t.calibrated.mounting_rad is not None
+        assert t.calibrated.image_delay_s is None
+        turn, sigma = t.calibrated.mounting_rad
+        # Without the fault the same trial has the camera as it is.
+        right, _ = problem(tmp_path, scenario(duration_s=60.0), trial)
+        actual = frames.rotation_log(right.camera.bTc[:3, :3] @ p.camera.bTc[:3, :3].T)
+        assert np.all(sigma < 1.001 * MOUNTING_SIGMA_RAD)
+        believed.append(((turn - actual) / sigma) ** 2)
+        poses.append(pose_nees(t, truth))
+        untold.append(pose_nees(smooth(p, Calibration()), truth))
+    low, high = interval(6)
+    assert low < np.mean(poses) < high
+    assert np.mean(untold) > 3.0 * high
+    low, high = interval(3)
+    assert low < np.mean(np.sum(believed, axis=1)) < high
+
+
+def test_a_delay_is_found_and_the_pose_is_honest_again(delayed: list[tuple[Problem, Trajectory]]) -> None:
+    poses, believed, rms = [], [], []
+    for p, truth in delayed:
+        t = smooth(p, Calibration(image_delay_sigma_s=DELAY_S))
+        assert t.calibrated is not None
+        assert t.calibrated.image_delay_s is not None
+        assert t.calibrated.mounting_rad is None
+        delay_s, sigma_s = t.calibrated.image_delay_s
+        believed.append(((delay_s - DELAY_S) / sigma_s) ** 2)
+        poses.append(pose_nees(t, truth))
+        rms.append(sigma_s)
+    low, high = interval(6)
+    assert low < np.mean(poses) < high
+    assert np.mean(believed) < interval(1)[1]
+    # It is told by the data, not by the prior alone.
+    assert max(rms) < 0.9 * DELAY_S
+
+
+def test_what_is_not_asked_for_is_not_estimated(mounted: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = mounted[0]
+    assert smooth(p, Calibration()).calibrated is None
+    tight = smooth(p, Calibration(mounting_sigma_rad=1e-9, image_delay_sigma_s=1e-9))
+    assert np.allclose(tight.gTb, smooth(p, Calibration()).gTb, atol=1e-3)
+
+
+@pytest.mark.parametrize("field", ["mounting_sigma_rad", "image_delay_sigma_s"])
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+def test_refusals_name_the_field(field: str, value: float) -> None:
+    with pytest.raises(EstimationError, match=field):
+        Calibration(**{field: value})
