@@ -103,3 +103,31 @@ def _check(path: Path, final: Path, marker: str, ours: Sequence[str]) -> None:
     foreign = [name for name in names if not any(Path(name).match(pattern) for pattern in ours)]
     if foreign:
         raise InputError(path, f"holds {foreign[0]}, which would be lost: it is not overwritten")
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is there whole or not at all, also after a power cut.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder must exist.
+    content : bytes
+
+    Raises
+    ------
+    InputError
+        When it cannot be written, as on a full disk; a file of that name stays what it was.
+    """
+    try:
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise InputError(path, f"cannot be written: {error.strerror}") from error

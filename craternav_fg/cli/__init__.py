@@ -1,6 +1,6 @@
 """The command line `craternav`: a module for each group of commands."""
 
-from craternav_fg.cli import benchmark, descents, detection, pose, report, reproduction
+from craternav_fg.cli import benchmark, campaigns, descents, detection, pose, report, reproduction
 from craternav_fg.cli.app import app, main
 
-__all__ = ["app", "benchmark", "descents", "detection", "main", "pose", "report", "reproduction"]
+__all__ = ["app", "benchmark", "campaigns", "descents", "detection", "main", "pose", "report", "reproduction"]

@@ -9,8 +9,18 @@ from typing import Any
 import numpy as np
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
+from rich.text import Text
 
 from craternav_fg.evaluation.run_folder import Run
 from craternav_fg.reconstruction import Progress as Report
@@ -142,10 +152,24 @@ def show_poses(values: dict[str, Any]) -> None:
         say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")
 
 
+class _Rate(ProgressColumn):
+    """Steps per minute."""
+
+    def render(self, task: Task) -> Text:
+        """Write the rate of late, nothing before it is known."""
+        return Text("" if task.speed is None else f"{60.0 * task.speed:.3g}/min")
+
+
 @contextmanager
 def bar() -> Iterator[Report]:
     """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
-    columns = (TextColumn("{task.description:24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description:24}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
         tasks: dict[str, TaskID] = {}
 
@@ -153,7 +177,8 @@ def bar() -> Iterator[Report]:
             # One bar for all estimators: their name changes, their number does not.
             kind = what.split()[0]
             if kind not in tasks:
-                tasks[kind] = progress.add_task(what, total=total)
+                # What was done before does not count for the rate.
+                tasks[kind] = progress.add_task(what, total=total, completed=done)
             progress.update(tasks[kind], description=what, completed=done, total=total)
 
         yield report

@@ -1,0 +1,199 @@
+"""Where trials run: processes on this machine, or a Dask cluster."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, TypeVar
+
+from craternav_fg.errors import CraternavError
+
+T = TypeVar("T")
+
+# How long a scheduler may take to answer, and one of its workers to be there.
+PATIENCE_S = 10.0
+# Each trial has a core of its own: threads of linear algebra would only wait for one another.
+_SINGLE = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+@dataclass(frozen=True)
+class Workers:
+    """An executor, and what the one who uses it must know.
+
+    Attributes
+    ----------
+    executor : Executor
+    at_once : int or None
+        Most tasks it may hold at a time; None for any number.
+    lost : tuple of type
+        Exceptions of a task whose worker died.
+    connected : callable
+        Whether tasks can still come back.
+    """
+
+    executor: Executor
+    at_once: int | None
+    lost: tuple[type[BaseException], ...]
+    connected: Callable[[], bool] = lambda: True
+
+
+class Processes(Executor):
+    """Processes with one task each: when one dies, its own task is lost and no other, and it is replaced.
+
+    Parameters
+    ----------
+    count : int
+        No more tasks may be submitted before one of them is done.
+    scratch : Path
+        Folder for their temporary files.
+    """
+
+    def __init__(self, count: int, scratch: Path) -> None:
+        self._scratch = scratch
+        self._lanes = [(self._lane(), _done()) for _ in range(count)]
+        self._others = set(multiprocessing.active_children())
+
+    def _lane(self) -> ProcessPoolExecutor:
+        # A fresh interpreter: forking one that has threads (a progress bar's) can hang.
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(1, context, _begin_worker, (str(self._scratch),))
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        """Give a task to an idle process."""
+        free = (k for k, (_, future) in enumerate(self._lanes) if future.done())
+        k = next(free, None)
+        if k is None:
+            raise RuntimeError(f"all {len(self._lanes)} processes are busy")
+        lane, _ = self._lanes[k]
+        with _spawning():
+            try:
+                future = lane.submit(fn, *args, **kwargs)
+            except BrokenExecutor:
+                lane.shutdown(wait=False)
+                lane = self._lane()
+                future = lane.submit(fn, *args, **kwargs)
+        self._lanes[k] = (lane, future)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes; those still at work are ended at once when futures are to be cancelled."""
+        if cancel_futures:
+            for process in self._own():
+                process.terminate()
+        for lane, _ in self._lanes:
+            lane.shutdown(wait, cancel_futures=cancel_futures)
+
+    def _own(self) -> set[BaseProcess]:
+        return set(multiprocessing.active_children()) - self._others
+
+
+def _done() -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(None)
+    return future
+
+
+@contextmanager
+def _spawning() -> Iterator[None]:
+    """Have new processes inherit what must hold before their first import.
+
+    One thread for linear algebra; and Ctrl-C, which reaches them too, is for the one who started them.
+    """
+    before = {name: os.environ.get(name) for name in _SINGLE}
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+    os.environ.update(_SINGLE)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        if main:
+            signal.signal(signal.SIGINT, handler)
+
+
+def _begin_worker(scratch: str) -> None:
+    """Set up a process: where temporary files go, and that it does not outlive who started it."""
+    tempfile.tempdir = scratch
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+@contextmanager
+def processes(count: int, scratch: Path) -> Iterator[Workers]:
+    """Give processes on this machine."""
+    pool = Processes(count, scratch)
+    try:
+        yield Workers(pool, count, (BrokenExecutor,))
+        pool.shutdown()
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
+
+
+@contextmanager
+def _silent(name: str) -> Iterator[None]:
+    """Have a logger say nothing: what is wrong is an error here."""
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Workers]:
+    """Give the workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    address : str
+        As `dask scheduler` prints it.
+
+    Raises
+    ------
+    CraternavError
+        When the extra `cluster` is not installed, or no scheduler or no worker answers in time.
+    """
+    try:
+        from distributed import Client, KilledWorker
+        from distributed.comm import get_address_host_port
+    except ImportError:
+        raise CraternavError("--scheduler needs Dask: pip install 'craternav_fg[cluster]'") from None
+    try:
+        get_address_host_port(address)
+    except (ValueError, TypeError) as error:
+        raise CraternavError(
+            f"scheduler {address}: expected an address as tcp://host:port: {error}"
+        ) from None
+    try:
+        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise CraternavError(f"scheduler {address}: not reached within {PATIENCE_S:g} s: {error}") from None
+    with _silent("distributed.client"), client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError:
+            raise CraternavError(f"scheduler {address}: no worker within {PATIENCE_S:g} s") from None
+        # Impure: a trial that is done again must not be given the result of before.
+        executor = client.get_executor(pure=False)
+        yield Workers(executor, None, (KilledWorker,), lambda: client.status == "running")

@@ -1,0 +1,312 @@
+"""Campaigns on this machine: same data whoever runs them, reruns, failures, dying workers, bad input."""
+
+import errno
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from craternav_fg.campaign import run, store, workers
+from craternav_fg.campaign.run import CampaignOptions, as_measured, each_result, montecarlo
+from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
+from craternav_fg.config import CraterTrials, load_scenario
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import CraternavError, EstimationError, InputError
+from craternav_fg.evaluation.trial import TrialTask, run_trial, software
+from craternav_fg.reconstruction import Reconstruction, reconstruct
+from craternav_fg.simulation.scenario import simulate
+from tests.campaign import inline
+from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
+from tests.test_command_line import craternav
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run trials in this process."""
+    monkeypatch.setattr(run, "processes", inline.processes)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four trials on one process."""
+    folder = tmp_path_factory.mktemp("campaign") / "one"
+    montecarlo(small_scenario(), folder, options(4))
+    return folder
+
+
+def test_trials_are_the_same_however_many_workers(undisturbed: Path, tmp_path: Path) -> None:
+    steps = []
+    summary = montecarlo(
+        small_scenario(), tmp_path / "two", options(4, workers=2), lambda *step: steps.append(step)
+    )
+    assert steps == [("trials", done, 4) for done in range(5)]
+    assert contents(tmp_path / "two") == contents(undisturbed)
+    assert sorted(contents(undisturbed)) == [
+        "campaign.toml",
+        "summary.json",
+        *(f"trials/trial_00000{k}.parquet" for k in range(4)),
+    ]
+    assert not list(undisturbed.glob(".*"))
+    assert without_times(summary) == contents(undisturbed)["summary.json"]
+    assert summary["trials"] == 4
+    assert summary["failed"] == 0
+    assert list(summary["estimators"]) == list(ESTIMATORS)
+    assert all(values["time_per_trial_s"] > 0.0 for values in summary["estimators"].values())
+
+
+def test_a_trial_is_that_of_its_number(undisturbed: Path, tmp_path: Path) -> None:
+    """All is drawn anew for each trial, and the table holds what `simulate` and `reconstruct` give."""
+    data = Dataset.open(simulate(small_scenario(), tmp_path / "data", trial=2))
+    assert data.truth is not None
+    estimate = reconstruct(data, ESTIMATORS).trajectories["ekf"]
+    table = read_campaign(undisturbed).table.to_pandas()
+    rows = table[(table.trial == 2) & (table.estimator == "ekf")]
+    np.testing.assert_array_equal(np.stack(rows.position_error_m), data.truth.gP - estimate.gP)
+    sigmas = np.sqrt(np.diagonal(estimate.pose_covariance, axis1=1, axis2=2))
+    np.testing.assert_array_equal(np.stack(rows.pose_sigma), sigmas)
+    assert rows.rims.tolist() == [len(frame.rims) for frame in data.rims or ()]
+    for column in ("position_error_m", "velocity_error_m_s", "attitude_error_rad"):
+        first = np.stack(table[(table.estimator == "ekf") & (table.stamp_ns == 0)][column])
+        assert len(np.unique(first[:, 0])) == 4
+    bounds = table[(table.trial == 2) & (table.estimator == "pcrb_filtered")]
+    assert bounds.position_error_m.isna().all()
+    assert (np.stack(bounds.pose_sigma) > 0.0).all()
+
+
+def test_terrain_of_a_campaign_varies(tmp_path: Path, here: None) -> None:
+    case = small_scenario()
+    varied = CraterTrials(place_sigma_m=200.0, semi_axes_m=(1000.0, 2000.0))
+    craters = case.craters.model_copy(update={"trials": varied})
+    montecarlo(case.model_copy(update={"craters": craters}), tmp_path / "c", options(2))
+    table = read_campaign(tmp_path / "c").table.to_pandas()
+    bound = table[table.estimator == "pcrb_smoothed"]
+    first, second = (np.stack(bound[bound.trial == k].pose_sigma) for k in range(2))
+    assert np.abs(first / second - 1.0).max() > 0.01
+
+
+def test_a_rerun_does_what_is_missing(tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "c"
+    montecarlo(small_scenario(), folder, options(2))
+    before = {path: path.stat().st_mtime_ns for path in (folder / "trials").iterdir()}
+    done = []
+    monkeypatch.setattr(run, "run_trial", lambda task: (done.append(task.number), run_trial(task))[1])
+    again = montecarlo(small_scenario(), folder, options(2))
+    assert done == []
+    more = montecarlo(small_scenario(), folder, options(3))
+    assert done == [2]
+    assert (again["trials"], more["trials"]) == (2, 3)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert more["wall_s"] > again["wall_s"] > 0.0
+    # Fewer are asked for: the others stay and count.
+    assert montecarlo(small_scenario(), folder, options(1))["trials"] == 3
+
+
+@pytest.mark.parametrize("change", ["scenario", "seed", "estimators", "version", "dependency"])
+def test_another_campaigns_folder_is_refused(
+    undisturbed: Path, change: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case, wanted = small_scenario(), options(6)
+    if change == "scenario":
+        case = case.model_copy(update={"sun": case.sun.model_copy(update={"elevation_deg": 31.0})})
+        message = "scenario.sun.elevation_deg: expected 31.0, found 30.0"
+    elif change == "seed":
+        case, message = case.model_copy(update={"seed": 4}), "scenario.seed: expected 4, found 3"
+    elif change == "estimators":
+        wanted = options(6, estimators=("ekf",))
+        message = 'estimators: expected ["ekf"], found ["ekf", "dead_reckoning"]'
+    else:
+        name = "craternav_fg" if change == "version" else "gtsam"
+        other = {**software(), name: "0.0.1"}
+        monkeypatch.setattr(store, "software", lambda: other)
+        message = f'software.{name}: expected "0.0.1", found'
+    before = {path: path.stat().st_mtime_ns for path in undisturbed.rglob("*")}
+    with pytest.raises(InputError) as caught:
+        montecarlo(case, undisturbed, wanted)
+    assert message in str(caught.value)
+    assert "not overwritten" in str(caught.value)
+    assert {path: path.stat().st_mtime_ns for path in undisturbed.rglob("*")} == before
+
+
+def test_a_changed_crater_file_is_another_campaign(tmp_path: Path) -> None:
+    table = tmp_path / "craters.csv"
+    table.write_text("one")
+    file = {"source": "file", "path": str(table)}
+    case = load_scenario("paper_case3")
+    case = type(case).model_validate({**case.model_dump(), "craters": file})
+    first = identity(case, ESTIMATORS)
+    table.write_text("two")
+    assert first != identity(case, ESTIMATORS)
+    table.unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        identity(case, ESTIMATORS)
+
+
+def test_somebody_else_s_folder_and_a_file_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1.tex").write_text("precious")
+    for path, message in ((tmp_path / "thesis", "holds no campaign.toml"), (tmp_path / "f", "found a file")):
+        if message == "found a file":
+            path.touch()
+        with pytest.raises(InputError, match=message):
+            montecarlo(small_scenario(), path, options(1))
+    assert [path.name for path in (tmp_path / "thesis").iterdir()] == ["chapter1.tex"]
+
+
+def test_two_processes_do_not_run_one_campaign(tmp_path: Path) -> None:
+    here = identity(small_scenario(), ESTIMATORS)
+    with (
+        CampaignFolder(tmp_path / "c", here).open(),
+        pytest.raises(InputError, match="another process is running"),
+    ):
+        montecarlo(small_scenario(), tmp_path / "c", options(1))
+
+
+def test_a_failed_trial_is_recorded_and_the_rest_go_on(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "c"
+    calls = []
+
+    def sometimes(dataset: Dataset, names: tuple[str, ...]) -> Reconstruction:
+        calls.append(dataset.path)
+        if len(calls) == 1:
+            raise EstimationError(f"{dataset.path} makes\nno sense")
+        if len(calls) == 2:
+            raise ZeroDivisionError("a defect")
+        return reconstruct(dataset, names)
+
+    monkeypatch.setattr("craternav_fg.evaluation.trial.reconstruct", sometimes)
+    summary = montecarlo(small_scenario(), folder, options(3))
+    assert (summary["trials"], summary["failed"]) == (3, 2)
+    assert summary["estimators"]["ekf"]["converged"] == 1
+    said = {0: "trial/dataset makes no sense", 1: "ZeroDivisionError: a defect"}
+    assert read_campaign(folder).failed == said
+    assert montecarlo(small_scenario(), folder, options(3))["failed"] == 2
+    assert len(calls) == 3
+    assert montecarlo(small_scenario(), folder, options(3, retry=True))["failed"] == 0
+    assert len(calls) == 5
+
+
+def test_a_worker_that_dies_takes_its_own_trial_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "run_trial", inline.run_deadly_trial)
+    tasks = {n: TrialTask(small_scenario(), n, ESTIMATORS, software()) for n in range(5)}
+    with workers.processes(2, tmp_path) as pool:
+        results = {result.number: result.error for result in each_result(pool, tasks)}
+    assert sorted(results) == [0, 1, 2, 3, 4]
+    assert results.pop(inline.DEADLY) == "its worker died 2 times"
+    assert all(str(error).startswith("in process") for error in results.values())
+
+
+def test_a_worker_with_other_software_is_an_error_not_a_failed_trial(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "software", lambda: {**software(), "gtsam": "9.9"})
+    with pytest.raises(CraternavError, match=r"a worker has gtsam 4\.3\.0, the campaign 9\.9"):
+        montecarlo(small_scenario(), tmp_path / "c", options(2))
+    assert not list((tmp_path / "c" / "trials").iterdir())
+
+
+def test_a_full_disk_leaves_what_is_written_valid(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "c"
+    sync, calls = os.fsync, []
+
+    def full(handle: int) -> None:
+        calls.append(handle)
+        # campaign.toml and the first trial, with their folders, come first.
+        if len(calls) > 4:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(
+        InputError, match=r"trial_000001\.parquet: cannot be written: No space left on device"
+    ):
+        montecarlo(small_scenario(), folder, options(3))
+    assert [path.name for path in (folder / "trials").iterdir()] == ["trial_000000.parquet"]
+    assert len(pq.read_table(folder / "trials" / "trial_000000.parquet")) == 4 * 6
+    monkeypatch.setattr(os, "fsync", sync)
+    assert montecarlo(small_scenario(), folder, options(3))["trials"] == 3
+
+
+def test_remains_of_a_killed_run_are_cleared_away(undisturbed: Path) -> None:
+    expected = contents(undisturbed)
+    (undisturbed / "trials" / ".trial_000009.x1.parquet").write_bytes(b"PAR1 half")
+    (undisturbed / ".scratch" / "craternav-1").mkdir(parents=True)
+    with (undisturbed / "times.jsonl").open("a") as file:
+        file.write('{"session": 9, "elap')
+    montecarlo(small_scenario(), undisturbed, options(4))
+    assert contents(undisturbed) == expected
+    for line in (undisturbed / "times.jsonl").read_text().splitlines():
+        json.loads(line)
+
+
+def test_a_damaged_trial_is_named(tmp_path: Path, here: None) -> None:
+    montecarlo(small_scenario(), tmp_path / "c", options(1))
+    (tmp_path / "c" / "trials" / "trial_000000.parquet").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match=r"trial_000000\.parquet: is damaged"):
+        read_campaign(tmp_path / "c")
+    with pytest.raises(InputError, match="expected a campaign's folder"):
+        read_campaign(tmp_path)
+
+
+def test_images_or_rims_as_asked_for() -> None:
+    rendered, measured = load_scenario("lunar_descent"), load_scenario("paper_case3")
+    assert as_measured(measured, images=False) is measured
+    assert as_measured(rendered, images=True) is rendered
+    rims = as_measured(rendered, images=False)
+    assert rims.render is None
+    assert rims.measurements == run.MEASUREMENTS
+    with pytest.raises(CraternavError, match=r"no table \[render\]"):
+        as_measured(measured, images=True)
+
+
+def test_a_scheduler_that_is_not_there_is_named_soon_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    for address, message in (
+        ("tcp://127.0.0.1:9", "not reached within 0.5 s"),
+        ("moon", "expected an address"),
+    ):
+        began = time.monotonic()
+        with pytest.raises(CraternavError, match=f"scheduler {address}: {message}") as caught:
+            montecarlo(small_scenario(), tmp_path / "c", options(1, scheduler=address))
+        assert time.monotonic() - began < 10.0
+        assert "\n" not in str(caught.value)
+        assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"trials": 0}, "trials: expected 1 or more, found 0"),
+        ({"trials": 1, "workers": -2}, "workers: expected 1 or more, found -2"),
+        ({"trials": 1, "estimators": ("magic",)}, "unknown estimator 'magic'"),
+    ],
+)
+def test_bad_options(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(CraternavError, match=message):
+        CampaignOptions(**changes)  # type: ignore[arg-type]
+
+
+def test_command(tmp_path: Path, undisturbed: Path) -> None:
+    case = write_scenario(tmp_path / "small.toml", small_scenario())
+    names = [part for name in ESTIMATORS for part in ("-e", name)]
+    done = craternav("montecarlo", case, "-n", 4, "-o", undisturbed, *names, "--json")
+    assert done.returncode == 0, done.stderr
+    assert without_times(json.loads(done.stdout)) == contents(undisturbed)["summary.json"]
+    for arguments, message in (
+        (("-n", -3), "trials: expected 1 or more, found -3"),
+        (("-n", 1, "--workers", 1, "--scheduler", "tcp://a:1"), "found both"),
+    ):
+        done = craternav("montecarlo", case, "-o", tmp_path / "c", *arguments)
+        assert done.returncode == 2
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert not (tmp_path / "c").exists()
