@@ -25,6 +25,9 @@ FIELDS = {
     "velocity_rms_m_s",
     "attitude_rms_deg",
     "attitude_final_deg",
+    "ate_m",
+    "rpe_m",
+    "rpe_deg",
     "anees",
     "frames",
 }

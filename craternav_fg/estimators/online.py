@@ -95,6 +95,11 @@ class OnlineSession:
         """
         return self._states[-1]
 
+    @property
+    def states(self) -> list[FilterState]:
+        """Estimates at every frame so far, each from the data up to its frame."""
+        return list(self._states)
+
     def begin(self, frame: FrameMeasurement, start: Start) -> None:
         """Take the first frame; a start at it is where it is linearised, not another measurement.
 

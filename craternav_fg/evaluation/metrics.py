@@ -50,6 +50,11 @@ class Metrics:
     velocity_rms_m_s : float or None
     attitude_rms_deg, attitude_final_deg : float or None
         Angle of the attitude error.
+    ate_m : float or None
+        Absolute trajectory error: RMS of the position error after the estimate is turned and moved to fit the
+        truth best, as `evo_ape -a` has it. What is left is the shape's error.
+    rpe_m, rpe_deg : float or None
+        Relative pose error: RMS of the error of the motion from frame to frame, as `evo_rpe` has it.
     anees : float or None
         Mean of the pose's normalised estimation error squared; 6 when the covariances are honest.
     frames : int
@@ -60,6 +65,9 @@ class Metrics:
     velocity_rms_m_s: float | None
     attitude_rms_deg: float | None
     attitude_final_deg: float | None
+    ate_m: float | None
+    rpe_m: float | None
+    rpe_deg: float | None
     anees: float | None
     frames: int
 
@@ -99,11 +107,12 @@ def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
 def metrics(estimate: Trajectory, truth: Trajectory | None) -> Metrics:
     """Sum up an estimate's errors; without truth only the number of frames is known."""
     if truth is None:
-        return Metrics(None, None, None, None, None, None, len(estimate))
+        return Metrics(None, None, None, None, None, None, None, None, None, len(estimate))
     e = errors(estimate, truth)
     position = np.linalg.norm(e.position_m, axis=1)
     attitude = np.degrees(np.linalg.norm(e.attitude_rad, axis=1))
     speed = np.linalg.norm(e.velocity_m_s, axis=1)
+    steps = step_errors(estimate.gTb, truth.gTb)
     anees = None
     if estimate.pose_covariance is not None:
         anees = float(nees(e.pose, estimate.pose_covariance).mean())
@@ -113,9 +122,34 @@ def metrics(estimate: Trajectory, truth: Trajectory | None) -> Metrics:
         velocity_rms_m_s=_rms(speed),
         attitude_rms_deg=_rms(attitude),
         attitude_final_deg=float(attitude[-1]),
+        ate_m=ate_m(estimate.gP, truth.gP),
+        rpe_m=None if len(estimate) < 2 else _rms(np.linalg.norm(steps[:, :3, 3], axis=1)),
+        rpe_deg=None if len(estimate) < 2 else float(np.degrees(_rms(_angles(steps)))),
         anees=anees,
         frames=len(estimate),
     )
+
+
+def ate_m(gP: FloatArray, true_gP: FloatArray) -> float:
+    """RMS distance of positions (k, 3) from the true ones after the best rotation and shift.
+
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13 (4),
+    1991, without a scale.
+    """
+    x, y = gP - gP.mean(axis=0), true_gP - true_gP.mean(axis=0)
+    U, _, Vt = np.linalg.svd(y.T @ x)
+    turn = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))]) @ Vt
+    return _rms(np.linalg.norm(y - x @ turn.T, axis=1))
+
+
+def step_errors(gTb: FloatArray, true_gTb: FloatArray) -> FloatArray:
+    """Errors (k - 1, 4, 4) of the motion from frame to frame of poses (k, 4, 4); the identity when zero."""
+    steps, true = (np.linalg.solve(T[:-1], T[1:]) for T in (gTb, true_gTb))
+    return np.asarray(np.linalg.solve(true, steps))
+
+
+def _angles(T: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(frames.rotation_log(T[:, :3, :3]), axis=1))
 
 
 def _rms(x: FloatArray) -> float:

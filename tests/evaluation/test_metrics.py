@@ -2,6 +2,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from evo.core import metrics as evo_metrics
+from evo.core.trajectory import PosePath3D
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
@@ -41,6 +43,29 @@ def test_metrics_of_a_known_offset() -> None:
     assert m.velocity_rms_m_s == pytest.approx(2.0)
     assert m.anees == pytest.approx((25.0 + 4.0 + np.radians(0.5) ** 2) / 4.0)
     assert m.frames == 4
+
+
+def test_trajectory_errors_are_evo_s() -> None:
+    rng = np.random.default_rng(5)
+    truth = trajectory(rng, 40)
+    gTb = truth.gTb.copy()
+    errors = rng.normal(size=(40, 2, 3)) * [[[0.01], [300.0]]]
+    for T, (w, p) in zip(gTb, errors, strict=True):
+        T[:3, :3] = T[:3, :3] @ frames.rotation_exp(w)
+        T[:3, 3] += p
+    m = metrics(dataclasses.replace(truth, gTb=gTb), truth)
+    pair = [PosePath3D(poses_se3=list(T)) for T in (truth.gTb, gTb)]
+
+    def of_evo(metric: evo_metrics.PE) -> float:
+        metric.process_data(tuple(pair))
+        return float(metric.get_statistic(evo_metrics.StatisticsType.rmse))
+
+    part, angle = evo_metrics.PoseRelation.translation_part, evo_metrics.PoseRelation.rotation_angle_deg
+    assert m.position_rms_m == pytest.approx(of_evo(evo_metrics.APE(part)), rel=1e-9)
+    assert m.rpe_m == pytest.approx(of_evo(evo_metrics.RPE(part, 1, evo_metrics.Unit.frames)), rel=1e-9)
+    assert m.rpe_deg == pytest.approx(of_evo(evo_metrics.RPE(angle, 1, evo_metrics.Unit.frames)), rel=1e-6)
+    pair[1].align(pair[0])
+    assert m.ate_m == pytest.approx(of_evo(evo_metrics.APE(part)), rel=1e-9)
 
 
 def test_nees_of_honest_errors_is_chi_square() -> None:

@@ -1,0 +1,88 @@
+"""Consistency: whether errors are as large as the covariances say, over trials, altitudes and sensors."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+FloatArray = npt.NDArray[np.float64]
+
+# Of intervals.
+PROBABILITY = 0.95
+
+
+@dataclass(frozen=True)
+class Anees:
+    """Average normalised estimation error squared of some trials in a bin of altitude.
+
+    Attributes
+    ----------
+    highest_m, lowest_m : float
+        Altitudes of the bin.
+    mean : float
+        The dimension (6 for a pose) when the covariances are honest, above it when they are too small.
+    low, high : float
+        Where it lies with a probability of 95 % if they are: a chi-square interval of the number of trials.
+        A trial's neighbouring frames err alike; so they count once, which makes the interval rather wide.
+    trials, frames : int
+        In the bin; frames of each trial.
+    """
+
+    highest_m: float
+    lowest_m: float
+    mean: float
+    low: float
+    high: float
+    trials: int
+    frames: int
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the mean is inside the interval."""
+        return self.low <= self.mean <= self.high
+
+
+def mean_interval(dimension: int, count: int, probability: float = PROBABILITY) -> tuple[float, float]:
+    """Interval in which the mean of `count` independent chi-squares of a dimension lies."""
+    tail = 0.5 * (1.0 - probability)
+    freedom = dimension * count
+    return float(chi2.ppf(tail, freedom) / count), float(chi2.ppf(1.0 - tail, freedom) / count)
+
+
+def anees_by_altitude(
+    nees: FloatArray, altitude_m: FloatArray, edges_m: Sequence[float], dimension: int = 6
+) -> list[Anees]:
+    """ANEES in bins of altitude.
+
+    Parameters
+    ----------
+    nees : ndarray, shape (trials, k)
+        Normalised errors squared of each trial's frames.
+    altitude_m : ndarray, shape (k,)
+        Of the frames.
+    edges_m : sequence of float
+        Falling altitudes; a frame is in the bin whose lower edge it is not below. Empty bins are left out.
+    dimension : int
+        Of the errors.
+    """
+    bins = []
+    for high_m, low_m in itertools.pairwise(edges_m):
+        inside = (altitude_m < high_m) & (altitude_m >= low_m)
+        if inside.any():
+            mean = float(nees[:, inside].mean())
+            interval = mean_interval(dimension, len(nees))
+            bins.append(Anees(high_m, low_m, mean, *interval, len(nees), int(inside.sum())))
+    return bins
+
+
+def rms(errors: FloatArray) -> FloatArray:
+    """Root mean square norm over the trials, shape (k,), of errors (trials, k, d)."""
+    return np.asarray(np.sqrt(np.mean(np.sum(errors**2, axis=-1), axis=0)))
+
+
+def over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:
+    """Mean of values (k,) over the altitude (k,), each frame by the altitude it stands for."""
+    return float(np.average(values, weights=np.abs(np.gradient(altitude_m))))

@@ -1,0 +1,126 @@
+"""Normalised innovations squared (NIS) of a filter, sensor by sensor.
+
+An innovation is what a frame shows less what was predicted before it was looked at. A filter whose
+covariances are honest has innovations that scatter as predicted and, unlike errors, do not need the truth;
+those of different frames are independent, so that their sum has a sharp chi-square interval.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun
+from craternav_fg.estimators.filter_state import POSE, FilterState
+from craternav_fg.evaluation.consistency import mean_interval
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+IMU, RIMS, SUN = SENSORS = ("imu", "rims", "sun")
+# Singular values of a frame's rows below this part of the prediction's noise say nothing of the pose.
+_FLAT = 1e-3
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Normalised innovations squared of a filter's run.
+
+    Attributes
+    ----------
+    sensor : tuple of str, length n
+        "rims": a rim's five (or an arc's points') innovations; "sun": the tilt's one; "imu": of all
+        innovations of a frame the part that a wrong prediction of the pose would cause, of at most six
+        dimensions. The rest is what the frame's measurements say of each other.
+    stamps_ns : ndarray of int, shape (n,)
+    nis : ndarray, shape (n,)
+        Of as many dimensions in the mean if prediction and measurements are as their covariances say.
+    dimension : ndarray of int, shape (n,)
+    """
+
+    sensor: tuple[str, ...]
+    stamps_ns: IntArray
+    nis: FloatArray
+    dimension: IntArray
+
+    def of(self, sensor: str) -> "Innovations":
+        """Those of one sensor."""
+        rows = np.array([i for i, name in enumerate(self.sensor) if name == sensor], dtype=np.int64)
+        return Innovations((sensor,) * len(rows), self.stamps_ns[rows], self.nis[rows], self.dimension[rows])
+
+    @property
+    def mean(self) -> float:
+        """Sum over the sum of dimensions: 1 when all is as predicted; NaN without any."""
+        return float(self.nis.sum() / self.dimension.sum()) if len(self.nis) else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Where the mean lies with a probability of 95 % if all is as predicted."""
+        return mean_interval(1, max(int(self.dimension.sum()), 1))
+
+
+def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
+    """Innovations of the frames after the start's.
+
+    Parameters
+    ----------
+    problem : Problem
+    states : sequence of FilterState
+        A filter's, at every frame, each from the data up to it: `DistributedEkf.states`,
+        `OnlineSession.states`. From each the next frame is predicted by the IMU.
+
+    Raises
+    ------
+    ValueError
+        When the IMU log does not cover the frames.
+    """
+    sensor: list[str] = []
+    stamps: list[int] = []
+    values: list[float] = []
+    sizes: list[int] = []
+    first = problem.start.frame
+    for state, (before, frame) in zip(
+        states[first:], itertools.pairwise(problem.frames[first:]), strict=False
+    ):
+        predicted = filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
+        gTb, P = predicted.gTb, predicted.covariance[POSE, POSE]
+        camera, catalog = problem.camera, problem.catalog
+        A, residual, usable = linearise_rims(
+            gTb, frame.rims, camera, catalog, model="chart", noise="measured"
+        )
+        parts = [(RIMS, a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
+        parts += [(RIMS, one.A, one.residual) for one in linearise_arcs(gTb, frame.arcs, camera, catalog)]
+        sun = linearise_sun(gTb, frame.sun, camera)
+        if sun is not None:
+            parts.append((SUN, sun.A, sun.residual))
+        if not parts:
+            continue
+        all_rows = (np.concatenate([a for _, a, _ in parts]), np.concatenate([r for _, _, r in parts]))
+        found = [(name, float(np.sum(_whitened(a, r, P)[1] ** 2)), len(r)) for name, a, r in parts]
+        found.append((IMU, *_along_prediction(*_whitened(*all_rows, P))))
+        for name, nis, size in found:
+            sensor.append(name)
+            stamps.append(frame.stamp_ns)
+            values.append(nis)
+            sizes.append(size)
+    return Innovations(
+        tuple(sensor), np.array(stamps, dtype=np.int64), np.array(values), np.array(sizes, dtype=np.int64)
+    )
+
+
+def _whitened(A: FloatArray, residual: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rows (m, 6) in units of the prediction's sigmas, and innovations (m,), both of unit covariance."""
+    L = np.linalg.cholesky(A @ P @ A.T + np.eye(len(A)))
+    sigmas = np.sqrt(np.diag(P))
+    return np.linalg.solve(L, A * sigmas), np.linalg.solve(L, residual)
+
+
+def _along_prediction(rows: FloatArray, innovation: FloatArray) -> tuple[float, int]:
+    """Part of the innovation that errors of the prediction can cause: its square and its dimension."""
+    U, strengths, _ = np.linalg.svd(rows, full_matrices=False)
+    U = U[:, strengths > _FLAT]
+    return float(np.sum((U.T @ innovation) ** 2)), U.shape[1]
