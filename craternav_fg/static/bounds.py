@@ -196,8 +196,8 @@ def _motions(problem: StaticProblem, gTb: FloatArray) -> list[tuple[str, FloatAr
         for axis, letter in ((np.cross(across, sight), "x"), (across, "y")):
             out.append(
                 (
-                    f"swing round the centre of crater {name!r} about the image's {letter} axis, with the view "
-                    "held on it",
+                    f"swing round the centre of crater {name!r} about the image's {letter} axis, with the "
+                    "view held on it",
                     about(axis, centre),
                 )
             )

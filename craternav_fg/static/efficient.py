@@ -18,7 +18,7 @@ from factors.kernels.validity import UNSEEN
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Minima whose squared norm exceeds the least by more have probabilities below 1e-6: other faults are likelier.
+# Minima whose squared norm exceeds the least by more are less probable than 1e-6: other faults are likelier.
 _WINDOW = 30.0
 _UNKNOWN_ATTITUDE = np.empty((0, 0))
 
