@@ -1,4 +1,4 @@
-"""Command that writes a page on a run."""
+"""Command that writes a page on a run or a campaign."""
 
 import json
 from pathlib import Path
@@ -6,9 +6,12 @@ from typing import Annotated
 
 import typer
 
+from craternav_fg.campaign import store as campaign_store
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import out, say
+from craternav_fg.errors import InputError
 from craternav_fg.evaluation.run_folder import read_run
+from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.report.recording import write_recording
 from craternav_fg.report.run_page import run_page
@@ -18,7 +21,7 @@ REPORT = "report.html"
 
 @app.command()
 def report(
-    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    folder: Annotated[Path, typer.Argument(metavar="RUN|CAMPAIGN", help="Folder of a run or a campaign.")],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help=f"HTML file.  [default: {REPORT} in the folder]")
     ] = None,
@@ -29,13 +32,18 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Write a report: one HTML page that needs no network."""
-    path = output or run / REPORT
-    loaded = read_run(run)
-    write_page(run_page(loaded), path)
+    path = output or folder / REPORT
     written = {"report": str(path)}
-    if recording is not None:
-        write_recording(loaded, recording)
-        written["recording"] = str(recording)
+    if (folder / campaign_store.MARKER).is_file():
+        if recording is not None:
+            raise InputError(folder, "is a campaign: recordings are of runs")
+        write_page(campaign_page(campaign_store.read_campaign(folder)), path)
+    else:
+        run = read_run(folder)
+        write_page(run_page(run), path)
+        if recording is not None:
+            write_recording(run, recording)
+            written["recording"] = str(recording)
     if as_json:
         out.print_json(json.dumps(written))
     else:

@@ -73,7 +73,7 @@ def _draw_series(
     t = _seconds(stamps_ns)
     for name, values in series.items():
         for axes, value in zip(panels, values, strict=True):
-            axes.semilogy(t, value, **_style(name), label=name)
+            axes.semilogy(t, value, **style(name), label=name)
     for axes, label in zip(panels, ("position {}, m", "velocity {}, m/s", "attitude {}, deg"), strict=True):
         axes.set_ylabel(label.format(what))
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=6, loc="outside upper center", fontsize=9)
@@ -98,7 +98,7 @@ def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) 
             continue
         values = nees(errors(trajectory, truth).pose, trajectory.pose_covariance)
         label = f"{name} (mean {values.mean():.3g})"
-        axes.semilogy(_seconds(trajectory.stamps_ns), values, **_style(name), label=label)
+        axes.semilogy(_seconds(trajectory.stamps_ns), values, **style(name), label=label)
     axes.set_xlabel("time, s")
     axes.set_ylabel("NEES of the pose")
     axes.grid(alpha=0.3)
@@ -252,7 +252,7 @@ def draw_overview(
             value = np.sqrt(np.trace(trajectory.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
         else:
             continue
-        axes.semilogy(_seconds(trajectory.stamps_ns), value, **_style(name), label=name)
+        axes.semilogy(_seconds(trajectory.stamps_ns), value, **style(name), label=name)
     axes.set_xlabel("time, s")
     axes.set_ylabel("position sigma, m" if truth is None else "position error, m")
     axes.grid(alpha=0.3)
@@ -268,7 +268,8 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _style(name: str) -> dict[str, Any]:
+def style(name: str) -> dict[str, Any]:
+    """Colour, dash and order of an estimator's line, the same in all figures."""
     dashed = name in DASHED
     return {"color": COLOURS.get(name, OTHER), "ls": "--" if dashed else "-", "zorder": 3 if dashed else 2}
 

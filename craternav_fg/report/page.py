@@ -1,5 +1,6 @@
 """A self-contained HTML page: text, tables, drawings and pictures in sections."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,14 @@ class Cell:
     text: str
     key: float | str
     concern: bool = False
+
+
+def number_cell(value: float | None, *, concern: bool = False) -> Cell:
+    """Give a cell of a number with three digits, a dash for none."""
+    if value is None or not math.isfinite(value):
+        return Cell("–", float("inf"))
+    text = f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+    return Cell(text, value, concern)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import pyarrow.compute as pc
 from matplotlib.figure import Figure
 
@@ -10,13 +9,11 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.evaluation import figures
 from craternav_fg.evaluation.run_folder import MARKER, Run, read_residuals
-from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text
+from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.report.pictures import frame_pictures
 from craternav_fg.report.residuals import crater_table, draw_residuals
-from craternav_fg.report.svg import inline_svg, mark
+from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
 
-# Narrow, with the letters' size of the text: a telephone shows a drawing as it is.
-WIDTH_IN = 6.2
 # Errors along one descent hang together: only an ANEES beyond these says something of a single run.
 DOUBTFUL_ANEES = (2.0, 15.0)
 
@@ -28,14 +25,6 @@ ERROR_HEADINGS = (
     ("attitude_final_deg", "at the end, deg"),
     ("anees", "ANEES (honest: 6)"),
 )
-
-
-def number_cell(value: float | None, *, concern: bool = False) -> Cell:
-    """Give a cell of a number with three digits, a dash for none."""
-    if value is None or not np.isfinite(value):
-        return Cell("–", float("inf"))
-    text = f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
-    return Cell(text, value, concern)
 
 
 def run_page(run: Run) -> Page:

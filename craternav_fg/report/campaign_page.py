@@ -1,0 +1,179 @@
+"""The page of a campaign."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from craternav_fg.campaign.store import MARKER, Campaign
+from craternav_fg.campaign.summary import RETROSPECTIVE, of_estimator
+from craternav_fg.evaluation import figures
+from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
+from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
+from craternav_fg.report.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
+from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
+
+FloatArray = npt.NDArray[np.float64]
+
+BINS = 8
+# An ANEES outside is called a cause of concern: the bins of a good campaign stay well inside.
+CONCERN_ANEES = (4.5, 7.5)
+COLUMNS = (
+    ("converged", "converged"),
+    ("position_final_mean_m", "end, mean, m"),
+    ("position_final_rms_m", "end, RMS, m"),
+    ("attitude_final_mean_deg", "end, mean, deg"),
+    ("rms_over_pcrb", "RMS / bound"),
+    ("anees", "ANEES (honest: 6)"),
+    ("time_per_trial_s", "time, s"),
+)
+BOUNDS = (("filtered bound", FILTERED_BOUND, "--"), ("smoothed bound", SMOOTHED_BOUND, ":"))
+
+
+def campaign_page(campaign: Campaign) -> Page:
+    """Put together the page of a campaign.
+
+    Parameters
+    ----------
+    campaign : Campaign
+
+    Returns
+    -------
+    Page
+
+    Raises
+    ------
+    InputError
+        When the campaign was never brought to its end.
+    """
+    summary = campaign.summary
+    names = tuple(campaign.identity["estimators"])
+    sections = [Section("summary", "Summary", _summary(campaign, summary))]
+    done = [name for name in names if of_estimator(campaign.table, name, "altitude_m").size]
+    if done:
+        sections += [
+            Section("errors", "Errors", [_errors(campaign, done)]),
+            Section("consistency", "Consistency", [_consistency(campaign, done)]),
+            Section("final", "Last errors", [_final(campaign, done)]),
+        ]
+    sections.append(Section("made", "How it was made", [Text((campaign.path / MARKER).read_text("utf-8"))]))
+    return Page(
+        title=f"Campaign {campaign.path.resolve().name}",
+        subtitle=f"{summary['trials']} trials, {summary['failed']} failed, {summary['wall_s']:.0f} s",
+        sections=sections,
+        series=[(name, figures.COLOURS.get(name, figures.OTHER)) for name in names],
+    )
+
+
+def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
+    rows = []
+    for name, values in summary["estimators"].items():
+        cells = [Cell(name, name)]
+        for field, _ in COLUMNS:
+            value = values[field]
+            doubtful = field == "anees" and value is not None
+            doubtful = doubtful and not CONCERN_ANEES[0] <= value <= CONCERN_ANEES[1]
+            cells.append(number_cell(value, concern=doubtful))
+        rows.append((name, cells))
+    caption = (
+        "Converged: the last error is below 2 % of the altitude and 1 deg. The bound is the posterior "
+        f"Cramér-Rao bound, smoothed for {', '.join(RETROSPECTIVE)}."
+    )
+    blocks: list[Block] = [Table(["estimator", *(h for _, h in COLUMNS)], rows, caption)]
+    problems = [f"trial {number} failed: {why}" for number, why in campaign.failed.items()]
+    problems += [
+        f"trial {number}: {why}" for number, each in campaign.failures.items() for why in each.values()
+    ]
+    return blocks + [Text(problem, warning=True) for problem in problems]
+
+
+def _errors(campaign: Campaign, names: list[str]) -> Drawing:
+    """Position and attitude RMS over the trials against altitude, with the bounds."""
+    figure = Figure(figsize=(WIDTH_IN, 6.0), layout="constrained")
+    panels = figure.subplots(2, 1, sharex=True)
+    parts: list[tuple[Axes, str, slice, float, str]] = [
+        (panels[0], "position_error_m", slice(3, 6), 1.0, "position RMS, m"),
+        (panels[1], "attitude_error_rad", slice(0, 3), float(np.degrees(1.0)), "attitude RMS, deg"),
+    ]
+    for axes, column, part, unit, label in parts:
+        for name in names:
+            values = unit * rms(of_estimator(campaign.table, name, column))
+            axes.loglog(_altitude_km(campaign, name), values, label=name, **figures.style(name))
+        for label_of_bound, bound, line in BOUNDS:
+            sigma = unit * rms(of_estimator(campaign.table, bound, "pose_sigma")[..., part])
+            axes.loglog(_altitude_km(campaign, bound), sigma, line, color="k", lw=1.2, label=label_of_bound)
+        axes.set_ylabel(label)
+    panels[1].legend(*_bounds_only(panels[1]), frameon=False, fontsize=9)
+    caption = (
+        "RMS over the trials; black: what no estimator can beat, with the data so far and with all data."
+    )
+    return _drawing(figure, "errors", names, caption)
+
+
+def _consistency(campaign: Campaign, names: list[str]) -> Drawing:
+    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for name in names:
+        nees = of_estimator(campaign.table, name, "nees")
+        if not np.isfinite(nees).all():
+            continue
+        altitude_m = of_estimator(campaign.table, name, "altitude_m").mean(axis=0)
+        edges = np.geomspace(altitude_m.max() * 1.001, altitude_m.min() * 0.999, BINS + 1)
+        bins = anees_by_altitude(nees, altitude_m, edges.tolist())
+        middle_km = [1e-3 * np.sqrt(one.highest_m * one.lowest_m) for one in bins]
+        axes.loglog(
+            middle_km, [one.mean for one in bins], marker="o", ms=3, label=name, **figures.style(name)
+        )
+        low, high = mean_interval(6, len(nees))
+    axes.axhspan(low, high, color="k", alpha=0.1)
+    axes.set_ylabel("ANEES of the pose")
+    caption = "Mean e' S⁻¹ e of the pose in bins of altitude; grey: where 95 % of an honest estimator's lie."
+    return _drawing(figure, "consistency", names, caption)
+
+
+def _final(campaign: Campaign, names: list[str]) -> Drawing:
+    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for name in names:
+        last_m = np.linalg.norm(of_estimator(campaign.table, name, "position_error_m")[:, -1], axis=-1)
+        share = np.arange(1, len(last_m) + 1) / len(last_m)
+        axes.step(np.sort(last_m), share, where="post", label=name, **figures.style(name))
+    axes.set_xscale("log")
+    axes.set_xlabel("last position error, m")
+    axes.set_ylabel("share of trials below")
+    axes.grid(alpha=0.3)
+    mark(figure.axes, names)
+    return Drawing(inline_svg(figure, "final"), "How many trials end within an error.")
+
+
+def _drawing(figure: Figure, name: str, names: list[str], caption: str) -> Drawing:
+    for axes in figure.axes:
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.01)
+    figure.axes[-1].set_xlabel("altitude, km")
+    # As flown: from high to low.
+    figure.axes[-1].invert_xaxis()
+    for which in (figure.axes[-1].xaxis.set_major_formatter, figure.axes[-1].xaxis.set_minor_formatter):
+        which(FuncFormatter(_plain))
+    mark(figure.axes, names)
+    return Drawing(inline_svg(figure, name), caption)
+
+
+def _plain(value: float, _position: int | None = None) -> str:
+    """Numbers as they are, where a logarithmic axis has room for them: 1, 2 and 5 of each power of ten."""
+    first = f"{value:e}"[0]
+    return f"{value:g}" if first in "125" else ""
+
+
+def _altitude_km(campaign: Campaign, name: str) -> FloatArray:
+    return np.asarray(1e-3 * of_estimator(campaign.table, name, "altitude_m").mean(axis=0))
+
+
+def _bounds_only(axes: Axes) -> tuple[list[Any], list[Any]]:
+    """Legend of what the page has no buttons for."""
+    handles, labels = axes.get_legend_handles_labels()
+    chosen = [(h, text) for h, text in zip(handles, labels, strict=True) if "bound" in text]
+    return [h for h, _ in chosen], [text for _, text in chosen]

@@ -1,0 +1,57 @@
+"""The page of a campaign."""
+
+from pathlib import Path
+
+import pytest
+
+from craternav_fg.campaign import run
+from craternav_fg.campaign.run import montecarlo
+from craternav_fg.campaign.store import read_campaign
+from craternav_fg.errors import InputError
+from craternav_fg.report.campaign_page import campaign_page
+from craternav_fg.report.page import write_page
+from tests.campaign import inline
+from tests.campaign.scene import options, small_scenario
+from tests.report.test_report import Reader, cli_main
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("campaign") / "c"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "processes", inline.processes)
+        montecarlo(small_scenario(), folder, options(3))
+    return folder
+
+
+def test_the_summary_is_that_of_the_campaign(campaign: Path, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    write_page(campaign_page(read_campaign(campaign)), out)
+    reader = Reader()
+    reader.feed(out.read_text("utf-8"))
+    estimators = read_campaign(campaign).summary["estimators"]
+    assert [row[0] for row in reader.tables[0][1:]] == list(estimators)
+    for row in reader.tables[0][1:]:
+        assert int(row[1]) == estimators[row[0]]["converged"]
+        assert float(row[3].replace(",", "")) == pytest.approx(
+            estimators[row[0]]["position_final_rms_m"], rel=6e-3
+        )
+    assert len(set(reader.identifiers)) == len(reader.identifiers)
+    assert {"errors", "consistency", "final"} <= set(reader.identifiers)
+
+
+def test_the_command_knows_a_campaign_from_a_run(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli_main("report", campaign) == 0
+    assert capsys.readouterr().out.strip() == str(campaign / "report.html")
+    assert cli_main("report", campaign, "--recording", campaign / "r.rrd") == 2
+
+
+def test_an_unfinished_campaign_is_refused(campaign: Path, tmp_path: Path) -> None:
+    summary = campaign / "summary.json"
+    text = summary.read_text()
+    summary.unlink()
+    try:
+        with pytest.raises(InputError, match="run the campaign to its end"):
+            campaign_page(read_campaign(campaign))
+    finally:
+        summary.write_text(text)
