@@ -1,0 +1,1 @@
+"""Which catalogue crater is each rim."""

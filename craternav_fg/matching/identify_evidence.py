@@ -1,0 +1,231 @@
+"""How much more likely an image is as the view of a pose than as rims by chance, over all poses sought.
+
+Rims by chance: uniform in the image, of sizes and shapes as they are in this image. Rims at a pose: each
+visible crater is found with a probability that is not known (uniform), the rest is by chance. The ratio of
+the two, averaged over the poses that were possible before the image was seen (Laplace's approximation at
+the best), has the mean 1 over images by chance: it exceeds L with a probability of at most 1 / L.
+"""
+
+from math import lgamma
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.matching.identify_grid import Grid, within
+from craternav_fg.matching.identify_grow import errors
+from craternav_fg.matching.identify_pose import HYPOTHESIS, POSITION, ROTATION, SPHERE, seat
+from craternav_fg.matching.identify_view import View
+from factors.kernels.conic import chart, rim_in_camera
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+_FALSE_SHARES = np.array([0.1, 0.3, 0.6, 0.9])
+_SIGMAS = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
+_LN2PI = float(np.log(2.0 * np.pi))
+_ROOM = 20_000
+_SIZE_SLOPE = 2.0
+
+
+@njit(cache=True, error_model="numpy")
+def log_by_chance(view: View) -> FloatArray:
+    """Logarithm (n,) of the density of each rim's chart among rims by chance."""
+    n = view.charts.shape[0]
+    area = (view.corners[2] - view.corners[0]) * (view.corners[3] - view.corners[1])
+    area /= view.fx_px * view.fy_px
+    least = np.log(view.radius_px.min()) - 0.05
+    spread = 0.0
+    for i in range(n):
+        q = view.charts[i, 4] - view.charts[i, 2]
+        spread += q * q + (view.charts[i, 3] * np.exp(-q)) ** 2
+    spread = spread / (2.0 * n) + 0.05**2
+    out = np.empty(n)
+    for i in range(n):
+        q = view.charts[i, 4] - view.charts[i, 2]
+        lean = view.charts[i, 3] * np.exp(-q)
+        out[i] = -np.log(area) + np.log(_SIZE_SLOPE) - _SIZE_SLOPE * (np.log(view.radius_px[i]) - least)
+        out[i] += -_LN2PI - np.log(spread) - 0.5 * (q * q + lean * lean) / spread - q
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def visible(
+    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, sphere: float, least_px: float
+) -> int:
+    """Craters whose whole rims lie in the image, of at least a mean radius in px."""
+    pose = np.empty(HYPOTHESIS)
+    R, P = np.empty((3, 3)), np.empty(3)
+    range2 = 0.0
+    for r in range(3):
+        P[r] = gTc[r, 3]
+        range2 += P[r] * P[r]
+        for c in range(3):
+            R[r, c] = gTc[r, c]
+    range_m = np.sqrt(range2)
+    horizon = np.arccos(min(sphere / range_m, 1.0))
+    # The middle of the rims and the farthest corner bound what is seen.
+    middle = np.empty(3)
+    corner = np.empty(3)
+    reach = 0.0
+    if not _ground(R, P, range_m, sphere, 0.5 * (view.corners[0] + view.corners[2]),
+                   0.5 * (view.corners[1] + view.corners[3]), view, middle):  # fmt: skip
+        for r in range(3):
+            middle[r] = P[r] / range_m
+        reach = horizon
+    for k in range(4):
+        x, y = view.corners[0 if k % 2 == 0 else 2], view.corners[1 if k < 2 else 3]
+        if _ground(R, P, range_m, sphere, x, y, view, corner):
+            cos = middle[0] * corner[0] + middle[1] * corner[1] + middle[2] * corner[2]
+            reach = max(reach, np.arccos(min(max(cos, -1.0), 1.0)))
+        else:
+            reach = max(reach, 2.0 * horizon)
+    least = np.log(max(0.8 * least_px * (range_m - sphere) / view.focal_px, 1.0))
+    found = np.empty(_ROOM, dtype=np.int64)
+    count = within(grid, middle[0], middle[1], middle[2], min(1.02 * reach, 1.5), least, 30.0, found)
+    p, c, y5 = np.empty(3), np.empty((2, 3)), np.empty(5)
+    total = 0
+    for k in range(count):
+        rim_in_camera(R, P, centres[found[k]], axes[found[k]], p, c)
+        if not chart(p, c, y5):
+            continue
+        if 0.5 * (y5[2] + y5[4]) + np.log(view.focal_px) < np.log(least_px):
+            continue
+        half_x = view.fx_px * np.exp(y5[2])
+        half_y = view.fy_px * np.sqrt(np.exp(2.0 * y5[4]) + (y5[3] * np.exp(y5[2])) ** 2)
+        x = view.middle_px[0] + view.fx_px * y5[0]
+        y = view.middle_px[1] + view.fy_px * y5[1]
+        total += (
+            x - half_x > view.corners[0] and x + half_x < view.corners[2]
+            and y - half_y > view.corners[1] and y + half_y < view.corners[3]
+        )  # fmt: skip
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _ground(
+    R: FloatArray, P: FloatArray, range_m: float, sphere: float, x: float, y: float, view: View, out: FloatArray
+) -> bool:
+    """Write the unit vector (3,) to what a pixel shows; false when that is the sky."""
+    u, v = (x - view.middle_px[0]) / view.fx_px, (y - view.middle_px[1]) / view.fy_px
+    length = np.sqrt(1.0 + u * u + v * v)
+    g = np.empty(3)
+    along = 0.0
+    for r in range(3):
+        g[r] = (R[r, 0] * u + R[r, 1] * v + R[r, 2]) / length
+        along -= g[r] * P[r]
+    under = along * along - (range_m * range_m - sphere * sphere)
+    if not (along > 0.0 and under > 0.0):
+        return False
+    distance = along - np.sqrt(under)
+    for r in range(3):
+        out[r] = (P[r] + distance * g[r]) / sphere
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def log_evidence(
+    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray,
+    N: FloatArray, chance: FloatArray, log_prior: float,
+) -> tuple[float, int]:  # fmt: skip
+    """Logarithm of the ratio; pairs that chance explains better are undone, in place.
+
+    Parameters
+    ----------
+    view, grid, centres, axes
+        Rims; craters.
+    gTc, match, N
+        From `grow`.
+    chance : ndarray, shape (n,)
+        From `log_by_chance`.
+    log_prior : float
+        Logarithm of the density of the pose before the image was seen, per rad^3 m^3.
+
+    Returns
+    -------
+    log_ratio : float
+    visible : int
+        Craters that should be seen.
+    """
+    n = match.shape[0]
+    R, P = np.empty((3, 3)), np.empty(3)
+    for r in range(3):
+        P[r] = gTc[r, 3]
+        for c in range(3):
+            R[r, c] = gTc[r, c]
+    e = np.empty(5)
+    place, shape, rest = np.zeros(n), np.zeros(n), np.zeros(n)
+    sphere = 0.0
+    pairs = 0
+    for i in range(n):
+        if match[i] < 0:
+            continue
+        if not errors(view, i, match[i], centres, axes, R, P, e):
+            match[i] = -1
+            continue
+        place[i] = e[0] * e[0] + e[1] * e[1]
+        shape[i] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
+        rest[i] = -2.5 * _LN2PI - np.log(n) - chance[i]
+        for r in range(5):
+            rest[i] += np.log(view.precision[i, r])
+        c = match[i]
+        sphere += np.sqrt(centres[c, 0] ** 2 + centres[c, 1] ** 2 + centres[c, 2] ** 2)
+        pairs += 1
+    if not pairs:
+        return -np.inf, 0
+    sphere /= pairs
+    # The noise is not known, either: each of these levels is as likely as the next.
+    s_place, s_shape = _level(place, match, 2.0), _level(shape, match, 3.0)
+    smallest = np.inf
+    total = -2.0 * np.log(_SIGMAS.shape[0])
+    for i in range(n):
+        if match[i] < 0:
+            continue
+        term = rest[i] - 0.5 * place[i] / s_place**2 - 0.5 * shape[i] / s_shape**2
+        term -= 2.0 * np.log(s_place) + 3.0 * np.log(s_shape)
+        if term < -1.0:
+            match[i] = -1
+            pairs -= 1
+        else:
+            total += term
+            smallest = min(smallest, view.radius_px[i])
+    if not pairs:
+        return -np.inf, 0
+    seen = max(visible(view, grid, centres, axes, gTc, sphere, smallest), pairs)
+    total += lgamma(pairs + 1.0) + lgamma(seen - pairs + 1.0) - lgamma(seen + 2.0)
+    clutter = -np.inf
+    for f in _FALSE_SHARES:
+        clutter = max(clutter, (1.0 - f) * n + (n - pairs) * np.log(f))
+    total += clutter - np.log(_FALSE_SHARES.shape[0])
+    return total + log_prior + 3.0 * _LN2PI - 0.5 * _log_det(N), seen
+
+
+@njit(cache=True, error_model="numpy")
+def _level(d2: FloatArray, match: IntArray, freedom: float) -> float:
+    """The noise level that explains squared errors best."""
+    best, value = _SIGMAS[0], -np.inf
+    for s in _SIGMAS:
+        total = 0.0
+        for i in range(match.shape[0]):
+            if match[i] >= 0:
+                total -= 0.5 * d2[i] / (s * s) + freedom * np.log(s)
+        if total > value:
+            best, value = s, total
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def _log_det(N: FloatArray) -> float:
+    L = np.zeros((6, 6))
+    total = 0.0
+    for i in range(6):
+        for j in range(i + 1):
+            value = N[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            if i == j:
+                L[i, i] = np.sqrt(value)
+                total += 2.0 * np.log(L[i, i])
+            else:
+                L[i, j] = value / L[j, j]
+    return total

@@ -1,0 +1,135 @@
+"""A hypothetical pose of the camera, and how many other rims it puts on craters of their size.
+
+A hypothesis is an array (`HYPOTHESIS`,): the score, gRc by rows, gPc, the sphere's radius there, and the rims
+and craters that it was made of.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.matching.identify_grid import Grid, density, within
+from craternav_fg.matching.identify_view import View
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14, 17, 20
+# A rim without a crater: of its visible craters a catalogue lacks, or an image's rims are false.
+_MISS = 0.7
+_GATE = 3.0
+_ROOM = 64
+
+
+@njit(cache=True, error_model="numpy")
+def axis_share(view: View, i: int, sigma: float) -> float:
+    """Relative standard deviation of a rim's size at a noise in px."""
+    return np.sqrt(0.02**2 + (0.4 * sigma / view.radius_px[i]) ** 2)
+
+
+@njit(cache=True, error_model="numpy")
+def seat(
+    view: View, i: int, pose: FloatArray, X: FloatArray
+) -> tuple[bool, float, float]:  # fmt: skip
+    """Write the unit vector X (3,) to where a rim lies in g; whether it does, its log size, m, distance, m."""
+    d = view.directions[i]
+    g = np.empty(3)
+    along = 0.0
+    range2 = 0.0
+    for r in range(3):
+        g[r] = pose[ROTATION + 3 * r] * d[0] + pose[ROTATION + 3 * r + 1] * d[1] + pose[ROTATION + 3 * r + 2] * d[2]
+        along -= g[r] * pose[POSITION + r]
+        range2 += pose[POSITION + r] ** 2
+    radius = pose[SPHERE]
+    under = along * along - (range2 - radius * radius)
+    if not (along > 0.0 and under > 0.0):
+        return False, 0.0, 0.0
+    distance = along - np.sqrt(under)
+    cos = 0.0
+    for r in range(3):
+        X[r] = (pose[POSITION + r] + distance * g[r]) / radius
+        cos -= g[r] * X[r]
+    if not cos > 0.1:
+        return False, 0.0, 0.0
+    return True, view.log_angle[i] + np.log(distance) - 0.5 * np.log(cos), distance / np.sqrt(cos)
+
+
+@njit(cache=True, error_model="numpy")
+def support(
+    view: View, grid: Grid, order: npt.NDArray[np.int32], pose: FloatArray, extent_px: float, lever: float,
+    used: int, sigma: float, most: int,
+) -> float:  # fmt: skip
+    """Logarithm of how unlikely it is by chance that so many rims fall on craters of their size.
+
+    Parameters
+    ----------
+    view : View
+    grid : Grid
+    order : ndarray of int32
+        Rims, those nearest to the hypothesis' own first.
+    pose : ndarray, shape (HYPOTHESIS,)
+    extent_px : float
+        Of its own rims: what their noise is a lever of.
+    lever : float
+        Error of the places that it predicts, per distance in the image from its own rims.
+    used : int
+        Number of its own rims.
+    sigma : float
+        Noise of the rims' centres, px.
+    most : int
+        Rims to ask at most.
+    """
+    X = np.empty(3)
+    found = np.empty(_ROOM, dtype=np.int64)
+    score = 0.0
+    asked = 0
+    hits = 0
+    u0, v0 = 0.0, 0.0
+    for k in range(used):
+        i = int(pose[RIMS + k])
+        u0 += view.points_px[i, 0] / used
+        v0 += view.points_px[i, 1] / used
+    for i in order:
+        own = False
+        for k in range(used):
+            own = own or i == int(pose[RIMS + k])
+        if own:
+            continue
+        seen, size, distance = seat(view, i, pose, X)
+        if not seen:
+            continue
+        asked += 1
+        away = np.sqrt((view.points_px[i, 0] - u0) ** 2 + (view.points_px[i, 1] - v0) ** 2)
+        gate_px = 1.0 + _GATE * sigma * np.sqrt(1.0 + (away / extent_px) ** 2) + lever * away
+        slack = 0.06 + _GATE * axis_share(view, i, sigma)
+        angle = gate_px * distance / (view.focal_px * pose[SPHERE])
+        chance = density(grid, size - slack, size + slack) * np.pi * angle * angle
+        if chance < 1.0:
+            count = within(grid, X[0], X[1], X[2], angle, size - slack, size + slack, found)
+            if count:
+                hits += 1
+                score -= np.log(chance)
+            else:
+                score -= _MISS * (1.0 - chance)
+        if asked == most or (hits == 0 and asked == 6):
+            break
+    return score if hits else -1.0
+
+
+@njit(cache=True, error_model="numpy")
+def keep(pose: FloatArray, best: FloatArray) -> None:
+    """Put a hypothesis in the place of the worst of the best (k, HYPOTHESIS), unless that is better."""
+    worst = 0
+    for k in range(best.shape[0]):
+        if best[k, SCORE] < best[worst, SCORE]:
+            worst = k
+        # The same crater for the same rim from the same side: the same hypothesis again.
+        near = 0.0
+        far = 0.0
+        for r in range(3):
+            near += (best[k, POSITION + r] - pose[POSITION + r]) ** 2
+            far += pose[POSITION + r] ** 2
+        if near < 1e-6 * far and best[k, SCORE] >= pose[SCORE] > -np.inf:
+            return
+    if best[worst, SCORE] < pose[SCORE]:
+        best[worst] = pose

@@ -1,0 +1,279 @@
+"""Hypotheses of the pose from triples of neighbouring rims: position and attitude unknown."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.matching.identify_grid import Grid
+from craternav_fg.matching.identify_index import SIDE_UNIT, SIZE_UNIT, SMALLEST, describe
+from craternav_fg.matching.identify_nadir import place
+from craternav_fg.matching.identify_pose import (
+    CRATERS,
+    HYPOTHESIS,
+    POSITION,
+    RIMS,
+    ROTATION,
+    SCORE,
+    SPHERE,
+    axis_share,
+    keep,
+    support,
+)
+from craternav_fg.matching.identify_tree import nearest
+from craternav_fg.matching.identify_view import View
+
+FloatArray = npt.NDArray[np.float64]
+Int32Array = npt.NDArray[np.int32]
+
+_REACH2 = 12.0
+
+
+@njit(cache=True, error_model="numpy")
+def seat_all(
+    view: View, down: FloatArray, height_m: float, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places of the rims under a model of the view.
+
+    Returns
+    -------
+    X : ndarray, shape (n, 3)
+        From the body's centre, in the camera's axes, m; NaN beside the body.
+    log_sizes : ndarray, shape (n,)
+        Of semi-axes in m.
+    scale : ndarray, shape (n,)
+        Metres on the ground of a pixel, across the foreshortening's mean.
+    """
+    n = view.directions.shape[0]
+    X = np.full((n, 3), np.nan)
+    log_sizes = np.full(n, np.nan)
+    scale = np.full(n, np.nan)
+    point = np.empty(3)
+    for i in range(n):
+        distance = place(view, i, down, radius_m + height_m, radius_m, point)
+        if distance < 0.0:
+            continue
+        cos = 0.0
+        for k in range(3):
+            X[i, k] = point[k]
+            cos -= point[k] * view.directions[i, k] / radius_m
+        cos = max(cos, 0.1)
+        log_sizes[i] = view.log_angle[i] + np.log(distance) - 0.5 * np.log(cos)
+        scale[i] = distance / np.sqrt(cos) / view.focal_px
+    return X, log_sizes, scale
+
+
+@njit(cache=True, error_model="numpy")
+def image_order(view: View, count: int) -> Int32Array:
+    """Of each rim (n, m) itself and its nearest others in the image, nearest first, at most `count`."""
+    n = view.points_px.shape[0]
+    most = min(n, count)
+    out = np.empty((n, most), dtype=np.int32)
+    d2 = np.empty(n)
+    for i in range(n):
+        for j in range(n):
+            d2[j] = (view.points_px[j, 0] - view.points_px[i, 0]) ** 2
+            d2[j] += (view.points_px[j, 1] - view.points_px[i, 1]) ** 2
+        order = np.argsort(d2)
+        for k in range(most):
+            out[i, k] = order[k]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def image_triples(
+    X: FloatArray, log_sizes: FloatArray, scale: FloatArray, view: View, count: int, sigma: float
+) -> Int32Array:
+    """Triples (m, 3) of rims as the catalogue has them, those that say most first.
+
+    Parameters
+    ----------
+    X, log_sizes, scale
+        From `seat_all`.
+    view : View
+    count : int
+        Neighbours of a rim.
+    sigma : float
+        Noise, px.
+    """
+    n = X.shape[0]
+    triples = np.empty((n * count * (count - 1) // 2, 3), dtype=np.int32)
+    doubt = np.empty(triples.shape[0])
+    row = 0
+    d2 = np.empty(n)
+    for i in range(n):
+        slack = np.log(SMALLEST) - axis_share(view, i, sigma)
+        for j in range(n):
+            d2[j] = np.inf
+            if j != i and log_sizes[j] >= log_sizes[i] + slack:
+                d2[j] = (X[j, 0] - X[i, 0]) ** 2 + (X[j, 1] - X[i, 1]) ** 2 + (X[j, 2] - X[i, 2]) ** 2
+        order = np.argsort(d2)
+        for p in range(min(count, n)):
+            for q in range(p + 1, min(count, n)):
+                if not d2[order[q]] < np.inf:
+                    break
+                j, k = order[p], order[q]
+                triples[row, 0], triples[row, 1], triples[row, 2] = i, j, k
+                perimeter = np.sqrt(d2[j]) + np.sqrt(d2[k])
+                side = np.hypot(sigma * scale[i] / perimeter, 0.01)
+                shares = axis_share(view, i, sigma) * axis_share(view, j, sigma) * axis_share(view, k, sigma)
+                doubt[row] = side * side * shares
+                row += 1
+    return triples[np.argsort(doubt[:row])]
+
+
+@njit(cache=True, error_model="numpy")
+def _pose_of(
+    view: View, X: FloatArray, centres: FloatArray, down: FloatArray, height_m: float, radius_m: float,
+    rims: Int32Array, craters: Int32Array, ratio: float, pose: FloatArray,
+) -> bool:  # fmt: skip
+    """Write the pose that turns and scales a triple of a view's model into a triple of craters."""
+    A = np.empty((3, 3))
+    B = np.empty((3, 3))
+    a0, b0 = np.zeros(3), np.zeros(3)
+    sphere = 0.0
+    for k in range(3):
+        length = 0.0
+        for r in range(3):
+            # From the camera: what the altitude scales.
+            a0[r] += ratio * (X[rims[k], r] + (radius_m + height_m) * down[r]) / 3.0
+            b0[r] += centres[craters[k], r] / 3.0
+            length += centres[craters[k], r] ** 2
+        sphere += np.sqrt(length) / 3.0
+    for side in range(2):
+        M = A if side == 0 else B
+        for r in range(3):
+            if side == 0:
+                M[0, r] = X[rims[1], r] - X[rims[0], r]
+                M[1, r] = X[rims[2], r] - X[rims[0], r]
+            else:
+                M[0, r] = centres[craters[1], r] - centres[craters[0], r]
+                M[1, r] = centres[craters[2], r] - centres[craters[0], r]
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            M[2, r] = M[0, s] * M[1, t] - M[0, t] * M[1, s]
+        # A frame of the plane that treats both sides alike: their sum of unit vectors, and across it.
+        l0 = np.sqrt(M[0, 0] ** 2 + M[0, 1] ** 2 + M[0, 2] ** 2)
+        l1 = np.sqrt(M[1, 0] ** 2 + M[1, 1] ** 2 + M[1, 2] ** 2)
+        l2 = np.sqrt(M[2, 0] ** 2 + M[2, 1] ** 2 + M[2, 2] ** 2)
+        if not l2 > 1e-3 * l0 * l1:
+            return False
+        total = 0.0
+        for r in range(3):
+            M[0, r] = M[0, r] / l0 + M[1, r] / l1
+            M[2, r] /= l2
+            total += M[0, r] ** 2
+        for r in range(3):
+            M[0, r] /= np.sqrt(total)
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            M[1, r] = M[2, s] * M[0, t] - M[2, t] * M[0, s]
+    for r in range(3):
+        for c in range(3):
+            value = 0.0
+            for k in range(3):
+                value += B[k, r] * A[k, c]
+            pose[ROTATION + 3 * r + c] = value
+    for r in range(3):
+        pose[POSITION + r] = b0[r]
+        for c in range(3):
+            pose[POSITION + r] -= pose[ROTATION + 3 * r + c] * a0[c]
+    pose[SPHERE] = sphere
+    for k in range(3):
+        pose[RIMS + k] = rims[k]
+        pose[CRATERS + k] = craters[k]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def agrees(pose: FloatArray, attitude: FloatArray, least_cos: float, least_m: float, most_m: float) -> bool:
+    """Whether a pose is at an altitude that is allowed, and turned as is known.
+
+    `attitude` (3, 3) is gRc, or of no rows when nothing is known; `least_cos` the cosine of the largest angle.
+    """
+    range2 = 0.0
+    for r in range(3):
+        range2 += pose[POSITION + r] ** 2
+    altitude = np.sqrt(range2) - pose[SPHERE]
+    if not least_m < altitude < most_m:
+        return False
+    trace = 0.0
+    for r in range(attitude.shape[0]):
+        for c in range(3):
+            trace += attitude[r, c] * pose[ROTATION + 3 * r + c]
+    return attitude.shape[0] == 0 or 0.5 * (trace - 1.0) >= least_cos
+
+
+@njit(cache=True, error_model="numpy")
+def search(
+    view: View, grid: Grid, centres: FloatArray, neighbours: Int32Array, points: npt.NDArray[np.uint16],
+    codes: npt.NDArray[np.uint32], dims: npt.NDArray[np.uint8], splits: npt.NDArray[np.uint16], levels: int,
+    X: FloatArray, log_sizes: FloatArray, scale: FloatArray, triples: Int32Array, order: Int32Array,
+    down: FloatArray, height_m: float, radius_m: float, sigma: float, warp: float, lever: float, candidates: int,
+    attitude: FloatArray, least_cos: float, least_m: float, most_m: float, best: FloatArray,
+) -> int:  # fmt: skip
+    """Look up triples of rims and keep the best hypotheses; give the number that was judged.
+
+    Parameters
+    ----------
+    view, grid, centres
+        Rims; craters.
+    neighbours, points, codes, dims, splits, levels
+        The index' triples.
+    X, log_sizes, scale, down, height_m, radius_m
+        The model of the view, from `seat_all`.
+    triples : ndarray of int32, shape (m, 3)
+        To look up.
+    order : ndarray of int32, shape (n, k)
+        From `image_order`.
+    sigma : float
+        Noise, px.
+    warp, lever : float
+        Relative error of sides by the model; that of places far from a triple.
+    candidates : int
+        Triples of craters to judge at most for each.
+    attitude, least_cos, least_m, most_m
+        See `agrees`.
+    best : ndarray, shape (k, HYPOTHESIS)
+        Kept here.
+    """
+    count = neighbours.shape[1]
+    found_d2 = np.empty(candidates)
+    found = np.empty(candidates, dtype=np.uint32)
+    query = np.empty(5)
+    weights = np.empty(5)
+    rims = np.empty(3, dtype=np.int32)
+    craters = np.empty(3, dtype=np.int32)
+    pose = np.empty(HYPOTHESIS)
+    judged = 0
+    for row in range(triples.shape[0]):
+        for k in range(3):
+            rims[k] = triples[row, k]
+        swapped, perimeter = describe(X, log_sizes, rims[0], rims[1], rims[2], query)
+        if swapped:
+            rims[1], rims[2] = rims[2], rims[1]
+        side = np.hypot(1.4 * sigma * scale[rims[0]] / perimeter, warp)
+        weights[0] = weights[1] = SIDE_UNIT / side
+        for k in range(3):
+            weights[2 + k] = SIZE_UNIT / np.hypot(axis_share(view, rims[k], sigma), side)
+        hits = nearest(points, codes, dims, splits, levels, query, weights, _REACH2, found_d2, found)
+        extent = perimeter / scale[rims[0]] / 4.0
+        for h in range(hits):
+            code = np.int64(found[h])
+            craters[0] = code // (count * count)
+            craters[1] = neighbours[craters[0], (code // count) % count]
+            craters[2] = neighbours[craters[0], code % count]
+            span = 0.0
+            for k in range(3):
+                total = 0.0
+                for r in range(3):
+                    total += (centres[craters[k], r] - centres[craters[(k + 1) % 3], r]) ** 2
+                span += np.sqrt(total)
+            if not _pose_of(
+                view, X, centres, down, height_m, radius_m, rims, craters, span / perimeter, pose
+            ) or not agrees(pose, attitude, least_cos, least_m, most_m):
+                continue
+            judged += 1
+            pose[SCORE] = support(view, grid, order[rims[0]], pose, extent, lever, 3, sigma, 14) - 0.5 * found_d2[h]
+            if pose[SCORE] > 0.0:
+                keep(pose, best)
+    return judged
