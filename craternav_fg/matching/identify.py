@@ -29,6 +29,11 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
+# So many rims tell well which way is down; of fewer, ways around the likeliest are tried, too, rad away.
+_MANY = 15
+_RING = float(np.radians(9.0))
+
+
 class Status(Enum):
     """How an identification ended; `Identification.reason` says the particulars."""
 
@@ -66,6 +71,8 @@ class IdentifyOptions:
         Noise of the rims' centres to search with, one after the other.
     candidates : tuple of int
         Triples of craters to judge for each triple of rims, per level.
+    judged : int
+        Hypotheses to judge at most, per level.
     log_chance : float
         Logarithm of the probability of chance that an answer may have.
     log_chance_attitude : float
@@ -77,6 +84,7 @@ class IdentifyOptions:
     altitudes_m: tuple[float, float] = (1e3, 2e6)
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
+    judged: int = 30_000
     log_chance: float = float(np.log(1e-8))
     log_chance_attitude: float = float(np.log(1e-4))
     log_ambiguity: float = float(np.log(1e-3))
@@ -230,7 +238,9 @@ def _by_triples(search_: _Search, enough: float) -> list[_Grown]:
     triples_of = index.triples
     radius = index.catalog.body.radius_m
     largest = np.argsort(-view.radius_px)[:40]
-    models, _ = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= 15 else 2)
+    models, _ = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= _MANY else 2)
+    if search_.n < _MANY:
+        models = np.concatenate([models, _around(models[0])])
     least, most = options.altitudes_m
     found: list[_Grown] = []
     for noise, candidates in zip(options.noise_levels_px, options.candidates, strict=True):
@@ -240,8 +250,11 @@ def _by_triples(search_: _Search, enough: float) -> list[_Grown]:
             triples = image_triples(X, log_sizes, scale, view, 6, noise)
             best = np.full((24, HYPOTHESIS), -np.inf)
             chunk = 24
+            judged = 0
             for start in range(0, len(triples), chunk):
-                search(
+                if judged > options.judged // len(models):
+                    break
+                judged += search(
                     view, index.grid, index.centres, triples_of.neighbours, triples_of.points,
                     triples_of.codes, triples_of.dims, triples_of.splits, triples_of.levels, X, log_sizes,
                     scale, triples[start : start + chunk], search_.order, down, height, radius, noise, 0.02,
@@ -260,6 +273,16 @@ def _by_triples(search_: _Search, enough: float) -> list[_Grown]:
                         return [grown]
                     found.append(grown)
     return sorted(found, key=lambda g: -g.log_ratio)
+
+
+def _around(model: FloatArray) -> FloatArray:
+    """Models (6, 4) whose nadir lies around another's."""
+    down = model[:3]
+    aside = np.cross(down, [0.0, 1.0, 0.0])
+    aside /= np.linalg.norm(aside)
+    turn = np.pi / 3.0 * np.arange(6)[:, None]
+    out = np.cos(_RING) * down + np.sin(_RING) * (np.cos(turn) * aside + np.sin(turn) * np.cross(down, aside))
+    return np.column_stack([out, np.full(6, model[3])])
 
 
 def _by_anchors(search_: _Search) -> list[_Grown]:

@@ -18,6 +18,8 @@ SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14,
 # A rim without a crater: of its visible craters a catalogue lacks, or an image's rims are false.
 _MISS = 0.7
 _GATE = 3.0
+# Rims that may be asked in vain.
+_PATIENCE = 5
 _ROOM = 64
 
 
@@ -28,27 +30,21 @@ def axis_share(view: View, i: int, sigma: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def seat(
-    view: View, i: int, pose: FloatArray, X: FloatArray
-) -> tuple[bool, float, float]:  # fmt: skip
+def seat(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, float, float]:
     """Write the unit vector X (3,) to where a rim lies in g; whether it does, its log size, m, distance, m."""
-    d = view.directions[i]
-    g = np.empty(3)
-    along = 0.0
-    range2 = 0.0
-    for r in range(3):
-        g[r] = pose[ROTATION + 3 * r] * d[0] + pose[ROTATION + 3 * r + 1] * d[1] + pose[ROTATION + 3 * r + 2] * d[2]
-        along -= g[r] * pose[POSITION + r]
-        range2 += pose[POSITION + r] ** 2
+    dx, dy, dz = view.directions[i, 0], view.directions[i, 1], view.directions[i, 2]
+    gx = pose[1] * dx + pose[2] * dy + pose[3] * dz
+    gy = pose[4] * dx + pose[5] * dy + pose[6] * dz
+    gz = pose[7] * dx + pose[8] * dy + pose[9] * dz
+    px, py, pz = pose[POSITION], pose[POSITION + 1], pose[POSITION + 2]
     radius = pose[SPHERE]
-    under = along * along - (range2 - radius * radius)
+    along = -(gx * px + gy * py + gz * pz)
+    under = along * along - (px * px + py * py + pz * pz - radius * radius)
     if not (along > 0.0 and under > 0.0):
         return False, 0.0, 0.0
     distance = along - np.sqrt(under)
-    cos = 0.0
-    for r in range(3):
-        X[r] = (pose[POSITION + r] + distance * g[r]) / radius
-        cos -= g[r] * X[r]
+    X[0], X[1], X[2] = (px + distance * gx) / radius, (py + distance * gy) / radius, (pz + distance * gz) / radius
+    cos = -(gx * X[0] + gy * X[1] + gz * X[2])
     if not cos > 0.1:
         return False, 0.0, 0.0
     return True, view.log_angle[i] + np.log(distance) - 0.5 * np.log(cos), distance / np.sqrt(cos)
@@ -111,7 +107,7 @@ def support(
                 score -= np.log(chance)
             else:
                 score -= _MISS * (1.0 - chance)
-        if asked == most or (hits == 0 and asked == 6):
+        if asked == most or (asked >= _PATIENCE and score <= 0.0):
             break
     return score if hits else -1.0
 
