@@ -36,8 +36,8 @@ class SceneOptions:
     largest_tilt_deg : float
         Of the optical axis from nadir, uniform.
     sigma_px : float
-        Noise of each coordinate of a centre. That of each semi-axis is half of it, and no more than a tenth of
-        the axis.
+        Noise of each coordinate of a centre. That of each semi-axis is half of it, and no more than a
+        tenth of the axis.
     missing, false : float
         Share of the visible rims that are not found, and of the found that are none.
     least_px : float
@@ -90,13 +90,15 @@ def scene_camera(field_deg: float, bTc: FloatArray | None = None) -> Camera:
     """Square camera of a field of view."""
     focal = 0.5 * SIDE_PX / np.tan(np.radians(0.5 * field_deg))
     middle = 0.5 * (SIDE_PX - 1)
-    return Camera(
-        SIDE_PX, SIDE_PX, focal, focal, middle, middle, bTc=np.eye(4) if bTc is None else bTc
-    )
+    return Camera(SIDE_PX, SIDE_PX, focal, focal, middle, middle, bTc=np.eye(4) if bTc is None else bTc)
 
 
 def random_scene(
-    catalog: Catalog, options: SceneOptions, rng: np.random.Generator, *, true_rims: tuple[int, int] = (3, 10_000)
+    catalog: Catalog,
+    options: SceneOptions,
+    rng: np.random.Generator,
+    *,
+    true_rims: tuple[int, int] = (3, 10_000),
 ) -> Scene:
     """View from anywhere above the body.
 
@@ -135,9 +137,7 @@ def random_scene(
     return Scene(camera, ellipses[order], gTb, craters[order])
 
 
-def synthetic_catalog(
-    body: Body, rng: np.random.Generator, *, count: int = 21_433
-) -> Catalog:
+def synthetic_catalog(body: Body, rng: np.random.Generator, *, count: int = 21_433) -> Catalog:
     """Uniformly scattered craters with the sizes and flattenings of the real ones of 4 km and more.
 
     Parameters
@@ -161,10 +161,12 @@ def with_small_craters(catalog: Catalog, count: int, rng: np.random.Generator) -
     small = _scattered(catalog.body, rng, diameter_km, "small-")
     return Catalog(
         catalog.identifiers + small.identifiers,
-        *(
-            np.concatenate([getattr(catalog, name), getattr(small, name)])
-            for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
-        ),
+        np.concatenate([catalog.latitude_rad, small.latitude_rad]),
+        np.concatenate([catalog.longitude_rad, small.longitude_rad]),
+        np.concatenate([catalog.semi_major_m, small.semi_major_m]),
+        np.concatenate([catalog.semi_minor_m, small.semi_minor_m]),
+        np.concatenate([catalog.angle_rad, small.angle_rad]),
+        np.concatenate([catalog.height_m, small.height_m]),
         catalog.body,
     )
 

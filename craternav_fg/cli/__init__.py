@@ -1,6 +1,26 @@
 """The command line `craternav`: a module for each group of commands."""
 
-from craternav_fg.cli import benchmark, campaigns, descents, detection, pose, report, reproduction
+from craternav_fg.cli import (
+    benchmark,
+    campaigns,
+    descents,
+    detection,
+    identification,
+    pose,
+    report,
+    reproduction,
+)
 from craternav_fg.cli.app import app, main
 
-__all__ = ["app", "benchmark", "campaigns", "descents", "detection", "main", "pose", "report", "reproduction"]
+__all__ = [
+    "app",
+    "benchmark",
+    "campaigns",
+    "descents",
+    "detection",
+    "identification",
+    "main",
+    "pose",
+    "report",
+    "reproduction",
+]

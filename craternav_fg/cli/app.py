@@ -3,11 +3,12 @@
 import sys
 from typing import Annotated
 
+import numpy as np
 import typer
 
 import craternav_fg
 from craternav_fg.cli.terminal import err, say
-from craternav_fg.errors import CraternavError
+from craternav_fg.errors import CraternavError, InputError
 
 app = typer.Typer(
     help="Reconstruct a planetary landing from crater rims and an IMU.",
@@ -33,6 +34,19 @@ def options(
 ) -> None:
     """Reconstruct a planetary landing from crater rims and an IMU."""
     del version
+
+
+def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:
+    """Read an option of several numbers."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(option, f"expected {count} numbers, separated by commas, found {text!r}")
+    return values
 
 
 def main() -> None:

@@ -4,11 +4,10 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from craternav_fg.body import Body
-from craternav_fg.cli.app import JsonOption, app
+from craternav_fg.cli.app import JsonOption, app, numbers_of
 from craternav_fg.cli.terminal import err, out, show_poses
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
@@ -65,9 +64,9 @@ def pose(
         matched,
         craters,
         sensor,
-        attitude_wxyz=_numbers("--attitude", attitude, 4),
+        attitude_wxyz=numbers_of("--attitude", attitude, 4),
         attitude_sigma_deg=attitude_sigma_deg,
-        sun=_numbers("--sun", sun, 5),
+        sun=numbers_of("--sun", sun, 5),
     )
     result = solve_robustly(problem) if robust else solve(problem)
     values = as_plain_data(problem, result, body)
@@ -79,16 +78,3 @@ def pose(
         raise EstimationError(f"{result.status.value}: {result.reason}")
     for warning in result.warnings:
         err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
-
-
-def _numbers(option: str, text: str | None, count: int) -> list[float] | None:
-    """Read an option of several numbers."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count or not np.isfinite(values).all():
-        raise InputError(option, f"expected {count} numbers, separated by commas, found {text!r}")
-    return values

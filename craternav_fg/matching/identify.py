@@ -1,21 +1,22 @@
 """Identification with no prior position: which catalogue crater is each rim, and from where it was seen.
 
 Hypotheses of the pose come from triples of rims that have the form of a triple of the index or, with the
-attitude known, from single rims. The best grow to all rims that agree, by Gauss-Newton on the kernels that the
-static solver uses, too. One is believed when so many agreeing rims are improbable by chance, over all places
-that were searched; otherwise there is no answer.
+attitude known, from single rims. The best grow to all rims that agree, by Gauss-Newton on the kernels that
+the static solver uses, too. One is believed when so many agreeing rims are improbable by chance, over all
+places that were searched; otherwise there is no answer.
 """
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
+from craternav_fg.errors import EstimationError
+from craternav_fg.matching.identification import Identification, IdentifyOptions, KnownAttitude, Status
 from craternav_fg.matching.identify_anchors import anchor_search
 from craternav_fg.matching.identify_evidence import log_by_chance, log_evidence
 from craternav_fg.matching.identify_grow import covariance_of, grow
@@ -25,112 +26,22 @@ from craternav_fg.matching.identify_pose import HYPOTHESIS, SCORE
 from craternav_fg.matching.identify_triples import image_order, image_triples, search, seat_all
 from craternav_fg.matching.identify_view import View, view_of
 
+__all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
+_LEAST_RIMS = 3
+# With the attitude known, fewer are left to the search by single rims.
+_TRIPLE_RIMS = 6
+_ANCHORS = 8
+_SAME_PX = 0.05
+# What the model of the view may be turned by, rad.
+_TURN_RAD = float(np.radians(20.0))
 # So many rims tell well which way is down; of fewer, ways around the likeliest are tried, too, rad away.
 _MANY = 15
 _RING = float(np.radians(9.0))
-
-
-class Status(Enum):
-    """How an identification ended; `Identification.reason` says the particulars."""
-
-    IDENTIFIED = "identified"
-    AMBIGUOUS = "several poses explain the rims"
-    NO_ANSWER = "no pose explains the rims better than chance"
-    TOO_FEW_RIMS = "too few rims"
-
-
-@dataclass(frozen=True)
-class KnownAttitude:
-    """Attitude of the body, from a star tracker.
-
-    Attributes
-    ----------
-    gRb : ndarray, shape (3, 3)
-        Rotation from b to g.
-    sigma_rad : float
-        Standard deviation about each axis.
-    """
-
-    gRb: FloatArray
-    sigma_rad: float = float(np.radians(1.5))
-
-
-@dataclass(frozen=True)
-class IdentifyOptions:
-    """How long is searched, and what is believed.
-
-    Attributes
-    ----------
-    altitudes_m : tuple of float
-        Least and largest altitude above the reference sphere.
-    noise_levels_px : tuple of float
-        Noise of the rims' centres to search with, one after the other.
-    candidates : tuple of int
-        Triples of craters to judge for each triple of rims, per level.
-    judged : int
-        Hypotheses to judge at most, per level.
-    log_chance : float
-        Logarithm of the probability of chance that an answer may have.
-    log_chance_attitude : float
-        The same with the attitude known.
-    log_ambiguity : float
-        A second pose this much less probable is none.
-    """
-
-    altitudes_m: tuple[float, float] = (1e3, 2e6)
-    noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
-    candidates: tuple[int, ...] = (16, 48, 160)
-    judged: int = 30_000
-    log_chance: float = float(np.log(1e-8))
-    log_chance_attitude: float = float(np.log(1e-4))
-    log_ambiguity: float = float(np.log(1e-3))
-
-
-@dataclass(frozen=True)
-class Identification:
-    """Answer.
-
-    Attributes
-    ----------
-    status : Status
-    reason : str
-        One line that says why, when the status is not `IDENTIFIED`.
-    craters : tuple of str or None
-        Identifier of each rim's crater; None where it has none.
-    rows : ndarray of int, shape (n,)
-        The same as rows of the catalogue, -1 where it has none.
-    gTc, gTb : ndarray, shape (4, 4)
-        Pose of the camera and of the body; NaN without an answer.
-    covariance : ndarray, shape (6, 6)
-        Of the body's pose, for its right twist [w, rho], rad and m in body axes.
-    log_chance : float
-        Logarithm of a bound of the probability that rims by chance look as much like the catalogue, over all
-        places that were searched. Also without an answer: of the best that was found.
-    sigma_px : float
-        Noise of the centres, estimated from the rims that agree.
-    seconds : float
-        Time taken.
-    """
-
-    status: Status
-    reason: str
-    craters: tuple[str | None, ...]
-    rows: IntArray
-    gTc: FloatArray
-    gTb: FloatArray
-    covariance: FloatArray
-    log_chance: float
-    sigma_px: float
-    seconds: float
-
-    @property
-    def identified(self) -> bool:
-        """Whether there is an answer."""
-        return self.status is Status.IDENTIFIED
 
 
 @dataclass
@@ -146,25 +57,33 @@ class _Search:
     """What one call needs at every step."""
 
     def __init__(
-        self, view: View, index: Index, attitude: FloatArray | None, sigma_rad: float, options: IdentifyOptions
-    ) -> None:
+        self, view: View, index: Index, gRc: FloatArray | None, known: KnownAttitude | None,
+        options: IdentifyOptions,
+    ) -> None:  # fmt: skip
         self.view, self.index, self.options = view, index, options
         self.n = len(view.charts)
         self.prior = np.eye(4)
         self.weight = np.zeros((6, 6))
         self.attitude = np.empty((0, 3))
-        if attitude is not None:
-            self.attitude = np.ascontiguousarray(attitude)
-            self.prior[:3, :3] = attitude
-            self.weight[:3, :3] = np.eye(3) / sigma_rad**2
-        self.sigma_rad = sigma_rad
+        self.sigma_rad, self.least_cos = 1.0, -1.0
+        if gRc is not None and known is not None:
+            self.attitude = np.ascontiguousarray(gRc)
+            self.prior[:3, :3] = gRc
+            self.weight[:3, :3] = np.eye(3) / known.sigma_rad**2
+            self.sigma_rad = known.sigma_rad
+            self.least_cos = float(np.cos(_TURN_RAD + 5.0 * known.sigma_rad))
         self.chance = log_by_chance(view)
         self.order = image_order(view, 24)
 
     def grow(self, hypothesis: FloatArray, used: int, noise: float) -> _Grown | None:
         """Grow a hypothesis and weigh it."""
         index = self.index
-        gTc, match, N, sigma = np.empty((4, 4)), np.empty(self.n, dtype=np.int64), np.empty((6, 6)), np.empty(2)
+        gTc, match, N, sigma = (
+            np.empty((4, 4)),
+            np.empty(self.n, dtype=np.int64),
+            np.empty((6, 6)),
+            np.empty(2),
+        )
         pairs = grow(
             self.view, index.grid, index.centres, index.catalog.axes, hypothesis, used, noise, self.prior,
             self.weight, gTc, match, N, sigma,
@@ -201,7 +120,8 @@ def identify(
     Parameters
     ----------
     ellipses_px : ndarray, shape (n, 5)
-        Centre, semi-axes, angle of the first from x towards y, rad; as the image shows them, through the lens.
+        Centre, semi-axes, angle of the first from x towards y, rad; as the image shows them, through the
+        lens.
     camera : Camera
     index : Index
     attitude : KnownAttitude, optional
@@ -210,29 +130,56 @@ def identify(
     Returns
     -------
     Identification
-        Three rims are the least; alone they are no answer without the attitude.
+        Three rims are the least; alone they are no answer without the attitude. Of a rim that is given
+        twice the second has no crater.
+
+    Raises
+    ------
+    EstimationError
+        For ellipses that are none.
     """
     began = time.perf_counter()
-    view = view_of(np.asarray(ellipses_px, dtype=np.float64).reshape(-1, 5), camera)
-    n = len(view.charts)
-    if n < 3:
-        reason = f"found {n} rims, expected three or more"
+    ellipses = np.asarray(ellipses_px, dtype=np.float64).reshape(-1, 5)
+    if not (np.isfinite(ellipses).all() and (ellipses[:, 2:4] > 0.0).all()):
+        raise EstimationError("ellipses: expected finite numbers and positive axes")
+    n = len(ellipses)
+    once = _once(ellipses)
+    view = view_of(ellipses[once], camera)
+    if len(once) < _LEAST_RIMS:
+        reason = f"found {len(once)} rims, expected {_LEAST_RIMS} or more"
         return _nothing(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
-    gRc = None if attitude is None else attitude.gRb @ camera.bTc[:3, :3]
-    search_ = _Search(view, index, gRc, 1.0 if attitude is None else attitude.sigma_rad, options)
-    threshold = options.log_chance if attitude is None else options.log_chance_attitude
-    grown = _by_triples(search_, -threshold) if attitude is None else _by_anchors(search_)
-    if not grown or grown[0].log_ratio < -threshold:
-        best = grown[0].log_ratio if grown else 0.0
+    searched = _Search(
+        view, index, None if attitude is None else attitude.gRb @ camera.bTc[:3, :3], attitude, options
+    )
+    found: list[_Grown] = []
+    if attitude is None or len(once) >= _TRIPLE_RIMS:
+        found = _by_triples(searched)
+    threshold = -options.log_chance
+    if attitude is not None:
+        found = found if found and found[0].log_ratio >= threshold else _by_anchors(searched)
+        threshold = -options.log_chance_attitude
+    if not found or found[0].log_ratio < threshold:
+        best = found[0].log_ratio if found else 0.0
         reason = "no pose puts more rims on craters of their size than chance does"
         return _nothing(n, Status.NO_ANSWER, reason, -best, began)
-    if len(grown) > 1 and grown[1].log_ratio - grown[0].log_ratio > options.log_ambiguity:
-        reason = f"a second pose is {np.exp(grown[1].log_ratio - grown[0].log_ratio):.2g} as probable"
-        return _nothing(n, Status.AMBIGUOUS, reason, -grown[0].log_ratio, began)
-    return _answer(grown[0], camera, index, began)
+    if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
+        reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} as probable"
+        return _nothing(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
+    return _answer(found[0], once, n, camera, index, began)
 
 
-def _by_triples(search_: _Search, enough: float) -> list[_Grown]:
+def _once(ellipses: FloatArray) -> IntArray:
+    """Rows of the ellipses (n, 5) that repeat none before them."""
+    kept: list[int] = []
+    for i, row in enumerate(ellipses):
+        others = ellipses[kept]
+        near = np.abs(others[:, :4] - row[:4]).max(axis=1, initial=0.0) if kept else np.empty(0)
+        if not (near < _SAME_PX).any():
+            kept.append(i)
+    return np.array(kept, dtype=np.int64)
+
+
+def _by_triples(search_: _Search) -> list[_Grown]:
     """Grow the hypotheses from triples until one has the evidence; the best first."""
     view, index, options = search_.view, search_.index, search_.options
     triples_of = index.triples
@@ -242,6 +189,7 @@ def _by_triples(search_: _Search, enough: float) -> list[_Grown]:
     if search_.n < _MANY:
         models = np.concatenate([models, _around(models[0])])
     least, most = options.altitudes_m
+    enough = -options.log_chance
     found: list[_Grown] = []
     for noise, candidates in zip(options.noise_levels_px, options.candidates, strict=True):
         for model in models:
@@ -258,7 +206,8 @@ def _by_triples(search_: _Search, enough: float) -> list[_Grown]:
                     view, index.grid, index.centres, triples_of.neighbours, triples_of.points,
                     triples_of.codes, triples_of.dims, triples_of.splits, triples_of.levels, X, log_sizes,
                     scale, triples[start : start + chunk], search_.order, down, height, radius, noise, 0.02,
-                    0.05, candidates, search_.attitude, -1.0, least, most, best,
+                    0.05, candidates, search_.attitude, search_.least_cos, least, most,
+                    best,
                 )  # fmt: skip
                 rows = np.argsort(-best[:, SCORE])[:4]
                 for row in rows:
@@ -288,20 +237,28 @@ def _around(model: FloatArray) -> FloatArray:
 def _by_anchors(search_: _Search) -> list[_Grown]:
     """Grow the hypotheses from single rims; distinct ones, the best first."""
     view, index, options = search_.view, search_.index, search_.options
-    anchors = np.argsort(-view.radius_px)[:8].astype(np.int32)
+    anchors = np.argsort(-view.radius_px)[:_ANCHORS].astype(np.int32)
     least, most = options.altitudes_m
     found: list[_Grown] = []
     for noise in options.noise_levels_px:
         best = np.full((64, HYPOTHESIS), -np.inf)
-        anchor_search(
-            view, index.grid, index.centres, index.catalog.axes, anchors, search_.order, search_.attitude,
-            search_.sigma_rad, noise, least, most, best,
-        )  # fmt: skip
-        for row in np.argsort(-best[:, SCORE]):
-            if best[row, SCORE] > -np.inf:
+        for start in range(0, len(anchors), 2):
+            anchor_search(
+                view, index.grid, index.centres, index.catalog.axes, anchors[start : start + 2],
+                search_.order, search_.attitude, search_.sigma_rad, noise, least, most, best,
+            )  # fmt: skip
+            # Only where nothing else can be as good the other rims are not asked.
+            last = start + 2 >= len(anchors)
+            for row in np.argsort(-best[:, SCORE])[: len(best) if last else 4]:
+                if best[row, SCORE] == -np.inf:
+                    break
                 grown = search_.grow(best[row], 1, noise)
-                if grown is not None:
-                    found.append(grown)
+                best[row, SCORE] = -np.inf
+                if grown is None:
+                    continue
+                if grown.log_ratio >= -options.log_chance:
+                    return [grown]
+                found.append(grown)
         found = _distinct(found)
         if found and found[0].log_ratio >= -options.log_chance_attitude:
             break
@@ -317,7 +274,9 @@ def _distinct(found: Sequence[_Grown]) -> list[_Grown]:
     return out
 
 
-def _answer(grown: _Grown, camera: Camera, index: Index, began: float) -> Identification:
+def _answer(
+    grown: _Grown, once: IntArray, n: int, camera: Camera, index: Index, began: float
+) -> Identification:
     covariance = np.empty((6, 6))
     covariance_of(grown.N, covariance)
     # From the camera's twist to the body's.
@@ -326,8 +285,10 @@ def _answer(grown: _Grown, camera: Camera, index: Index, began: float) -> Identi
     cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
     adjoint = np.block([[R, np.zeros((3, 3))], [cross @ R, R]])
     names = index.catalog.identifiers
+    rows = np.full(n, -1)
+    rows[once] = grown.match
     return Identification(
-        Status.IDENTIFIED, "", tuple(names[row] if row >= 0 else None for row in grown.match), grown.match,
+        Status.IDENTIFIED, "", tuple(names[row] if row >= 0 else None for row in rows), rows,
         grown.gTc, grown.gTc @ cTb, adjoint @ covariance @ adjoint.T, -grown.log_ratio,
         float(grown.sigma[0]), time.perf_counter() - began,
     )  # fmt: skip

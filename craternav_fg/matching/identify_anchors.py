@@ -1,4 +1,4 @@
-"""Hypotheses of the position from single rims, the attitude known: every crater is tried for each of some rims.
+"""Hypotheses of the position from single rims, the attitude known: every crater is tried for some rims.
 
 With the attitude, a crater's size and where a rim lies give the position; the rim's shape must then be right.
 """

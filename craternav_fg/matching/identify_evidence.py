@@ -14,7 +14,6 @@ from numba import njit
 
 from craternav_fg.matching.identify_grid import Grid, within
 from craternav_fg.matching.identify_grow import errors
-from craternav_fg.matching.identify_pose import HYPOTHESIS, POSITION, ROTATION, SPHERE, seat
 from craternav_fg.matching.identify_view import View
 from factors.kernels.conic import chart, rim_in_camera
 
@@ -51,10 +50,15 @@ def log_by_chance(view: View) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def visible(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, sphere: float, least_px: float
+    view: View,
+    grid: Grid,
+    centres: FloatArray,
+    axes: FloatArray,
+    gTc: FloatArray,
+    sphere: float,
+    least_px: float,
 ) -> int:
     """Craters whose whole rims lie in the image, of at least a mean radius in px."""
-    pose = np.empty(HYPOTHESIS)
     R, P = np.empty((3, 3)), np.empty(3)
     range2 = 0.0
     for r in range(3):
@@ -83,11 +87,11 @@ def visible(
     least = np.log(max(0.8 * least_px * (range_m - sphere) / view.focal_px, 1.0))
     found = np.empty(_ROOM, dtype=np.int64)
     count = within(grid, middle[0], middle[1], middle[2], min(1.02 * reach, 1.5), least, 30.0, found)
-    p, c, y5 = np.empty(3), np.empty((2, 3)), np.empty(5)
+    p, axes_c, y5 = np.empty(3), np.empty((2, 3)), np.empty(5)
     total = 0
     for k in range(count):
-        rim_in_camera(R, P, centres[found[k]], axes[found[k]], p, c)
-        if not chart(p, c, y5):
+        rim_in_camera(R, P, centres[found[k]], axes[found[k]], p, axes_c)
+        if not chart(p, axes_c, y5):
             continue
         if 0.5 * (y5[2] + y5[4]) + np.log(view.focal_px) < np.log(least_px):
             continue
@@ -104,7 +108,14 @@ def visible(
 
 @njit(cache=True, error_model="numpy")
 def _ground(
-    R: FloatArray, P: FloatArray, range_m: float, sphere: float, x: float, y: float, view: View, out: FloatArray
+    R: FloatArray,
+    P: FloatArray,
+    range_m: float,
+    sphere: float,
+    x: float,
+    y: float,
+    view: View,
+    out: FloatArray,
 ) -> bool:
     """Write the unit vector (3,) to what a pixel shows; false when that is the sky."""
     u, v = (x - view.middle_px[0]) / view.fx_px, (y - view.middle_px[1]) / view.fy_px
@@ -202,7 +213,7 @@ def log_evidence(
 
 @njit(cache=True, error_model="numpy")
 def _level(d2: FloatArray, match: IntArray, freedom: float) -> float:
-    """The noise level that explains squared errors best."""
+    """Give the noise level that explains squared errors best."""
     best, value = _SIGMAS[0], -np.inf
     for s in _SIGMAS:
         total = 0.0

@@ -31,7 +31,7 @@ _ROOM = 256
 def frame_data(
     view: View, centres: FloatArray, axes: FloatArray, match: IntArray, sigma: FloatArray
 ) -> FloatArray:
-    """Pack the matched rims for the conic-shape kernel; `sigma` (2,) scales the errors of centre and shape."""
+    """Pack the matched rims for the conic-shape kernel; `sigma` (2,) scales errors of centre and shape."""
     rims = np.flatnonzero(match >= 0)
     n = rims.shape[0]
     L, A = np.empty((n, 3)), np.empty((n, 2, 3))
@@ -139,7 +139,7 @@ def errors(
     view: View, i: int, crater: int, centres: FloatArray, axes: FloatArray, R: FloatArray, P: FloatArray,
     e: FloatArray,
 ) -> bool:  # fmt: skip
-    """Write a rim's errors (5,), measured less predicted, over those at a noise of 1 px; false when unseen."""
+    """Write a rim's errors (5,), measured less predicted, over those at 1 px noise; false when unseen."""
     p, c = np.empty(3), np.empty((2, 3))
     rim_in_camera(R, P, centres[crater], axes[crater], p, c)
     if not chart(p, c, e):
@@ -185,7 +185,9 @@ def rematch(
             if not errors(view, i, found[k], centres, axes, R, P, e):
                 continue
             place = (e[0] * e[0] + e[1] * e[1]) / (sigma[0] ** 2 + place2)
-            shape = (e[2] * e[2] + e[3] * e[3] + e[4] * e[4]) / (sigma[1] ** 2 + size2 * view.radius_px[i] ** 2)
+            shape = (e[2] * e[2] + e[3] * e[3] + e[4] * e[4]) / (
+                sigma[1] ** 2 + size2 * view.radius_px[i] ** 2
+            )
             if place < _GATE * _GATE and shape < _SHAPE_GATE2 and place + shape < d2[i]:
                 d2[i] = place + shape
                 match[i] = found[k]

@@ -1,4 +1,4 @@
-"""The index of a catalogue: triples of neighbouring craters by five numbers that neither scale nor turning changes.
+"""The index of a catalogue: triples of craters by five numbers that neither scale nor turning changes.
 
 A triple is a crater and two of its nearest neighbours of at least `SMALLEST` its size, counter-clockwise as
 seen from above. Its numbers are two sides and the three sizes, over the perimeter; sides are chords.
@@ -31,7 +31,7 @@ SIZE_UNIT = 9.0 / 65535
 LEAST_LOG = -8.0
 # A tree that is asked with small tolerances on sides and large ones on sizes is halved likewise.
 _SPREAD = np.array([4.0 * SIDE_UNIT, 4.0 * SIDE_UNIT, SIZE_UNIT, SIZE_UNIT, SIZE_UNIT])
-# Neighbours of a crater: missing and false rims are borne by many, room and time for a large catalogue by few.
+# Neighbours of a crater: missing and false rims need many, the room that a large catalogue takes needs few.
 _NEIGHBOURS = ((100_000, 9), (400_000, 7), (np.inf, 6))
 # Ratio of the sizes of craters whose neighbours are sought in one tree.
 _LEVEL = 1.15

@@ -1,4 +1,4 @@
-"""Which way is down, from the rims alone: most craters are nearly round, so that all appear foreshortened alike.
+"""Which way is down, from the rims alone: most craters are nearly round, and foreshortened alike.
 
 A model of the view is the unit vector to the body's centre in the camera's frame and the altitude; it gives
 each rim's place on the sphere, and how far its rim would be from round there.

@@ -31,7 +31,7 @@ def axis_share(view: View, i: int, sigma: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def seat(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, float, float]:
-    """Write the unit vector X (3,) to where a rim lies in g; whether it does, its log size, m, distance, m."""
+    """Write the unit vector X (3,) in g to where a rim lies; give whether it does, log size, distance, m."""
     dx, dy, dz = view.directions[i, 0], view.directions[i, 1], view.directions[i, 2]
     gx = pose[1] * dx + pose[2] * dy + pose[3] * dz
     gy = pose[4] * dx + pose[5] * dy + pose[6] * dz
@@ -43,7 +43,11 @@ def seat(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, flo
     if not (along > 0.0 and under > 0.0):
         return False, 0.0, 0.0
     distance = along - np.sqrt(under)
-    X[0], X[1], X[2] = (px + distance * gx) / radius, (py + distance * gy) / radius, (pz + distance * gz) / radius
+    X[0], X[1], X[2] = (
+        (px + distance * gx) / radius,
+        (py + distance * gy) / radius,
+        (pz + distance * gz) / radius,
+    )
     cos = -(gx * X[0] + gy * X[1] + gz * X[2])
     if not cos > 0.1:
         return False, 0.0, 0.0

@@ -37,7 +37,7 @@ def _swap(points: Points, codes: Codes, i: int, j: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _select(points: Points, codes: Codes, lo: int, hi: int, middle: int, d: int) -> None:
-    """Order the rows lo to hi so that those before `middle` are not above it in dimension d, nor those after below."""
+    """Order the rows lo to hi so that none before `middle` is above it in dimension d, none after below."""
     hi -= 1
     while hi > lo:
         # The median of three keeps ordered rows from costing the square of their number.

@@ -188,7 +188,7 @@ def _pose_of(
 def agrees(pose: FloatArray, attitude: FloatArray, least_cos: float, least_m: float, most_m: float) -> bool:
     """Whether a pose is at an altitude that is allowed, and turned as is known.
 
-    `attitude` (3, 3) is gRc, or of no rows when nothing is known; `least_cos` the cosine of the largest angle.
+    `attitude` (3, 3) is gRc, or of no rows when nothing is known; `least_cos` the largest angle's cosine.
     """
     range2 = 0.0
     for r in range(3):
@@ -208,8 +208,8 @@ def search(
     view: View, grid: Grid, centres: FloatArray, neighbours: Int32Array, points: npt.NDArray[np.uint16],
     codes: npt.NDArray[np.uint32], dims: npt.NDArray[np.uint8], splits: npt.NDArray[np.uint16], levels: int,
     X: FloatArray, log_sizes: FloatArray, scale: FloatArray, triples: Int32Array, order: Int32Array,
-    down: FloatArray, height_m: float, radius_m: float, sigma: float, warp: float, lever: float, candidates: int,
-    attitude: FloatArray, least_cos: float, least_m: float, most_m: float, best: FloatArray,
+    down: FloatArray, height_m: float, radius_m: float, sigma: float, warp: float, lever: float,
+    candidates: int, attitude: FloatArray, least_cos: float, least_m: float, most_m: float, best: FloatArray,
 ) -> int:  # fmt: skip
     """Look up triples of rims and keep the best hypotheses; give the number that was judged.
 
@@ -273,7 +273,9 @@ def search(
             ) or not agrees(pose, attitude, least_cos, least_m, most_m):
                 continue
             judged += 1
-            pose[SCORE] = support(view, grid, order[rims[0]], pose, extent, lever, 3, sigma, 14) - 0.5 * found_d2[h]
+            pose[SCORE] = (
+                support(view, grid, order[rims[0]], pose, extent, lever, 3, sigma, 14) - 0.5 * found_d2[h]
+            )
             if pose[SCORE] > 0.0:
                 keep(pose, best)
     return judged

@@ -12,6 +12,7 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera, ellipse_chart, normalised_chart
 from craternav_fg.catalog import Catalog, chart_to_pixels
 from craternav_fg.catalog_files import ID, import_catalog
+from craternav_fg.dataset.ellipses import ELLIPSE, check_axes, check_inside, check_range
 from craternav_fg.dataset.rims import ground_sun_direction
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SunTilt
@@ -29,18 +30,10 @@ from craternav_fg.tables import Column, Table, read_table
 
 FloatArray = npt.NDArray[np.float64]
 
-CENTRE_X = "ellipseCenterX(px)"
-CENTRE_Y = "ellipseCenterY(px)"
-MAJOR = "ellipseSemimajor(px)"
-MINOR = "ellipseSemiminor(px)"
-ROTATION = "ellipseRotation(deg)"
 SIGMA = "sigma_px"
 SIGMA_RANGE_PX = (1e-6, 1e3)
-_SMALLEST_AXIS_PX = 0.1
-_LARGEST_IMAGES = 10
 # Of an angle's standard deviation.
 _SIGMA_RANGE_DEG = (1e-6, 360.0)
-_ELLIPSE = (CENTRE_X, CENTRE_Y, MAJOR, MINOR, ROTATION)
 
 
 def read_rims(
@@ -78,22 +71,25 @@ def read_rims(
     """
     table = read_table(
         path,
-        (*(Column(name) for name in _ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True)),
+        (*(Column(name) for name in ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True)),
         others=True,
     )
     if not len(table):
         raise InputError(path, "expected at least one rim, found none")
-    _check_values(table, camera)
+    check_axes(table, camera)
+    if SIGMA in table.columns:
+        check_range(table, SIGMA, SIGMA_RANGE_PX)
     catalog = _craters(table, catalog_path, body)
     n = len(table)
     sigmas = table.columns[SIGMA] if SIGMA in table.columns else np.full(n, sigma_px)
     charts = np.array(
         [
             normalised_chart(ellipse_chart(x, y, a, b, np.radians(turn)), camera)[0]
-            for x, y, a, b, turn in table.numbers(*_ELLIPSE).tolist()
+            for x, y, a, b, turn in table.numbers(*ELLIPSE).tolist()
         ]
     )
-    _check_inside(table, charts, camera)
+    centres, S = chart_to_pixels(camera, charts)
+    check_inside(table, centres, np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1)), camera)
     covariances = np.array(
         [
             fit_covariance(chart, camera, float(sigma), edge_points)
@@ -189,36 +185,6 @@ def _pose(problem: StaticProblem, pose: StaticPose, body: Body) -> dict[str, Any
         "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(pose.covariance)[:3])).tolist(),
         "residuals": dict(zip(problem.rims.identifiers, pose.residuals.tolist(), strict=True)),
     }
-
-
-def _check_values(table: Table, camera: Camera) -> None:
-    """Refuse what no image shows, and what arithmetic does not survive."""
-    largest = _LARGEST_IMAGES * max(camera.width_px, camera.height_px)
-    limits = {MINOR: (_SMALLEST_AXIS_PX, largest), MAJOR: (_SMALLEST_AXIS_PX, largest), SIGMA: SIGMA_RANGE_PX}
-    for name, (least, most) in limits.items():
-        values = table.columns.get(name, np.empty(0))
-        for row in np.flatnonzero((values < least) | (values > most)).tolist():
-            table.fail(row, name, f"expected {least:g} to {most:g} px, found {values[row]:g}")
-    for row in np.flatnonzero(table.columns[MINOR] > table.columns[MAJOR]).tolist():
-        table.fail(
-            row, MINOR,
-            f"expected at most the semi-major axis {table.columns[MAJOR][row]:g}, "
-            f"found {table.columns[MINOR][row]:g}",
-        )  # fmt: skip
-
-
-def _check_inside(table: Table, charts: FloatArray, camera: Camera) -> None:
-    centre, S = chart_to_pixels(camera, charts)
-    half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
-    size = np.array([camera.width_px, camera.height_px])
-    outside = (centre + half < -0.5) | (centre - half > size - 0.5)
-    for row in np.flatnonzero(outside.any(axis=1)).tolist():
-        axis = int(np.argmax(outside[row]))
-        table.fail(
-            row, (CENTRE_X, CENTRE_Y)[axis],
-            f"expected a rim that reaches into the {size[0]} x {size[1]} image, found its centre at "
-            f"{centre[row, axis]:g}",
-        )  # fmt: skip
 
 
 def _craters(table: Table, path: Path, body: Body) -> Catalog:
