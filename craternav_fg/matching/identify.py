@@ -185,7 +185,8 @@ def _by_triples(search_: _Search) -> list[_Grown]:
     triples_of = index.triples
     radius = index.catalog.body.radius_m
     largest = np.argsort(-view.radius_px)[:40]
-    models, _ = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= _MANY else 2)
+    models, misfits = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= _MANY else 2)
+    models = models[np.argsort(misfits)]
     if search_.n < _MANY:
         models = np.concatenate([models, _around(models[0])])
     least, most = options.altitudes_m

@@ -27,25 +27,16 @@ _ROOM = 20_000
 _SIZE_SLOPE = 2.0
 
 
-@njit(cache=True, error_model="numpy")
 def log_by_chance(view: View) -> FloatArray:
     """Logarithm (n,) of the density of each rim's chart among rims by chance."""
-    n = view.charts.shape[0]
     area = (view.corners[2] - view.corners[0]) * (view.corners[3] - view.corners[1])
     area /= view.fx_px * view.fy_px
-    least = np.log(view.radius_px.min()) - 0.05
-    spread = 0.0
-    for i in range(n):
-        q = view.charts[i, 4] - view.charts[i, 2]
-        spread += q * q + (view.charts[i, 3] * np.exp(-q)) ** 2
-    spread = spread / (2.0 * n) + 0.05**2
-    out = np.empty(n)
-    for i in range(n):
-        q = view.charts[i, 4] - view.charts[i, 2]
-        lean = view.charts[i, 3] * np.exp(-q)
-        out[i] = -np.log(area) + np.log(_SIZE_SLOPE) - _SIZE_SLOPE * (np.log(view.radius_px[i]) - least)
-        out[i] += -_LN2PI - np.log(spread) - 0.5 * (q * q + lean * lean) / spread - q
-    return out
+    log_size = np.log(view.radius_px)
+    q = view.charts[:, 4] - view.charts[:, 2]
+    shape2 = q**2 + (view.charts[:, 3] * np.exp(-q)) ** 2
+    spread = 0.5 * shape2.mean() + 0.05**2
+    by_size = np.log(_SIZE_SLOPE) - _SIZE_SLOPE * (log_size - log_size.min() + 0.05)
+    return np.asarray(by_size - np.log(area) - _LN2PI - np.log(spread) - 0.5 * shape2 / spread - q)
 
 
 @njit(cache=True, error_model="numpy")

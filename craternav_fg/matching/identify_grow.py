@@ -32,12 +32,16 @@ def frame_data(
     view: View, centres: FloatArray, axes: FloatArray, match: IntArray, sigma: FloatArray
 ) -> FloatArray:
     """Pack the matched rims for the conic-shape kernel; `sigma` (2,) scales errors of centre and shape."""
-    rims = np.flatnonzero(match >= 0)
-    n = rims.shape[0]
+    n = 0
+    for i in range(match.shape[0]):
+        n += match[i] >= 0
     L, A = np.empty((n, 3)), np.empty((n, 2, 3))
     y, W = np.empty((n, 5)), np.zeros((n, 5, 5))
-    for k in range(n):
-        i = rims[k]
+    k = -1
+    for i in range(match.shape[0]):
+        if match[i] < 0:
+            continue
+        k += 1
         for r in range(3):
             L[k, r] = centres[match[i], r]
             for a in range(2):
@@ -45,7 +49,10 @@ def frame_data(
         for r in range(5):
             y[k, r] = view.charts[i, r]
             W[k, r, r] = view.precision[i, r] / (sigma[0] if r < 2 else sigma[1])
-    return packed.pack(np.eye(4), L, A, y, W, HUBER, _HUBER)
+    bTc = np.zeros((4, 4))
+    for r in range(4):
+        bTc[r, r] = 1.0
+    return packed.pack(bTc, L, A, y, W, HUBER, _HUBER)
 
 
 @njit(cache=True, error_model="numpy")
@@ -202,6 +209,19 @@ def rematch(
 
 
 @njit(cache=True, error_model="numpy")
+def _median(values: FloatArray, count: int) -> float:
+    """Give the median of the first `count` values, which are put in order: numpy's compiles for seconds."""
+    for i in range(1, count):
+        value = values[i]
+        j = i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
+
+
+@njit(cache=True, error_model="numpy")
 def estimate_sigma(
     view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, sigma: FloatArray
 ) -> None:
@@ -224,8 +244,8 @@ def estimate_sigma(
         # What the pose has adapted to of the noise.
         share = 5.0 * count / max(5.0 * count - 6.0, 1.0)
         least, most = _SIGMA_RANGE
-        sigma[0] = min(max(np.sqrt(np.median(place[:count]) / _MEDIAN2 * share), least), most)
-        sigma[1] = min(max(np.sqrt(np.median(shape[:count]) / _MEDIAN3 * share), least), most)
+        sigma[0] = min(max(np.sqrt(_median(place, count) / _MEDIAN2 * share), least), most)
+        sigma[1] = min(max(np.sqrt(_median(shape, count) / _MEDIAN3 * share), least), most)
 
 
 @njit(cache=True, error_model="numpy")
@@ -256,12 +276,13 @@ def grow(
             gTc[r, c] = pose[ROTATION + 3 * r + c]
     gTc[3, 3] = 1.0
     n = match.shape[0]
-    match[:] = -1
+    for i in range(n):
+        match[i] = -1
     for k in range(used):
         match[int(pose[RIMS + k])] = int(pose[CRATERS + k])
     sigma[:] = noise
     covariance = np.empty((6, 6))
-    before = match.copy()
+    before = np.empty(n, dtype=np.int64)
     d2 = np.empty(n)
     pairs = used
     for turn in range(_ROUNDS):

@@ -74,7 +74,7 @@ def misfit(view: View, rims: npt.NDArray[np.int64], down: FloatArray, height: fl
 def nadirs(
     view: View, rims: npt.NDArray[np.int64], heights: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Most probable models of the view, the best first.
+    """Give the most probable models of the view, by the likeliest places of a coarse grid.
 
     Parameters
     ----------
@@ -143,8 +143,7 @@ def nadirs(
         if not repeated:
             models[found, :3], models[found, 3], misfits[found] = down, height, value
             found += 1
-    order = np.argsort(misfits[:found])
-    return models[order], misfits[order]
+    return models[:found], misfits[:found]
 
 
 @njit(cache=True, error_model="numpy")

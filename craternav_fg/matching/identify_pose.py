@@ -29,6 +29,11 @@ def axis_share(view: View, i: int, sigma: float) -> float:
     return np.sqrt(0.02**2 + (0.4 * sigma / view.radius_px[i]) ** 2)
 
 
+def axis_shares(view: View, sigma: float) -> FloatArray:
+    """Relative standard deviations (n,) of the rims' sizes, as `axis_share`."""
+    return np.array([axis_share(view, i, sigma) for i in range(len(view.radius_px))])
+
+
 @njit(cache=True, error_model="numpy")
 def seat(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, float, float]:
     """Write the unit vector X (3,) in g to where a rim lies; give whether it does, log size, distance, m."""

@@ -16,6 +16,7 @@ from craternav_fg.matching.identify_pose import (
     SCORE,
     SPHERE,
     axis_share,
+    axis_shares,
     keep,
     support,
 )
@@ -62,24 +63,13 @@ def seat_all(
     return X, log_sizes, scale
 
 
-@njit(cache=True, error_model="numpy")
 def image_order(view: View, count: int) -> Int32Array:
     """Of each rim (n, m) itself and its nearest others in the image, nearest first, at most `count`."""
-    n = view.points_px.shape[0]
-    most = min(n, count)
-    out = np.empty((n, most), dtype=np.int32)
-    d2 = np.empty(n)
-    for i in range(n):
-        for j in range(n):
-            d2[j] = (view.points_px[j, 0] - view.points_px[i, 0]) ** 2
-            d2[j] += (view.points_px[j, 1] - view.points_px[i, 1]) ** 2
-        order = np.argsort(d2)
-        for k in range(most):
-            out[i, k] = order[k]
-    return out
+    p = view.points_px
+    d2 = np.sum((p[:, None] - p[None]) ** 2, axis=-1)
+    return np.argsort(d2, axis=1)[:, :count].astype(np.int32)
 
 
-@njit(cache=True, error_model="numpy")
 def image_triples(
     X: FloatArray, log_sizes: FloatArray, scale: FloatArray, view: View, count: int, sigma: float
 ) -> Int32Array:
@@ -95,30 +85,21 @@ def image_triples(
     sigma : float
         Noise, px.
     """
-    n = X.shape[0]
-    triples = np.empty((n * count * (count - 1) // 2, 3), dtype=np.int32)
-    doubt = np.empty(triples.shape[0])
-    row = 0
-    d2 = np.empty(n)
-    for i in range(n):
-        slack = np.log(SMALLEST) - axis_share(view, i, sigma)
-        for j in range(n):
-            d2[j] = np.inf
-            if j != i and log_sizes[j] >= log_sizes[i] + slack:
-                d2[j] = (X[j, 0] - X[i, 0]) ** 2 + (X[j, 1] - X[i, 1]) ** 2 + (X[j, 2] - X[i, 2]) ** 2
-        order = np.argsort(d2)
-        for p in range(min(count, n)):
-            for q in range(p + 1, min(count, n)):
-                if not d2[order[q]] < np.inf:
-                    break
-                j, k = order[p], order[q]
-                triples[row, 0], triples[row, 1], triples[row, 2] = i, j, k
-                perimeter = np.sqrt(d2[j]) + np.sqrt(d2[k])
-                side = np.hypot(sigma * scale[i] / perimeter, 0.01)
-                shares = axis_share(view, i, sigma) * axis_share(view, j, sigma) * axis_share(view, k, sigma)
-                doubt[row] = side * side * shares
-                row += 1
-    return triples[np.argsort(doubt[:row])]
+    n = len(X)
+    share = axis_shares(view, sigma)
+    d2 = np.sum((X[:, None] - X[None]) ** 2, axis=-1)
+    large = log_sizes[None] >= (log_sizes + np.log(SMALLEST) - share)[:, None]
+    d2[~large | np.eye(n, dtype=bool) | ~(d2 > 0.0)] = np.inf
+    near = np.argsort(d2, axis=1)[:, :count]
+    first, second = np.triu_indices(near.shape[1], 1)
+    i = np.repeat(np.arange(n), len(first))
+    j, k = near[:, first].ravel(), near[:, second].ravel()
+    there = np.isfinite(d2[i, j]) & np.isfinite(d2[i, k])
+    i, j, k = i[there], j[there], k[there]
+    perimeter = np.sqrt(d2[i, j]) + np.sqrt(d2[i, k])
+    side = np.hypot(sigma * scale[i] / perimeter, 0.01)
+    doubt = side * side * share[i] * share[j] * share[k]
+    return np.stack([i, j, k], axis=-1)[np.argsort(doubt, kind="stable")].astype(np.int32)
 
 
 @njit(cache=True, error_model="numpy")
