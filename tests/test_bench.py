@@ -23,7 +23,7 @@ from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.optimise import levenberg_marquardt
 
-TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5, 1)
+TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5, 1, 3)
 PROMISED = {
     "factor_ratio_n10",
     "factor_ratio_n30",
@@ -38,6 +38,9 @@ PROMISED = {
     "pose_vs_scipy_ratio",
     "render_s",
     "detect_ms",
+    "identify_ms_median",
+    "identify_ms_p95",
+    "identify_index_s",
 }
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from craternav_fg.bench import ratios
 from craternav_fg.bench.detect import detect_ms
+from craternav_fg.bench.identification import identify_scalars
 from craternav_fg.bench.images import render_costs
 from craternav_fg.bench.problems import make
 from craternav_fg.bench.ratios import Online, Ratio
@@ -45,6 +46,8 @@ class Sizes:
         Of the static solver, of each size.
     images : int
         In which rims are detected, of each kind of ground.
+    views : int
+        Whose craters are identified.
     """
 
     frames: tuple[int, ...]
@@ -55,10 +58,11 @@ class Sizes:
     online_runs: int
     static_problems: int
     images: int
+    views: int
 
 
-QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200, 3)
-FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000, 6)
+QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200, 3, 100)
+FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000, 6, 1000)
 LAG_S = 30.0
 
 
@@ -108,7 +112,7 @@ def run(sizes: Sizes, report: Report) -> Result:
     -------
     Result
     """
-    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 7
+    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 8
     done = 0
 
     def step() -> None:
@@ -157,6 +161,8 @@ def run(sizes: Sizes, report: Report) -> Result:
     scalars.update(render_costs())
     step()
     scalars.update(detect_ms(sizes.images))
+    step()
+    scalars.update(identify_scalars(sizes.views))
     step()
     curve = np.stack([np.array(sizes.frames, dtype=np.float64), np.median(batch_s, axis=0)], axis=1)
     return Result(measured, scalars, np.array(factor), curve, online[-1])

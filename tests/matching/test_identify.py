@@ -1,0 +1,242 @@
+"""Identification with no prior position: right answers, no wrong ones, and none where there is none."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from craternav_fg import frames
+from craternav_fg.bench.identification import (
+    SceneOptions,
+    random_scene,
+    right,
+    scene_camera,
+    synthetic_catalog,
+)
+from craternav_fg.bench.problems import MOON
+from craternav_fg.catalog_files import import_catalog
+from craternav_fg.errors import EstimationError
+from craternav_fg.matching.identify import IdentifyOptions, KnownAttitude, Status, identify
+from craternav_fg.matching.identify_index import Index
+from factors.kernels.gauss_newton import screw_between
+
+REAL = Path("/work/shared/data/robbins_2018_subset.csv")
+
+
+@pytest.fixture(scope="module")
+def synthetic() -> Index:
+    return Index.build(synthetic_catalog(MOON, np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="module", params=["synthetic", "real"])
+def index(request: pytest.FixtureRequest, synthetic: Index) -> Index:
+    if request.param == "synthetic":
+        return synthetic
+    if not REAL.is_file():
+        pytest.skip(f"{REAL} is missing")
+    return Index.build(import_catalog(REAL, MOON)[0])
+
+
+def tracker(scene, rng, sigma_deg=1.5) -> KnownAttitude:
+    error = frames.rotation_exp(np.radians(sigma_deg) * rng.normal(size=3))
+    return KnownAttitude(scene.gTb[:3, :3] @ error, np.radians(sigma_deg))
+
+
+def answers(index, rng, count, true_rims, sigma_px, *, known=False, mirrored=False, **options):
+    """Scenes and what is answered; the fields of view alternate."""
+    out = []
+    for k in range(count):
+        scene = random_scene(
+            index.catalog, SceneOptions(field_deg=(44.0, 60.0)[k % 2], sigma_px=sigma_px, **options), rng,
+            true_rims=true_rims,
+        )  # fmt: skip
+        attitude = tracker(scene, rng) if known else None
+        rims = scene.mirrored() if mirrored else scene.ellipses_px
+        out.append((scene, identify(rims, scene.camera, index, attitude)))
+    return out
+
+
+def shares(found):
+    """Share of right answers, number of wrong ones."""
+    good = [right(scene, answer) for scene, answer in found]
+    wrong = sum(answer.identified and not g for (_, answer), g in zip(found, good, strict=True))
+    return np.mean(good), wrong
+
+
+@pytest.mark.parametrize(
+    ("sigma_px", "true_rims", "share"),
+    [(1.0, (6, 14), 0.95), (3.0, (9, 1000), 0.95), (6.0, (15, 1000), 0.95)],
+)
+def test_craters_are_named_from_nowhere(index, sigma_px, true_rims, share) -> None:
+    found = answers(index, np.random.default_rng(3), 20, true_rims, sigma_px)
+    good, wrong = shares(found)
+    assert good >= share
+    assert wrong == 0
+    named = np.concatenate([answer.rows[answer.rows >= 0] for _, answer in found])
+    truth = np.concatenate([scene.craters[answer.rows >= 0] for scene, answer in found])
+    assert np.mean(named == truth) > 0.98
+    recall = [np.mean(answer.rows[scene.craters >= 0] >= 0) for scene, answer in found if answer.identified]
+    assert np.mean(recall) > 0.85
+    scene, answer = found[0]
+    assert answer.craters == tuple(
+        index.catalog.identifiers[row] if row >= 0 else None for row in answer.rows
+    )
+
+
+def test_three_to_five_craters_with_the_attitude_of_a_star_tracker(index) -> None:
+    good, wrong = shares(answers(index, np.random.default_rng(4), 20, (3, 5), 1.0, known=True))
+    assert good >= 0.8
+    assert wrong == 0
+
+
+def test_many_craters_with_the_attitude_known(synthetic) -> None:
+    assert shares(answers(synthetic, np.random.default_rng(5), 6, (15, 200), 3.0, known=True)) == (1.0, 0)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_mirror_images_have_no_answer(synthetic, known) -> None:
+    found = answers(synthetic, np.random.default_rng(6), 5, (6, 60), 1.0, known=known, mirrored=True)
+    for _, answer in found:
+        assert answer.status is Status.NO_ANSWER
+        assert "chance" in answer.reason
+        assert np.isnan(answer.gTb).all()
+        assert set(answer.craters) == {None}
+
+
+def test_another_catalogue_has_no_answer(synthetic) -> None:
+    other = Index.build(synthetic_catalog(MOON, np.random.default_rng(1), count=5000))
+    rng = np.random.default_rng(7)
+    for _ in range(3):
+        scene = random_scene(other.catalog, SceneOptions(), rng, true_rims=(8, 60))
+        assert identify(scene.ellipses_px, scene.camera, other).identified
+        assert identify(scene.ellipses_px, scene.camera, synthetic).status is Status.NO_ANSWER
+
+
+def test_the_covariance_of_the_pose_is_honest(synthetic) -> None:
+    """Normalised squared errors within the chi-square's 99.9 % interval, each noise estimated from its image."""
+    rng = np.random.default_rng(8)
+    nees, delta = [], np.empty(6)
+    for scene, answer in answers(synthetic, rng, 30, (20, 60), 2.0, missing=0.1, false=0.1):
+        if answer.identified:
+            screw_between(np.ascontiguousarray(answer.gTb), scene.gTb, delta)
+            nees.append(delta @ np.linalg.solve(answer.covariance, delta))
+    assert len(nees) >= 28
+    # The errors are simulated, not fitted: the shapes' share of the noise is known to a tenth only.
+    low, high = chi2.ppf([0.0005, 0.9995], 6 * len(nees)) / len(nees)
+    assert 0.5 * low < np.mean(nees) < 1.5 * high
+
+
+def test_pose_of_a_mounted_camera(synthetic) -> None:
+    rng = np.random.default_rng(9)
+    scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=0.5), rng, true_rims=(12, 60))
+    bTc = frames.pose(frames.rotation_exp(np.array([0.3, -1.0, 0.5])), np.array([1.0, 2.0, -3.0]))
+    camera = scene_camera(60.0, bTc)
+    plain = identify(scene.ellipses_px, scene.camera, synthetic)
+    mounted = identify(scene.ellipses_px, camera, synthetic)
+    np.testing.assert_allclose(mounted.gTb @ bTc, plain.gTb, atol=1e-5)
+    np.testing.assert_allclose(mounted.gTc, plain.gTc, atol=1e-5)
+    # The same errors, seen from the body.
+    step = 1e-3 * rng.normal(size=6)
+    truth = plain.gTb.copy()
+    truth[:3, :3] = truth[:3, :3] @ frames.rotation_exp(step[:3])
+    truth[:3, 3] += plain.gTb[:3, :3] @ (1e6 * step[3:])
+    a, b = np.empty(6), np.empty(6)
+    screw_between(plain.gTb, truth, a)
+    screw_between(mounted.gTb, truth @ frames.inverse(bTc), b)
+    np.testing.assert_allclose(
+        a @ np.linalg.solve(plain.covariance, a), b @ np.linalg.solve(mounted.covariance, b), rtol=1e-6
+    )
+    known = KnownAttitude(scene.gTb[:3, :3] @ bTc[:3, :3].T)
+    assert right(scene, identify(scene.ellipses_px, camera, synthetic, known))
+
+
+def test_a_lens_that_distorts(synthetic) -> None:
+    """The rims' points seen through the lens: taken as if without it, they have no answer as good."""
+    rng = np.random.default_rng(10)
+    scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=0.0), rng, true_rims=(12, 60))
+    lens = replace(scene.camera, distortion=(-0.15, 0.05, 1e-3, -1e-3, 0.0))
+    turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    seen = []
+    for x, y, a, b, angle in scene.ellipses_px:
+        u, v = a * np.cos(turn), b * np.sin(turn)
+        c, s = np.cos(angle), np.sin(angle)
+        points = lens.pixels(
+            scene.camera.normalised(np.stack([x + c * u - s * v, y + s * u + c * v], axis=-1))
+        )
+        # Moments of the points around the rim, which are those of an ellipse.
+        middle = points.mean(axis=0)
+        values, vectors = np.linalg.eigh(2.0 * np.cov((points - middle).T, bias=True))
+        seen.append([*middle, *np.sqrt(values[::-1]), np.arctan2(vectors[1, 1], vectors[0, 1])])
+    through = identify(np.array(seen), lens, synthetic)
+    assert right(scene, through)
+    assert np.linalg.norm(through.gTb[:3, 3] - scene.gTb[:3, 3]) < 300.0
+    without = identify(np.array(seen), scene.camera, synthetic)
+    assert not without.identified or without.log_chance > through.log_chance + 20.0
+
+
+def test_too_few_rims_and_repeated_ones(synthetic) -> None:
+    rng = np.random.default_rng(11)
+    scene = random_scene(synthetic.catalog, SceneOptions(), rng, true_rims=(8, 30))
+    few = identify(scene.ellipses_px[:2], scene.camera, synthetic)
+    assert (few.status, few.reason) == (Status.TOO_FEW_RIMS, "found 2 rims, expected 3 or more")
+    assert identify(np.empty((0, 5)), scene.camera, synthetic).status is Status.TOO_FEW_RIMS
+    same = identify(np.repeat(scene.ellipses_px[:1], 9, axis=0), scene.camera, synthetic)
+    assert same.reason == "found 1 rims, expected 3 or more"
+    once = identify(scene.ellipses_px, scene.camera, synthetic)
+    twice = identify(np.concatenate([scene.ellipses_px] * 2), scene.camera, synthetic)
+    n = len(scene.ellipses_px)
+    np.testing.assert_array_equal(twice.rows[:n], once.rows)
+    assert set(twice.craters[n:]) == {None}
+    assert twice.log_chance == once.log_chance
+
+
+@pytest.mark.parametrize(("column", "value"), [(0, np.nan), (2, 0.0), (3, -1.0), (4, np.inf)])
+def test_ellipses_that_are_none(synthetic, column, value) -> None:
+    ellipses = np.tile([100.0, 100.0, 20.0, 15.0, 0.0], (4, 1))
+    ellipses[2, column] = value
+    with pytest.raises(EstimationError, match="finite numbers and positive axes"):
+        identify(ellipses, scene_camera(60.0), synthetic)
+
+
+def test_altitudes_that_are_ruled_out(synthetic) -> None:
+    scene = random_scene(synthetic.catalog, SceneOptions(), np.random.default_rng(12), true_rims=(9, 60))
+    altitude = np.linalg.norm(scene.gTb[:3, 3]) - MOON.radius_m
+    inside = IdentifyOptions(altitudes_m=(0.8 * altitude, 1.2 * altitude))
+    outside = IdentifyOptions(altitudes_m=(1.5 * altitude, 3.0 * altitude))
+    wide = identify(scene.ellipses_px, scene.camera, synthetic)
+    narrow = identify(scene.ellipses_px, scene.camera, synthetic, options=inside)
+    assert right(scene, narrow)
+    # Fewer places were searched: less can be chance.
+    assert narrow.log_chance < wide.log_chance - 1.0
+    assert not identify(scene.ellipses_px, scene.camera, synthetic, options=outside).identified
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sigma_px", "true_rims", "share", "known"),
+    [
+        (0.0, (6, 10_000), 0.99, False),
+        (1.0, (6, 10_000), 0.99, False),
+        (3.0, (9, 10_000), 0.99, False),
+        (6.0, (9, 14), 0.80, False),
+        (6.0, (15, 10_000), 0.98, False),
+        (1.0, (3, 5), 0.80, True),
+    ],
+)
+def test_shares_of_many_scenes(index, sigma_px, true_rims, share, known) -> None:
+    found = answers(index, np.random.default_rng(20), 1000, true_rims, sigma_px, known=known)
+    good, wrong = shares(found)
+    assert good >= share
+    assert wrong == 0
+    assert np.median([answer.seconds for _, answer in found]) < 0.04
+    assert np.percentile([answer.seconds for _, answer in found], 95) < 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("true_rims", "known"), [((6, 10_000), False), ((3, 5), True), ((6, 10_000), True)])
+def test_no_mirror_image_of_many_is_accepted(index, true_rims, known) -> None:
+    found = answers(index, np.random.default_rng(21), 1000, true_rims, 1.0, known=known, mirrored=True)
+    assert not any(answer.identified for _, answer in found)
+    assert max(answer.seconds for _, answer in found) < 1.0
