@@ -73,10 +73,13 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
     border = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
     border += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
     edge = camera.pinhole.pixels(camera.normalised(np.concatenate(border)))
+    # Of one layout: another would be compiled for anew.
+    whole = np.ascontiguousarray
     return View(
-        np.ascontiguousarray(rays / length[:, None]), 0.5 * np.log(l11 * l22) - 1.5 * np.log(length), moments,
-        charts, radius_px, camera.pinhole.pixels(charts[:, :2]), precision, camera.focal_px,
-        np.concatenate([edge.min(axis=0), edge.max(axis=0)]), fx, fy, np.array([camera.cx_px, camera.cy_px]),
+        whole(rays / length[:, None]), whole(0.5 * np.log(l11 * l22) - 1.5 * np.log(length)), whole(moments),
+        whole(charts), whole(radius_px), whole(camera.pinhole.pixels(charts[:, :2])), whole(precision),
+        camera.focal_px, np.concatenate([edge.min(axis=0), edge.max(axis=0)]), fx, fy,
+        np.array([camera.cx_px, camera.cy_px]),
     )  # fmt: skip
 
 

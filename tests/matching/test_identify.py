@@ -79,7 +79,7 @@ def test_craters_are_named_from_nowhere(index, sigma_px, true_rims, share) -> No
     assert np.mean(named == truth) > 0.98
     recall = [np.mean(answer.rows[scene.craters >= 0] >= 0) for scene, answer in found if answer.identified]
     assert np.mean(recall) > 0.85
-    scene, answer = found[0]
+    answer = found[0][1]
     assert answer.craters == tuple(
         index.catalog.identifiers[row] if row >= 0 else None for row in answer.rows
     )
@@ -97,7 +97,7 @@ def test_many_craters_with_the_attitude_known(synthetic) -> None:
 
 @pytest.mark.parametrize("known", [False, True])
 def test_mirror_images_have_no_answer(synthetic, known) -> None:
-    found = answers(synthetic, np.random.default_rng(6), 5, (6, 60), 1.0, known=known, mirrored=True)
+    found = answers(synthetic, np.random.default_rng(6), 3, (6, 30), 1.0, known=known, mirrored=True)
     for _, answer in found:
         assert answer.status is Status.NO_ANSWER
         assert "chance" in answer.reason
@@ -115,7 +115,7 @@ def test_another_catalogue_has_no_answer(synthetic) -> None:
 
 
 def test_the_covariance_of_the_pose_is_honest(synthetic) -> None:
-    """Normalised squared errors within the chi-square's 99.9 % interval, each noise estimated from its image."""
+    """Normalised squared errors about the chi-square's interval, each noise estimated from its image."""
     rng = np.random.default_rng(8)
     nees, delta = [], np.empty(6)
     for scene, answer in answers(synthetic, rng, 30, (20, 60), 2.0, missing=0.1, false=0.1):
