@@ -75,7 +75,7 @@ class _Search:
         self.chance = log_by_chance(view)
         self.order = image_order(view, 24)
 
-    def grow(self, hypothesis: FloatArray, used: int, noise: float) -> _Grown | None:
+    def grow(self, hypothesis: FloatArray, noise: float) -> _Grown | None:
         """Grow a hypothesis and weigh it."""
         index = self.index
         gTc, match, N, sigma = (
@@ -85,7 +85,7 @@ class _Search:
             np.empty(2),
         )
         pairs = grow(
-            self.view, index.grid, index.centres, index.catalog.axes, hypothesis, used, noise, self.prior,
+            self.view, index.grid, index.centres, index.catalog.axes, hypothesis, noise, self.prior,
             self.weight, gTc, match, N, sigma,
         )  # fmt: skip
         if pairs < 3:
@@ -215,7 +215,7 @@ def _by_triples(search_: _Search) -> list[_Grown]:
                     # Grown once: kept in place, so that it is not taken up again.
                     if not 6.0 < best[row, SCORE] < 1e6:
                         continue
-                    grown = search_.grow(best[row], 3, noise)
+                    grown = search_.grow(best[row], noise)
                     best[row, SCORE] = -np.inf
                     if grown is None:
                         continue
@@ -253,7 +253,7 @@ def _by_anchors(search_: _Search) -> list[_Grown]:
             for row in np.argsort(-best[:, SCORE])[: len(best) if last else 4]:
                 if best[row, SCORE] == -np.inf:
                     break
-                grown = search_.grow(best[row], 1, noise)
+                grown = search_.grow(best[row], noise)
                 best[row, SCORE] = -np.inf
                 if grown is None:
                     continue

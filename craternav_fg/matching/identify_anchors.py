@@ -99,9 +99,11 @@ def anchor_search(
                 for c in range(3):
                     pose[ROTATION + 3 * r + c] = attitude[r, c]
             pose[SPHERE] = sphere
+            for k in range(3):
+                pose[RIMS + k] = -1.0
             pose[RIMS], pose[CRATERS] = i, crater
             judged += 1
-            pose[SCORE] = support(view, grid, order[i], pose, np.inf, lever, 1, sigma, 14) - 0.5 * shape2
+            pose[SCORE] = support(view, grid, order[i], pose, np.inf, lever, sigma, 14) - 0.5 * shape2
             if pose[SCORE] > best[:, SCORE].min():
                 keep(pose, best)
     return judged

@@ -250,7 +250,7 @@ def estimate_sigma(
 
 @njit(cache=True, error_model="numpy")
 def grow(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, pose: FloatArray, used: int,
+    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, pose: FloatArray,
     noise: float, prior: FloatArray, weight: FloatArray, gTc: FloatArray, match: IntArray, N: FloatArray,
     sigma: FloatArray,
 ) -> int:  # fmt: skip
@@ -261,7 +261,7 @@ def grow(
     view, grid, centres, axes
         Rims; craters.
     pose : ndarray, shape (HYPOTHESIS,)
-        Where to begin, of `used` pairs.
+        Where to begin.
     noise : float
         First guess, px.
     prior, weight : ndarray, shape (4, 4), (6, 6)
@@ -278,8 +278,11 @@ def grow(
     n = match.shape[0]
     for i in range(n):
         match[i] = -1
-    for k in range(used):
-        match[int(pose[RIMS + k])] = int(pose[CRATERS + k])
+    used = 0
+    for k in range(3):
+        if pose[RIMS + k] >= 0.0:
+            match[int(pose[RIMS + k])] = int(pose[CRATERS + k])
+            used += 1
     sigma[:] = noise
     covariance = np.empty((6, 6))
     before = np.empty(n, dtype=np.int64)

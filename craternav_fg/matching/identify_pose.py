@@ -1,7 +1,7 @@
 """A hypothetical pose of the camera, and how many other rims it puts on craters of their size.
 
 A hypothesis is an array (`HYPOTHESIS`,): the score, gRc by rows, gPc, the sphere's radius there, and the rims
-and craters that it was made of.
+and craters that it was made of, three at most, -1 for none.
 """
 
 import numpy as np
@@ -62,7 +62,7 @@ def seat(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, flo
 @njit(cache=True, error_model="numpy")
 def support(
     view: View, grid: Grid, order: npt.NDArray[np.int32], pose: FloatArray, extent_px: float, lever: float,
-    used: int, sigma: float, most: int,
+    sigma: float, most: int,
 ) -> float:  # fmt: skip
     """Logarithm of how unlikely it is by chance that so many rims fall on craters of their size.
 
@@ -77,8 +77,6 @@ def support(
         Of its own rims: what their noise is a lever of.
     lever : float
         Error of the places that it predicts, per distance in the image from its own rims.
-    used : int
-        Number of its own rims.
     sigma : float
         Noise of the rims' centres, px.
     most : int
@@ -89,14 +87,19 @@ def support(
     score = 0.0
     asked = 0
     hits = 0
-    u0, v0 = 0.0, 0.0
-    for k in range(used):
+    u0, v0, used = 0.0, 0.0, 0
+    for k in range(3):
         i = int(pose[RIMS + k])
-        u0 += view.points_px[i, 0] / used
-        v0 += view.points_px[i, 1] / used
-    for i in order:
+        if i >= 0:
+            u0 += view.points_px[i, 0]
+            v0 += view.points_px[i, 1]
+            used += 1
+    u0 /= used
+    v0 /= used
+    for n in range(order.shape[0]):
+        i = int(order[n])
         own = False
-        for k in range(used):
+        for k in range(3):
             own = own or i == int(pose[RIMS + k])
         if own:
             continue

@@ -255,7 +255,7 @@ def search(
                 continue
             judged += 1
             pose[SCORE] = (
-                support(view, grid, order[rims[0]], pose, extent, lever, 3, sigma, 14) - 0.5 * found_d2[h]
+                support(view, grid, order[rims[0]], pose, extent, lever, sigma, 14) - 0.5 * found_d2[h]
             )
             if pose[SCORE] > 0.0:
                 keep(pose, best)
