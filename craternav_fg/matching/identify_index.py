@@ -123,7 +123,7 @@ class Index:
         if not path.is_file():
             raise InputError(path, "file is missing")
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 found = int(data["version"])
                 if found != VERSION:
                     raise InputError(path, f"expected an index of version {VERSION}, found {found}")
@@ -133,7 +133,7 @@ class Index:
                     data["neighbours"], data["points"], data["codes"], data["dims"], data["splits"],
                     int(data["levels"]),
                 )  # fmt: skip
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
             raise InputError(path, "expected an index written by craternav, found something else") from None
         return cls(catalog, triples)
 
