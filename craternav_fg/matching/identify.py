@@ -19,7 +19,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identification import Identification, IdentifyOptions, KnownAttitude, Status
 from craternav_fg.matching.identify_anchors import anchor_search
 from craternav_fg.matching.identify_evidence import log_by_chance, log_evidence
-from craternav_fg.matching.identify_grow import covariance_of, grow
+from craternav_fg.matching.identify_grow import grow, settle
 from craternav_fg.matching.identify_index import Index
 from craternav_fg.matching.identify_nadir import nadirs
 from craternav_fg.matching.identify_pose import HYPOTHESIS, SCORE
@@ -165,7 +165,7 @@ def identify(
     if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
         reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} as probable"
         return _nothing(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
-    return _answer(found[0], once, n, camera, index, began)
+    return _answer(found[0], searched, once, n, camera, began)
 
 
 def _once(ellipses: FloatArray) -> IntArray:
@@ -276,10 +276,13 @@ def _distinct(found: Sequence[_Grown]) -> list[_Grown]:
 
 
 def _answer(
-    grown: _Grown, once: IntArray, n: int, camera: Camera, index: Index, began: float
+    grown: _Grown, searched: _Search, once: IntArray, n: int, camera: Camera, began: float
 ) -> Identification:
-    covariance = np.empty((6, 6))
-    covariance_of(grown.N, covariance)
+    index = searched.index
+    covariance = settle(
+        searched.view, index.centres, index.catalog.axes, searched.prior, searched.weight, grown.gTc,
+        grown.match, grown.sigma,
+    )  # fmt: skip
     # From the camera's twist to the body's.
     cTb = frames.inverse(camera.bTc)
     R, t = camera.bTc[:3, :3], camera.bTc[:3, 3]

@@ -25,6 +25,11 @@ _SIGMA_RANGE = (0.25, 8.0)
 _MEDIAN2, _MEDIAN3 = 1.386, 2.366
 _HUBER = 4.0
 _ROOM = 256
+_SETTLINGS = 3
+# Degrees of freedom that the noise of one kind of error takes from both.
+_BORROWED = 4.0
+# A noise that leaves an error no weight, px.
+_UNUSED = 1e6
 
 
 @njit(cache=True, error_model="numpy")
@@ -222,30 +227,79 @@ def _median(values: FloatArray, count: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def estimate_sigma(
-    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, sigma: FloatArray
-) -> None:
-    """Write the noise (2,) of centres and shapes, px, that the pairs show: from medians."""
-    n = match.shape[0]
+def squares(
+    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, place: FloatArray,
+    shape: FloatArray,
+) -> int:  # fmt: skip
+    """Write the squared errors of the pairs' centres and shapes, over those at 1 px; give their number."""
     R, P = np.empty((3, 3)), np.empty(3)
     for r in range(3):
         P[r] = gTc[r, 3]
         for c in range(3):
             R[r, c] = gTc[r, c]
     e = np.empty(5)
-    place, shape = np.empty(n), np.empty(n)
     count = 0
-    for i in range(n):
+    for i in range(match.shape[0]):
         if match[i] >= 0 and errors(view, i, match[i], centres, axes, R, P, e):
             place[count] = e[0] * e[0] + e[1] * e[1]
             shape[count] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
             count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def estimate_sigma(
+    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, sigma: FloatArray
+) -> None:
+    """Write the noise (2,) of centres and shapes, px, that the pairs show: from medians."""
+    n = match.shape[0]
+    place, shape = np.empty(n), np.empty(n)
+    count = squares(view, centres, axes, gTc, match, place, shape)
     if count:
         # What the pose has adapted to of the noise.
         share = 5.0 * count / max(5.0 * count - 6.0, 1.0)
         least, most = _SIGMA_RANGE
         sigma[0] = min(max(np.sqrt(_median(place, count) / _MEDIAN2 * share), least), most)
         sigma[1] = min(max(np.sqrt(_median(shape, count) / _MEDIAN3 * share), least), most)
+
+
+def settle(
+    view: View, centres: FloatArray, axes: FloatArray, prior: FloatArray, weight: FloatArray, gTc: FloatArray,
+    match: IntArray, sigma: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Give the covariance (6, 6) of a pose, for its right twist; pose and noise come to agree, in place.
+
+    Of few rims' centres the pose takes up nearly all errors: each kind is held against the freedom that is
+    left to it, and borrows from the other where that is little. The noise being estimated, the pose is
+    distributed as Student's t.
+
+    Parameters
+    ----------
+    view, centres, axes
+        Rims; craters.
+    prior, weight, gTc, match, sigma
+        As in `grow`.
+    """
+    n = len(match)
+    place, shape = np.empty(n), np.empty(n)
+    N, part, g = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    freedom = 1.0
+    for _ in range(_SETTLINGS):
+        refine(gTc, frame_data(view, centres, axes, match, sigma), prior, weight, _STEPS, N)
+        alone = frame_data(view, centres, axes, match, np.array([sigma[0], _UNUSED]))
+        information(gTc, alone, prior, np.zeros((6, 6)), part, g)
+        taken = float(np.trace(np.linalg.solve(N, part)))
+        count = squares(view, centres, axes, gTc, match, place, shape)
+        left = max(2.0 * count - taken, 0.0), max(3.0 * count - max(6.0 - taken, 0.0), 1.0)
+        sums = place[:count].sum(), shape[:count].sum()
+        freedom = left[0] + left[1]
+        for k in range(2):
+            borrowed = _BORROWED * (sums[0] + sums[1]) / freedom
+            sigma[k] = np.clip(np.sqrt((sums[k] + borrowed) / (left[k] + _BORROWED)), *_SIGMA_RANGE)
+    refine(gTc, frame_data(view, centres, axes, match, sigma), prior, weight, _STEPS, N)
+    covariance = np.empty((6, 6))
+    covariance_of(N, covariance)
+    return covariance * freedom / max(freedom - 2.0, 1.0)
 
 
 @njit(cache=True, error_model="numpy")

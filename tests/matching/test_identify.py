@@ -123,9 +123,9 @@ def test_the_covariance_of_the_pose_is_honest(synthetic) -> None:
             screw_between(np.ascontiguousarray(answer.gTb), scene.gTb, delta)
             nees.append(delta @ np.linalg.solve(answer.covariance, delta))
     assert len(nees) >= 28
-    # The errors are simulated, not fitted: the shapes' share of the noise is known to a tenth only.
+    # A wrong match now and then lengthens the tail.
     low, high = chi2.ppf([0.0005, 0.9995], 6 * len(nees)) / len(nees)
-    assert 0.5 * low < np.mean(nees) < 1.5 * high
+    assert low < np.mean(nees) < 1.3 * high
 
 
 def test_pose_of_a_mounted_camera(synthetic) -> None:
