@@ -1,18 +1,22 @@
 """The crater catalogue: rims as ellipses on the body, and which of them a camera sees."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
+from craternav_fg.catalog_index import SphereIndex
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,18 @@ class Catalog:
             self.body,
         )
 
+    @classmethod
+    def joined(cls, parts: Sequence["Catalog"]) -> "Catalog":
+        """Put catalogues of one body one behind the other; their identifiers must differ."""
+        numbers = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in (
+                "latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m",
+            )
+        }  # fmt: skip
+        identifiers = tuple(name for part in parts for name in part.identifiers)
+        return cls(identifiers, body=parts[0].body, **numbers)
+
     @cached_property
     def gRl(self) -> FloatArray:
         """Rotations (n, 3, 3) from each crater's local frame l (x along a, y along b, z outward) to g."""
@@ -85,10 +101,54 @@ class Catalog:
         """Outward unit normals (n, 3) of the rim planes in g."""
         return np.ascontiguousarray(self.gRl[:, :, 2])
 
-    def visible(
-        self, camera: Camera, gTb: FloatArray, *, min_semi_minor_px: float, margin_px: float = 0.0
+    @cached_property
+    def index(self) -> SphereIndex:
+        """Where the craters lie, by size."""
+        range_m = self.body.radius_m + self.height_m
+        return SphereIndex.of(self.latitude_rad, self.longitude_rad, self.semi_major_m, range_m)
+
+    def near(
+        self,
+        latitude_rad: float,
+        longitude_rad: float,
+        distance_m: float,
+        *,
+        min_diameter_m: float = 0.0,
     ) -> tuple[IntArray, FloatArray]:
-        """Craters whose whole rim a camera sees.
+        """Craters around a place, the nearest first.
+
+        Parameters
+        ----------
+        latitude_rad, longitude_rad : float
+        distance_m : float
+            Largest distance of a rim's centre along the reference sphere.
+        min_diameter_m : float
+            Smallest major diameter.
+
+        Returns
+        -------
+        craters : ndarray of int, shape (k,)
+            Rows of the catalogue.
+        distance_m : ndarray, shape (k,)
+        """
+        place = frames.up(np.array(latitude_rad), np.array(longitude_rad))
+        rows = self.index.near(place, distance_m / self.body.radius_m, 0.5 * min_diameter_m)
+        away = frames.up(self.latitude_rad[rows], self.longitude_rad[rows]) - place
+        angle = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(away, axis=-1), 1.0))
+        nearest = np.argsort(angle, kind="stable")
+        return rows[nearest], self.body.radius_m * angle[nearest]
+
+    def visible(
+        self,
+        camera: Camera,
+        gTb: FloatArray,
+        *,
+        min_semi_minor_px: float,
+        margin_px: float = 0.0,
+        sun_g: FloatArray | None = None,
+        min_sun_elevation_rad: float = 0.0,
+    ) -> tuple[IntArray, FloatArray]:
+        """Craters whose whole rim a camera sees: in its field of view, above the horizon, large enough, lit.
 
         Parameters
         ----------
@@ -100,6 +160,10 @@ class Catalog:
             Smallest semi-minor axis of the rim's image, without distortion.
         margin_px : float
             How far inside the image's border the rim's bounding box must stay; negative: outside.
+        sun_g : ndarray, shape (3,), optional
+            Unit vector towards the sun in g; without it the light does not count.
+        min_sun_elevation_rad : float
+            Of the sun above the horizon of the rim's centre, at least.
 
         Returns
         -------
@@ -108,20 +172,85 @@ class Catalog:
         charts : ndarray, shape (k, 5)
             Their images in the ellipse chart.
         """
-        charts, seen = conic.project_rims(gTb, camera.bTc, self.centres, self.axes)
-        rows = np.flatnonzero(seen)
-        charts = charts[rows]
-        centre_px, S = chart_to_pixels(camera, charts)
-        half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
-        small = np.sqrt(np.linalg.eigvalsh(S)[:, 0]) if len(rows) else np.empty(0)
+        gTc = camera.gTc(gTb)
+        cos_field = _cos_field(camera, margin_px)
+        # The cone around a ball of the rim's semi-major axis has an image that holds the rim's.
+        p = min_semi_minor_px / max(camera.fx_px, camera.fy_px)
+        reach = np.sqrt(1.0 + p * p) / (p * cos_field) if p > 0.0 else np.inf
+        rows = self.index.in_view(gTc[:3, 3], gTc[:3, 2], cos_field, reach)
+        if sun_g is not None:
+            up = frames.up(self.latitude_rad[rows], self.longitude_rad[rows])
+            rows = rows[up @ sun_g >= np.sin(min_sun_elevation_rad)]
+        charts, seen = _images(
+            np.ascontiguousarray(gTb, dtype=np.float64), camera.bTc, rows, self.latitude_rad,
+            self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad, self.height_m,
+            self.body.radius_m, camera.lens, float(min_semi_minor_px),
+        )  # fmt: skip
+        rows, charts = rows[seen], charts[seen]
         if camera.distorts:
             inside = np.all(camera.contains(camera.pixels(rim_points(charts)), margin_px), axis=-1)
         else:
+            centre_px, S = chart_to_pixels(camera, charts)
+            half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
             inside = camera.contains(centre_px - half, margin_px) & camera.contains(
                 centre_px + half, margin_px
             )
-        keep = inside & (small >= min_semi_minor_px)
-        return rows[keep], charts[keep]
+        rows, charts = rows[inside], charts[inside]
+        order = np.argsort(rows)
+        return rows[order], charts[order]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _images(
+    gTb: FloatArray, bTc: FloatArray, rows: IntArray, latitude: FloatArray, longitude: FloatArray,
+    semi_major: FloatArray, semi_minor: FloatArray, angle: FloatArray, height: FloatArray, radius_m: float,
+    lens: FloatArray, least_px: float,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+    """Charts (k, 5) of some rows, and whether the rims are visible ellipses of some size."""
+    R, P = conic.camera_pose(gTb, bTc)
+    charts = np.empty((rows.shape[0], 5))
+    seen = np.zeros(rows.shape[0], dtype=np.bool_)
+    centre, axes = np.empty(3), np.empty((2, 3))
+    p, c = np.empty(3), np.empty((2, 3))
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        sin_lat, cos_lat = np.sin(latitude[i]), np.cos(latitude[i])
+        sin_lon, cos_lon = np.sin(longitude[i]), np.cos(longitude[i])
+        r = radius_m + height[i]
+        centre[0], centre[1], centre[2] = r * cos_lat * cos_lon, r * cos_lat * sin_lon, r * sin_lat
+        # Along a and b, in east and north.
+        e0, n0 = semi_major[i] * np.cos(angle[i]), semi_major[i] * np.sin(angle[i])
+        e1, n1 = -semi_minor[i] * np.sin(angle[i]), semi_minor[i] * np.cos(angle[i])
+        for j, east, north in ((0, e0, n0), (1, e1, n1)):
+            axes[j, 0] = -sin_lon * east - sin_lat * cos_lon * north
+            axes[j, 1] = cos_lon * east - sin_lat * sin_lon * north
+            axes[j, 2] = cos_lat * north
+        conic.rim_in_camera(R, P, centre, axes, p, c)
+        if not conic.chart(p, c, charts[k]):
+            continue
+        y = charts[k]
+        sxx = (lens[0] * np.exp(y[2])) ** 2
+        sxy = lens[0] * lens[1] * y[3] * np.exp(2.0 * y[2])
+        syy = lens[1] ** 2 * (np.exp(2.0 * y[4]) + (y[3] * np.exp(y[2])) ** 2)
+        half = 0.5 * (sxx + syy)
+        # The smaller eigenvalue as a quotient: a thin ellipse loses no digits.
+        determinant = (lens[0] * lens[1] * np.exp(y[2] + y[4])) ** 2
+        small2 = determinant / (half + np.sqrt(0.25 * (sxx - syy) ** 2 + sxy * sxy))
+        seen[k] = np.sqrt(small2) >= least_px
+    return charts, seen
+
+
+def _cos_field(camera: Camera, margin_px: float) -> float:
+    """Cosine of the largest angle from the optical axis inside an image with a margin."""
+    share = np.linspace(0.0, 1.0, 33)
+    x = margin_px + share * (camera.width_px - 1 - 2.0 * margin_px)
+    y = margin_px + share * (camera.height_px - 1 - 2.0 * margin_px)
+    sides = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
+    sides += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
+    r2 = np.sum(camera.normalised(np.concatenate(sides)) ** 2, axis=-1)
+    # Between the points of a bent border it may lie a little farther out; beyond a lens's fold, anywhere.
+    slack = 1.02 if camera.distorts else 1.0
+    return float(1.0 / np.sqrt(1.0 + slack * np.max(r2))) if np.all(np.isfinite(r2)) else 1e-3
 
 
 def rim_points(charts: FloatArray, count: int = 48) -> FloatArray:

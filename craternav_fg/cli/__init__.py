@@ -3,6 +3,7 @@
 from craternav_fg.cli import (
     benchmark,
     campaigns,
+    catalogs,
     descents,
     detection,
     identification,
@@ -16,6 +17,7 @@ __all__ = [
     "app",
     "benchmark",
     "campaigns",
+    "catalogs",
     "descents",
     "detection",
     "identification",

@@ -34,6 +34,8 @@ may be left out and is then 0. Other columns of the published file may be there 
     CRATER_ID,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_ELLI_MAJOR_IMG,DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG,RIM_HEIGHT_M
     01-1-000002,60.81,183.047,27.32,26.98,81.36,12.5
 
+A large catalogue may be given as `craters.parquet` in its place, as `craternav catalog import` writes it.
+
 `sun.csv`: unit vectors towards the sun in g; one row, or rows over all frames, interpolated between::
 
     #timestamp [ns],s_x,s_y,s_z
@@ -89,7 +91,7 @@ over all frames, in steps of at most 0.1 s::
     #timestamp,p_RS_R_x [m],...,q_RS_w [],...,v_RS_R_x [m s^-1],...,b_w_RS_S_x [rad s^-1],...
 
 `rims.parquet` (optional): measured rims; when it is there, no image is read. Columns: `timestamp` (int64,
-a frame's), `crater_id` (string, in `craters.csv`), `chart` (5 doubles) and `covariance` (25 doubles), see
+a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance` (25 doubles), see
 `craternav_fg.measurements.RimSet`. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
 tilt, its standard deviation and the image point, normalised, at which it holds::
 
@@ -103,6 +105,7 @@ FORMAT_VERSION = 1
 
 DESCRIPTION = "dataset.toml"
 CRATERS = "craters.csv"
+LARGE_CRATERS = "craters.parquet"
 SUN = "sun.csv"
 RIMS = "rims.parquet"
 TILTS = "sun_tilts.csv"
@@ -113,7 +116,7 @@ IMU_SENSOR = "mav0/imu0/sensor.yaml"
 IMU_DATA = "mav0/imu0/data.csv"
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
-CONTENTS = (DESCRIPTION, CRATERS, SUN, RIMS, TILTS, "mav0")
+CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, TILTS, "mav0")
 
 STAMP = "timestamp"
 _STAMP_NS = Column(STAMP, "integer", "ns")

@@ -96,7 +96,7 @@ class Dataset:
         body, initial = read_description(folder / layout.DESCRIPTION)
         camera = read_camera(folder / layout.CAMERA_SENSOR)
         imu_noise = read_imu_noise(folder / layout.IMU_SENSOR)
-        catalog = read_catalog(folder / layout.CRATERS, body)
+        catalog = read_catalog(_catalog_path(folder), body)
         stamps, names = _read_frames(folder / layout.CAMERA_DATA)
         if initial.stamp_ns != stamps[0]:
             raise InputError(
@@ -139,6 +139,13 @@ class Dataset:
         """
         camera = self.camera
         return read_image(self.image_paths[frame], camera.width_px, camera.height_px, camera.bit_depth)
+
+
+def _catalog_path(folder: Path) -> Path:
+    small, large = folder / layout.CRATERS, folder / layout.LARGE_CRATERS
+    if small.is_file() and large.is_file():
+        raise InputError(large, f"expected either this catalogue or {layout.CRATERS}, found both")
+    return large if large.is_file() else small
 
 
 def _read_frames(path: Path) -> tuple[IntArray, list[str]]:

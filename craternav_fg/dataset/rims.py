@@ -151,9 +151,7 @@ def _read_rims(path: Path, catalog: Catalog) -> tuple[IntArray, RimSet]:
     craters = np.empty(n, dtype=np.int64)
     for i, identifier in enumerate(table["crater_id"].to_pylist()):
         if identifier not in known:
-            raise InputError(
-                path, f"row {i + 1}: {identifier!r} is not in {layout.CRATERS}", column="crater_id"
-            )
+            raise InputError(path, f"row {i + 1}: {identifier!r} is not in the catalogue", column="crater_id")
         craters[i] = known[identifier]
     return table["timestamp"].to_numpy(), RimSet(craters, charts, covariances)
 

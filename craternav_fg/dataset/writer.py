@@ -25,6 +25,9 @@ from craternav_fg.trajectory import InitialState, Trajectory
 
 IntArray = npt.NDArray[np.int64]
 
+# Catalogues with more craters are written as Parquet: a table of them takes seconds to read.
+_LARGE = 100_000
+
 
 def write_dataset(
     folder: Path,
@@ -83,7 +86,8 @@ def write_dataset(
             (temporary / layout.IMAGES).mkdir()
             for name, image in zip(names, images, strict=True):
                 write_image(temporary / layout.IMAGES / name, image)
-        write_catalog(temporary / layout.CRATERS, catalog)
+        large = len(catalog) > _LARGE
+        write_catalog(temporary / (layout.LARGE_CRATERS if large else layout.CRATERS), catalog)
         write_table(temporary / layout.SUN, layout.SUN_COLUMNS, [sun.stamps_ns, *sun.vectors.T], comment=True)
         (temporary / layout.CAMERA_SENSOR).write_text(camera_yaml(camera, _rate_hz(stamps_ns)))
         (temporary / layout.IMU_SENSOR).write_text(imu_yaml(imu_noise, _rate_hz(imu.stamps_ns)))

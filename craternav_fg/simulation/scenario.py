@@ -24,11 +24,11 @@ from craternav_fg.config import (
 )
 from craternav_fg.dataset import SunVectors, write_dataset
 from craternav_fg.dataset.images import ImageArray
+from craternav_fg.dem import read_dem
 from craternav_fg.errors import CraternavError
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation import faults, sensors
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
-from craternav_fg.simulation.dem import read_dem
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions

@@ -11,7 +11,8 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera, ellipse_chart, normalised_chart
 from craternav_fg.catalog import Catalog, chart_to_pixels
-from craternav_fg.catalog_files import ID, import_catalog
+from craternav_fg.catalog_files import import_catalog
+from craternav_fg.catalogs.columns import ID
 from craternav_fg.dataset.ellipses import ELLIPSE, check_axes, check_inside, check_range
 from craternav_fg.dataset.rims import ground_sun_direction
 from craternav_fg.errors import InputError
@@ -189,9 +190,9 @@ def _pose(problem: StaticProblem, pose: StaticPose, body: Body) -> dict[str, Any
 
 def _craters(table: Table, path: Path, body: Body) -> Catalog:
     """Look up the craters of the rims."""
-    catalog, skipped = import_catalog(path, body)
+    catalog, report = import_catalog(path, body)
     known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
-    reasons = {row.identifier: f"line {row.line}: {row.reason}" for row in skipped}
+    reasons = {row.identifier: f"line {row.line}: {row.reason}" for row in report.skipped}
     rows: list[int] = []
     seen: dict[str, int] = {}
     for k, identifier in enumerate(table.columns[ID]):

@@ -6,9 +6,9 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.config import built_in_scenarios, load_scenario
 from craternav_fg.dataset import Dataset
+from craternav_fg.dem import read_dem
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
-from craternav_fg.simulation.dem import read_dem
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.scenario import simulate

@@ -53,8 +53,10 @@ def test_rows_that_are_no_rim_are_reported(tmp_path):
         "C,1.0,2.0,4.0,0.0,90.0",
         "D,-1.0,-2.0,4.0,3.0,0.0",
     )
-    catalog, skipped = import_catalog(path, MOON)
+    catalog, report = import_catalog(path, MOON)
+    skipped = report.skipped
     assert catalog.identifiers == ("A", "D")
+    assert report.rows == 8
     assert [(row.line, row.identifier) for row in skipped] == [
         (3, "no-ellipse"),
         (5, "outside"),
@@ -84,7 +86,7 @@ def test_a_file_without_any_ellipse(tmp_path):
 def test_a_file_of_another_kind(tmp_path):
     path = written(tmp_path, "1,2,3", header="LON_DEG,LAT_DEG,DIAM_KM")
     with pytest.raises(InputError, match=r"craters\.csv:1: LON_DEG: expected only the columns CRATER_ID"):
-        import_catalog(path, MOON)
+        read_catalog(path, MOON)
 
 
 def test_a_rim_below_the_centre_of_the_body(tmp_path):
@@ -95,17 +97,17 @@ def test_a_rim_below_the_centre_of_the_body(tmp_path):
 
 def test_published_columns():
     path = shared("robbins_2018_full_columns_sample.csv")
-    catalog, skipped = import_catalog(path, MOON)
-    assert len(catalog) + len(skipped) == 7
+    catalog, report = import_catalog(path, MOON)
+    assert len(catalog) + len(report.skipped) == 7
     row = catalog.identifiers.index("00-1-000001")
     assert catalog.semi_major_m[row] == pytest.approx(144720.0)
     assert np.degrees(catalog.latitude_rad[row]) == pytest.approx(44.4083)
 
 
 def test_the_subset_of_robbins(tmp_path):
-    catalog, skipped = import_catalog(shared("robbins_2018_subset.csv"), MOON)
-    assert len(catalog) + len(skipped) == 21433
-    assert len(skipped) < 100
+    catalog, report = import_catalog(shared("robbins_2018_subset.csv"), MOON)
+    assert len(catalog) + len(report.skipped) == 21433
+    assert len(report.skipped) < 100
     assert catalog.semi_major_m.min() > 1900.0
     write_catalog(tmp_path / "craters.csv", catalog)
     again = read_catalog(tmp_path / "craters.csv", MOON)

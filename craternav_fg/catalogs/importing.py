@@ -1,0 +1,173 @@
+"""Importing the catalogues of others: rows that are no rim are left out and said, wrong files refused."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.body import Body
+from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs import checks, columns
+from craternav_fg.catalogs.columns import Columns, ImportOptions
+from craternav_fg.catalogs.table import ForeignTable, read_columns, read_header
+from craternav_fg.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+# From so many rows on, one fault in half of them is no matter of rows.
+_FEW = 20
+# Latitudes beyond the poles in so many rows are longitudes.
+_SWAPPED = 0.2
+
+
+@dataclass(frozen=True)
+class SkippedRow:
+    """A row of a published catalogue that was not imported.
+
+    Attributes
+    ----------
+    line : int
+        1-based line of the file.
+    identifier : str
+        As in the file, empty when it has none.
+    reason : str
+        What is wrong with it.
+    """
+
+    line: int
+    identifier: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What became of a catalogue's rows.
+
+    Attributes
+    ----------
+    rows : int
+        In the file.
+    circles : int
+        Craters of a catalogue of ellipses that have none, and were taken as circles.
+    numbered : bool
+        Whether the file had no identifiers: craters have their line's number.
+    skipped : tuple of SkippedRow
+        Rows that were left out.
+    """
+
+    rows: int
+    circles: int
+    numbered: bool
+    skipped: tuple[SkippedRow, ...]
+
+
+def import_table(path: Path, body: Body, options: ImportOptions) -> tuple[Catalog, ImportReport]:
+    """Read a table of craters: Robbins' columns, or circles under the columns' usual names or given ones.
+
+    Raises
+    ------
+    InputError
+        When the file is no such table, when latitude and longitude are swapped, when the sizes make no
+        sense for the body, or when no row is left.
+    """
+    names, _ = read_header(path)
+    found = columns.recognise(path, names, options, body.radius_m)
+    numbers = list(dict.fromkeys([*found.ellipse, *found.circle, *([found.height] if found.height else [])]))
+    table = read_columns(path, numbers, [found.identifier] if found.identifier else [])
+    values, is_circle = _values(table, found)
+    used = found.ellipse or found.circle
+    _refuse_swapped(table, used[0], used[1], values)
+    faults = checks.row_faults(values, used, body.radius_m)
+    if found.identifier is None:
+        identifiers = [str(line) for line in table.lines(range(len(table)))]
+    else:
+        identifiers = table.columns[found.identifier]
+        faults = {**checks.identifier_faults(identifiers, found.identifier), **faults}
+    _refuse_common_fault(table, faults, used[2:4])
+    keep = np.ones(len(table), dtype=np.bool_)
+    keep[list(faults)] = False
+    if not keep.any():
+        raise InputError(path, f"expected at least one crater, found none in {len(table)} rows")
+    latitude, longitude, major, minor, angle, height = (column[keep] for column in values)
+    problem = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
+    if problem is not None:
+        raise InputError(path, problem, column=used[2])
+    catalog = Catalog(
+        identifiers=tuple(np.array(identifiers, dtype=object)[keep]),
+        latitude_rad=np.radians(latitude),
+        longitude_rad=np.radians(longitude),
+        semi_major_m=0.5 * major,
+        semi_minor_m=0.5 * minor,
+        angle_rad=np.radians(angle),
+        height_m=height,
+        body=body,
+    )
+    rows = sorted(faults)
+    skipped = [
+        SkippedRow(line, identifiers[row] or "", f"{faults[row][0]}: {faults[row][1]}")
+        for row, line in zip(rows, table.lines(rows) if rows else [], strict=True)
+    ]
+    skipped += [
+        SkippedRow(line, "", f"expected {table.width} columns, found {cells}") for line, cells in table.broken
+    ]
+    skipped.sort(key=lambda row: row.line)
+    report = ImportReport(
+        rows=len(table) + len(table.broken),
+        circles=int(np.count_nonzero(is_circle & keep)) if found.ellipse else 0,
+        numbered=found.identifier is None,
+        skipped=tuple(skipped),
+    )
+    return catalog, report
+
+
+def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...], BoolArray]:
+    """Latitude, longitude (deg), diameters (m), angle (deg), height (m); and which rows are circles."""
+    zero = np.zeros(len(table))
+    height = table.columns[found.height] if found.height else zero
+    circle: tuple[FloatArray, ...] | None = None
+    if found.circle:
+        latitude, longitude, diameter = (table.columns[name] for name in found.circle)
+        diameter = found.size_m * diameter
+        circle = (latitude, longitude, diameter, diameter, zero)
+    if not found.ellipse:
+        assert circle is not None
+        return (*circle, np.nan_to_num(height)), np.ones(len(table), dtype=np.bool_)
+    ellipse = [table.columns[name] for name in found.ellipse]
+    ellipse[2], ellipse[3] = found.size_m * ellipse[2], found.size_m * ellipse[3]
+    is_circle = np.zeros(len(table), dtype=np.bool_)
+    if circle is not None:
+        is_circle = np.any(np.isnan(ellipse), axis=0) & ~np.any(np.isnan(circle), axis=0)
+        ellipse = [np.where(is_circle, c, e) for c, e in zip(circle, ellipse, strict=True)]
+    return (*ellipse, np.nan_to_num(height)), is_circle
+
+
+def _refuse_swapped(
+    table: ForeignTable, latitude_name: str, longitude_name: str, values: tuple[FloatArray, ...]
+) -> None:
+    latitude, longitude = values[0], values[1]
+    beyond = np.abs(latitude) > 90.0
+    enough = _SWAPPED if len(table) >= _FEW else 0.5
+    if np.count_nonzero(beyond) > enough * len(table) and np.nanmax(np.abs(longitude), initial=0.0) <= 90.0:
+        row = int(np.flatnonzero(beyond)[0])
+        problem = f"expected -90 to 90 deg, found {latitude[row]:g}, and in {longitude_name} no more than 90"
+        table.fail(row, latitude_name, f"{problem}: latitude and longitude are swapped")
+
+
+def _refuse_common_fault(table: ForeignTable, faults: checks.Faults, diameters: Sequence[str]) -> None:
+    """Refuse a table of which half the rows have the same fault."""
+    if len(table) < _FEW:
+        return
+    by_column: dict[str, list[int]] = {}
+    for row, (column, _) in faults.items():
+        by_column.setdefault(column, []).append(row)
+    for column, rows in by_column.items():
+        if len(rows) > 0.5 * len(table):
+            row = min(rows)
+            problem = f"{faults[row][1]}; so in {len(rows)} of {len(table)} rows"
+            if column in diameters:
+                problem += ": wrong unit (km, m), or another body"
+            table.fail(row, column, problem)

@@ -1,0 +1,134 @@
+"""Our own store of a catalogue: a Parquet file whose rows lie in the order of the spatial index."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pa_compute
+import pyarrow.parquet as pq
+
+from craternav_fg.body import Body
+from craternav_fg.catalog import Catalog
+from craternav_fg.errors import InputError
+from craternav_fg.files import replacing
+
+FloatArray = npt.NDArray[np.float64]
+
+FORMAT = 1
+SUFFIX = ".parquet"
+_KEY = b"craternav_catalog"
+_ID = "crater_id"
+# Latitude and longitude are planetocentric, east-positive; the angle counts from east towards north.
+_NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
+# Radii closer than this are one body's.
+_SAME_RADIUS = 1e-6
+
+
+def write_parquet(path: Path, catalog: Catalog) -> None:
+    """Write a catalogue so that it opens fast; numbers read back exactly.
+
+    Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
+    north; height_m, of the rim above the sphere. Body and format are in the file's metadata.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written.
+    """
+    ordered = catalog.take(catalog.index.order)
+    about = {"format": FORMAT, "body": ordered.body.name, "radius_m": float(ordered.body.radius_m)}
+    arrays = [pa.array(ordered.identifiers, pa.string())]
+    arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
+    schema = pa.schema(
+        [(_ID, pa.string()), *((name, pa.float64()) for name in _NUMBERS)],
+        metadata={_KEY: json.dumps(about).encode()},
+    )
+    with replacing(path) as temporary:
+        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), temporary, use_dictionary=False)
+
+
+def read_body(path: Path) -> Body:
+    """Give the body of a stored catalogue: name and radius, without gravity and spin."""
+    about = _about(path)
+    return Body(str(about["body"]), float(about["radius_m"]), 1.0, (0.0, 0.0, 0.0))
+
+
+def read_parquet(path: Path, body: Body) -> Catalog:
+    """Read a catalogue that `write_parquet` wrote.
+
+    Parameters
+    ----------
+    path : Path
+    body : Body
+        Must have the radius of the catalogue's.
+
+    Raises
+    ------
+    InputError
+        When it is no such file, of another body, or a value is out of range.
+    """
+    about = _about(path)
+    radius_m = float(about["radius_m"])
+    if abs(radius_m - body.radius_m) > _SAME_RADIUS * body.radius_m:
+        raise InputError(
+            path,
+            f"expected a catalogue on a sphere of {body.radius_m:.9g} m ({body.name or 'the given body'}), "
+            f"found one of {about['body'] or 'a body'} on {radius_m:.9g} m",
+            column="radius_m",
+        )
+    try:
+        table = pq.read_table(path, columns=[_ID, *_NUMBERS])
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(path, f"cannot be read: {' '.join(str(error).split())}") from None
+    for name in (_ID, *_NUMBERS):
+        if name not in table.column_names:
+            found = ", ".join(pq.read_schema(path).names)
+            raise InputError(path, f"expected this column, found {found}", column=name)
+        if table[name].null_count:
+            row = int(np.flatnonzero(table[name].is_null().to_numpy())[0])
+            raise InputError(path, f"expected a value, found none in row {row + 1}", column=name)
+    if not len(table):
+        raise InputError(path, "expected at least one crater, found none")
+    if pa_compute.count_distinct(table[_ID]).as_py() != len(table):
+        raise InputError(path, "expected each identifier once, found one again", column=_ID)
+    values = {name: np.ascontiguousarray(table[name].to_numpy(), dtype=np.float64) for name in _NUMBERS}
+    _check(path, values, body)
+    return Catalog(identifiers=tuple(table[_ID].to_pylist()), body=body, **values)
+
+
+def _about(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise InputError(path, "file is missing")
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
+    try:
+        about = json.loads(metadata[_KEY])
+    except (KeyError, ValueError):
+        raise InputError(
+            path, "expected a catalogue that `craternav catalog import` wrote: body and format are missing"
+        ) from None
+    if about.get("format") != FORMAT:
+        raise InputError(path, f"expected format {FORMAT}, found {about.get('format')}: import it again")
+    return dict(about)
+
+
+def _check(path: Path, values: dict[str, FloatArray], body: Body) -> None:
+    latitude, longitude, major, minor, angle, height = (values[name] for name in _NUMBERS)
+    half, turn = 0.5 * np.pi, 2.0 * np.pi
+    tests = [
+        ("latitude_rad", np.abs(latitude) <= half + 1e-9, latitude, "-pi/2 to pi/2"),
+        ("longitude_rad", np.abs(longitude) <= turn + 1e-9, longitude, "-2 pi to 2 pi"),
+        ("semi_major_m", (major > 0.0) & (major < body.radius_m), major, f"0 to {body.radius_m:g}"),
+        ("semi_minor_m", (minor > 0.0) & (minor <= major), minor, "more than 0, at most semi_major_m"),
+        ("angle_rad", np.isfinite(angle), angle, "a finite number"),
+        ("height_m", (height > -body.radius_m) & (height < np.inf), height, "a rim above the body's centre"),
+    ]
+    for name, good, found, expected in tests:
+        if not good.all():
+            row = int(np.flatnonzero(~good)[0])
+            raise InputError(path, f"expected {expected}, found {found[row]:g} in row {row + 1}", column=name)

@@ -1,0 +1,94 @@
+import contextlib
+import io
+import json
+from types import SimpleNamespace
+from unittest import mock
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from craternav_fg.cli import main
+
+ROWS = "LAT_DEG,LON_DEG,DIAM_KM\n" + "\n".join(
+    f"{-60.0 + 0.5 * k:.3f},{(17.0 * k) % 360.0:.3f},{4.0 + 0.02 * k:.3f}" for k in range(240)
+)
+
+
+def craternav(*arguments):
+    """The command line in this process: starting another one takes longer than all that is tested here."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with (
+        mock.patch("sys.argv", ["craternav", *map(str, arguments)]),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as stop:
+            code = stop.code
+    return SimpleNamespace(returncode=code or 0, stdout=out.getvalue(), stderr=err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("catalog")
+    (folder / "table.csv").write_text(ROWS + "\n-60.001,0.001,4.0\n99,0,4\n")
+    done = craternav("catalog", "import", folder / "table.csv", "-o", folder / "craters.parquet", "--json")
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads(done.stdout)
+
+
+def test_import(imported):
+    _, found = imported
+    assert found["craters"] == 241
+    file = found["files"][0]
+    assert (file["rows"], file["imported"], file["skipped"], file["numbered"]) == (242, 241, 1, True)
+    assert file["first_skipped"][0]["line"] == 243
+    assert found["twins"] == 1
+    assert sorted(found["first_twins"][0]) == ["2", "242"]
+
+
+def test_info_and_near(imported):
+    folder, found = imported
+    done = craternav("catalog", "info", folder / "craters.parquet", "--json")
+    about = json.loads(done.stdout)
+    assert about.items() >= {key: found[key] for key in ("craters", "twins", "crossed_rims", "body")}.items()
+    done = craternav(
+        "catalog", "near", folder / "craters.parquet", "--distance-km", "1", "--json", "--", "-60", "360"
+    )
+    near = json.loads(done.stdout)
+    assert [crater["identifier"] for crater in near["craters"]] == ["2", "242"]
+    assert near["craters"][1]["distance_km"] == pytest.approx(0.0343, abs=1e-3)
+    shown = craternav("catalog", "near", folder / "craters.parquet", "--", "-60", "0")
+    assert "242" in shown.stdout
+
+
+@pytest.mark.parametrize("place", [(), ("--latitude-deg", "-30", "--longitude-deg", "290")])
+def test_plot(imported, place, tmp_path):
+    folder, _ = imported
+    done = craternav("catalog", "plot", folder / "craters.parquet", "-o", tmp_path / "a.png", *place)
+    assert done.returncode == 0, done.stderr
+    picture = matplotlib.image.imread(tmp_path / "a.png")
+    assert min(picture.shape[:2]) > 300
+    assert np.ptp(picture[..., :3]) > 0.5
+
+
+def test_known_errors_are_one_line_and_leave_nothing(imported, tmp_path):
+    folder, _ = imported
+    cases = [
+        (("import", folder / "table.csv", "-o", tmp_path / "x.txt"), "expected a name that ends in"),
+        (("import", folder / "table.csv", "-o", folder / "table.csv"), "would be overwritten"),
+        (
+            ("import", folder / "table.csv", "-o", tmp_path / "x.csv", "--diameter", "D"),
+            "table.csv:1: D: expected",
+        ),
+        (("info", folder / "craters.parquet", "--body-radius-m", "561400"), "found one of Moon on 1737400 m"),
+        (("plot", folder / "craters.parquet", "--latitude-deg", "3"), "expected both"),
+    ]
+    for arguments, match in cases:
+        done = craternav("catalog", *arguments)
+        assert done.returncode == 2
+        assert match in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())

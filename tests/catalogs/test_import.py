@@ -1,0 +1,158 @@
+import numpy as np
+import pytest
+
+from craternav_fg.body import Body
+from craternav_fg.catalog_files import import_catalog
+from craternav_fg.catalogs.columns import ImportOptions
+from craternav_fg.errors import InputError
+
+MOON = Body("Moon", 1737400.0, 4.902800118e12, (0.0, 0.0, 2.6616995e-6))
+ROBBINS = (
+    "CRATER_ID,LAT_CIRC_IMG,LON_CIRC_IMG,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_CIRC_IMG,DIAM_ELLI_MAJOR_IMG,"
+    "DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG,ARC_IMG"
+)
+
+
+def written(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "craters.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def globe(rng, n=1200, scale=1.0):
+    """Latitude and longitude, deg, and diameters, km times a scale, all over the Moon."""
+    latitude, longitude = np.degrees(np.arcsin(rng.uniform(-1, 1, n))), rng.uniform(-180, 180, n)
+    return np.stack([latitude, longitude, scale * 4.0 * rng.random(n) ** -0.5], axis=1)
+
+
+def table(header, rows):
+    return header + "\n" + "\n".join(",".join(f"{value:.8g}" for value in row) for row in rows) + "\n"
+
+
+def refused(path, match, body=MOON, **options):
+    with pytest.raises(InputError, match=match) as caught:
+        import_catalog(path, body, ImportOptions(**options))
+    assert "\n" not in str(caught.value)
+
+
+def test_rows_without_an_ellipse_are_kept_as_circles(tmp_path):
+    path = written(
+        tmp_path,
+        f"{ROBBINS}\nA,10,200,10.1,200.1,5,6,4.5,30,0.9\nB,-20,300,,,8,,,,0.2\nC,-20,301,,,,,,,0.2\n",
+    )
+    catalog, report = import_catalog(path, MOON)
+    assert catalog.identifiers == ("A", "B")
+    assert (report.rows, report.circles, report.numbered) == (3, 1, False)
+    assert [(row.line, row.identifier) for row in report.skipped] == [(4, "C")]
+    np.testing.assert_allclose(catalog.semi_major_m, [3000.0, 4000.0])
+    np.testing.assert_allclose(catalog.semi_minor_m, [2250.0, 4000.0])
+    np.testing.assert_allclose(np.degrees(catalog.latitude_rad), [10.1, -20.0])
+    np.testing.assert_allclose(np.degrees(catalog.longitude_rad), [200.1, 300.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "radius_m"),
+    [
+        ("LON_DEG,LAT_DEG,DIAM_KM\n-160,20,12\n", 6000.0),  # Head, Povilaitis
+        ("Diameter (km),Latitude,Longitude\n12,20,-160\n", 6000.0),
+        (
+            ",Long,Lat,Radius (deg),Diameter (km),D_range,p,Name\n1,-160,20,0.2,12.1,1,1,Č\n",
+            6050.0,
+        ),  # Salamuniccar
+        ("Lon_E;Lat;Diameter_m;Depth_m_\n-160;20;12000;800\n", 6000.0),
+        ("# lon\tlat\tradius (deg)\n\n-160\t20\t0.1\n", 0.1 * np.pi / 180 * 1737400.0),
+        ("\n\nid, lat, lon, diameter_km\nX, 20, 200, 12\n", 6000.0),
+    ],
+)
+def test_circles_under_the_names_that_others_give(tmp_path, text, radius_m):
+    catalog, report = import_catalog(written(tmp_path, text), MOON)
+    assert np.degrees(catalog.latitude_rad[0]) == pytest.approx(20.0)
+    assert np.degrees(catalog.longitude_rad[0]) % 360.0 == pytest.approx(200.0)
+    assert catalog.semi_major_m[0] == pytest.approx(radius_m)
+    assert catalog.semi_minor_m[0] == catalog.semi_major_m[0]
+    assert report.numbered == (catalog.identifiers != ("X",))
+
+
+def test_columns_that_are_named(tmp_path):
+    path = written(tmp_path, "NAME,PHI,LAMBDA,SIZE,LAT\nX,20,200,12000,7\n")
+    refused(path, r"craters\.csv:1: no column of a longitude .* NAME, PHI, LAMBDA, SIZE, LAT: name it")
+    options = {"latitude": "PHI", "longitude": "LAMBDA", "diameter": "SIZE", "identifier": "NAME"}
+    catalog, _ = import_catalog(path, MOON, ImportOptions(**options, unit="m"))
+    assert catalog.identifiers == ("X",)
+    assert np.degrees(catalog.latitude_rad[0]) == pytest.approx(20.0)
+    assert catalog.semi_major_m[0] == 6000.0
+    refused(path, r"craters\.csv:1: DIAM: expected this column, found NAME, PHI", diameter="DIAM")
+
+
+def test_text_that_is_no_utf8(tmp_path):
+    path = written(tmp_path, "id,lat,lon,diam_km\nAbb\xe9,20,200,12\n", "latin-1")
+    assert import_catalog(path, MOON)[0].identifiers == ("Abbé",)
+
+
+def test_broken_lines_are_counted_where_they_stand(tmp_path):
+    path = written(
+        tmp_path, "\nid,lat,lon,diam_km\nA,1,2,3\n\nB,1,2,3,C,4,5,6\nD,99,2,3\nD,9,2\nE,8,2,3\nE,7,2,3\n"
+    )
+    catalog, report = import_catalog(path, MOON)
+    assert catalog.identifiers == ("A", "E")
+    assert report.rows == 6
+    assert [(row.line, row.identifier) for row in report.skipped] == [(5, ""), (6, "D"), (7, ""), (9, "E")]
+    assert report.skipped[0].reason == "expected 4 columns, found 8"
+    assert "found 99" in report.skipped[1].reason
+    assert "'E' again" in report.skipped[3].reason
+
+
+def test_a_cell_that_is_no_number(tmp_path):
+    path = written(tmp_path, "id,lat,lon,diam_km\nA,1,2,3\n\nB,1,2E,3\n")
+    refused(path, r"craters\.csv:4: lon: expected a number, found '2E'")
+
+
+def test_latitude_and_longitude_swapped(tmp_path):
+    rows = globe(np.random.default_rng(1))
+    path = written(tmp_path, table("lon,lat,diam_km", rows))
+    refused(
+        path, r"craters\.csv:\d+: lat: expected -90 to 90 deg, found .* in lon no more than 90: .* swapped"
+    )
+    assert len(import_catalog(path, MOON, ImportOptions(latitude="lon", longitude="lat"))[0]) == 1200
+
+
+def test_metres_taken_for_kilometres(tmp_path):
+    path = written(tmp_path, table("lat,lon,diam", globe(np.random.default_rng(2), scale=1000.0)))
+    refused(path, r"craters\.csv:2: diam: expected 0 to 3474\.8 km, found .* of 1200 rows: wrong unit")
+    small = written(tmp_path, table("lat,lon,diam", globe(np.random.default_rng(2), scale=200.0)))
+    refused(small, r"craters\.csv: diam: .* cover a body .* times over.* wrong unit")
+
+
+def test_kilometres_taken_for_metres(tmp_path):
+    path = written(tmp_path, table("lat,lon,diam_m", globe(np.random.default_rng(3))))
+    refused(path, r"craters\.csv: diam_m: craters all over a body .* wrong unit")
+    # The same sizes around one place are a survey of small craters.
+    rows = globe(np.random.default_rng(3)) * [0.01, 0.01, 1.0]
+    assert len(import_catalog(written(tmp_path, table("lat,lon,diam_m", rows)), MOON)[0]) == 1200
+
+
+def test_the_catalogue_of_another_body(tmp_path):
+    rows = globe(np.random.default_rng(4), scale=40.0)
+    path = written(tmp_path, table("lat,lon,diam_km", rows))
+    assert len(import_catalog(path, MOON)[0]) > 1190
+    refused(path, "or another body", Body("Dione", 561400.0, 1.0, (0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", r"craters\.csv:1: expected a table with column names"),
+        ("lat,lon,diam_km,lat\n1,2,3,4\n", r"craters\.csv:1: lat: expected each column once"),
+        ("lat,lon,diam_km\n", r"craters\.csv: expected at least one crater, found none in 0 rows"),
+        (
+            ROBBINS.replace("DIAM_ELLI_MINOR_IMG,", "") + "\n",
+            r"craters\.csv:1: DIAM_ELLI_MINOR_IMG: expected",
+        ),
+    ],
+)
+def test_what_is_no_catalogue(tmp_path, text, match):
+    refused(written(tmp_path, text), match)
+
+
+def test_a_missing_file(tmp_path):
+    refused(tmp_path / "none.csv", r"none\.csv: file is missing")

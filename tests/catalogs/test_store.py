@@ -1,0 +1,144 @@
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.catalog import Catalog
+from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
+from craternav_fg.catalogs.heights import with_rim_heights
+from craternav_fg.catalogs.store import read_body
+from craternav_fg.dataset import Dataset
+from craternav_fg.dem import read_dem
+from craternav_fg.errors import InputError
+from craternav_fg.simulation.population import power_law_population
+from tests.dataset.conftest import folder, with_images  # noqa: F401
+from tests.simulation.test_dem import GLOBE, write
+
+BODY = Body("ball", 250e3, 1.0, (0.0, 0.0, 0.0))
+NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
+
+
+@pytest.fixture
+def stored(tmp_path):
+    path = tmp_path / "craters.parquet"
+    write_catalog(path, power_law_population(np.random.default_rng(1), BODY, 500, (400.0, 60e3)))
+    return path
+
+
+def test_numbers_read_back_exactly_in_the_order_of_the_index(tmp_path):
+    catalog = power_law_population(np.random.default_rng(2), BODY, 3000, (400.0, 60e3))
+    path = tmp_path / "craters.parquet"
+    write_catalog(path, catalog)
+    again = read_catalog(path, BODY)
+    order = catalog.index.order
+    assert again.identifiers == tuple(catalog.identifiers[row] for row in order)
+    for name in NUMBERS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(catalog, name)[order])
+    np.testing.assert_array_equal(again.index.order, np.arange(3000))
+    assert import_catalog(path, BODY)[0].identifiers == again.identifiers
+    assert read_body(path) == BODY
+
+
+def test_another_body(stored):
+    with pytest.raises(
+        InputError, match=r"craters\.parquet: radius_m: .* 561400 m \(Dione\), found one of ball on 250000 m"
+    ):
+        read_catalog(stored, Body("Dione", 561400.0, 1.0, (0.0, 0.0, 0.0)))
+
+
+def changed(path, name, column):
+    table = pq.read_table(path)
+    at = table.column_names.index(name)
+    table = table.remove_column(at) if column is None else table.set_column(at, name, column)
+    pq.write_table(table, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "match"),
+    [
+        ("latitude_rad", 1.6, r"latitude_rad: expected -pi/2 to pi/2, found 1\.6 in row 8"),
+        ("longitude_rad", 200.0, r"longitude_rad: expected .* found 200 in row 8"),
+        ("semi_major_m", 3e5, r"semi_major_m: expected 0 to 250000, found 300000 in row 8"),
+        ("semi_minor_m", 2e5, "semi_minor_m: expected more than 0, at most semi_major_m"),
+        ("angle_rad", np.inf, "angle_rad: expected a finite number"),
+        ("height_m", np.nan, "height_m: expected a rim above"),
+        ("angle_rad", None, "angle_rad: expected a value, found none in row 8"),
+        ("crater_id", "twice", "crater_id: expected each identifier once"),
+    ],
+)
+def test_values_that_are_none(stored, name, value, match):
+    values = pq.read_table(stored)[name].to_pylist()
+    values[7] = value
+    if value == "twice":
+        values[9] = value
+    changed(stored, name, pa.array(values))
+    with pytest.raises(InputError, match=r"craters\.parquet: " + match):
+        read_catalog(stored, BODY)
+
+
+def test_a_missing_column(stored):
+    changed(stored, "angle_rad", None)
+    with pytest.raises(InputError, match=r"craters\.parquet: .*angle_rad"):
+        read_catalog(stored, BODY)
+
+
+def test_files_of_another_kind(tmp_path):
+    path = tmp_path / "craters.parquet"
+    path.write_text("CRATER_ID\n")
+    with pytest.raises(InputError, match=r"craters\.parquet: expected a Parquet file"):
+        read_catalog(path, BODY)
+    pq.write_table(pa.table({"crater_id": ["A"]}), path)
+    with pytest.raises(InputError, match="that `craternav catalog import` wrote"):
+        read_catalog(path, BODY)
+    with pytest.raises(InputError, match="file is missing"):
+        read_catalog(tmp_path / "none.parquet", BODY)
+
+
+def test_a_data_set_with_a_large_catalogue(folder):  # noqa: F811
+    small = Dataset.open(folder.path)
+    write_catalog(folder.path / "craters.parquet", small.catalog)
+    with pytest.raises(InputError, match=r"craters\.parquet: expected either .* craters\.csv, found both"):
+        Dataset.open(folder.path)
+    (folder.path / "craters.csv").unlink()
+    large = Dataset.open(folder.path)
+    assert sorted(large.catalog.identifiers) == sorted(small.catalog.identifiers)
+    (folder.path / "craters.parquet").unlink()
+    with pytest.raises(InputError, match=r"craters\.csv: file is missing"):
+        Dataset.open(folder.path)
+
+
+def test_rims_have_the_mean_height_along_them(tmp_path):
+    # Heights that grow with latitude: the mean along a rim is that of its centre.
+    rows = 90.0 - 0.5 * (np.arange(360) + 0.5)
+    heights = np.repeat(20.0 * rows[:, None], 720, axis=1).astype(np.float32)
+    dem = read_dem(write(tmp_path / "slope.tif", heights, GLOBE), unit_m=2.0)
+    n = 50
+    rng = np.random.default_rng(4)
+    latitude = rng.uniform(-60.0, 60.0, n)
+    catalog = Catalog(
+        tuple(map(str, range(n))), np.radians(latitude), rng.uniform(-np.pi, np.pi, n), np.full(n, 20e3),
+        np.full(n, 15e3), rng.uniform(0.0, np.pi, n), np.full(n, 1e9), BODY,
+    )  # fmt: skip
+    found = with_rim_heights(catalog, dem)
+    # Parallels are bent: the mean latitude along a rim lies a little off its centre's.
+    np.testing.assert_allclose(found.height_m, 40.0 * latitude, atol=12.0)
+    # A bowl is seen by its rim, not by its floor.
+    place = frames.up(np.array(0.5), np.array(1.0))
+    columns = np.radians(0.5 * (np.arange(720) + 0.5) - 180.0)
+    away = np.arccos(
+        np.clip(frames.up(*np.meshgrid(np.radians(rows), columns, indexing="ij")) @ place, -1, 1)
+    )
+    bowl = read_dem(write(tmp_path / "bowl.tif", (250e3 * away).astype(np.float32), GLOBE))
+    one = Catalog(
+        ("A",),
+        np.array([0.5]),
+        np.array([1.0]),
+        np.array([30e3]),
+        np.array([30e3]),
+        np.zeros(1),
+        np.zeros(1),
+        BODY,
+    )
+    assert with_rim_heights(one, bowl).height_m[0] == pytest.approx(30e3, rel=0.01)
