@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.vision import acquire_kernel
+from factors.kernels import rim_poses
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -145,7 +145,7 @@ def single_poses(
     start = np.tile(np.eye(4), (len(crater), 1, 1))
     start[:, :3, :3] = gRb[crater, rim]
     start[:, :3, 3] = gTc[:3, 3] - start[:, :3, :3] @ bTc[:3, 3]
-    pose, information, cost = acquire_kernel.map_poses(
+    pose, information, cost = rim_poses.map_poses(
         prior.gTb, inverse(prior.covariance), start, bTc, craters.centres, craters.axes, craters.gains,
         rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater[:, None],
         rim[:, None],
@@ -161,7 +161,7 @@ def support(
 
     Craters further than `reach` (2,), normalised coordinates, from the optical axis are not looked at.
     """
-    return acquire_kernel.support(
+    return rim_poses.support(
         hypotheses.gTb, hypotheses.covariance, bTc, craters.centres, craters.axes, rims.charts,
         rims.covariance, reach,
     )  # fmt: skip
@@ -185,14 +185,14 @@ def grow(
     information = inverse(prior.covariance)
     crater = np.full(len(rims.charts), -1, dtype=np.int64)
     for size in _GROWTH:
-        crater, distance2 = acquire_kernel.nearest(
+        crater, distance2 = rim_poses.nearest(
             pose[0], covariance[0], bTc, craters.centres, craters.axes, rims.charts, rims.covariance, reach
         )
         rim = np.argsort(distance2, kind="stable")[:size]
         rim = rim[crater[rim] >= 0]
         if len(rim) < 2:
             break
-        pose, found, _ = acquire_kernel.map_poses(
+        pose, found, _ = rim_poses.map_poses(
             prior.gTb, information, pose, bTc, craters.centres, craters.axes, craters.gains, rims.charts,
             rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater[rim][None], rim[None],
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Kernels of the search for a pose: maximum a posteriori poses of pairs, and pairs of a pose."""
+"""Poses that take rims for craters, maximum a posteriori; and pairs of rim and crater that a pose gives."""
 
 import numpy as np
 import numpy.typing as npt
@@ -30,10 +30,15 @@ def map_poses(
         Prior pose gTb and the inverse of its covariance.
     start : ndarray, shape (h, 4, 4)
         Where to begin.
-    bTc, centres, axes, gains, charts, weights, tilts : ndarray
-        Mounting of the camera; see `acquire_match.Craters` and `acquire_match.Rims`.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes, gains : ndarray, shapes (m, 3), (m, 2, 3), (m, 3)
+        Of the craters: as in the catalogue; directions in g in which their walls are darkest.
+    charts, weights, tilts : ndarray, shapes (n, 5), (n, 5, 5), (n,)
+        Of the rims: ellipse charts, inverses of their covariances, directions in the image in which their
+        walls are darkest, rad.
     tilt_weight : float
-        Inverse variance of a tilt, shared out among a pose's rims: their errors are common.
+        Inverse variance of a tilt, shared out among a pose's rims: their errors are common. 0 for none.
     crater, rim : ndarray of int, shape (h, k)
         The pairs that each pose rests on.
 
@@ -72,6 +77,8 @@ def map_poses(
                             g[s] += H[a, s] * w * r
                             for t in range(6):
                                 N[s, t] += H[a, s] * w * H[b, t]
+                if not tilt_weight > 0.0:
+                    continue
                 for s in range(3):
                     d[s] = gains[m, s]
                 tilt, strength = sun_tilt(pose, bTc, d, charts[i, 0], charts[i, 1], T)
@@ -93,23 +100,27 @@ def map_poses(
 
 
 @njit(cache=True, error_model="numpy")
-def nearest(
+def distances2(
     gTb: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
-    charts: FloatArray, rim_covariance: FloatArray, reach: FloatArray,
-) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """For each rim the crater that a pose with its covariance (6, 6, right twist) puts nearest to it.
+    charts: FloatArray, rim_covariance: FloatArray, gate: float, reach: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Squared Mahalanobis distances (n, m) of rims from the craters' charts that a pose predicts.
 
-    Returns
-    -------
-    crater : ndarray of int, shape (n,)
-        -1 when none passes the gate, or when another rim is nearer to the same crater.
-    distance2 : ndarray, shape (n,)
-        Squared Mahalanobis distance of the charts.
+    Parameters
+    ----------
+    gTb, covariance : ndarray, shapes (4, 4) and (6, 6)
+        Pose, and its covariance for the right twist.
+    bTc, centres, axes, charts : ndarray
+        As for `map_poses`.
+    rim_covariance : ndarray, shape (n, 5, 5)
+        Of the charts.
+    gate : float
+        Beyond it the distance is inf.
+    reach : ndarray, shape (2,)
+        Craters further from the optical axis, normalised coordinates, are not looked at: inf.
     """
     count = charts.shape[0]
-    crater = np.full(count, -1, np.int64)
-    distance2 = np.full(count, PAIR_GATE)
-    taken = np.full(centres.shape[0], -1, np.int64)
+    out = np.full((count, centres.shape[0]), np.inf)
     R, P = conic.camera_pose(gTb, bTc)
     p, c = np.empty(3), np.empty((2, 3))
     y, J, H = np.empty(5), np.empty((5, 6)), np.empty((5, 6))
@@ -134,8 +145,8 @@ def nearest(
             # Cheap bounds first: each component by itself.
             near = True
             for a in range(5):
-                r[a] = y[a] - charts[i, a]
-                near = near and r[a] * r[a] < PAIR_GATE * (spread[a, a] + rim_covariance[i, a, a])
+                r[a] = charts[i, a] - y[a]
+                near = near and r[a] * r[a] < gate * (spread[a, a] + rim_covariance[i, a, a])
             if not near:
                 continue
             for a in range(5):
@@ -145,6 +156,33 @@ def nearest(
             d2 = 0.0
             for a in range(5):
                 d2 += r[a] * x[a]
+            if d2 < gate:
+                out[i, m] = d2
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def nearest(
+    gTb: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
+    charts: FloatArray, rim_covariance: FloatArray, reach: FloatArray,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """For each rim the crater that a pose with its covariance (6, 6, right twist) puts nearest to it.
+
+    Returns
+    -------
+    crater : ndarray of int, shape (n,)
+        -1 when none passes the gate, or when another rim is nearer to the same crater.
+    distance2 : ndarray, shape (n,)
+        Squared Mahalanobis distance of the charts.
+    """
+    count = charts.shape[0]
+    crater = np.full(count, -1, np.int64)
+    distance2 = np.full(count, PAIR_GATE)
+    taken = np.full(centres.shape[0], -1, np.int64)
+    all2 = distances2(gTb, covariance, bTc, centres, axes, charts, rim_covariance, PAIR_GATE, reach)
+    for m in range(centres.shape[0]):
+        for i in range(count):
+            d2 = all2[i, m]
             if d2 < distance2[i] and (taken[m] < 0 or d2 < distance2[taken[m]]):
                 if taken[m] >= 0:
                     crater[taken[m]] = -1

@@ -1,0 +1,176 @@
+"""Matching with a prior, on drawn scenes: what is right is known, and images have their own tests."""
+
+import numpy as np
+import pytest
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalog import Catalog
+from craternav_fg.matching.gate import GateOptions, match_rims
+
+MOON = Body("Moon", 1737400.0, 4.902800118e12, (0.0, 0.0, 0.0))
+bTc = frames.pose(frames.rotation_exp(np.array([0.1, -0.05, 1.5])), np.array([1.2, -0.3, 0.8]))
+CAMERA = Camera(1024, 1024, 1267.0, 1267.0, 511.5, 511.5, bTc)
+ALTITUDE_M = 50e3
+
+
+def field(rng, count=150):
+    """Craters around 0, 0, larger ones fewer."""
+    major = 900.0 * (1.0 - 0.95 * rng.random(count)) ** -0.5
+    return Catalog(
+        tuple(f"C{k}" for k in range(count)),
+        rng.uniform(-0.03, 0.03, count), rng.uniform(-0.03, 0.03, count), major,
+        major * rng.uniform(0.75, 1.0, count), rng.uniform(0.0, np.pi, count), 200.0 * rng.standard_normal(count),
+        MOON,
+    )  # fmt: skip
+
+
+def view(rng):
+    """Pose of b that looks at the field, a little aslant."""
+    z = frames.rotation_exp(0.2 * rng.standard_normal(3)) @ np.array([-1.0, 0.0, 0.0])
+    x = np.cross(z, rng.standard_normal(3))
+    x /= np.linalg.norm(x)
+    gTc = frames.pose(
+        np.stack([x, np.cross(z, x), z], axis=-1), np.array([MOON.radius_m + ALTITUDE_M, 0.0, 0.0])
+    )
+    return gTc @ frames.inverse(CAMERA.bTc)
+
+
+def noise_of(charts, sigma_px=0.5):
+    """Covariances (n, 5, 5) of rims whose axes and centres are good to some pixels."""
+    sigma = sigma_px / CAMERA.focal_px
+    size = np.exp(charts[:, [2, 4]])
+    scale = np.column_stack(
+        [np.full((len(charts), 2), sigma), sigma / size[:, 0], 2.0 * sigma * size[:, 1] / size[:, 0] ** 2,
+         sigma / size[:, 1]]
+    )  # fmt: skip
+    return scale[:, :, None] ** 2 * np.eye(5)
+
+
+def scene(rng, catalog, false_share=0.2, missing_share=0.25):
+    """Give a pose, its rims in some order, and the crater of each, -1 for false ones."""
+    gTb = view(rng)
+    rows, charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=10.0)
+    keep = rng.random(len(rows)) > missing_share
+    rows, charts = rows[keep], charts[keep]
+    false = charts[rng.permutation(len(charts))[: int(false_share * len(charts))]].copy()
+    false[:, :2] = rng.uniform(-0.35, 0.35, (len(false), 2))
+    charts = np.concatenate([charts, false])
+    covariances = noise_of(charts)
+    charts = charts + np.einsum(
+        "nij,nj->ni", np.linalg.cholesky(covariances), rng.standard_normal((len(charts), 5))
+    )
+    truth = np.concatenate([rows, np.full(len(false), -1)])
+    order = rng.permutation(len(charts))
+    return gTb, charts[order], covariances[order], truth[order]
+
+
+def wrong_prior(rng, gTb, sigma_rad, sigma_m):
+    """Prediction off by three of its standard deviations, in some direction, and its covariance."""
+    e = rng.standard_normal(6)
+    e *= 3.0 / np.linalg.norm(e)
+    prior = gTb.copy()
+    prior[:3, :3] = gTb[:3, :3] @ frames.rotation_exp(sigma_rad * e[:3])
+    prior[:3, 3] += sigma_m * e[3:]
+    return prior, np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
+
+
+@pytest.mark.parametrize(
+    ("sigma_deg", "sigma_m", "scenes"),
+    [(0.05, 20.0, 40), (0.5, 200.0, 40), (3.0, 1000.0, 40), (25.0, 4000.0, 12)],
+)
+def test_priors_wrong_by_three_sigma(sigma_deg, sigma_m, scenes):
+    rng = np.random.default_rng(11)
+    catalog = field(rng)
+    right = wrong = real = 0
+    for _ in range(scenes):
+        gTb, charts, covariances, truth = scene(rng, catalog)
+        prior, covariance = wrong_prior(rng, gTb, np.radians(sigma_deg), sigma_m)
+        found = match_rims(charts, covariances, CAMERA, catalog, prior, covariance)
+        real += np.count_nonzero(truth >= 0)
+        right += np.count_nonzero((found.craters == truth) & (truth >= 0))
+        wrong += np.count_nonzero((found.craters >= 0) & (found.craters != truth))
+        if np.count_nonzero(found.craters >= 0) > 4:
+            error = np.concatenate(
+                [frames.rotation_log(found.gTb[:3, :3].T @ gTb[:3, :3]), gTb[:3, 3] - found.gTb[:3, 3]]
+            )
+            assert error @ np.linalg.solve(found.pose_covariance, error) < 40.0
+    assert real > 8 * scenes
+    assert right / real >= 0.98
+    assert wrong / (right + wrong) <= 0.002
+
+
+def test_what_two_craters_claim_is_given_to_neither():
+    rng = np.random.default_rng(12)
+    catalog = field(rng)
+    gTb, charts, covariances, truth = scene(rng, catalog, 0.0, 0.0)
+    prior, covariance = wrong_prior(rng, gTb, np.radians(0.5), 200.0)
+    twin = catalog.take(truth[3:4])
+    moved = Catalog(
+        ("twin",), twin.latitude_rad + 10.0 / MOON.radius_m, twin.longitude_rad, twin.semi_major_m + 5.0,
+        twin.semi_minor_m, twin.angle_rad, twin.height_m, MOON,
+    )  # fmt: skip
+    alone = match_rims(charts, covariances, CAMERA, catalog, prior, covariance)
+    assert alone.craters[3] == truth[3]
+    assert not alone.ambiguous.any()
+    found = match_rims(charts, covariances, CAMERA, Catalog.joined([catalog, moved]), prior, covariance)
+    assert found.craters[3] == -1
+    assert found.ambiguous[3]
+    np.testing.assert_array_equal(np.delete(found.craters, 3), np.delete(alone.craters, 3))
+
+
+def test_two_rims_of_one_crater_are_given_to_neither():
+    rng = np.random.default_rng(13)
+    catalog = field(rng)
+    gTb, charts, covariances, truth = scene(rng, catalog, 0.0, 0.0)
+    prior, covariance = wrong_prior(rng, gTb, np.radians(0.5), 200.0)
+    again = np.concatenate([charts, charts[5:6]])
+    found = match_rims(
+        again, np.concatenate([covariances, covariances[5:6]]), CAMERA, catalog, prior, covariance
+    )
+    assert found.craters[5] == found.craters[-1] == -1
+    assert np.count_nonzero(found.craters >= 0) >= len(truth) - 2
+
+
+def test_a_rim_that_the_others_contradict_passes_the_prior_but_not_the_joint_gate():
+    rng = np.random.default_rng(14)
+    catalog = field(rng)
+    gTb, charts, covariances, truth = scene(rng, catalog, 0.0, 0.0)
+    # Off by ten pixels: within what the prior allows, not within what the other rims leave of it.
+    charts[2, 0] += 10.0 / CAMERA.focal_px
+    prior, covariance = wrong_prior(rng, gTb, np.radians(0.5), 200.0)
+    found = match_rims(charts, covariances, CAMERA, catalog, prior, covariance)
+    assert found.craters[2] == -1
+    assert np.count_nonzero(found.craters == truth) >= len(truth) - 2
+    alone = match_rims(charts[2:3], covariances[2:3], CAMERA, catalog.take(truth[2:3]), prior, covariance)
+    assert alone.craters[0] == 0
+
+
+@pytest.mark.parametrize(("sigma_deg", "sigma_m", "scenes"), [(3.0, 1000.0, 15), (25.0, 4000.0, 5)])
+def test_mirrored_images_are_of_no_place(sigma_deg, sigma_m, scenes):
+    rng = np.random.default_rng(15)
+    catalog = field(rng)
+    matched = 0
+    for _ in range(scenes):
+        gTb, charts, covariances, _ = scene(rng, catalog)
+        prior, covariance = wrong_prior(rng, gTb, np.radians(sigma_deg), sigma_m)
+        mirrored = charts * [-1.0, 1.0, 1.0, -1.0, 1.0]
+        matched += np.count_nonzero(
+            match_rims(mirrored, covariances, CAMERA, catalog, prior, covariance).craters >= 0
+        )
+    assert matched == 0
+
+
+def test_nothing_in_nothing_out():
+    rng = np.random.default_rng(16)
+    catalog = field(rng)
+    gTb, charts, covariances, _ = scene(rng, catalog)
+    covariance = np.diag([1e-4] * 3 + [1e4] * 3)
+    none = match_rims(charts[:0], covariances[:0], CAMERA, catalog, gTb, covariance)
+    assert none.craters.shape == (0,)
+    away = gTb.copy()
+    away[:3, 3] *= -1.0
+    lost = match_rims(charts, covariances, CAMERA, catalog, away, covariance, GateOptions())
+    assert np.all(lost.craters == -1)
+    np.testing.assert_array_equal(lost.gTb, away)
