@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,13 @@ import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
-from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
 from craternav_fg.estimators.start import find_start
-from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
-from craternav_fg.trajectory import Trajectory
-from craternav_fg.vision.acquire import acquire, image_spread_px
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.recovery import Finder, find_initial
+from craternav_fg.tracking import Tracker
+from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.errors import FactorError
 
@@ -28,10 +27,6 @@ Progress = Callable[[str, int, int], None]
 
 # What numbers beyond all reason end in: a factor that is not finite, a system that GTSAM cannot solve.
 NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)
-# So many rims, found without a pose that explains the image, agree by chance only once in very many images.
-MIN_AGREEING_RIMS = 3
-# The guided front end recovers a prediction that is wrong by so much all over the image.
-GUIDED_REACH_PX = 30.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +39,8 @@ class Reconstruction:
         The measurements that all estimators were given.
     start : Start
         Their common start.
+    initial : InitialState
+        The data set's or, when it has none or a wrong one, the one that was found.
     trajectories : mapping of str to Trajectory
         By the estimator's name, at the frames' stamps.
     times_s : mapping of str to float
@@ -59,6 +56,7 @@ class Reconstruction:
 
     frames: tuple[FrameMeasurement, ...]
     start: Start
+    initial: InitialState
     trajectories: Mapping[str, Trajectory]
     times_s: Mapping[str, float]
     options: Mapping[str, dict[str, Any]]
@@ -95,18 +93,21 @@ def reconstruct(
     """
     chosen = [estimator(name) for name in names]
     report = progress or _silent
-    descent = Descent(
-        dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
-    )
     options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
     began = time.perf_counter()
+    finder = Finder(dataset)
+    initial = dataset.initial
+    if initial is None:
+        initial = find_initial(dataset, finder, lambda done: report("identified frames", done, len(dataset)))
+    descent = Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, initial)
     if dataset.rims is None:
         front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
         options["front_end"] = asdict(front_end.options)
         try:
-            frames = _measure(dataset, descent, front_end, report)
+            tracked = Tracker(dataset, descent, front_end, finder).run(report)
         except NUMERICAL_ERRORS as error:
             raise EstimationError(f"front end: {_one_line(error)}") from error
+        frames, descent = tracked.frames, tracked.descent
     else:
         frames = dataset.rims
     start = find_start(descent, frames)
@@ -142,66 +143,7 @@ def reconstruct(
             )
             for gTb in next(iter(trajectories.values())).gTb
         )
-    return Reconstruction(frames, start, trajectories, times_s, options, failures, expected)
-
-
-def _measure(
-    dataset: Dataset, descent: Descent, front_end: GuidedFrontEnd, report: Progress
-) -> tuple[FrameMeasurement, ...]:
-    """Measure all images, each with the pose that the online smoother predicts from those before it."""
-    stamps = [int(stamp) for stamp in dataset.stamps_ns]
-    report("frames", 0, len(stamps))
-    session = OnlineSession(descent)
-    measured: list[FrameMeasurement] = []
-    for k in range(len(stamps)):
-        predicted = filter_state.prior(descent) if k == 0 else session.predict(stamps[k])
-        pose_covariance = predicted.covariance[filter_state.POSE, filter_state.POSE]
-        frame = _measure_one(dataset, front_end, k, predicted.gTb, pose_covariance)
-        if k == 0:
-            start = find_start(descent, [frame])
-            if len(frame.rims):
-                # Once more from the start: rims that only it predicts.
-                frame = _measure_one(dataset, front_end, k, start.gTb, start.pose_covariance)
-                start = find_start(descent, [frame])
-            session.begin(frame, start)
-        else:
-            frame = replace(frame, sun=_repeated(frame.sun, len(stamps) - 1))
-            session.update(frame)
-        measured.append(frame)
-        report("frames", k + 1, len(stamps))
-    return tuple(measured)
-
-
-def _measure_one(
-    dataset: Dataset, front_end: GuidedFrontEnd, number: int, gTb: FloatArray, covariance: FloatArray
-) -> FrameMeasurement:
-    """Measure an image from a predicted pose and its covariance.
-
-    A prediction too poor for the guided front end is first searched for the pose that explains the image;
-    what is found there guides, but is no measurement. When nothing is found, few rims can be a chance
-    agreement, and the sense of the sun's tilt, which rims tell, is unknown: neither is believed.
-    """
-    stamp = int(dataset.stamps_ns[number])
-    image, sun = dataset.image(number), dataset.sun.at(stamp)
-    spread_px = image_spread_px(dataset.camera, dataset.body.radius_m, gTb, covariance)
-    if 3.0 * spread_px <= GUIDED_REACH_PX:
-        return front_end.measure(image, stamp, gTb, covariance, sun)
-    found = acquire(image, dataset.camera, dataset.catalog, gTb, covariance, sun)
-    if found is not None:
-        return front_end.measure(image, stamp, found.gTb, found.pose_covariance, sun)
-    frame = front_end.measure(image, stamp, gTb, covariance, sun)
-    if len(frame.rims) < MIN_AGREEING_RIMS:
-        return FrameMeasurement(stamp, RimSet.empty(), None)
-    return frame
-
-
-def _repeated(sun: SunTilt | None, times: int) -> SunTilt | None:
-    """Enlarge a tilt's noise for so many tilts that share one error.
-
-    The error is that of the view and the ground's photometry, some degrees at an oblique view, and stays
-    through a descent: taken as new in each frame, it would in the end outweigh the rims.
-    """
-    return None if sun is None else replace(sun, sigma_rad=np.sqrt(times) * sun.sigma_rad)
+    return Reconstruction(frames, start, descent.initial, trajectories, times_s, options, failures, expected)
 
 
 def _one_line(error: Exception) -> str:

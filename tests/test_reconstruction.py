@@ -12,6 +12,7 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.measurements import SunTilt
 from craternav_fg.reconstruction import reconstruct
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.tracking import repeated
 from craternav_fg.trajectory import Trajectory
 from tests.descents import scenario
 
@@ -48,8 +49,8 @@ def test_reconstruction_does_not_look_at_the_truth(data: Dataset) -> None:
 
 def test_tilts_that_share_an_error_weigh_together_as_one() -> None:
     sun = SunTilt(0.3, 0.1, np.zeros(2), np.ones(3))
-    repeated = module._repeated(sun, 75)
-    assert repeated is not None
-    information = 75 / repeated.sigma_rad**2
+    each = repeated(sun, 75)
+    assert each is not None
+    information = 75 / each.sigma_rad**2
     assert information == pytest.approx(1 / sun.sigma_rad**2)
-    assert module._repeated(None, 75) is None
+    assert repeated(None, 75) is None

@@ -70,12 +70,20 @@ def demo(
 def simulate(
     scenario: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")],
+    lost: Annotated[
+        bool, typer.Option("--lost", help="Leave out the initial state: the craters must be identified.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
     case = load_scenario(scenario)
     with bar() as report:
-        simulate_scenario(case, output, progress=lambda done, total: report("simulated frames", done, total))
+        simulate_scenario(
+            case,
+            output,
+            with_initial=not lost,
+            progress=lambda done, total: report("simulated frames", done, total),
+        )
     if as_json:
         out.print_json(json.dumps({"dataset": str(output)}))
     else:

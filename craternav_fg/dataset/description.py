@@ -32,11 +32,11 @@ class _Initial(Section):
 class _Description(Section):
     format_version: int
     body: BodySection
-    initial: _Initial
+    initial: _Initial | None = None
 
 
-def read_description(path: Path) -> tuple[Body, InitialState]:
-    """Read dataset.toml.
+def read_description(path: Path) -> tuple[Body, InitialState | None]:
+    """Read dataset.toml; without the table `initial` there is no initial state.
 
     Raises
     ------
@@ -47,6 +47,8 @@ def read_description(path: Path) -> tuple[Body, InitialState]:
     _check_version(path, text)
     model = load_toml(path, _Description)
     initial = model.initial
+    if initial is None:
+        return model.body.body(), None
     norm = float(np.linalg.norm(initial.attitude_wxyz))
     if abs(norm - 1.0) > 1e-6:
         _fail(path, text, "attitude_wxyz", f"expected a unit quaternion, its length is {norm:.9g}")
@@ -68,9 +70,8 @@ def read_description(path: Path) -> tuple[Body, InitialState]:
     )
 
 
-def description_toml(body: Body, initial: InitialState) -> str:
+def description_toml(body: Body, initial: InitialState | None) -> str:
     """Text of dataset.toml."""
-    q = frames.to_quaternion_wxyz(initial.gTb[:3, :3])
     # A JSON string without control characters is a TOML string too.
     name = '"' + body.name.replace("\\", "\\\\").replace('"', '\\"') + '"'
     lines = [
@@ -81,6 +82,11 @@ def description_toml(body: Body, initial: InitialState) -> str:
         f"radius_m = {float(body.radius_m)!r}",
         f"mu_m3_s2 = {float(body.mu_m3_s2)!r}",
         f"spin_rad_s = {_list(body.spin_rad_s)}",
+    ]
+    if initial is None:
+        return "\n".join(lines) + "\n"
+    q = frames.to_quaternion_wxyz(initial.gTb[:3, :3])
+    lines += [
         "",
         "[initial]",
         f"stamp_ns = {initial.stamp_ns}",

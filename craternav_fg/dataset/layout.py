@@ -5,7 +5,8 @@ b the lander's, which is the IMU's; in EuRoC's names R = g and S = b. Tables are
 columns in any order; the unit in brackets may be left out. Files below `mav0` are as EuRoC has them.
 
 `dataset.toml`: format, body, and the initial state with its standard deviations per axis (attitude: a
-rotation vector in b). The stamp is that of the first image::
+rotation vector in b). The stamp is that of the first image. The table `initial` may be left out when nothing
+is known: the images must then show craters that can be identified::
 
     format_version = 1
 

@@ -46,8 +46,8 @@ class Dataset:
     catalog : Catalog
     imu : ImuLog
     imu_noise : ImuNoise
-    initial : InitialState
-        At the first frame's stamp.
+    initial : InitialState or None
+        At the first frame's stamp; None when nothing is known: the images must tell.
     sun : SunVectors
         `sun.at(stamp_ns)` is the unit vector towards the sun in g.
     stamps_ns : ndarray of int, shape (k,)
@@ -66,7 +66,7 @@ class Dataset:
     catalog: Catalog
     imu: ImuLog
     imu_noise: ImuNoise
-    initial: InitialState
+    initial: InitialState | None
     sun: SunVectors
     stamps_ns: IntArray
     image_paths: tuple[Path, ...]
@@ -98,7 +98,7 @@ class Dataset:
         imu_noise = read_imu_noise(folder / layout.IMU_SENSOR)
         catalog = read_catalog(_catalog_path(folder), body)
         stamps, names = _read_frames(folder / layout.CAMERA_DATA)
-        if initial.stamp_ns != stamps[0]:
+        if initial is not None and initial.stamp_ns != stamps[0]:
             raise InputError(
                 folder / layout.DESCRIPTION,
                 f"expected the first frame's stamp {stamps[0]}, found {initial.stamp_ns}",
@@ -110,7 +110,8 @@ class Dataset:
         rims = None
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
         if (folder / layout.RIMS).exists():
-            rims = read_measurements(folder, stamps, catalog, sun, initial.gTb[:3, 3])
+            prior_gP = None if initial is None else initial.gTb[:3, 3]
+            rims = read_measurements(folder, stamps, catalog, sun, prior_gP)
         else:
             for image_path in image_paths:
                 check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)

@@ -82,7 +82,7 @@ def write_measurements(folder: Path, frames: Sequence[FrameMeasurement], catalog
 
 
 def read_measurements(
-    folder: Path, stamps_ns: IntArray, catalog: Catalog, sun: SunVectors, prior_gP: FloatArray
+    folder: Path, stamps_ns: IntArray, catalog: Catalog, sun: SunVectors, prior_gP: FloatArray | None
 ) -> tuple[FrameMeasurement, ...]:
     """Read `rims.parquet` and, when it is there, `sun_tilts.csv`; one measurement per frame.
 
@@ -94,8 +94,9 @@ def read_measurements(
         Of the frames.
     catalog : Catalog
     sun : SunVectors
-    prior_gP : ndarray, shape (3,)
-        Position of the initial state, m (see `ground_sun_direction`).
+    prior_gP : ndarray, shape (3,), or None
+        Position of the initial state, m (see `ground_sun_direction`); without it the tilts of frames
+        without rims are left out, as nothing tells the ground's normal there.
 
     Raises
     ------
@@ -114,7 +115,11 @@ def read_measurements(
         seen = rims.take(rows[np.argsort(rims.craters[rows])])
         tilt = None
         if k in tilts:
-            direction = ground_sun_direction(sun.at(int(stamp)), catalog, seen.craters, prior_gP)
+            if prior_gP is None and not len(seen):
+                out.append(FrameMeasurement(int(stamp), seen, None))
+                continue
+            prior = np.zeros(3) if prior_gP is None else prior_gP
+            direction = ground_sun_direction(sun.at(int(stamp)), catalog, seen.craters, prior)
             angle, sigma, u, v = tilts[k].tolist()
             tilt = SunTilt(angle, sigma, np.array([u, v]), direction)
         out.append(FrameMeasurement(int(stamp), seen, tilt))

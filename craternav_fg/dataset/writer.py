@@ -37,7 +37,7 @@ def write_dataset(
     catalog: Catalog,
     imu: ImuLog,
     imu_noise: ImuNoise,
-    initial: InitialState,
+    initial: InitialState | None,
     sun: SunVectors,
     stamps_ns: IntArray,
     images: Iterable[ImageArray] | None = None,

@@ -46,6 +46,7 @@ def simulate(
     folder: Path,
     *,
     trial: int | None = None,
+    with_initial: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Simulate a descent and write its data set.
@@ -58,6 +59,8 @@ def simulate(
     trial : int, optional
         Number of a Monte Carlo trial: with the scenario's seed it determines all randomness; listed
         craters are then drawn anew if the list says so.
+    with_initial : bool
+        Whether the data set says where the descent begins.
     progress : callable, optional
         Called with the frames done and their number.
 
@@ -141,7 +144,7 @@ def simulate(
         catalog=told,
         imu=imu,
         imu_noise=scenario.imu.noise(),
-        initial=initial,
+        initial=initial if with_initial else None,
         sun=sun,
         stamps_ns=stamps,
         images=None if scenario.render is None else images(),

@@ -21,8 +21,8 @@ def field(rng, count=150):
     return Catalog(
         tuple(f"C{k}" for k in range(count)),
         rng.uniform(-0.03, 0.03, count), rng.uniform(-0.03, 0.03, count), major,
-        major * rng.uniform(0.75, 1.0, count), rng.uniform(0.0, np.pi, count), 200.0 * rng.standard_normal(count),
-        MOON,
+        major * rng.uniform(0.75, 1.0, count), rng.uniform(0.0, np.pi, count),
+        200.0 * rng.standard_normal(count), MOON,
     )  # fmt: skip
 
 
