@@ -1,12 +1,41 @@
 """What one image says: rims in the ellipse chart, arcs of rims as edge points, and the sun's tilt."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class RimQuality:
+    """How well the rims of one frame could be seen, one value per rim.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (n,)
+        Shading gain: share by which a slope of 1 towards the light brightens the ground there.
+    found_share : ndarray, shape (n,)
+        Edge points that the fit kept, as a share of the places searched with enough gain.
+    arc_share : ndarray, shape (n,)
+        Part of the rim that the edge points cover.
+    rms_px : ndarray, shape (n,)
+        Of the edge points' distances to the ellipse.
+    outline_share : ndarray, shape (n,)
+        Root mean square of the rim's deviation from an ellipse, in radii; 0 where it is taken for one.
+    """
+
+    gain: FloatArray
+    found_share: FloatArray
+    arc_share: FloatArray
+    rms_px: FloatArray
+    outline_share: FloatArray
+
+    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimQuality":
+        """Return that of some rims (a mask or indices)."""
+        return RimQuality(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -22,18 +51,22 @@ class RimSet:
         image coordinates (EQUATIONS: "the chart to optimise in"); m is the image ellipse's centre.
     covariance : ndarray, shape (n, 5, 5)
         Covariance of the chart, from each rim's own fit and the systematic floor.
+    quality : RimQuality or None
+        None when the rims were not measured in an image.
     """
 
     craters: IntArray
     chart: FloatArray
     covariance: FloatArray
+    quality: RimQuality | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
 
     def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimSet":
         """Return the rims of some rows (a mask or indices)."""
-        return RimSet(self.craters[rows], self.chart[rows], self.covariance[rows])
+        quality = None if self.quality is None else self.quality.take(rows)
+        return RimSet(self.craters[rows], self.chart[rows], self.covariance[rows], quality)
 
     def centres(self) -> "CentreSet":
         """Return the image ellipses' centres alone: what centre-based navigation measures."""

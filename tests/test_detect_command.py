@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from craternav_fg import cli
-from craternav_fg.bench.detect import Ground, scene
+from craternav_fg.bench.scenes import Ground, scene
 from craternav_fg.dataset.foreign_images import read_foreign_image
 
 HEADER = [

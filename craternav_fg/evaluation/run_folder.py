@@ -5,7 +5,8 @@ truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in
 states.parquet      every estimator's states with covariances, one row per frame
 residuals.parquet   every rim against every estimator's pose, one row per rim and estimator: as measured
                     (`chart`), and what is left of it (`whitened`, `chi2`); `weight` is the one it had, 0 if
-                    rejected as a wrong match, null where the estimator does not choose
+                    rejected as a wrong match, null where the estimator does not choose; with `RimQuality`
+                    of rims measured in images
 figures/            PNG
 run.toml            what was run on what, with versions
 """
@@ -14,7 +15,7 @@ import importlib.metadata
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.evaluation.metrics import metrics
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import FrameMeasurement, RimQuality, RimSet
 from craternav_fg.reconstruction import Reconstruction
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import conic
@@ -252,6 +253,11 @@ def _required(array: FloatArray | None) -> FloatArray:
     return array
 
 
+def _quality(rims: RimSet, name: str) -> FloatArray:
+    """One figure of all rims of a frame; NaN where they were not measured in an image."""
+    return np.full(len(rims), np.nan) if rims.quality is None else np.asarray(getattr(rims.quality, name))
+
+
 def _residuals(
     trajectories: Mapping[str, Trajectory],
     measured: tuple[FrameMeasurement, ...],
@@ -262,6 +268,10 @@ def _residuals(
     stamps = np.concatenate([np.full(len(f.rims), f.stamp_ns) for f in measured])
     craters = np.concatenate([f.rims.craters for f in measured])
     charts = np.concatenate([f.rims.chart for f in measured])
+    quality = {
+        name: pa.array(np.concatenate([_quality(f.rims, name) for f in measured]), from_pandas=True)
+        for name in (field.name for field in fields(RimQuality))
+    }
     parts = []
     for name, trajectory in trajectories.items():
         whitened = [np.empty((0, 5))]
@@ -286,6 +296,7 @@ def _residuals(
                     "weight": pa.nulls(len(e), pa.float64())
                     if weights is None
                     else pa.array(np.concatenate(weights)),
+                    **quality,
                 }
             )
         )

@@ -25,6 +25,9 @@ ImageArray = npt.NDArray[np.float32]
 _SATURATED = 250.0
 # The second smoothing, in units of the first, under which the crossing's displacement is observed.
 _WIDER = 2.2
+# Below this share of the rim's largest gain, errors of the level and of the rim's own direction, which
+# the prediction does not know, outweigh the noise of the pixels.
+_FLAT_GAIN = 0.35
 # Trust in the canonical crater before that, px^2 of observed displacement.
 _BLUNTNESS_WEIGHT = 0.1
 
@@ -281,7 +284,8 @@ def trace_rim(
     points : ndarray, shape (n, 2)
         Pixels.
     sigma_ratio : ndarray, shape (n,)
-        Relative standard deviations: the edge is the less certain the smaller the gain.
+        Relative standard deviations: the edge is the less certain the smaller the gain, in all and beside
+        the rim's largest.
     lever : ndarray, shape (n, 2)
         Motion of the points, px, per relative change of the level.
     tried : int
@@ -294,8 +298,9 @@ def trace_rim(
     lever = np.empty((count, 2))
     normal = np.empty((count, 2))
     first = np.empty(count)
+    gains = np.empty(count)
     more = np.empty(count)
-    found, tried = 0, 0
+    found, tried, largest = 0, 0, 0.0
     dot, square = _BLUNTNESS_WEIGHT, _BLUNTNESS_WEIGHT
     q = np.empty(6)
     bent = distorts(lens)
@@ -377,12 +382,16 @@ def trace_rim(
         normal[found, 1] = q[3]
         first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5]
         more[found] = shift
-        ratio[found] = shrinks / np.abs(gain)
+        ratio[found] = shrinks
+        gains[found] = np.abs(gain)
+        largest = max(largest, np.abs(gain))
         lever[found, 0] = -sign * q[2] / fall
         lever[found, 1] = -sign * q[3] / fall
         found += 1
     bluntness = dot / square
     for i in range(found):
+        flat = _FLAT_GAIN * largest / gains[i]
+        ratio[i] *= np.sqrt(1.0 + flat * flat) / gains[i]
         t = first[i] - bluntness * more[i]
         points[i, 0] += t * normal[i, 0]
         points[i, 1] += t * normal[i, 1]

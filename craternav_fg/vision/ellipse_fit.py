@@ -13,6 +13,10 @@ circles. The usual Sampson distance, of f^2 + 2 f, falls short by e^2 / 2R and s
 What bias is left is the second-order one of the estimating equation, and is subtracted; errors are
 taken to lie along the normals, as they do for edges searched along normals. Points that also err along the
 rim, such as clicked ones, lie outside it by sigma^2 / 2R more, which their distances cannot tell.
+
+Real outlines are no ellipses, and where the points leave gaps an ellipse fitted as if they were goes astray by
+far more than their scatter. So harmonics of the outline may be estimated beside the ellipse, as unknowns whose
+variance the points' misfit tells: what is not seen of the rim is then as uncertain as what is seen deviates.
 """
 
 from dataclasses import dataclass
@@ -47,6 +51,10 @@ class FitOptions:
         Lower bound of the points' standard deviation: keeps perfect points from an infinite weight.
     floor_px, floor_share : float
         Systematic floor on centre, semi-axes and rotation: floor_px + floor_share b.
+    outline_share : float
+        Expected root mean square of a rim's deviation from an ellipse, in radii. How much a rim deviates is
+        estimated beside the ellipse, and is uncertainty of those parts of it that are not seen; 0: rims are
+        ellipses.
     """
 
     min_points: int = 16
@@ -56,6 +64,7 @@ class FitOptions:
     min_scatter_px: float = 0.03
     floor_px: float = 0.025
     floor_share: float = 0.001
+    outline_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +76,9 @@ class RimFit:
     chart : ndarray, shape (5,)
         Ellipse chart in normalised image coordinates, bias removed.
     covariance : ndarray, shape (5, 5)
-        Of the chart: the points' scatter and the systematic floor.
+        Of the chart: the points' scatter, the outline's deviation from an ellipse and the systematic floor.
+    systematic : ndarray, shape (5, 5)
+        The last two of these: about the same error in every image of the rim.
     chart_px : ndarray, shape (5,)
         The same ellipse's chart in pixel coordinates.
     rms_px : float
@@ -76,14 +87,19 @@ class RimFit:
         Points that the robust loss kept.
     arc_share : float
         Part of the rim they cover.
+    outline_share : float
+        Root mean square of the rim's deviation from an ellipse, in radii, as the points tell it; 0 when it is
+        taken for one.
     """
 
     chart: FloatArray
     covariance: FloatArray
+    systematic: FloatArray
     chart_px: FloatArray
     rms_px: float
     point_count: int
     arc_share: float
+    outline_share: float
 
 
 class FitFailure(Enum):
@@ -155,9 +171,9 @@ def refine_rim(
     """
     if len(points) < options.min_points:
         return FitFailure.TOO_FEW_POINTS
-    ok, y, cov, rms, kept, arc = ellipse_kernel.fit(
+    ok, y, cov, of_outline, rms, kept, arc, outline = ellipse_kernel.fit(
         points, sigma_ratio, np.zeros_like(points) if lever is None else lever, lever_sigma, start_px,
-        options.min_scatter_px, options.max_gap_rad,
+        options.min_scatter_px, options.max_gap_rad, options.outline_share,
     )  # fmt: skip
     if not ok or np.sqrt(max(cov[2, 2], cov[4, 4])) > options.max_sigma_share:
         return FitFailure.NO_ELLIPSE
@@ -166,8 +182,10 @@ def refine_rim(
     if arc < options.min_arc_share:
         return FitFailure.SHORT_ARC
     chart, scale = normalised_chart(y, camera)
-    covariance = cov * np.outer(scale, scale) + systematic_covariance(chart, camera, options)
-    return RimFit(chart, covariance, y, rms, kept, arc)
+    units = np.outer(scale, scale)
+    systematic = of_outline * units + systematic_covariance(chart, camera, options)
+    covariance = (cov - of_outline) * units + systematic
+    return RimFit(chart, covariance, systematic, y, rms, kept, arc, outline)
 
 
 def systematic_covariance(chart: FloatArray, camera: Camera, options: FitOptions) -> FloatArray:

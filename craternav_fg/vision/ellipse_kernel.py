@@ -13,12 +13,21 @@ _TUKEY = 4.685
 _MAD_TO_SIGMA = 1.4826
 _GENTLE_ROUNDS = 5
 _SCALE_ROUNDS = 15
+_WEIGHT_ROUNDS = 22
 # Moments of Tukey's psi for a Gaussian error e of standard deviation 1, relative to m = E[psi']: of its
 # variance E[psi^2]/m^2, E[psi' e^2]/m, E[psi psi' e]/m^2 and Var[psi']/m^2. All but the last are 1 for least
 # squares.
 _SPREAD, _CURVED, _MIXED, _UNEVEN = 1.0526, 0.4428, 0.5720, 0.1597
 # Relative variance of the scatter's estimate, times the number of points (2 for least squares).
 _SCATTER = 2.33
+# Harmonics of an outline that is no ellipse: lower ones would be another ellipse. Amplitudes fall with the
+# order, as outlines of craters are red; this much of the variance is in each of the two of an order.
+FIRST_HARMONIC, LAST_HARMONIC = 3, 8
+_ORDERS = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
+HARMONIC_SHARE = (1.0 / _ORDERS**2) / np.sum(0.5 / _ORDERS**2)
+# The outline's variance is told by few harmonics, partly seen: its inverse's mean is larger than its mean's.
+_OUTLINE_SPREAD = 1.4
+_MAX_OUTLINE = 0.15
 
 
 @njit(cache=True, error_model="numpy")
@@ -59,6 +68,22 @@ def _solved(L: FloatArray, rhs: FloatArray) -> FloatArray:
             x[i] -= L[k, i] * x[k]
         x[i] /= L[i, i]
     return x
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse_block(N: FloatArray, C: FloatArray) -> bool:
+    """Write the first rows and columns of the inverse of N into C; False when N is not well determined."""
+    L = np.zeros_like(N)
+    if not _factorised(N, L):
+        return False
+    unit = np.zeros(N.shape[0])
+    for a in range(C.shape[0]):
+        unit[:] = 0.0
+        unit[a] = 1.0
+        column = _solved(L, unit)
+        for b in range(C.shape[0]):
+            C[b, a] = column[b]
+    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,21 +130,51 @@ def _distance(px: float, py: float, y: FloatArray, n: FloatArray, w: FloatArray)
 
 
 @njit(cache=True, error_model="numpy")
+def _point_row(px: float, py: float, lever: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
+    """Distance as `_distance`; writes its derivative (m,) for chart, lever's unknown and outline, too.
+
+    The outline deviates from the ellipse by harmonics of the angle in which that is a circle, as shares of
+    the radius: a share moves a tangent by as much of its distance from the centre.
+    """
+    d = _distance(px, py, y, n, w)
+    w[5] = -(n[0] * lever[0] + n[1] * lever[1])
+    if len(w) > 6:
+        x = px - y[0]
+        u, v = x / np.exp(y[2]), (py - y[1] - y[3] * x) / np.exp(y[4])
+        r = np.sqrt(u * u + v * v)
+        h = n[0] * x + n[1] * (py - y[1]) - d
+        c1, s1 = u / r, v / r
+        c, s = c1, s1
+        k = 1
+        for j in range(6, len(w), 2):
+            while k < FIRST_HARMONIC + (j - 6) // 2:
+                c, s = c * c1 - s * s1, s * c1 + c * s1
+                k += 1
+            w[j] = -h * c
+            w[j + 1] = -h * s
+    return d
+
+
+@njit(cache=True, error_model="numpy")
 def _normal_equations(
-    points: FloatArray, lever: FloatArray, base: FloatArray, weight: FloatArray, y: FloatArray
+    rows: FloatArray, distance: FloatArray, base: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Build the normal matrix (6, 6) and gradient (6,): of the chart, then of the lever's unknown."""
-    N = np.zeros((6, 6))
-    grad = np.zeros(6)
-    n, w = np.empty(2), np.empty(6)
-    for i in range(points.shape[0]):
-        d = _distance(points[i, 0], points[i, 1], y, n, w)
-        w[5] = -(n[0] * lever[i, 0] + n[1] * lever[i, 1])
+    """Build the normal matrix (m, m) and gradient (m,) from the points' derivatives (n, m)."""
+    m = rows.shape[1]
+    N = np.zeros((m, m))
+    grad = np.zeros(m)
+    for i in range(rows.shape[0]):
         k = base[i] * weight[i]
-        for a in range(6):
-            grad[a] += k * w[a] * d
-            for b in range(6):
-                N[a, b] += k * w[a] * w[b]
+        if k == 0.0:
+            continue
+        for a in range(m):
+            ka = k * rows[i, a]
+            grad[a] += ka * distance[i]
+            for b in range(a + 1):
+                N[a, b] += ka * rows[i, b]
+    for a in range(m):
+        for b in range(a):
+            N[b, a] = N[a, b]
     return N, grad
 
 
@@ -242,42 +297,91 @@ def _run_length(r: FloatArray, weight: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: float) -> float:
+    """Variance, in radii, of the outline's deviation from the ellipse that explains residuals r (n,).
+
+    Their mean square is that of the points' own errors, which differ from neighbour to neighbour, and what a
+    fit of the ellipse alone leaves of the harmonics.
+    """
+    count, m = rows.shape
+    jump, power = np.empty(count - 1), 0.0
+    for i in range(count):
+        power += min(abs(r[i]), _TUKEY * sigma) ** 2
+        if i > 0:
+            jump[i - 1] = abs(r[i] - r[i - 1])
+    own = 0.5 * (_MAD_TO_SIGMA * _ordered(jump)[(count - 1) // 2]) ** 2
+    N, _ = _normal_equations(rows, r, base, np.ones(count))
+    ellipse = np.ascontiguousarray(N[:5, :5])
+    L = np.zeros((5, 5))
+    if not _factorised(ellipse, L):
+        return 0.0
+    left = 0.0
+    for j in range(6, m):
+        column = _solved(L, N[j, :5])
+        rest = N[j, j]
+        for a in range(5):
+            rest -= N[j, a] * column[a]
+        left += HARMONIC_SHARE[j - 6] * rest
+    return min(max(power - count * own, 0.0) / left, _MAX_OUTLINE**2)
+
+
+@njit(cache=True, error_model="numpy")
 def fit(
     points: FloatArray, ratio: FloatArray, lever: FloatArray, lever_sigma: float, start: FloatArray,
-    min_scatter: float, max_gap_rad: float,
-) -> tuple[bool, FloatArray, FloatArray, float, int, float]:  # fmt: skip
-    """Robust fit: whether it converged, chart (5,), covariance (5, 5), rms, points kept, arc share."""
+    min_scatter: float, max_gap_rad: float, outline_share: float,
+) -> tuple[bool, FloatArray, FloatArray, FloatArray, float, int, float, float]:  # fmt: skip
+    """Robust fit.
+
+    Returns whether it converged, chart (5,), covariance (5, 5) and the part of it (5, 5) that is from the
+    outline, rms of the distances, points kept, arc share and the outline's rms deviation from the ellipse in
+    radii. `outline_share`, that expected, is corrected by what the points say; 0 leaves no room for any.
+    """
     count = points.shape[0]
+    size_all = 6 + (len(HARMONIC_SHARE) if outline_share > 0.0 else 0)
     y = start.copy()
     cov = np.zeros((5, 5))
     base = 1.0 / (ratio * ratio)
     base *= count / np.sum(base)
     weight = np.ones(count)
-    r = np.empty(count)
-    n, w = np.empty(2), np.empty(5)
-    moved = points.copy()
-    L = np.zeros((6, 6))
-    unknown, sigma, length = 0.0, 1.0, np.inf
+    r, d = np.empty(count), np.empty(count)
+    n = np.empty(2)
+    rows = np.empty((count, size_all))
+    # The lever's unknown and the harmonics, and their prior variances.
+    other = np.zeros(size_all)
+    prior = np.full(size_all, lever_sigma * lever_sigma)
+    outline2 = outline_share * outline_share
+    L = np.zeros((size_all, size_all))
+    unit = np.zeros(size_all)
+    sigma, length = 1.0, np.inf
+    for j in range(6, size_all):
+        prior[j] = outline2 * HARMONIC_SHARE[j - 6]
     for iteration in range(30):
         for i in range(count):
-            moved[i, 0] = points[i, 0] - unknown * lever[i, 0]
-            moved[i, 1] = points[i, 1] - unknown * lever[i, 1]
-            r[i] = _distance(moved[i, 0], moved[i, 1], y, n, w) * np.sqrt(base[i])
+            d[i] = _point_row(points[i, 0], points[i, 1], lever[i], y, n, rows[i])
+            for j in range(5, size_all):
+                d[i] += rows[i, j] * other[j]
+            r[i] = d[i] * np.sqrt(base[i])
         # With a scale that follows the points' order the weights can go round for ever.
         if iteration < _SCALE_ROUNDS:
             sigma = max(_MAD_TO_SIGMA * _ordered(np.abs(r))[count // 2], min_scatter)
         for i in range(count):
             t = r[i] / (_TUKEY * sigma)
-            # The first rounds down-weigh only: a poor start must not throw the good points away.
+            # The first rounds down-weigh only: a poor start must not throw the good points away. The last
+            # leave the weights as they are.
             if iteration < _GENTLE_ROUNDS:
                 weight[i] = 1.0 / (1.0 + (r[i] / sigma) ** 2)
-            else:
+            elif iteration < _WEIGHT_ROUNDS:
                 weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
-        N, grad = _normal_equations(moved, lever, base, weight, y)
-        N[5, 5] += (sigma / lever_sigma) ** 2
-        grad[5] += (sigma / lever_sigma) ** 2 * unknown
+        if size_all > 6 and iteration == _GENTLE_ROUNDS:
+            outline2 += _outline_variance(rows, r, base, sigma)
+            for j in range(6, size_all):
+                prior[j] = outline2 * HARMONIC_SHARE[j - 6]
+        N, grad = _normal_equations(rows, d, base, weight)
+        for j in range(5, size_all):
+            N[j, j] += sigma * sigma / prior[j]
+            grad[j] += sigma * sigma / prior[j] * other[j]
         if not _factorised(N, L):
-            return False, y, cov, 0.0, 0, 0.0
+            return False, y, cov, cov, 0.0, 0, 0.0, 0.0
         step = _solved(L, -grad)
         size = np.exp(0.5 * (y[2] + y[4]))
         length = np.abs(step[0]) + np.abs(step[1])
@@ -285,50 +389,51 @@ def fit(
         damp = min(1.0, 0.5 * size / (length + 1e-300))
         for a in range(5):
             y[a] += damp * step[a]
-        unknown += damp * step[5]
+        for j in range(5, size_all):
+            other[j] += damp * step[j]
         if iteration > _GENTLE_ROUNDS and length < 1e-4:
             break
     # A robust cycle of a few thousandths of a pixel is as good as convergence.
     if not (length < 0.01 and np.abs(y[3]) < 20.0):
-        return False, y, cov, 0.0, 0, 0.0
+        return False, y, cov, cov, 0.0, 0, 0.0, 0.0
     kept = 0
     psi2, slope, square, mass = 0.0, 0.0, 0.0, 0.0
     for i in range(count):
-        moved[i, 0] = points[i, 0] - unknown * lever[i, 0]
-        moved[i, 1] = points[i, 1] - unknown * lever[i, 1]
-        r[i] = _distance(moved[i, 0], moved[i, 1], y, n, w) * np.sqrt(base[i])
+        d[i] = _point_row(points[i, 0], points[i, 1], lever[i], y, n, rows[i]) + rows[i, 5] * other[5]
+        whole = d[i] * np.sqrt(base[i])
+        for j in range(6, size_all):
+            d[i] += rows[i, j] * other[j]
+        r[i] = d[i] * np.sqrt(base[i])
         t = r[i] / (_TUKEY * sigma)
         weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
         if weight[i] > 0.0:
             kept += 1
             psi2 += (weight[i] * r[i]) ** 2
             slope += (1.0 - t * t) * (1.0 - 5.0 * t * t)
-            square += weight[i] * r[i] * r[i]
+            square += weight[i] * whole * whole
             mass += weight[i]
     if kept < 8 or not slope > 0.3 * kept:
-        return False, y, cov, 0.0, kept, 0.0
+        return False, y, cov, cov, 0.0, kept, 0.0, 0.0
     rms = np.sqrt(square / mass)
     # Covariance of an M-estimate: psi's mean square over its mean slope squared.
     sigma2 = psi2 * count / (slope * slope)
-    white2 = sigma2 * count / (count - 5.0) / _SPREAD
-    # With Huber's correction for few points, and right in its inverse's mean: it is itself an estimate.
-    sigma2 *= count / (count - 5.0 - _SCATTER) * (1.0 + 5.0 * _UNEVEN / count) ** 2
-    sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
-    plain = np.ones(count)
-    N, _ = _normal_equations(moved, lever, base, plain, y)
-    N[5, 5] += sigma2 / lever_sigma**2
-    if not _factorised(N, L):
-        return False, y, cov, 0.0, kept, 0.0
-    C = np.empty((5, 5))
-    unit = np.zeros(6)
-    for a in range(5):
+    fitted = 5.0
+    for j in range(6, size_all):
         unit[:] = 0.0
-        unit[a] = 1.0
-        column = _solved(L, unit)
-        for b in range(5):
-            C[b, a] = column[b]
-    arc = _covered(moved, weight, y, max_gap_rad)
+        unit[j] = 1.0
+        fitted += max(0.0, 1.0 - sigma2 * _solved(L, unit)[j] / prior[j])
+    white2 = sigma2 * count / (count - fitted) / _SPREAD
+    # With Huber's correction for few points, and right in its inverse's mean: it is itself an estimate.
+    sigma2 *= count / (count - fitted - _SCATTER) * (1.0 + fitted * _UNEVEN / count) ** 2
+    sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
+    N, _ = _normal_equations(rows, d, base, np.ones(count))
+    for j in range(5, size_all):
+        N[j, j] += sigma2 / (prior[j] * (_OUTLINE_SPREAD if j > 5 else 1.0))
+    C, noise = np.empty((5, 5)), np.empty((5, 5))
+    if not (_inverse_block(N, C) and _inverse_block(np.ascontiguousarray(N[:6, :6]), noise)):
+        return False, y, cov, cov, 0.0, kept, 0.0, 0.0
+    arc = _covered(points, weight, y, max_gap_rad)
     # A hardly determined ellipse has no second-order expansion; it is refused by its covariance.
     if sigma2 * max(C[2, 2], C[4, 4]) < 0.06:
-        y = y - _second_order_bias(moved, base, plain, y, C, white2)
-    return True, y, sigma2 * C, rms, kept, arc
+        y = y - _second_order_bias(points - other[5] * lever, base, np.ones(count), y, noise, white2)
+    return True, y, sigma2 * C, sigma2 * (C - noise), rms, kept, arc, np.sqrt(outline2)

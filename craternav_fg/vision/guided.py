@@ -14,14 +14,13 @@ from scipy.stats import chi2
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
-from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.measurements import FrameMeasurement, RimQuality, RimSet
 from craternav_fg.vision import crest, edges, photometry
 from craternav_fg.vision.ellipse_fit import (
     FitFailure,
     FitOptions,
     RimFit,
     refine_rim,
-    systematic_covariance,
 )
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.photometry import LevelMap
@@ -74,8 +73,10 @@ class GuidedOptions:
         Frames that show a crater, about. The systematic part of its rim's error is nearly the same in
         all of them and does not average out, which those who fuse the frames cannot know: in the
         covariance that is given away it counts this many times. 1 is honest for a single image.
+        The part from a rim's outline counts as systematic, too.
     fit : FitOptions
-        Of the ellipse fit, with the systematic floor.
+        Of the ellipse fit, with the systematic floor and the deviation of outlines that is expected before
+        they are seen.
     sun : SunOptions
         Of the sun's tilt.
     """
@@ -97,7 +98,7 @@ class GuidedOptions:
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
     sightings: float = 10.0
-    fit: FitOptions = field(default_factory=FitOptions)
+    fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.003))
     sun: SunOptions = field(default_factory=SunOptions)
 
 
@@ -119,6 +120,7 @@ class _Scene:
     rows: IntArray
     charts: FloatArray
     charts_px: FloatArray
+    gain: FloatArray
     gain_px: FloatArray
     level: FloatArray
     jacobians: FloatArray
@@ -128,9 +130,23 @@ class _Scene:
 
     def take(self, keep: IntArray) -> "_Scene":
         return _Scene(
-            self.rows[keep], self.charts[keep], self.charts_px[keep], self.gain_px[keep], self.level[keep],
-            self.jacobians[keep],
+            self.rows[keep], self.charts[keep], self.charts_px[keep], self.gain[keep], self.gain_px[keep],
+            self.level[keep], self.jacobians[keep],
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Rims of a scene whose edges bear a fit: charts (n, 5), covariances and their lasting part (n, 5, 5)."""
+
+    scene: _Scene
+    chart: FloatArray
+    covariance: FloatArray
+    systematic: FloatArray
+    quality: RimQuality
+
+    def __len__(self) -> int:
+        return len(self.chart)
 
 
 @dataclass(frozen=True)
@@ -222,15 +238,16 @@ class GuidedFrontEnd:
             pose = self._aligned(image, gTb, prior, sun_g, levels, common, min(radius_px, opt.max_shift_px))
             scene = self._predict(self._visible(pose, opt.margin_px), pose, sun_g, levels)
         if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach[0]:
-            rough, chart, covariance = self._fit_all(image, scene, opt.first_reach)
+            rough = self._fit_all(image, scene, opt.first_reach)
             if len(rough) > 0:
-                pose, _ = corrected_pose(gTb, prior, pose, rough.jacobians, chart - rough.charts, covariance)
+                residual = rough.chart - rough.scene.charts
+                pose, _ = corrected_pose(gTb, prior, pose, rough.scene.jacobians, residual, rough.covariance)
                 scene = self._predict(self._visible(pose, opt.margin_px), pose, sun_g, levels)
         expected = len(scene)
-        scene, chart, covariance = self._fit_all(image, scene, opt.second_reach)
-        if len(scene) == 0:
+        fitted = self._fit_all(image, scene, opt.second_reach)
+        if len(fitted) == 0:
             return _Result(RimSet.empty(), gTb, expected)
-        return self._judged(gTb, prior, pose, scene, chart, covariance, expected)
+        return self._judged(gTb, prior, pose, fitted, expected)
 
     def _aligned(
         self,
@@ -258,12 +275,11 @@ class GuidedFrontEnd:
         gTb: FloatArray,
         prior: FloatArray,
         pose: FloatArray,
-        scene: "_Scene",
-        chart: FloatArray,
-        covariance: FloatArray,
+        fitted: "_Fitted",
         expected: int,
     ) -> "_Result":
         """Gate fitted rims against the prediction and against the pose that they support together."""
+        scene, chart, covariance = fitted.scene, fitted.chart, fitted.covariance
         centres, axes = self.catalog.centres[scene.rows], self.catalog.axes[scene.rows]
         residual, H = chart - scene.charts, scene.jacobians
         for scaled in (False, True):
@@ -278,10 +294,9 @@ class GuidedFrontEnd:
         prior2 = squared_distance(chart - first, covariance + H @ prior @ np.swapaxes(H, 1, 2))
         limit = chi2.ppf(self.options.gate_probability, 5)
         keep = (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
-        rows = np.flatnonzero(keep)
-        repeated = [systematic_covariance(chart[i], self.camera, self.options.fit) for i in rows]
-        more = (self.options.sightings - 1.0) * np.array(repeated).reshape(-1, 5, 5)
-        return _Result(RimSet(scene.rows[keep], chart[keep], covariance[keep] + more), pose, expected)
+        covariance = covariance + (self.options.sightings - 1.0) * fitted.systematic
+        rims = RimSet(scene.rows, chart, covariance, fitted.quality)
+        return _Result(rims.take(keep), pose, expected)
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
         least = self.options.min_semi_minor_px
@@ -309,8 +324,8 @@ class GuidedFrontEnd:
         level = brightness * levels.ratio(points)
         lit = level > _DARK
         return _Scene(
-            rows[lit], charts[lit], pixel_chart(charts[lit], self.camera), np.ascontiguousarray(gain_px[lit]),
-            level[lit], H[lit],
+            rows[lit], charts[lit], pixel_chart(charts[lit], self.camera), np.linalg.norm(gain[lit], axis=-1),
+            np.ascontiguousarray(gain_px[lit]), level[lit], H[lit],
         )  # fmt: skip
 
     def _common_shift(self, image: ImageArray, scene: "_Scene", radius_px: float) -> FloatArray:
@@ -358,14 +373,13 @@ class GuidedFrontEnd:
             )  # fmt: skip
         return out
 
-    def _fit_all(
-        self, image: ImageArray, scene: "_Scene", reach: tuple[float, float]
-    ) -> tuple["_Scene", FloatArray, FloatArray]:
-        """Those rims of a scene whose edges bear a fit, their charts (n, 5) and covariances."""
+    def _fit_all(self, image: ImageArray, scene: "_Scene", reach: tuple[float, float]) -> "_Fitted":
+        """Fit those rims of a scene whose edges bear it."""
         opt = self.options
         noise_step = opt.step_sigmas * np.sqrt(2.0) * edges.noise_level(image)
         found: list[int] = []
         fits: list[RimFit] = []
+        searched: list[int] = []
         for i in range(len(scene)):
             minor_px = float(np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])))
             count = int(np.clip(2.0 * minor_px, 56, 160))
@@ -381,9 +395,22 @@ class GuidedFrontEnd:
                 continue
             found.append(i)
             fits.append(fit)
-        chart = np.array([f.chart for f in fits]).reshape(-1, 5)
-        covariance = np.array([f.covariance for f in fits]).reshape(-1, 5, 5)
-        return scene.take(np.array(found, dtype=np.int64)), chart, covariance
+            searched.append(tried)
+        rows = np.array(found, dtype=np.int64)
+        quality = RimQuality(
+            scene.gain[rows],
+            np.array([f.point_count for f in fits]) / np.array(searched),
+            np.array([f.arc_share for f in fits]),
+            np.array([f.rms_px for f in fits]),
+            np.array([f.outline_share for f in fits]),
+        )
+        return _Fitted(
+            scene.take(rows),
+            np.array([f.chart for f in fits]).reshape(-1, 5),
+            np.array([f.covariance for f in fits]).reshape(-1, 5, 5),
+            np.array([f.systematic for f in fits]).reshape(-1, 5, 5),
+            quality,
+        )
 
 
 def _spread_px(motion: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from craternav_fg.bench.detect import HARD, accuracy, scene
+from craternav_fg.bench.detect import accuracy
+from craternav_fg.bench.scenes import HARD, scene
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.matching import match

@@ -196,6 +196,57 @@ def test_an_unknown_common_motion_of_the_points_is_estimated():
     assert np.hypot(*(given_lever.chart_px[:2] - truth)) < 0.08
 
 
+def outlined(rng, rms, arc, last=20, fall=1.5):
+    """Points of an ellipse whose radius has harmonics from 3 on; the fit expects another spectrum."""
+    points, normals = rim(30.0, 24.0, 0.4, 90, arc)
+    t, k = np.linspace(*arc, 90, endpoint=False), np.arange(3, last + 1)
+    scale = rms * k**-fall / np.linalg.norm(k**-fall)
+    share = np.cos(np.outer(t, k)) @ (scale * rng.normal(size=len(k)))
+    share += np.sin(np.outer(t, k)) @ (scale * rng.normal(size=len(k)))
+    centre = [300.0, 420.0]
+    return (points - centre) * (1.0 + share[:, None]) + centre + normals * rng.normal(0.0, 0.1, (90, 1))
+
+
+def outline_fits(rms, share, arc):
+    """Errors (n, 5), squared distances over 5 and estimated deviations of rims fitted from their truth."""
+    truth = chart_of(30.0, 24.0, 0.4, CAMERA)
+    options = FitOptions(floor_px=0.0, floor_share=0.0, outline_share=share)
+    rng = np.random.default_rng(13)
+    fits = [
+        refine_rim(outlined(rng, rms, arc), pixel_chart(truth, CAMERA), CAMERA, options, np.ones(90))
+        for _ in range(150)
+    ]
+    good = [f for f in fits if isinstance(f, RimFit)]
+    assert len(good) >= 148
+    e = np.array([f.chart for f in good]) - truth
+    C = np.array([f.covariance for f in good])
+    distance2 = np.einsum("ni,ni->n", e, np.linalg.solve(C, e[..., None])[..., 0]) / 5.0
+    return e, distance2, np.array([f.outline_share for f in good])
+
+
+@pytest.mark.parametrize("arc", [FULL, (0.3, 5.7), (0.3, 4.9)])
+def test_outlines_that_are_no_ellipses(arc):
+    """The part of a rim that is not seen is as uncertain as the seen part deviates."""
+    plain, too_sure, none = outline_fits(0.03, 0.0, arc)
+    e, distance2, shares = outline_fits(0.03, 0.003, arc)
+    better = np.mean(e**2, axis=0) / np.mean(plain**2, axis=0)
+    assert np.all(better[:4] < 0.85)
+    assert better[4] < 1.05
+    assert np.mean(distance2) < 2.2
+    assert np.median(distance2) > 0.2
+    assert 0.02 < np.median(shares) < 0.035
+    assert np.all(none == 0.0)
+    if arc != FULL:
+        assert np.mean(too_sure) > np.mean(distance2)
+
+
+def test_rims_that_are_ellipses_lose_little_by_an_outline():
+    (plain, _, _), (free, distance2, shares) = (outline_fits(0.0, share, FULL) for share in (0.0, 0.003))
+    assert np.all(np.std(free, axis=0) < 1.1 * np.std(plain, axis=0))
+    assert 0.6 < np.mean(distance2) < 1.3
+    assert np.median(shares) < 0.006
+
+
 def test_what_does_not_determine_an_ellipse_is_refused():
     rng = np.random.default_rng(11)
     points, normals = rim(30.0, 25.0, 0.2, 60)
