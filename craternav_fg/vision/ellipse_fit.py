@@ -14,9 +14,10 @@ What bias is left is the second-order one of the estimating equation, and is sub
 taken to lie along the normals, as they do for edges searched along normals. Points that also err along the
 rim, such as clicked ones, lie outside it by sigma^2 / 2R more, which their distances cannot tell.
 
-Real outlines are no ellipses, and where the points leave gaps an ellipse fitted as if they were goes astray by
-far more than their scatter. So harmonics of the outline may be estimated beside the ellipse, as unknowns whose
-variance the points' misfit tells: what is not seen of the rim is then as uncertain as what is seen deviates.
+Real outlines are no ellipses, and where the points leave gaps an ellipse fitted as if they were goes astray
+by far more than their scatter. So harmonics of the outline may be estimated beside the ellipse, as unknowns
+whose variance the points' misfit tells: what is not seen of the rim is then as uncertain as what is seen
+deviates.
 """
 
 from dataclasses import dataclass

@@ -322,7 +322,9 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
         for a in range(5):
             rest -= N[j, a] * column[a]
         left += HARMONIC_SHARE[j - 6] * rest
-    return min(max(power - count * own, 0.0) / left, _MAX_OUTLINE**2)
+    # What the errors' own mean square may be by chance is no outline.
+    own *= count + np.sqrt(2.0 * count)
+    return min(max(power - own, 0.0) / left, _MAX_OUTLINE**2)
 
 
 @njit(cache=True, error_model="numpy")

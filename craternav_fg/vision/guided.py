@@ -98,7 +98,7 @@ class GuidedOptions:
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
     sightings: float = 10.0
-    fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.003))
+    fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.001))
     sun: SunOptions = field(default_factory=SunOptions)
 
 
@@ -216,8 +216,9 @@ class GuidedFrontEnd:
             if len(wide.rims) >= max(len(result.rims) + 1, _MIN_LOST_RIMS, wide.expected // 2):
                 result = wide
         attitude_rad = 0.0 if len(result.rims) >= _MIN_LOST_RIMS else np.sqrt(np.max(np.diag(prior)[:3]))
+        craters = self.catalog.take(result.rims.craters)
         sun = measure_sun_tilt(
-            grey, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad
+            grey, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad, craters
         )
         return FrameMeasurement(stamp_ns, result.rims, sun)
 

@@ -5,6 +5,9 @@ Relief without preferred direction, lit obliquely, has brightness gradients alon
 of G. Gradients are taken to the ground with the predicted pose and each place's G is turned to a
 common axis; what is left is the azimuth by which the prediction is wrong. Which way along the axis the
 sun is follows from the mean unit gradient, which points away from it.
+
+Craters whose rims have been measured tell the same far better (see `bowls`); the relief is for images
+without them.
 """
 
 from dataclasses import dataclass
@@ -16,7 +19,9 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
+from craternav_fg.catalog import Catalog
 from craternav_fg.measurements import SunTilt
+from craternav_fg.vision.bowls import light_turn
 from craternav_fg.vision.grey import GreyArray
 from craternav_fg.vision.photometry import ground_points, level_ground
 
@@ -24,6 +29,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # A prediction worse than this does not tell one side from the other.
 _SENSE_RAD = 0.5
+# Fewer craters than these are no better than the relief.
+_MIN_CRATERS = 3
 # Effect of an attitude error on the tilt, through the foreshortening.
 _ATTITUDE_SHARE = 0.5
 
@@ -48,10 +55,11 @@ class SunOptions:
         Least (l1 - l2) / (l1 + l2) of the structure tensor; isotropic relief gives 1/2.
     min_contrast : float
         Least rms gradient, in shares of the brightness per pixel.
-    floor_rad : float
-        Systematic standard deviation, looking straight down.
-    floor_oblique_rad : float
-        The same for an emission angle whose sine is 1, added in quadrature in proportion.
+    floor_rad, floor_oblique_rad : float
+        Systematic standard deviation of what the relief tells, looking straight down; and for an emission
+        angle whose sine is 1, added in quadrature in proportion.
+    crater_floor_rad, crater_floor_oblique_rad : float
+        The same of what craters tell: seen obliquely, it depends on the ground's law of reflection.
     max_sigma_rad : float
         Larger standard deviations are no measurement.
     """
@@ -63,8 +71,10 @@ class SunOptions:
     min_emission: float = 0.25
     min_anisotropy: float = 0.08
     min_contrast: float = 0.002
-    floor_rad: float = float(np.deg2rad(1.5))
+    floor_rad: float = float(np.deg2rad(2.0))
     floor_oblique_rad: float = float(np.deg2rad(8.0))
+    crater_floor_rad: float = float(np.deg2rad(0.3))
+    crater_floor_oblique_rad: float = float(np.deg2rad(7.5))
     max_sigma_rad: float = float(np.deg2rad(25.0))
 
 
@@ -76,6 +86,7 @@ def measure_sun_tilt(
     sun_g: FloatArray,
     options: SunOptions | None = None,
     attitude_sigma_rad: float = 0.0,
+    craters: Catalog | None = None,
 ) -> SunTilt | None:
     """Measure the direction in the image of the sun's azimuth along the ground, at the image centre.
 
@@ -94,12 +105,15 @@ def measure_sun_tilt(
     attitude_sigma_rad : float
         Standard deviation of the predicted attitude. It enters the tilt's through the foreshortening,
         and decides whether the prediction may tell the sense of an axis if the brightness does not.
+    craters : Catalog, optional
+        Those whose rims have been found where the pose puts them.
 
     Returns
     -------
     SunTilt or None
         None when the image does not tell: no relief in sight, no shading gain, the sun at the zenith
-        or below the horizon, or an axis that its own scatter leaves undecided.
+        or below the horizon, an axis that its own scatter leaves undecided, or a sense that a known
+        attitude contradicts.
     """
     options = options or SunOptions()
     gTc = camera.gTc(gTb)
@@ -112,20 +126,20 @@ def measure_sun_tilt(
     azimuth = sun_g - (sun_g @ normal) * normal
     if sun_g @ normal <= 0.0 or np.linalg.norm(azimuth) < 0.05:
         return None
-    blocks = _block_gradients(image, camera, body, gRc, gPc, sun_g, options)
-    if blocks is None:
-        return None
-    tensors, units = blocks
-    if len(tensors) < options.min_blocks:
-        return None
-    turn, sigma, sign = _axis(tensors, units, options)
-    if not np.isfinite(sigma) or (sign == 0.0 and attitude_sigma_rad > _SENSE_RAD):
+    turn, sigma = 0.0, np.inf
+    if craters is not None and len(craters) >= _MIN_CRATERS:
+        turn, sigma = light_turn(image.astype(np.float32), camera, craters, gTb, sun_g)
+        floor_rad, oblique_rad = options.crater_floor_rad, options.crater_floor_oblique_rad
+    if not np.isfinite(sigma):
+        turn, sigma = _relief_turn(image, camera, body, gRc, gPc, sun_g, options, attitude_sigma_rad)
+        floor_rad, oblique_rad = options.floor_rad, options.floor_oblique_rad
+    if not np.isfinite(sigma):
         return None
     range_m = float(np.linalg.norm(gPc - foot[0]))
     sine = float(np.linalg.norm(np.cross(normal, gPc - foot[0]))) / range_m
-    systematic = (options.floor_rad, options.floor_oblique_rad * sine, _ATTITUDE_SHARE * attitude_sigma_rad)
+    systematic = (floor_rad, oblique_rad * sine, _ATTITUDE_SHARE * attitude_sigma_rad)
     sigma = float(np.linalg.norm([sigma, *systematic]))
-    measured = frames.rotation_exp(normal * turn) @ azimuth * (sign or 1.0)
+    measured = frames.rotation_exp(normal * turn) @ azimuth
     s = gRc.T @ measured
     x, y = s[0] - point[0] * s[2], s[1] - point[1] * s[2]
     strength = float(np.hypot(x, y) / np.linalg.norm(s))
@@ -133,6 +147,27 @@ def measure_sun_tilt(
     if sigma > options.max_sigma_rad:
         return None
     return SunTilt(float(np.arctan2(y, x)), sigma, point, azimuth)
+
+
+def _relief_turn(
+    image: GreyArray,
+    camera: Camera,
+    body: Body,
+    gRc: FloatArray,
+    gPc: FloatArray,
+    sun_g: FloatArray,
+    options: SunOptions,
+    attitude_sigma_rad: float,
+) -> tuple[float, float]:
+    """Turn of the light's azimuth against the prediction, rad, and its standard deviation; inf: unknown."""
+    blocks = _block_gradients(image, camera, body, gRc, gPc, sun_g, options)
+    if blocks is None or len(blocks[0]) < options.min_blocks:
+        return 0.0, np.inf
+    turn, sigma, sign = _axis(*blocks, options)
+    known = attitude_sigma_rad < _SENSE_RAD
+    if (sign == 0.0 and not known) or (sign < 0.0 and known):
+        return 0.0, np.inf
+    return (turn if sign >= 0.0 else turn + np.pi), sigma
 
 
 def _block_gradients(

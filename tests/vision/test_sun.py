@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -78,3 +79,56 @@ def test_undefined_without_shading():
     assert measure_sun_tilt(np.full_like(image, 90), camera, scene.MOON, gTb, sun_g) is None
     away = scene.moved(gTb, [np.pi, 0.0, 0.0])
     assert measure_sun_tilt(image, camera, scene.MOON, away, sun_g) is None
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 30.0])
+def test_craters_tell_the_light_far_better_than_the_relief(tilt_deg):
+    """Elliptical bowls on rough ground, any direction of the light.
+
+    The scene reflects by Lambert's law, not as the Moon: seen obliquely that turns the shading by some degrees,
+    all alike, and the standard deviation must allow for it.
+    """
+    errors, chi2 = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        azimuth_deg, heading_rad = rng.uniform(0.0, 360.0), rng.uniform(0.0, 6.28)
+        gTb, sun_g = scene.pose(heading_rad, tilt_deg), scene.sun(25.0 + 4.0 * seed, azimuth_deg)
+        catalog = scene.craters(rng, 10, half=0.25)
+        image = scene.render(catalog, gTb, sun_g, rng, roughness=0.03)
+        measured = measure_sun_tilt(image, scene.camera(), scene.MOON, gTb, sun_g, craters=catalog)
+        assert measured is not None
+        errors.append(error_deg(measured, gTb))
+        chi2.append((errors[-1] / np.rad2deg(measured.sigma_rad)) ** 2)
+    assert np.sqrt(np.mean(np.square(errors))) < (1.0 if tilt_deg == 0.0 else 9.0)
+    assert np.mean(chi2) < 4.5
+
+
+def test_craters_tell_the_sense_of_the_light():
+    """Lit from where the catalogue's sun is not: the walls say so, three of them suffice."""
+    gTb, sun_g = scene.pose(), scene.sun(30.0, 40.0)
+    rng = np.random.default_rng(3)
+    catalog = scene.craters(rng, 3)
+    image = scene.render(catalog, gTb, scene.sun(30.0, 200.0), rng)
+    measured = measure_sun_tilt(image, scene.camera(), scene.MOON, gTb, sun_g, craters=catalog)
+    assert measured is not None
+    off = np.angle(np.exp(1j * np.deg2rad(error_deg(measured, gTb))))
+    # The camera looks down: angles about the ground's normal run the other way in the image.
+    assert abs(abs(np.rad2deg(off)) - 160.0) < 8.0
+
+
+def test_a_sense_that_a_known_attitude_contradicts_is_no_measurement():
+    gTb, _, image = picture()
+    opposite = scene.sun(35.0, 220.0)
+    assert measure_sun_tilt(image, scene.camera(), scene.MOON, gTb, opposite) is None
+    unknown = measure_sun_tilt(image, scene.camera(), scene.MOON, gTb, opposite, attitude_sigma_rad=0.7)
+    assert unknown is None or abs(abs(error_deg(unknown, gTb)) - 180.0) < 20.0
+
+
+def test_noise_has_no_sun():
+    camera, gTb, sun_g = scene.camera(), scene.pose(), scene.sun()
+    for seed, blur_px in enumerate([0.0, 0.0, 1.0, 2.0, 4.0, 8.0]):
+        noise = np.random.default_rng(seed).normal(size=(scene.SIZE_PX, scene.SIZE_PX))
+        if blur_px:
+            noise = cv2.GaussianBlur(noise, (0, 0), blur_px)
+        image = np.clip(110.0 + 6.0 * noise / noise.std(), 0, 255).astype(np.uint8)
+        assert measure_sun_tilt(image, camera, scene.MOON, gTb, sun_g) is None
