@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from craternav_fg.bench import detect, images, ratios, report
+from craternav_fg.bench import detect, images, pipeline, ratios, report
 from craternav_fg.bench.problems import Bench, make
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli import app
@@ -41,6 +41,8 @@ PROMISED = {
     "identify_ms_median",
     "identify_ms_p95",
     "identify_index_s",
+    "rim_ms",
+    "pipeline_ms",
 }
 
 
@@ -117,6 +119,8 @@ def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(report, "QUICK", TINY)
     monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
     monkeypatch.setattr(images, "FRAMES", 1)
+    monkeypatch.setattr(pipeline, "INTERVAL_S", 100.0)
+    monkeypatch.setattr(pipeline, "FEWEST", 0)
     # Once for both outputs.
     monkeypatch.setattr(report, "run", functools.cache(report.run))
     monkeypatch.setattr("craternav_fg.cli.benchmark.bar", lambda: contextlib.nullcontext(quiet))

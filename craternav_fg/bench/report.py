@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from craternav_fg.bench import ratios
 from craternav_fg.bench.detect import detect_ms
 from craternav_fg.bench.identification import identify_scalars
+from craternav_fg.bench.guided import guided_costs
 from craternav_fg.bench.images import render_costs
+from craternav_fg.bench.pipeline import pipeline_ms
 from craternav_fg.bench.problems import make
 from craternav_fg.bench.ratios import Online, Ratio
 from craternav_fg.bench.static import static_scalars
@@ -45,7 +47,7 @@ class Sizes:
     static_problems : int
         Of the static solver, of each size.
     images : int
-        In which rims are detected, of each kind of ground.
+        In which rims are detected and measured, of each kind of ground.
     views : int
         Whose craters are identified.
     """
@@ -112,7 +114,7 @@ def run(sizes: Sizes, report: Report) -> Result:
     -------
     Result
     """
-    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 8
+    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 10
     done = 0
 
     def step() -> None:
@@ -163,6 +165,10 @@ def run(sizes: Sizes, report: Report) -> Result:
     scalars.update(detect_ms(sizes.images))
     step()
     scalars.update(identify_scalars(sizes.views))
+    step()
+    scalars.update(guided_costs(sizes.images))
+    step()
+    scalars.update(pipeline_ms())
     step()
     curve = np.stack([np.array(sizes.frames, dtype=np.float64), np.median(batch_s, axis=0)], axis=1)
     return Result(measured, scalars, np.array(factor), curve, online[-1])

@@ -21,8 +21,8 @@ _RINGS = np.array([0.6, 0.7, 0.8])
 _TURN = 2.0 * np.pi * (np.arange(48) + 0.5) / 48.0
 # Scatter of single craters' directions, rad, before they are seen, and how many craters that counts for.
 _SCATTER_RAD, _SCATTER_COUNT = float(np.deg2rad(2.0)), 3.0
-# Brighter than this, of 255, is saturated; so much of a wall may be: like a shadow it lies alike on both sides
-# of the light's direction.
+# Brighter than this, of 255, is saturated; so much of a wall may be: like a shadow it lies alike on both
+# sides of the light's direction.
 _BRIGHTEST, _MAX_SATURATED = 250.0, 0.35
 
 

@@ -37,7 +37,7 @@ def noise_level(image: ImageArray) -> float:
 
     Immerkaer, "Fast noise variance estimation", CVIU 64 (2), 1996, with the median for the mean.
     """
-    rows = np.arange(1, image.shape[0] - 1, max(1, image.shape[0] // 256))
+    rows = np.arange(1, image.shape[0] - 1, max(1, image.shape[0] // 128))
     second = [image[rows + d, :-2] - 2.0 * image[rows + d, 1:-1] + image[rows + d, 2:] for d in (-1, 0, 1)]
     response = second[0] - 2.0 * second[1] + second[2]
     return float(np.median(np.abs(response)) * 1.4826 / 6.0)

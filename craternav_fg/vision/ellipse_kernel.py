@@ -157,10 +157,9 @@ def _point_row(px: float, py: float, lever: FloatArray, y: FloatArray, n: FloatA
 
 @njit(cache=True, error_model="numpy")
 def _normal_equations(
-    rows: FloatArray, distance: FloatArray, base: FloatArray, weight: FloatArray
+    rows: FloatArray, m: int, distance: FloatArray, base: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Build the normal matrix (m, m) and gradient (m,) from the points' derivatives (n, m)."""
-    m = rows.shape[1]
+    """Build the normal matrix (m, m) and gradient (m,) from the points' first m derivatives."""
     N = np.zeros((m, m))
     grad = np.zeros(m)
     for i in range(rows.shape[0]):
@@ -310,7 +309,7 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
         if i > 0:
             jump[i - 1] = abs(r[i] - r[i - 1])
     own = 0.5 * (_MAD_TO_SIGMA * _ordered(jump)[(count - 1) // 2]) ** 2
-    N, _ = _normal_equations(rows, r, base, np.ones(count))
+    N, _ = _normal_equations(rows, m, r, base, np.ones(count))
     ellipse = np.ascontiguousarray(N[:5, :5])
     L = np.zeros((5, 5))
     if not _factorised(ellipse, L):
@@ -323,7 +322,7 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
             rest -= N[j, a] * column[a]
         left += HARMONIC_SHARE[j - 6] * rest
     # What the errors' own mean square may be by chance is no outline.
-    own *= count + np.sqrt(2.0 * count)
+    own *= count + 2.0 * np.sqrt(2.0 * count)
     return min(max(power - own, 0.0) / left, _MAX_OUTLINE**2)
 
 
@@ -355,8 +354,6 @@ def fit(
     L = np.zeros((size_all, size_all))
     unit = np.zeros(size_all)
     sigma, length = 1.0, np.inf
-    for j in range(6, size_all):
-        prior[j] = outline2 * HARMONIC_SHARE[j - 6]
     for iteration in range(30):
         for i in range(count):
             d[i] = _point_row(points[i, 0], points[i, 1], lever[i], y, n, rows[i])
@@ -378,8 +375,11 @@ def fit(
             outline2 += _outline_variance(rows, r, base, sigma)
             for j in range(6, size_all):
                 prior[j] = outline2 * HARMONIC_SHARE[j - 6]
-        N, grad = _normal_equations(rows, d, base, weight)
-        for j in range(5, size_all):
+        # The outline's variance is known from here on.
+        used = 6 if iteration < _GENTLE_ROUNDS else size_all
+        L = np.zeros((used, used))
+        N, grad = _normal_equations(rows, used, d, base, weight)
+        for j in range(5, used):
             N[j, j] += sigma * sigma / prior[j]
             grad[j] += sigma * sigma / prior[j] * other[j]
         if not _factorised(N, L):
@@ -391,7 +391,7 @@ def fit(
         damp = min(1.0, 0.5 * size / (length + 1e-300))
         for a in range(5):
             y[a] += damp * step[a]
-        for j in range(5, size_all):
+        for j in range(5, used):
             other[j] += damp * step[j]
         if iteration > _GENTLE_ROUNDS and length < 1e-4:
             break
@@ -428,7 +428,7 @@ def fit(
     # With Huber's correction for few points, and right in its inverse's mean: it is itself an estimate.
     sigma2 *= count / (count - fitted - _SCATTER) * (1.0 + fitted * _UNEVEN / count) ** 2
     sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
-    N, _ = _normal_equations(rows, d, base, np.ones(count))
+    N, _ = _normal_equations(rows, size_all, d, base, np.ones(count))
     for j in range(5, size_all):
         N[j, j] += sigma2 / (prior[j] * (_OUTLINE_SPREAD if j > 5 else 1.0))
     C, noise = np.empty((5, 5)), np.empty((5, 5))

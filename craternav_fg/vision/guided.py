@@ -98,7 +98,7 @@ class GuidedOptions:
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
     sightings: float = 10.0
-    fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.001))
+    fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
     sun: SunOptions = field(default_factory=SunOptions)
 
 

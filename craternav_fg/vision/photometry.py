@@ -116,9 +116,10 @@ class LevelMap:
     ) -> None:
         gTc = camera.gTc(gTb)
         rows, columns = image.shape[0] // block_px, image.shape[1] // block_px
-        blocks = image[: rows * block_px : 2, : columns * block_px : 2]
-        half = block_px // 2
-        blocks = blocks.reshape(rows, half, columns, half).swapaxes(1, 2).reshape(rows * columns, -1)
+        # Every fourth pixel of every fourth row will do for a median.
+        blocks = image[: rows * block_px : 4, : columns * block_px : 4]
+        side = block_px // 4
+        blocks = blocks.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
         median = np.median(blocks, axis=1).astype(np.float64)
         centre_px = np.stack(
             np.meshgrid(

@@ -33,12 +33,13 @@ def corrected_pose(
     Rt = predicted[:3, :3].T
     moved = np.concatenate([frames.rotation_log(Rt @ pose[:3, :3]), Rt @ (pose[:3, 3] - predicted[:3, 3])])
     information = np.linalg.inv(prior)
-    HtS = np.swapaxes(np.linalg.solve(covariance, H), 1, 2)
-    each = HtS @ H
-    pull = np.einsum("nij,nj->ni", HtS, residual)
+    white = np.linalg.solve(np.linalg.cholesky(covariance), np.concatenate([H, residual[..., None]], axis=2))
+    H, residual = white[..., :6], white[..., 6]
+    each = np.swapaxes(H, 1, 2) @ H
+    pull = np.einsum("nij,ni->nj", H, residual)
     delta = np.zeros(6)
     for _ in range(12):
-        off2 = squared_distance(residual - H @ delta, covariance) / residual.shape[1]
+        off2 = np.mean((residual - H @ delta) ** 2, axis=1)
         # Redescending (Geman-McClure), from the median outwards: what fits nothing pulls nothing.
         weight = 1.0 / (1.0 + off2 / max(1.0, 2.0 * float(np.median(off2)))) ** 2
         N = information + np.einsum("n,nij->ij", weight, each)

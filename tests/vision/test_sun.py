@@ -85,7 +85,7 @@ def test_undefined_without_shading():
 def test_craters_tell_the_light_far_better_than_the_relief(tilt_deg):
     """Elliptical bowls on rough ground, any direction of the light.
 
-    The scene reflects by Lambert's law, not as the Moon: seen obliquely that turns the shading by some degrees,
+    The scene reflects by Lambert's law, not as the Moon: seen obliquely that turns the shading by degrees,
     all alike, and the standard deviation must allow for it.
     """
     errors, chi2 = [], []
