@@ -101,7 +101,7 @@ def _ordered(values: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _distance(px: float, py: float, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
+def signed_distance(px: float, py: float, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
     """Distance of a point to the ellipse, positive outside; writes its normal (2,) and derivative (5,).
 
     The derivative is the rim's: the part that vanishes with the distance is left out.
@@ -131,12 +131,12 @@ def _distance(px: float, py: float, y: FloatArray, n: FloatArray, w: FloatArray)
 
 @njit(cache=True, error_model="numpy")
 def _point_row(px: float, py: float, lever: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
-    """Distance as `_distance`; writes its derivative (m,) for chart, lever's unknown and outline, too.
+    """Distance as `signed_distance`; writes its derivative (m,) for chart, lever's unknown and outline, too.
 
     The outline deviates from the ellipse by harmonics of the angle in which that is a circle, as shares of
     the radius: a share moves a tangent by as much of its distance from the centre.
     """
-    d = _distance(px, py, y, n, w)
+    d = signed_distance(px, py, y, n, w)
     w[5] = -(n[0] * lever[0] + n[1] * lever[1])
     if len(w) > 6:
         x = px - y[0]
@@ -211,12 +211,12 @@ def _second_order_bias(
     for i in range(points.shape[0]):
         fx, fy = points[i, 0], points[i, 1]
         for _ in range(3):
-            d = _distance(fx, fy, y, n, J)
+            d = signed_distance(fx, fy, y, n, J)
             fx -= d * n[0]
             fy -= d * n[1]
-        r0 = _distance(fx, fy, y, n, J)
-        rp = _distance(fx + h * n[0], fy + h * n[1], y, nx, Jp)
-        rm = _distance(fx - h * n[0], fy - h * n[1], y, nx, Jm)
+        r0 = signed_distance(fx, fy, y, n, J)
+        rp = signed_distance(fx + h * n[0], fy + h * n[1], y, nx, Jp)
+        rm = signed_distance(fx - h * n[0], fy - h * n[1], y, nx, Jm)
         c = (rp + rm - 2.0 * r0) / (h * h)
         for a in range(5):
             M[a] = (Jp[a] - Jm[a]) / (2.0 * h)
@@ -225,20 +225,20 @@ def _second_order_bias(
             for b in range(5):
                 moved[b] = y[b]
             moved[a] = y[a] + e
-            up = _distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
-            um = _distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
+            up = signed_distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
+            um = signed_distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
             moved[a] = y[a] - e
-            dp = _distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
-            dm = _distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
+            dp = signed_distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
+            dm = signed_distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
             K[a] = (up - um - dp + dm) / (4.0 * h * e)
         trace = 0.0
         for j in range(5):
             for b in range(5):
                 moved[b] = y[b] + steps[j] * root[b, j]
-            up = _distance(fx, fy, moved, nx, Jx)
+            up = signed_distance(fx, fy, moved, nx, Jx)
             for b in range(5):
                 moved[b] = y[b] - steps[j] * root[b, j]
-            dm = _distance(fx, fy, moved, nx, Jx)
+            dm = signed_distance(fx, fy, moved, nx, Jx)
             trace += (up + dm - 2.0 * r0) / (steps[j] * steps[j])
         leverage, KCJ = 0.0, 0.0
         for a in range(5):

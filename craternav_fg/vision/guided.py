@@ -14,8 +14,9 @@ from scipy.stats import chi2
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
-from craternav_fg.measurements import FrameMeasurement, RimQuality, RimSet
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.vision import crest, edges, photometry
+from craternav_fg.vision.arcs import ArcOptions, judge
 from craternav_fg.vision.ellipse_fit import (
     FitFailure,
     FitOptions,
@@ -77,6 +78,8 @@ class GuidedOptions:
     fit : FitOptions
         Of the ellipse fit, with the systematic floor and the deviation of outlines that is expected before
         they are seen.
+    arcs : ArcOptions
+        Of rims that are seen in part.
     sun : SunOptions
         Of the sun's tilt.
     """
@@ -99,6 +102,7 @@ class GuidedOptions:
     gate_probability: float = 0.9999
     sightings: float = 10.0
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
+    arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)
 
 
@@ -124,6 +128,7 @@ class _Scene:
     gain_px: FloatArray
     level: FloatArray
     jacobians: FloatArray
+    noise: float
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -131,7 +136,7 @@ class _Scene:
     def take(self, keep: IntArray) -> "_Scene":
         return _Scene(
             self.rows[keep], self.charts[keep], self.charts_px[keep], self.gain[keep], self.gain_px[keep],
-            self.level[keep], self.jacobians[keep],
+            self.level[keep], self.jacobians[keep], self.noise,
         )  # fmt: skip
 
 
@@ -151,10 +156,11 @@ class _Fitted:
 
 @dataclass(frozen=True)
 class _Result:
-    """Measured rims, the pose they correct the prediction to, and how many were expected."""
+    """Measured rims, the pose they correct the prediction to, its covariance, how many rims were expected."""
 
     rims: RimSet
     gTb: FloatArray
+    spread: FloatArray
     expected: int
 
 
@@ -220,7 +226,38 @@ class GuidedFrontEnd:
         sun = measure_sun_tilt(
             grey, self.camera, self.catalog.body, result.gTb, sun_g, self.options.sun, attitude_rad, craters
         )
-        return FrameMeasurement(stamp_ns, result.rims, sun)
+        arcs = self._arcs(pixels, result, sun_g, levels)
+        return FrameMeasurement(stamp_ns, result.rims, sun, arcs)
+
+    def _arcs(self, image: ImageArray, result: "_Result", sun_g: FloatArray, levels: LevelMap) -> ArcSet:
+        """Trace the rims that no ellipse was fitted to, where the pose of the others puts them."""
+        opt = self.options
+        # A few rims alone can be wrong together.
+        if len(result.rims) < _MIN_LOST_RIMS:
+            return ArcSet.empty()
+        rows = np.setdiff1d(self._visible(result.gTb, -opt.arcs.margin_px), result.rims.craters)
+        scene = self._predict(rows, result.gTb, sun_g, levels)
+        predicted_px = _spread_px(self._motion(scene), result.spread) if len(scene) else np.empty(0)
+        quality = result.rims.quality
+        outline = 0.0 if quality is None else float(np.median(quality.outline_share))
+        found: list[int] = []
+        points: list[FloatArray] = []
+        sigmas: list[FloatArray] = []
+        for i in range(len(scene)):
+            minor_px = float(np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])))
+            traced, ratio, lever, tried = self._trace(image, scene, i, opt.second_reach)
+            if len(traced) < opt.arcs.min_found_share * tried:
+                continue
+            lasting_px = np.hypot(opt.fit.floor_px + opt.fit.floor_share * minor_px, outline * minor_px)
+            arc = judge(
+                traced, ratio, lever, scene.charts_px[i], minor_px, np.sqrt(opt.sightings) * lasting_px,
+                float(predicted_px[i]), opt.arcs,
+            )  # fmt: skip
+            if arc is not None:
+                found.append(i)
+                points.append(self.camera.pinhole.normalised(arc[0]))
+                sigmas.append(arc[1] / self.camera.focal_px)
+        return ArcSet(scene.rows[np.array(found, dtype=np.int64)], tuple(points), tuple(sigmas))
 
     def _attempt(
         self, image: ImageArray, gTb: FloatArray, prior: FloatArray, sun_g: FloatArray, levels: LevelMap
@@ -229,7 +266,7 @@ class GuidedFrontEnd:
         opt = self.options
         scene = self._predict(self._visible(gTb, opt.margin_px), gTb, sun_g, levels)
         if len(scene) == 0:
-            return _Result(RimSet.empty(), gTb, 0)
+            return _Result(RimSet.empty(), gTb, prior, 0)
         motion = self._motion(scene)
         common = motion.mean(axis=0)
         radius_px = opt.shift_sigmas * float(_spread_px(common[None], prior)[0])
@@ -247,7 +284,7 @@ class GuidedFrontEnd:
         expected = len(scene)
         fitted = self._fit_all(image, scene, opt.second_reach)
         if len(fitted) == 0:
-            return _Result(RimSet.empty(), gTb, expected)
+            return _Result(RimSet.empty(), gTb, prior, expected)
         return self._judged(gTb, prior, pose, fitted, expected)
 
     def _aligned(
@@ -297,7 +334,7 @@ class GuidedFrontEnd:
         keep = (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
         covariance = covariance + (self.options.sightings - 1.0) * fitted.systematic
         rims = RimSet(scene.rows, chart, covariance, fitted.quality)
-        return _Result(rims.take(keep), pose, expected)
+        return _Result(rims.take(keep), pose, spread, expected)
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
         least = self.options.min_semi_minor_px
@@ -326,7 +363,7 @@ class GuidedFrontEnd:
         lit = level > _DARK
         return _Scene(
             rows[lit], charts[lit], pixel_chart(charts[lit], self.camera), np.linalg.norm(gain[lit], axis=-1),
-            np.ascontiguousarray(gain_px[lit]), level[lit], H[lit],
+            np.ascontiguousarray(gain_px[lit]), level[lit], H[lit], levels.noise,
         )  # fmt: skip
 
     def _common_shift(self, image: ImageArray, scene: "_Scene", radius_px: float) -> FloatArray:
@@ -374,22 +411,29 @@ class GuidedFrontEnd:
             )  # fmt: skip
         return out
 
+    def _trace(
+        self, image: ImageArray, scene: "_Scene", i: int, reach: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+        """Trace one rim of a scene: the first results of `edges.trace_rim`."""
+        opt = self.options
+        minor_px = float(np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])))
+        return edges.trace_rim(
+            image, scene.charts_px[i], scene.gain_px[i], scene.level[i], reach[0] + reach[1] * minor_px,
+            opt.smooth_share, opt.smooth_px, self.camera.psf_sigma_px, opt.min_gain, opt.min_step,
+            opt.step_sigmas * np.sqrt(2.0) * scene.noise / scene.level[i], _normals(minor_px), self._bias,
+            crest.BLUR, crest.GAIN, self.camera.lens,
+        )[:4]  # fmt: skip
+
     def _fit_all(self, image: ImageArray, scene: "_Scene", reach: tuple[float, float]) -> "_Fitted":
         """Fit those rims of a scene whose edges bear it."""
         opt = self.options
-        noise_step = opt.step_sigmas * np.sqrt(2.0) * edges.noise_level(image)
         found: list[int] = []
         fits: list[RimFit] = []
         searched: list[int] = []
         for i in range(len(scene)):
             minor_px = float(np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])))
-            count = int(np.clip(2.0 * minor_px, 56, 160))
-            points, ratio, lever, tried, _ = edges.trace_rim(
-                image, scene.charts_px[i], scene.gain_px[i], scene.level[i], reach[0] + reach[1] * minor_px,
-                opt.smooth_share, opt.smooth_px, self.camera.psf_sigma_px, opt.min_gain, opt.min_step,
-                noise_step / scene.level[i], count, self._bias, crest.BLUR, crest.GAIN, self.camera.lens,
-            )  # fmt: skip
-            if tried < 0.4 * count or len(points) < opt.min_found_share * tried:
+            points, ratio, lever, tried = self._trace(image, scene, i, reach)
+            if tried < 0.4 * _normals(minor_px) or len(points) < opt.min_found_share * tried:
                 continue
             fit = refine_rim(points, scene.charts_px[i], self.camera, opt.fit, ratio, lever, opt.level_sigma)
             if isinstance(fit, FitFailure) or fit.rms_px > opt.max_rms_px + opt.max_rms_share * minor_px:
@@ -412,6 +456,11 @@ class GuidedFrontEnd:
             np.array([f.systematic for f in fits]).reshape(-1, 5, 5),
             quality,
         )
+
+
+def _normals(minor_px: float) -> int:
+    """Give the number of normals about a rim."""
+    return int(np.clip(2.0 * minor_px, 56, 160))
 
 
 def _spread_px(motion: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.vision.edges import noise_level
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -103,6 +104,11 @@ class LevelMap:
         Unit vector towards the sun in g.
     block_px : int
         Side of the blocks.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation of the pixels' noise.
     """
 
     def __init__(
@@ -114,6 +120,7 @@ class LevelMap:
         sun_g: FloatArray,
         block_px: int = 32,
     ) -> None:
+        self.noise = noise_level(image)
         gTc = camera.gTc(gTb)
         rows, columns = image.shape[0] // block_px, image.shape[1] // block_px
         # Every fourth pixel of every fourth row will do for a median.

@@ -61,7 +61,6 @@ def test_many_images():
     check_fine(lost)
     irregular = accuracy([scene(HELD_OUT + 100 + k, IRREGULAR) for k in range(24)])
     check_irregular(irregular)
-    assert irregular["fit_rate"] >= 0.96
     assert 0.7 < irregular["chi2_5"] < 1.3
 
 
