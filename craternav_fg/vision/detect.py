@@ -56,7 +56,7 @@ class BlindOptions:
     psf_px: float = 0.7
     min_quality: float = 0.5
     lone_quality: float = 0.95
-    fit: FitOptions = field(default_factory=lambda: FitOptions(floor_px=0.14))
+    fit: FitOptions = field(default_factory=lambda: FitOptions(floor_px=0.05, outline_share=0.003))
 
     def __post_init__(self) -> None:
         if not self.min_radius_px >= 4.0:
