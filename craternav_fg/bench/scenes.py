@@ -14,7 +14,7 @@ from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.vision.detect import ellipse_parameters
-from craternav_fg.vision.photometry import level_ground
+from craternav_fg.vision.photometry import ground_points, level_ground
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -88,9 +88,10 @@ class Scene:
 
     @property
     def range_m(self) -> float:
-        """Distance to the ground at the image's middle, m, the body taken for flat."""
-        up = self.gTb[:3, 3] / np.linalg.norm(self.gTb[:3, 3])
-        return float(ALTITUDE_M / -(up @ self.gTb[:3, 2]))
+        """Distance along the optical axis to the sphere, m; the camera must look at it."""
+        gTc = self.camera.gTc(self.gTb)
+        foot, _ = ground_points(gTc[:3, :3], gTc[:3, 3], np.zeros((1, 2)), self.catalog.body.radius_m)
+        return float(np.linalg.norm(foot[0] - gTc[:3, 3]))
 
     @property
     def wanted(self) -> npt.NDArray[np.bool_]:
@@ -139,13 +140,35 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     sun_g = site @ [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
     options = TerrainOptions(irregularity=ground.irregularity)
     renderer = Renderer(camera, Terrain(catalog, relief, options, clutter), RenderOptions())
-    rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=3.0, margin_px=-float(ground.size_px))
-    normals = np.concatenate([catalog.normals[rows], site[:, 2][None]])
-    points = np.concatenate([catalog.centres[rows], foot[None]])
+    return taken(renderer, gTb, sun_g, rng)
+
+
+def taken(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> Scene:
+    """Take an image, and note what it shows.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Its camera is at the body's origin, axes as the body's, and has 8 bits.
+    gTb : ndarray, shape (4, 4)
+    sun_g : ndarray, shape (3,)
+        Unit vector towards the sun.
+    rng : Generator
+        Sensor noise.
+    """
+    camera, catalog = renderer.camera, renderer.terrain.catalog
+    around_px = float(max(camera.width_px, camera.height_px))
+    rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=3.0, margin_px=-around_px)
+    centre_px = np.array([[0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)]])
+    middle, _ = ground_points(
+        gTb[:3, :3], gTb[:3, 3], camera.normalised(centre_px), catalog.body.radius_m
+    )
+    normals = np.concatenate([catalog.normals[rows], middle / np.linalg.norm(middle)])
+    points = np.concatenate([catalog.centres[rows], middle])
     view = gTb[:3, 3] - points
     _, gain = level_ground(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
     along = gain[-1] / np.linalg.norm(gain[-1])
-    ends = camera.project((foot + np.outer([0.0, 100.0], along) - gTb[:3, 3]) @ gRc)
+    ends = camera.project((middle + np.outer([0.0, 100.0], along) - gTb[:3, 3]) @ gTb[:3, :3])
     return Scene(
         renderer.render(gTb, sun_g, rng).astype(np.uint8, copy=False),
         camera,

@@ -1,4 +1,4 @@
-"""What can be changed about the paper's static simulations."""
+"""What can be changed about the reproduction."""
 
 from dataclasses import dataclass
 
@@ -30,6 +30,8 @@ class ReproduceOptions:
         Part of the rim that the points cover, of 1.
     trials : int
         At each altitude, and triples of craters at each point of fig. 3.
+    images : int
+        From each altitude of table 2, and a measure of the other sets of rendered images.
     seed : int
     workers : int
         Processes.
@@ -42,6 +44,7 @@ class ReproduceOptions:
     points: tuple[int, int] = (10, 100)
     arc: float = 1.0
     trials: int = 100
+    images: int = 128
     seed: int = 1
     workers: int = 2
 
@@ -66,6 +69,7 @@ class ReproduceOptions:
                 "no ellipse can be fitted to a shorter one",
             ),
             (self.trials >= 2, f"trials: expected 2 or more, found {self.trials}"),
+            (self.images >= 2, f"images: expected 2 or more, found {self.images}"),
             (self.seed >= 0, f"seed: expected 0 or more, found {self.seed}"),
             (self.workers >= 1, f"workers: expected 1 or more, found {self.workers}"),
         )

@@ -100,16 +100,21 @@ def random_craters(
     field = field.take(
         np.flatnonzero(_apart(body.radius_m * field.normals, field.semi_major_m, options.separation))
     )
-    catalog = field.catalog("S", body)
-    radius = np.sqrt(field.semi_major_m * field.semi_minor_m)
-    xy = relief.plane(field.normals)
+    return standing(field.catalog("S", body), relief)
+
+
+def standing(catalog: Catalog, relief: Relief) -> Catalog:
+    """Set the craters of a catalogue, largest first, into the ground: its heights are replaced."""
+    body = catalog.body
+    radius = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    xy = relief.plane(catalog.normals)
     level, gradient = relief.at(xy, radius)
     heights = np.full(len(catalog), np.nan)
     ground_levels(
         catalog.normals,
         catalog.axes,
         np.stack([depth_m(radius), rim_height_m(radius)], axis=-1),
-        crest_height_over_centre_ground_m(field.semi_major_m, field.semi_minor_m, body),
+        crest_height_over_centre_ground_m(catalog.semi_major_m, catalog.semi_minor_m, body),
         np.concatenate([xy, level[:, None], gradient], axis=1),
         body.radius_m,
         heights,
