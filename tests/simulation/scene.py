@@ -67,34 +67,3 @@ def rim(catalog: Catalog, row: int, theta: FloatArray, rho: float = 1.0) -> Floa
 
 def project(gTb: FloatArray, points: FloatArray, camera: Camera = CAMERA) -> FloatArray:
     return camera.project((points - gTb[:3, 3]) @ gTb[:3, :3])
-
-
-def crest_offsets_px(renderer, catalog, gTb, rows, count=16, reach_px=1.6):
-    """How far outside the projected rim the ground rises no more, along the rim's normals, (rows, count).
-
-    In the pixels of the renderer's camera, which has no mounting and no distortion. Found in the ground's
-    own normals at the points where rays through the pixels meet it.
-    """
-    camera = renderer.camera
-    theta = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
-    offsets = np.linspace(-reach_px, reach_px, 17)
-    out = np.full((len(rows), count), np.nan)
-    for k, row in enumerate(rows):
-        rim_px = project(gTb, rim(catalog, row, theta), camera)
-        along = project(gTb, rim(catalog, row, theta + 1e-4), camera) - rim_px
-        normal = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.linalg.norm(along, axis=1)[:, None]
-        middle = project(gTb, catalog.centres[row : row + 1], camera)
-        normal *= np.sign(np.sum(normal * (rim_px - middle), axis=1, keepdims=True))
-        px = rim_px[:, None] + offsets[:, None] * normal[:, None]
-        _, ground = renderer.ground_points(gTb, px.reshape(-1, 2))
-        local = (ground @ catalog.gRl[row]).reshape(count, len(offsets), 3)
-        outward = np.stack(
-            [np.cos(theta) / catalog.semi_major_m[row], np.sin(theta) / catalog.semi_minor_m[row]], axis=-1
-        )
-        rise = -np.einsum("aoi,ai->ao", local[:, :, :2], outward) / local[:, :, 2]
-        for a in range(count):
-            cross = np.flatnonzero((rise[a, :-1] > 0.0) & (rise[a, 1:] <= 0.0))
-            if len(cross):
-                i = cross[np.argmin(np.abs(offsets[cross]))]
-                out[k, a] = np.interp(0.0, -rise[a, i : i + 2], offsets[i : i + 2])
-    return out

@@ -8,6 +8,7 @@ from craternav_fg.config import built_in_scenarios, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.dem import read_dem
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.evaluation.crests import crest_offsets_px
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
@@ -112,7 +113,7 @@ def test_the_ground_is_the_models_and_craters_stand_in_it(globe):
     assert np.percentile(np.abs(off), 80.0) < 60.0
     assert abs(hills(*frames.latitude_longitude(gTb[:3, 3]))) > 200.0
     rows, _ = catalog.visible(scene.CAMERA, gTb, min_semi_minor_px=8.0, margin_px=4.0)
-    offsets = scene.crest_offsets_px(renderer, catalog, gTb, rows)
+    offsets = crest_offsets_px(renderer, catalog, gTb, rows)
     assert len(rows) >= 8
     assert np.nanmean(np.abs(offsets)) < 0.04
 

@@ -9,6 +9,7 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
+from craternav_fg.evaluation.crests import crest_offsets_px
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.scenario import simulate
@@ -41,7 +42,7 @@ def test_irregular_rims_wander_about_their_ellipse():
     renderer = smooth(replace(FRESH, irregularity=0.03))
     rows = np.arange(4)
     count = 72
-    offsets = scene.crest_offsets_px(renderer, FOUR, ABOVE, rows, count, reach_px=6.0)
+    offsets = crest_offsets_px(renderer, FOUR, ABOVE, rows, count, reach_px=6.0)
     assert not np.any(np.isnan(offsets))
     share = offsets / [[rim_px(FOUR, row)] for row in rows]
     assert 0.02 < share.std() < 0.045
@@ -56,7 +57,7 @@ def test_irregular_rims_wander_about_their_ellipse():
 def test_worn_craters_keep_their_crest_and_lose_their_depth():
     fresh, worn = smooth(), smooth(replace(FRESH, degradation=1.0))
     rows = np.arange(4)
-    offsets = scene.crest_offsets_px(worn, FOUR, ABOVE, rows)
+    offsets = crest_offsets_px(worn, FOUR, ABOVE, rows)
     assert np.nanmean(np.abs(offsets)) < 0.05
     middle = scene.project(ABOVE, FOUR.centres)
     floors = [scene.MOON.altitude_m(r.ground_points(ABOVE, middle)[0]) for r in (fresh, worn)]
@@ -197,7 +198,7 @@ def test_crests_on_a_fourfold_zoom():
         ]
     )
     ground = Terrain(inner, scene.relief(), TerrainOptions(cells=1024, irregularity=0.0, degradation=0.5))
-    offsets = scene.crest_offsets_px(Renderer(zoom, ground, CLEAN), inner, ABOVE, np.arange(4), 48) / 4.0
+    offsets = crest_offsets_px(Renderer(zoom, ground, CLEAN), inner, ABOVE, np.arange(4), 48) / 4.0
     assert abs(np.nanmean(offsets)) < 0.01
     assert np.nanmean(np.abs(offsets)) < 0.03
 

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from craternav_fg.evaluation.crests import crest_offsets_px
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
@@ -52,7 +53,7 @@ def smooth():
 def test_crest_lies_on_the_projected_ellipse(renderer, catalog, frame, tilt_deg, heading_deg):
     gTb = scene.pose(scene.track()[frame], tilt_deg, heading_deg)
     rows, _ = catalog.visible(scene.CAMERA, gTb, min_semi_minor_px=8.0, margin_px=4.0)
-    offsets = scene.crest_offsets_px(renderer, catalog, gTb, rows)
+    offsets = crest_offsets_px(renderer, catalog, gTb, rows)
     assert len(rows) >= 10
     assert np.isnan(offsets).mean() < 0.02
     assert np.nanmean(np.abs(offsets)) < 0.04

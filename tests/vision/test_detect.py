@@ -11,6 +11,7 @@ from craternav_fg.bench.scenes import HARD, scene
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.matching import match
+from craternav_fg.reproduce.empty_images import gradient_images, noise_images
 from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
@@ -92,61 +93,10 @@ def test_much_plain_ground():
     assert figures["precision"] >= 0.97
 
 
-def noise_images(size=320):
-    """White noise to noise as coarse as craters."""
-    rng = np.random.default_rng(4)
-    for k in range(20):
-        blur_px = [
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.7,
-            1.0,
-            1.3,
-            1.6,
-            2.0,
-            2.5,
-            3.0,
-            3.5,
-            4.0,
-            5.0,
-            6.0,
-            8.0,
-            10.0,
-            14.0,
-            20.0,
-            30.0,
-        ][k]
-        noise = rng.normal(size=(size, size))
-        if blur_px > 0.0:
-            noise = cv2.GaussianBlur(noise, (0, 0), blur_px)
-        image = (
-            100.0 + [4.0, 12.0, 25.0][k % 3] * noise / noise.std() + (k % 2) * rng.normal(size=noise.shape)
-        )
-        yield np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
-def gradient_images(size=320):
-    """Planes, bowls, saddles and waves larger than the image, with and without sensor noise."""
-    rng = np.random.default_rng(5)
-    y, x = np.mgrid[0:size, 0:size] / size
-    for k in range(20):
-        c = rng.normal(size=6)
-        height = c[0] * x + c[1] * y
-        if k % 4:
-            height = height + c[2] * x * x + c[3] * x * y + c[4] * y * y
-        if k % 4 == 3:
-            height = height + c[5] * np.sin(5.0 * x + 3.0 * y)
-        height = (height - height.min()) / np.ptp(height)
-        image = 20.0 + (200.0 if k % 2 else 60.0) * height + (k % 3 == 1) * rng.normal(size=x.shape)
-        yield np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
 @DETECTORS
 @pytest.mark.parametrize("images", [noise_images, gradient_images])
 def test_no_crater_is_invented(images, detector):
-    for image in images():
+    for image in images(np.random.default_rng(4)):
         assert len(detector(image)) == 0
         assert len(detector(image, 0.7)) == 0
 
