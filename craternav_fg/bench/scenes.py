@@ -160,9 +160,7 @@ def taken(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.random
     around_px = float(max(camera.width_px, camera.height_px))
     rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=3.0, margin_px=-around_px)
     centre_px = np.array([[0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)]])
-    middle, _ = ground_points(
-        gTb[:3, :3], gTb[:3, 3], camera.normalised(centre_px), catalog.body.radius_m
-    )
+    middle, _ = ground_points(gTb[:3, :3], gTb[:3, 3], camera.normalised(centre_px), catalog.body.radius_m)
     normals = np.concatenate([catalog.normals[rows], middle / np.linalg.norm(middle)])
     points = np.concatenate([catalog.centres[rows], middle])
     view = gTb[:3, 3] - points

@@ -27,15 +27,18 @@ def reproduce(
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of an edge point, px.")] = 1.0,
     arc: Annotated[float, typer.Option(help="Part of each rim that shows, of 1.")] = 1.0,
     trials: Annotated[int, typer.Option(help="Trials at each altitude and point.")] = 100,
+    images: Annotated[
+        int, typer.Option(help="Images from each altitude of table 2; other sets by this, too.")
+    ] = 128,
     seed: Annotated[int, typer.Option(help="The same seed gives the same result.")] = 1,
     workers: Annotated[int, typer.Option(help="Processes.")] = 2,
     as_json: JsonOption = False,
 ) -> None:
-    """Reproduce the paper's static figures, each number beside the bound and with a verdict."""
+    """Reproduce the paper's figures and tables, each number with a verdict; and what the front end holds."""
     names = reproduction.chosen(figures)
     options = ReproduceOptions(
-        craters=craters, altitudes_km=altitudes, noise_px=noise, arc=arc, trials=trials, seed=seed,
-        workers=workers,
+        craters=craters, altitudes_km=altitudes, noise_px=noise, arc=arc, trials=trials, images=images,
+        seed=seed, workers=workers,
     )  # fmt: skip
     contents = reproduction.CONTENTS
     with replacing_folder(output, marker=reproduction.MARKER, ours=contents) as folder, bar() as report:

@@ -12,7 +12,6 @@ import pyarrow as pa
 
 from craternav_fg.bench.guided import FAR, NEAR, Prior, measure
 from craternav_fg.bench.scenes import HARD, IRREGULAR, LEAST_PX, Ground, Scene, scene
-from craternav_fg.camera import pixel_chart
 from craternav_fg.evaluation.crests import crest_offsets_px
 from craternav_fg.evaluation.matching import match
 from craternav_fg.measurements import FrameMeasurement
@@ -21,7 +20,7 @@ from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rim_images import draw_view, photograph
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
-from craternav_fg.vision.detect import FoundRims, ellipse_parameters, find_rims
+from craternav_fg.vision.detect import FoundRims, find_rims
 from craternav_fg.vision.guided import GuidedOptions
 from factors.kernels.sun import sun_tilt, wrap
 
@@ -56,6 +55,7 @@ ERRORS = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
 
 # Images of each set, of so many of `ReproduceOptions.images`.
 _SHARES = {FINE: 4, ROUGH: 8, CUT: 12, NADIR: 4, TILTED: 4, CREST: 8}
+KINDS = tuple(_SHARES)
 # Far from the seeds by which the front end was set up and is tested.
 _FIRST_SEED = 40_000
 _ZOOM = 4
@@ -153,7 +153,7 @@ def counts(options: ReproduceOptions) -> dict[str, int]:
 
 
 def simulate(
-    options: ReproduceOptions, kinds: tuple[str, ...] = tuple(_SHARES), progress: Progress | None = None
+    options: ReproduceOptions, kinds: tuple[str, ...] = KINDS, progress: Progress | None = None
 ) -> Sets:
     """Render and measure some of the sets."""
     images = [

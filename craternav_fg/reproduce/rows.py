@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 _MET = 0.1
 _STANDARD_ERRORS = 3.0
 _SAME_ORDER = 10.0**0.5
+NO_NUMBER = "the paper prints no number"
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def verdict(
         paper and the bound, by the number of trials.
     """
     if paper is None:
-        return "the paper prints no number"
+        return NO_NUMBER
     parts = []
     if corrected is None:
         parts.append("not reproduced")

@@ -5,24 +5,24 @@ from collections.abc import Iterator
 from rich import box
 from rich.table import Table
 
-from craternav_fg.reproduce.rows import NUMBERS, Reproduction, number
+from craternav_fg.reproduce.rows import NO_NUMBER, NUMBERS, Reproduction, number
 
 
 def tables(result: Reproduction) -> Iterator[tuple[str, Table]]:
     """Heading and table of each quantity: its headlines, without the columns that have no number."""
     headlines = [row for row in result.rows if row.headline]
     for quantity, unit in dict.fromkeys((row.quantity, row.unit) for row in headlines):
-        rows = [row for row in headlines if row.quantity == quantity]
+        rows = [row for row in headlines if (row.quantity, row.unit) == (quantity, unit)]
         shown = [name for name in NUMBERS if any(getattr(row, name) is not None for row in rows)]
         table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
         table.add_column("", no_wrap=True)
         for name in shown:
             table.add_column(name.replace("_", " "), justify="right", no_wrap=True)
-        judged = "paper" in shown
+        judged = any(row.verdict != NO_NUMBER for row in rows)
         if judged:
             table.add_column("verdict")
         for row in rows:
             numbers = [number(getattr(row, name)) for name in shown]
-            words = "" if row.paper is None else row.verdict
+            words = "" if row.verdict == NO_NUMBER else row.verdict
             table.add_row(row.condition, *numbers, *([words] if judged else []))
         yield f"{quantity}, {unit}", table
