@@ -52,6 +52,8 @@ class Reconstruction:
     expected_rims : tuple of int, or None
         For each frame, how many catalogue craters should be seen whole and large enough from the first
         trajectory's poses; None when no images were looked at.
+    predicted : ndarray, shape (k, 4, 4), or None
+        Poses of the lander that guided the front end in each frame; None when no images were looked at.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -62,6 +64,7 @@ class Reconstruction:
     options: Mapping[str, dict[str, Any]]
     failures: Mapping[str, str]
     expected_rims: tuple[int, ...] | None
+    predicted: FloatArray | None
 
 
 def reconstruct(
@@ -100,6 +103,7 @@ def reconstruct(
     if initial is None:
         initial = find_initial(dataset, finder, lambda done: report("identified frames", done, len(dataset)))
     descent = Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, initial)
+    predicted: FloatArray | None = None
     if dataset.rims is None:
         front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
         options["front_end"] = asdict(front_end.options)
@@ -107,7 +111,7 @@ def reconstruct(
             tracked = Tracker(dataset, descent, front_end, finder).run(report)
         except NUMERICAL_ERRORS as error:
             raise EstimationError(f"front end: {_one_line(error)}") from error
-        frames, descent = tracked.frames, tracked.descent
+        frames, descent, predicted = tracked.frames, tracked.descent, tracked.guides
     else:
         frames = dataset.rims
     start = find_start(descent, frames)
@@ -143,7 +147,9 @@ def reconstruct(
             )
             for gTb in next(iter(trajectories.values())).gTb
         )
-    return Reconstruction(frames, start, descent.initial, trajectories, times_s, options, failures, expected)
+    return Reconstruction(
+        frames, start, descent.initial, trajectories, times_s, options, failures, expected, predicted
+    )
 
 
 def _one_line(error: Exception) -> str:

@@ -42,10 +42,13 @@ class Tracked:
     frames : tuple of FrameMeasurement
     descent : Descent
         With another initial state than was given when the images contradicted that.
+    guides : ndarray, shape (k, 4, 4)
+        Poses of the lander near which each image was measured.
     """
 
     frames: tuple[FrameMeasurement, ...]
     descent: Descent
+    guides: FloatArray
 
 
 class Tracker:
@@ -67,26 +70,30 @@ class Tracker:
         self._session = OnlineSession(descent)
         self._measured: list[FrameMeasurement] = []
         self._poor = 0
+        self._guide = descent.initial.gTb
 
     def run(self, report: Callable[[str, int, int], None]) -> Tracked:
         """Measure the images, first to last."""
         stamps = [int(stamp) for stamp in self.dataset.stamps_ns]
         report("frames", 0, len(stamps))
+        guides = []
         for k, stamp in enumerate(stamps):
             predicted = filter_state.prior(self.descent) if k == 0 else self._session.predict(stamp)
             covariance = predicted.covariance[filter_state.POSE, filter_state.POSE]
             frame = self._measure(k, predicted.gTb, covariance)
+            guide = self._guide
             found = self._searched(k, predicted, frame)
             if found is not None:
-                frame = self._resumed(k, predicted, *found)
+                frame, guide = self._resumed(k, predicted, *found), found[0].gTb
             elif k == 0:
-                frame = self._begin(frame)
+                frame, guide = self._begin(frame), self._guide
             else:
                 frame = replace(frame, sun=repeated(frame.sun, len(stamps) - 1))
                 self._session.update(frame)
             self._measured.append(frame)
+            guides.append(guide)
             report("frames", k + 1, len(stamps))
-        return Tracked(tuple(self._measured), self.descent)
+        return Tracked(tuple(self._measured), self.descent, np.array(guides))
 
     def _begin(self, frame: FrameMeasurement) -> FrameMeasurement:
         start = find_start(self.descent, [frame])
@@ -122,6 +129,7 @@ class Tracker:
 
     def _guided(self, number: int, gTb: FloatArray, covariance: FloatArray) -> FrameMeasurement:
         """Measure an image near a pose, without the rims that are another crater's as well."""
+        self._guide = gTb
         data = self.dataset
         stamp = int(data.stamps_ns[number])
         frame = self.front_end.measure(data.image(number), stamp, gTb, covariance, data.sun.at(stamp))

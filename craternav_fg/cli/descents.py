@@ -95,6 +95,12 @@ def reconstruct(
     data: Annotated[Path, typer.Argument(help="Folder of the data set.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")],
     estimators: EstimatorOption = None,
+    overlays: Annotated[
+        bool, typer.Option("--overlays", help="Draw the rims on every frame, into RUN/overlays.")
+    ] = False,
+    overlay_every: Annotated[
+        int | None, typer.Option(min=1, help="Draw them on each Nth frame only.", metavar="N")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Reconstruct the trajectory of a data set."""
@@ -105,10 +111,14 @@ def reconstruct(
     if data.resolve().is_relative_to(output.resolve()):
         raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
     dataset = Dataset.open(data)
+    every = overlay_every or int(overlays)
+    if every and dataset.rims is not None:
+        raise InputError(data, "has measured rims: expected images for --overlays")
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
         summary = write_reconstruction(
-            dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report
-        )
+            dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report,
+            overlay_every=every,
+        )  # fmt: skip
     show_run(output, summary, as_json)
 
 

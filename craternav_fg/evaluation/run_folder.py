@@ -5,9 +5,10 @@ truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in
 states.parquet      every estimator's states with covariances, one row per frame
 residuals.parquet   every rim against every estimator's pose, one row per rim and estimator: as measured
                     (`chart`), and what is left of it (`whitened`, `chi2`); `weight` is the one it had, 0 if
-                    rejected as a wrong match, null where the estimator does not choose; with `RimQuality`
-                    of rims measured in images
-figures/            PNG
+                    rejected as a wrong match, null where the estimator does not choose; with
+                    `RimQuality` of rims measured in images
+figures/            PNG; of images, contact_sheet.png shows frames with their rims
+overlays/           PNG per frame, on request
 run.toml            what was run on what, with versions
 """
 

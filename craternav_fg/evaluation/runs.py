@@ -9,6 +9,7 @@ import numpy as np
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation import figures
+from craternav_fg.evaluation.overlays import FOLDER, contact_sheet, write_overlays
 from craternav_fg.evaluation.run_folder import write_run
 from craternav_fg.reconstruction import Progress, Reconstruction, reconstruct
 
@@ -24,6 +25,7 @@ def write_reconstruction(
     began_s: float,
     earlier_s: Mapping[str, float] | None = None,
     progress: Progress | None = None,
+    overlay_every: int = 0,
 ) -> dict[str, Any]:
     """Reconstruct a data set into an existing folder: results, metrics, figures.
 
@@ -41,6 +43,8 @@ def write_reconstruction(
     earlier_s : mapping of str to float, optional
         Wall times of what the command did before.
     progress : callable, optional
+    overlay_every : int
+        Frames with their rims drawn on them are written, each of so many; 0: none.
 
     Returns
     -------
@@ -49,6 +53,8 @@ def write_reconstruction(
     """
     result = reconstruct(dataset, names, progress=progress)
     _draw(dataset, result, folder / "figures")
+    if overlay_every and dataset.rims is None:
+        write_overlays(dataset, result, folder / FOLDER, overlay_every, progress)
     return write_run(
         folder,
         result,
@@ -78,5 +84,6 @@ def _draw(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
         drawn["overview"] = figures.draw_overview(
             images, result.trajectories, dataset.truth, dataset.camera, dataset.body
         )
+        drawn["contact_sheet"] = contact_sheet(dataset, result)
     for name, figure in drawn.items():
         figures.save(figure, folder / f"{name}.png")
