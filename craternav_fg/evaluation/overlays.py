@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -89,8 +90,10 @@ def draw_overlay(one: Overlay, camera: Camera, catalog: Catalog) -> Figure:
     axes = figure.add_axes((0.0, _STRIP_PX / (height + _STRIP_PX), 1.0, height / (height + _STRIP_PX)))
     _draw(axes, one, camera, catalog, 1.0)
     _name(axes, one.frame, camera, catalog, zoom)
-    figure.text(0.5, (_STRIP_PX - 15.0) / (height + _STRIP_PX), one.title, color="w", ha="center", va="center")
-    _legend(figure, "w")
+    figure.text(
+        0.5, (_STRIP_PX - 15.0) / (height + _STRIP_PX), one.title, color="w", ha="center", va="center"
+    )
+    _legend(figure, "lower center")
     return figure
 
 
@@ -108,7 +111,7 @@ def draw_contact_sheet(overlays: Sequence[Overlay], camera: Camera, catalog: Cat
         axes.set_title(one.title, fontsize=9, pad=3)
     for axes in panels[len(overlays) :]:
         axes.set_axis_off()
-    _legend(figure, "k")
+    _legend(figure, "outside lower center")
     return figure
 
 
@@ -201,17 +204,15 @@ def _name(axes: Axes, frame: FrameMeasurement, camera: Camera, catalog: Catalog,
         label.set_path_effects([patheffects.withStroke(linewidth=2.0, foreground="k", alpha=0.7)])
 
 
-def _legend(figure: Figure, colour: str) -> None:
+def _legend(figure: Figure, place: Literal["lower center", "outside lower center"]) -> None:
     handles = [
         Line2D([], [], color=MEASURED, lw=1.8, label="measured"),
         Line2D([], [], color=PREDICTED, lw=1.8, ls=(0, (3, 2)), label="predicted"),
         Line2D([], [], color=CATALOGUE, lw=3.0, label="catalogue, at the estimated pose"),
         Line2D([], [], color=SUN, marker=r"$\rightarrow$", ms=14, ls="", mec="0.4", label="towards the sun"),
     ]
-    place = "lower center" if colour == "w" else "outside lower center"
-    legend = figure.legend(
+    # Bright lines show on a dark ground only, on whatever page.
+    figure.legend(
         handles=handles, loc=place, ncols=4, fontsize=9, facecolor="0.25", edgecolor="none", framealpha=1.0,
         labelcolor="w",
     )  # fmt: skip
-    # On a strip or a page: a background that shows bright lines either way.
-    legend.get_frame().set_boxstyle("round", pad=0.2)

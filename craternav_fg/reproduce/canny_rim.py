@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 # Gaussian blur before gradients are taken.
 _BLUR_PX = 1.2
 # Thresholds as shares of the gradient's quantile, %.
-_LOW, _HIGH, _QUANTILE = 0.25, 0.6, 98.0
+_LOW, _HIGH, _QUANTILE = 0.25, 0.6, 95.0
 # Edges of a rim: so far off it, in radii, their gradients so much towards the light, as a cosine.
 _NEAR, _LEAST_COSINE = 0.25, 0.2
 
@@ -30,10 +30,8 @@ def canny_edges(image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.bool_], Fl
     high = _HIGH * float(np.percentile(np.linalg.norm(gradient, axis=-1), _QUANTILE))
     # Canny takes whole numbers.
     whole = np.clip(np.rint(32.0 * gradient), -32000, 32000).astype(np.int16)
-    thresholds = 32.0 * high * np.array([_LOW / _HIGH, 1.0])
-    edges = cv2.Canny(
-        np.ascontiguousarray(whole[..., 0]), np.ascontiguousarray(whole[..., 1]), *thresholds, L2gradient=True
-    )
+    dx, dy = (np.ascontiguousarray(whole[..., k]) for k in range(2))
+    edges = cv2.Canny(dx, dy, 32.0 * _LOW / _HIGH * high, 32.0 * high, L2gradient=True)
     return edges > 0, gradient.astype(np.float64)
 
 

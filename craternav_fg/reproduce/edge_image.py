@@ -14,9 +14,9 @@ from craternav_fg.evaluation.matching import match
 from craternav_fg.reproduce import image_drawing
 from craternav_fg.reproduce.canny_rim import canny_edges, canny_rim
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rendered_sets import BLIND, CANNY, GUIDED
-from craternav_fg.reproduce.rows import Reproduction, Row, verdict
+from craternav_fg.reproduce.rows import NO_NUMBER, Reproduction
 from craternav_fg.reproduce.scenes import CAMERA, tilted_camera
+from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, image_row
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, standing
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
@@ -83,20 +83,15 @@ def fig10(options: ReproduceOptions) -> Reproduction:
         errors[way][hits.true] = np.abs(
             np.stack([hits.centre_px, hits.semi_major_px, hits.semi_minor_px], axis=-1)
         )
-    nothing = verdict(None, None, None)
-    rows = [
-        Row(
-            "fig10", "craters found", "of 4", "1", None,
-            *(float(len(hits.true)) for hits in matches.values()), verdict=nothing,
-        )
-    ]  # fmt: skip
+    counts = {way: float(len(hits.true)) for way, hits in matches.items()}
+    rows = [image_row("fig10", "craters found", "of 4", "1", counts, verdict=NO_NUMBER)]
     records = []
     for k in np.argsort(one.craters):
         name = one.catalog.identifiers[one.craters[k]]
         where = f"{name}, semi-axes {true[k, 2]:.0f} and {true[k, 3]:.0f} px"
         for j, quantity in enumerate(("centre", "semi-major axis", "semi-minor axis")):
-            values = [float(e[k, j]) if np.isfinite(e[k, j]) else None for e in errors.values()]
-            rows.append(Row("fig10", f"{quantity}, error", where, "px", None, *values, verdict=nothing))
+            values = {way: float(e[k, j]) if np.isfinite(e[k, j]) else None for way, e in errors.items()}
+            rows.append(image_row("fig10", f"{quantity}, error", where, "px", values, verdict=NO_NUMBER))
             records.append(
                 {"crater": name, "quantity": quantity} | {way: float(e[k, j]) for way, e in errors.items()}
             )

@@ -15,6 +15,7 @@ from craternav_fg.reproduce.canny_rim import canny_rim
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rim_images import draw_view, photograph
+from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.detect import ellipse_parameters, find_rims
 from craternav_fg.vision.guided import GuidedOptions
@@ -24,9 +25,6 @@ FloatArray = npt.NDArray[np.float64]
 
 ALTITUDES_KM = (50, 40, 30, 20, 10)
 PARAMETERS = "ABCDEF"
-# Ways to measure a rim, as the columns of the data name them.
-CANNY, BLIND, GUIDED = "canny", "blind", "guided"
-WAYS = (CANNY, BLIND, GUIDED)
 
 _BATCH = 8
 # The crater's surroundings are small.

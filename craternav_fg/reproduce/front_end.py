@@ -11,8 +11,9 @@ from craternav_fg.reproduce import image_drawing
 from craternav_fg.reproduce import rendered_sets as sets
 from craternav_fg.reproduce.empty_images import gradient_images, noise_images
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rim_tables import RATE, TABLE1, errors_px, share_found
+from craternav_fg.reproduce.rim_errors import RATE, TABLE1, errors_px, share_found
 from craternav_fg.reproduce.rows import Reproduction, Row
+from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, image_row
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import find_rims
 
@@ -61,7 +62,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure: its row without verdict, the value that is judged, and its limit."""
+    """One figure: its row, the value that is judged, and its limit."""
 
     row: Row
     value: float | None
@@ -73,11 +74,11 @@ def _row(
     canny: float | None = None, blind: float | None = None, guided: float | None = None,
     paper: float | None = None,
 ) -> Figure:  # fmt: skip
-    value = guided if blind is None else blind
-    finite = value if value is not None and np.isfinite(value) else None
-    values = (paper, canny, blind, guided)
-    plain = [None if v is None or not np.isfinite(v) else float(v) for v in values]
-    return Figure(Row("front_end", quantity, condition, unit, *plain), finite, limit)
+    values = {CANNY: canny, BLIND: blind, GUIDED: guided}
+    known = {way: float(v) for way, v in values.items() if v is not None and np.isfinite(v)}
+    value = known.get(GUIDED if blind is None else BLIND)
+    row = image_row("front_end", quantity, condition, unit, known, verdict=limit.verdict(value), paper=paper)
+    return Figure(row, value, limit)
 
 
 def front_end(measured: sets.Sets, options: ReproduceOptions) -> Reproduction:
@@ -91,10 +92,7 @@ def front_end(measured: sets.Sets, options: ReproduceOptions) -> Reproduction:
         *_sun(measured.images),
         *_nothing(),
     ]
-    rows = [
-        Row(**{**f.row.as_dict(), "verdict": f.limit.verdict(f.value)})  # type: ignore[arg-type]
-        for f in figures
-    ]
+    rows = [f.row for f in figures]
     known = [f for f in figures if f.value is not None]
     holds = np.array([f.limit.holds(f.value) for f in known if f.value is not None])
     shares = np.array([f.limit.share(f.value) for f in known if f.value is not None])
@@ -102,13 +100,16 @@ def front_end(measured: sets.Sets, options: ReproduceOptions) -> Reproduction:
     missed = [f"{f.row.quantity}, {f.row.condition}" for f, h in zip(known, holds, strict=True) if not h]
     counted = ", ".join(f"{n} {kind}" for kind, n in sets.counts(options).items())
     note = (
-        f"Rendered images with seeds of their own ({counted}; 512 px for the sun's tilt, else 1024): the Moon "
+        f"Rendered images with seeds of their own ({counted}; 512 px for the sun's tilt, else "
+        "1024): the Moon "
         "from 50 km, rims from 12 px semi-minor axis at a shading gain above 0.5. As printed: Canny edges, "
-        "the paper's way; corrected: found without a prior; efficient: measured from a predicted pose, wrong by "
+        "the paper's way; corrected: found without a prior; efficient: measured from a "
+        "predicted pose, wrong by "
         "1.5 px and 0.1 %, of single images (nothing counted for further sightings). What is judged is ours; "
         "the paper's own figures, of other images, stand beside the blind detector's. "
         + (f"Missed: {'; '.join(missed)}." if missed else "All hold.")
-        + " The images have neither albedo nor a map's errors, and the ground's law of reflection is nearly the "
+        + " The images have neither albedo nor a map's errors, and the ground's law of reflection is "
+        "nearly the "
         "front end's own: real images are harder."
     )
     records = [
@@ -137,7 +138,7 @@ def _crests(measured: sets.Sets) -> list[Figure]:
 def _guided(
     rims: pa.Table, kind: str, most: Sequence[float], bias: float | None, rate: float | None
 ) -> list[Figure]:
-    errors = errors_px(rims, kind, sets.GUIDED)
+    errors = errors_px(rims, kind, GUIDED)
     here = np.array(rims["set"].to_pylist()) == kind
     quantity = f"guided, {kind} rims"
     out = [
@@ -147,14 +148,14 @@ def _guided(
     if bias is not None:
         small = here & (rims["semi_minor_px"].to_numpy() < SMALL_PX)
         for name in ("semi_major_px", "semi_minor_px"):
-            signed = rims[f"{sets.GUIDED}_{name}"].to_numpy()[small]
+            signed = rims[f"{GUIDED}_{name}"].to_numpy()[small]
             what = f"{name[:-3].replace('_', '-')}, mean, below {SMALL_PX:g} px"
             value = abs(_mean(signed[np.isfinite(signed)]))
             out.append(_row(quantity, what, "px", Limit(high=bias), guided=value))
     if rate is not None:
-        share = share_found(rims, (kind,), sets.GUIDED)
+        share = share_found(rims, (kind,), GUIDED)
         out.append(_row(quantity, "measured", "1", Limit(low=rate), guided=share))
-    chi2 = rims[f"{sets.GUIDED}_chi2"].to_numpy()[here]
+    chi2 = rims[f"{GUIDED}_chi2"].to_numpy()[here]
     value = _mean(chi2[np.isfinite(chi2)]) / 5.0
     out.append(_row(quantity, "chi-square / 5", "1", Limit(0.7, 1.3), guided=value))
     return out
@@ -175,15 +176,15 @@ def _blind(measured: sets.Sets) -> list[Figure]:
     ):  # fmt: skip
         quantity = f"blind, {name}"
         plain = kind == sets.FINE
-        canny = share_found(rims, (kind,), sets.CANNY) if plain else None
-        rate = share_found(rims, (kind,), sets.BLIND)
+        canny = share_found(rims, (kind,), CANNY) if plain else None
+        rate = share_found(rims, (kind,), BLIND)
         out.append(
             _row(
                 quantity, "recall", "1", Limit(low=recall), canny=canny, blind=rate,
                 paper=RATE if plain else None,
             )
         )  # fmt: skip
-        shares = [_precision(measured, kind, way) for way in (sets.CANNY, sets.BLIND)]
+        shares = [_precision(measured, kind, way) for way in (CANNY, BLIND)]
         out.append(
             _row(
                 quantity, "precision", "1", Limit(low=precision), canny=shares[0] if plain else None,
@@ -194,7 +195,7 @@ def _blind(measured: sets.Sets) -> list[Figure]:
             continue
         for what, limit, printed, *errors in zip(
             ("centre", "semi-major", "semi-minor"), (0.40, 0.25, 0.25), TABLE1[sets.FINE],
-            *(errors_px(rims, kind, way) for way in (sets.CANNY, sets.BLIND)), strict=True,
+            *(errors_px(rims, kind, way) for way in (CANNY, BLIND)), strict=True,
         ):  # fmt: skip
             by_canny, by_blind = (_mean(e) for e in errors)
             out.append(
@@ -239,5 +240,5 @@ def _nothing() -> list[Figure]:
     return out
 
 
-def _mean(values: npt.NDArray[np.generic]) -> float:
+def _mean(values: FloatArray | npt.NDArray[np.bool_]) -> float:
     return float(np.mean(values)) if len(values) else float("nan")

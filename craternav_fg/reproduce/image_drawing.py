@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -95,25 +96,32 @@ def draw_edges(
     figure = Figure(figsize=(11.0, 6.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.imshow(image, cmap="gray", vmin=0, vmax=255)
-    right.imshow(~edges, cmap="gray", vmin=-2, vmax=1)
+    # Wide enough to be seen on a page.
+    wide = cv2.dilate(edges.astype(np.uint8), np.ones((2, 2), dtype=np.uint8))
+    right.imshow(1 - wide, cmap="gray", vmin=0, vmax=1)
     for axes, names in ((left, ("guided",)), (right, ("canny",))):
-        for ellipse in true_px:
-            _ellipse(axes, ellipse, color="#56B4E9", lw=2.4, alpha=0.75)
+        if axes is left:
+            for ellipse in true_px:
+                _ellipse(axes, ellipse, color="#56B4E9", lw=2.4, alpha=0.75)
         for way in names:
+            style = {"color": "#F0E442"} if way == "guided" else {"color": STYLE[way][1], "ls": (0, (3, 3))}
             for ellipse in ways[way]:
-                _ellipse(axes, ellipse, color="#F0E442" if way == "guided" else STYLE[way][1], lw=1.1)
+                _ellipse(axes, ellipse, lw=1.2, **style)
         axes.set(xticks=[], yticks=[], xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5))
     left.set_title("rendered image, rims from a predicted pose", fontsize=10)
     right.set_title("Canny edges, ellipses fitted to them", fontsize=10)
     handles = [
-        Line2D([], [], color=colour, lw=width, label=label)
-        for colour, width, label in (
-            ("#56B4E9", 2.4, "true rim"),
-            ("#F0E442", 1.4, "measured"),
-            (STYLE["canny"][1], 1.4, "by Canny edges"),
+        Line2D([], [], color=colour, lw=width, ls=line, label=label)
+        for colour, width, line, label in (
+            ("#56B4E9", 2.4, "-", "true rim"),
+            ("#F0E442", 1.4, "-", "measured"),
+            (STYLE["canny"][1], 1.4, "--", "ellipse through Canny edges"),
         )
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, facecolor="0.6")
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=3, facecolor="0.25", edgecolor="none",
+        framealpha=1.0, labelcolor="w",
+    )  # fmt: skip
     return figure
 
 

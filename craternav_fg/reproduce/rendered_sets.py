@@ -18,6 +18,7 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rim_images import draw_view, photograph
+from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, WAYS
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims
@@ -27,7 +28,8 @@ from factors.kernels.sun import sun_tilt, wrap
 FloatArray = npt.NDArray[np.float64]
 
 FINE, ROUGH, CUT, NADIR, TILTED, CREST = "fine", "irregular", "hard", "nadir", "tilted", "crest"
-CANNY, BLIND, GUIDED, LOST = "canny", "blind", "guided", "lost"
+# From a prediction that is far off.
+LOST = "lost"
 GROUNDS = {
     FINE: Ground(),
     ROUGH: IRREGULAR,
@@ -50,7 +52,7 @@ PRIORS: Mapping[str, Mapping[str, Prior]] = {
     NADIR: {GUIDED: NEAR},
     TILTED: {GUIDED: NEAR},
 }
-WAYS = (CANNY, BLIND, GUIDED, LOST)
+MEASURED = (*WAYS, LOST)
 ERRORS = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
 
 # Images of each set, of so many of `ReproduceOptions.images`.
@@ -79,7 +81,7 @@ class Sets:
     Attributes
     ----------
     rims : pyarrow.Table
-        A row per rim that must be found: `set`, `image`, true `semi_minor_px`, and for each of `WAYS` its
+        A row per rim that must be found: `set`, `image`, true `semi_minor_px`, and for each of `MEASURED` its
         `ERRORS`, measured minus true, and `chi2`; NaN where the rim was not found.
     images : pyarrow.Table
         A row per image: `set`, `image`, for each way of `BLIND_WAYS` the rims that are `false`; error and
@@ -101,8 +103,8 @@ def run_image(image: Image) -> tuple[list[dict[str, object]], list[dict[str, obj
     one = scene(_FIRST_SEED + 1000 * image.seed + image.number, GROUNDS[image.kind])
     wanted = np.flatnonzero(one.wanted)
     place = {int(row): k for k, row in enumerate(one.craters[wanted])}
-    errors = {way: np.full((len(wanted), 4), np.nan) for way in WAYS}
-    chi2 = {way: np.full(len(wanted), np.nan) for way in WAYS}
+    errors = {way: np.full((len(wanted), 4), np.nan) for way in MEASURED}
+    chi2 = {way: np.full(len(wanted), np.nan) for way in MEASURED}
     tells: dict[str, object] = {"set": image.kind, "image": image.number}
     tells |= {f"{way}_false": np.nan for way in (CANNY, BLIND)} | {"sun_deg": np.nan, "sun_sigma_deg": np.nan}
     for way, find in BLIND_WAYS[image.kind].items():
@@ -124,7 +126,7 @@ def run_image(image: Image) -> tuple[list[dict[str, object]], list[dict[str, obj
     for k, row in enumerate(wanted):
         rim: dict[str, object] = {"set": image.kind, "image": image.number}
         rim["semi_minor_px"] = float(one.ellipses_px[row, 3])
-        for way in WAYS:
+        for way in MEASURED:
             rim |= {f"{way}_{name}": float(v) for name, v in zip(ERRORS, errors[way][k], strict=True)}
             rim[f"{way}_chi2"] = float(chi2[way][k])
         rims.append(rim)

@@ -65,7 +65,7 @@ def draw_view(rng: np.random.Generator, altitude_m: float, seed: int) -> View:
         Of the ground.
     """
     for _ in range(_TRIES):
-        site = frames.east_north_up(np.arcsin(rng.uniform(-0.9, 0.9)), rng.uniform(0.0, 2.0 * np.pi))
+        site = frames.east_north_up(np.arcsin(rng.uniform(-0.9, 0.9, 1)), rng.uniform(0.0, 2.0 * np.pi, 1))[0]
         low = tilted_camera(altitude_m, rng.uniform(0.0, _MAX_TILT_RAD), *rng.uniform(0.0, 2.0 * np.pi, 2))
         gTb = frames.pose(site @ low[:3, :3], (MOON.radius_m + altitude_m) * site[:, 2])
         pixel = rng.uniform(0.0, [CAMERA.width_px - 1.0, CAMERA.height_px - 1.0])
@@ -120,8 +120,9 @@ def window(view: View) -> Camera:
     half = [np.hypot(a * np.cos(angle), b * np.sin(angle)), np.hypot(a * np.sin(angle), b * np.cos(angle))]
     reach = _WINDOW[0] * np.array(half) + _WINDOW[1]
     size = np.array([CAMERA.width_px, CAMERA.height_px])
-    low = np.maximum(np.floor([x, y] - reach), 0.0).astype(int)
-    high = np.minimum(np.ceil([x, y] + reach).astype(int), size - 1)
+    centre = np.array([x, y])
+    low = np.maximum(np.floor(centre - reach), 0.0).astype(int)
+    high = np.minimum(np.ceil(centre + reach).astype(int), size - 1)
     width, height = (int(k) for k in high - low + 1)
     return replace(
         CAMERA, width_px=width, height_px=height, cx_px=CAMERA.cx_px - low[0], cy_px=CAMERA.cy_px - low[1]

@@ -23,14 +23,15 @@ from craternav_fg.reproduce import (
     edge_parameters,
     pose_figures,
     rendered_sets,
-    rim_tables,
     static_pose,
 )
+from craternav_fg.reproduce.coefficients import table2
 from craternav_fg.reproduce.edge_image import fig10
 from craternav_fg.reproduce.front_end import front_end
 from craternav_fg.reproduce.los import fig02
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress
+from craternav_fg.reproduce.rim_errors import TABLE1, table1
 from craternav_fg.reproduce.rows import NUMBERS, Reproduction, number
 
 FIGURES = (
@@ -73,13 +74,13 @@ def reproduce(
         data = centres.simulate(options, progress)
         out += [figure(data) for figure in (centres.fig03, centres.fig04) if figure.__name__ in names]
     if "table2" in names:
-        out.append(rim_tables.table2(edge_parameters.simulate(options, progress), options))
+        out.append(table2(edge_parameters.simulate(options, progress), options))
     if "fig10" in names:
         out.append(fig10(options))
     if {"table1", "front_end"} & set(names):
-        kinds = rendered_sets.KINDS if "front_end" in names else rim_tables.TABLE1_SETS
+        kinds = rendered_sets.KINDS if "front_end" in names else tuple(TABLE1)
         measured = rendered_sets.simulate(options, kinds, progress)
-        out += [rim_tables.table1(measured)] if "table1" in names else []
+        out += [table1(measured)] if "table1" in names else []
         out += [front_end(measured, options)] if "front_end" in names else []
     three: pa.Table | None = None
     if {"fig11", "fig12"} & set(names):
