@@ -18,7 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 # Gaussian blur before gradients are taken.
 _BLUR_PX = 1.2
 # Thresholds as shares of the gradient's quantile, %.
-_LOW, _HIGH, _QUANTILE = 0.25, 0.6, 95.0
+_LOW, _HIGH, _QUANTILE = 0.25, 0.6, 97.0
 # Edges of a rim: so far off it, in radii, their gradients so much towards the light, as a cosine.
 _NEAR, _LEAST_COSINE = 0.25, 0.2
 

@@ -37,18 +37,20 @@ _CRATERS = np.array(
     ]
 )
 _TILT_RAD, _ROLL_RAD = np.deg2rad([15.0, 0.0])
-_SUN_DEG = (28.0, 215.0)
+_SUN_DEG = (22.0, 215.0)
 _GROUND_SEED = 10
+# Even ground, as in the picture of the paper.
+_SLOPE = 0.004
 
 
 def photograph(seed: int) -> Scene:
-    """Take the image: the Moon from 20 km, camera 15 deg off nadir, sun 28 deg high."""
+    """Take the image: the Moon from 20 km, camera 15 deg off nadir, sun 22 deg high."""
     rng = np.random.default_rng([seed, 10])
     site = frames.east_north_up(np.array(0.3), np.array(1.2))
     east, north, a, b, angle = _CRATERS.T
     places = np.stack([east, north, np.full(len(east), MOON.radius_m)], axis=-1) @ site.T
     latitude, longitude = frames.latitude_longitude(places)
-    relief = Relief(MOON, site[:, 2], ReliefOptions(seed=_GROUND_SEED))
+    relief = Relief(MOON, site[:, 2], ReliefOptions(seed=_GROUND_SEED, slope=_SLOPE))
     names = tuple(f"T{k + 1}" for k in range(len(a)))
     catalog = standing(Catalog(names, latitude, longitude, a, b, angle, np.zeros(len(a)), MOON), relief)
     low = tilted_camera(ALTITUDE_M, _TILT_RAD, 0.0, _ROLL_RAD)
