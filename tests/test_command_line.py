@@ -166,13 +166,18 @@ def test_without_truth_there_are_sigmas_instead_of_errors(
     data = tmp_path / "data"
     shutil.copytree(demo[0] / "dataset", data)
     shutil.rmtree(data / "mav0/state_groundtruth_estimate0")
-    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "online")
+    names = ("-e", "smoother", "-e", "online")
+    done = craternav("reconstruct", data, "-o", tmp_path / "run", *names, "--overlay-every", "4")
     assert done.returncode == 0, done.stderr
     assert "no ground truth" in done.stdout
+    pictures = sorted(path.name for path in (tmp_path / "run/overlays").iterdir())
+    assert pictures == ["frame_00000_0.0s.png", "frame_00004_16.0s.png"]
     back = read_run(tmp_path / "run")
     assert back.truth is None
     assert back.dataset == data
-    assert {p.stem for p in (tmp_path / "run/figures").iterdir()} == {"descent", "overview", "sigmas"}
+    assert {p.stem for p in (tmp_path / "run/figures").iterdir()} == {
+        "contact_sheet", "descent", "overview", "sigmas",
+    }  # fmt: skip
 
 
 def test_images_that_show_something_else_are_warned_of(
@@ -183,8 +188,10 @@ def test_images_that_show_something_else_are_warned_of(
     shutil.copytree(demo[0] / "dataset", data)
     for image in (data / "mav0/cam0/data").iterdir():
         cv2.imwrite(str(image), np.zeros((1024, 1024), dtype=np.uint8))
-    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "dead_reckoning")
+    names = ("-e", "smoother", "-e", "dead_reckoning")
+    done = craternav("reconstruct", data, "-o", tmp_path / "run", *names, "--overlays")
     assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "run/overlays").iterdir())) == 6
     assert "warning: no rim was found in any frame" in done.stderr
     estimators = json.loads((tmp_path / "run/metrics.json").read_text())["estimators"]
     smoother, dead = (estimators[name]["position_rms_m"] for name in ("smoother", "dead_reckoning"))
@@ -244,6 +251,10 @@ def test_simulate_and_one_estimator_from_measured_rims(tmp_path: Path) -> None:
     done = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "ekf", "--json")
     assert done.returncode == 0, done.stderr
     assert list(json.loads(done.stdout)["estimators"]) == ["ekf"]
+    none = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "other", "--overlays")
+    assert none.returncode == 2
+    assert "has measured rims: expected images for --overlays" in none.stderr
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def write_overlays(
     every: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Write a PNG per frame, named by its number and stamp, into a folder.
+    """Write a PNG per frame, named by its number and the seconds since the first, into a folder.
 
     Parameters
     ----------
@@ -145,7 +145,8 @@ def write_overlays(
     for done, number in enumerate(numbers, 1):
         one = overlay(dataset, result, number)
         figure = draw_overlay(one, dataset.camera, dataset.catalog)
-        save(figure, folder / f"{number:05d}_{one.frame.stamp_ns}.png", _DPI)
+        seconds = 1e-9 * float(one.frame.stamp_ns - dataset.stamps_ns[0])
+        save(figure, folder / f"frame_{number:05d}_{seconds:.1f}s.png", _DPI)
         if progress is not None:
             progress("overlays", done, len(numbers))
 

@@ -25,6 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 
 ALTITUDES_KM = (50, 40, 30, 20, 10)
 PARAMETERS = "ABCDEF"
+# Behind a coefficient's name: of the same rim moved to the optical axis.
+CENTRAL = "_central"
 
 _BATCH = 8
 # The crater's surroundings are small.
@@ -61,13 +63,16 @@ def _run_image(batch: Batch, image: int) -> dict[str, float]:
     }  # fmt: skip
     found = {CANNY: canny_rim(one, 0), BLIND: _blind(one, ellipse), GUIDED: _guided(one, rng)}
     for way, chart_px in found.items():
-        error, difference = np.full(6, np.nan), np.full(5, np.nan)
+        error, central, difference = np.full(6, np.nan), np.full(6, np.nan), np.full(5, np.nan)
         # What lies further off is another edge, no measurement of this rim.
         if chart_px is not None and len(match(ellipse_parameters(chart_px[None]), ellipse[None]).true):
             chart, _ = normalised_chart(chart_px, one.camera)
             error = chart_to_conic(chart) - chart_to_conic(true[0])
+            to_axis = np.append(true[0, :2], np.zeros(3))
+            central = chart_to_conic(chart - to_axis) - chart_to_conic(true[0] - to_axis)
             difference = ellipse_parameters(chart_px[None])[0] - ellipse
-        record |= {f"{way}_{name}": float(e) for name, e in zip(PARAMETERS, error, strict=True)}
+        for name, e, e0 in zip(PARAMETERS, error, central, strict=True):
+            record |= {f"{way}_{name}": float(e), f"{way}_{name}{CENTRAL}": float(e0)}
         record[f"{way}_centre_px"] = float(np.hypot(*difference[:2]))
         record[f"{way}_semi_major_px"], record[f"{way}_semi_minor_px"] = map(float, difference[2:4])
     return record

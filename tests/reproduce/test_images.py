@@ -1,0 +1,181 @@
+"""Tables 1 and 2, fig. 10 and the front end's figures, from a few rendered images."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from craternav_fg.reproduce import coefficients, edge_image, edge_parameters, rendered_sets, rim_errors, run
+from craternav_fg.reproduce.canny_rim import canny_rim
+from craternav_fg.reproduce.front_end import Limit, front_end
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.rim_images import draw_view, photograph, window
+from craternav_fg.reproduce.rows import FIELDS
+from craternav_fg.reproduce.scenes import CAMERA
+from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
+from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.terrain import TerrainOptions
+from craternav_fg.vision.detect import ellipse_parameters
+
+FEW = ReproduceOptions(images=2, workers=1)
+
+
+@pytest.fixture(scope="module")
+def measured() -> rendered_sets.Sets:
+    return rendered_sets.simulate(FEW)
+
+
+@pytest.fixture(scope="module")
+def coefficient_data() -> pa.Table:
+    return edge_parameters.simulate(FEW)
+
+
+def test_a_window_has_the_pixels_of_the_whole_image() -> None:
+    rng = np.random.default_rng(8)
+    view = draw_view(rng, 40e3, 3)
+    ground = TerrainOptions(cells=1024)
+    one, renderer = photograph(view, rng, ground)
+    camera = window(view)
+    assert one.image.shape == (camera.height_px, camera.width_px) != (1024, 1024)
+    x0, y0 = round(CAMERA.cx_px - camera.cx_px), round(CAMERA.cy_px - camera.cy_px)
+    clean = RenderOptions(full_well_e=0.0)
+    whole = Renderer(CAMERA, renderer.terrain, clean).render(view.gTb, view.sun_g, rng)
+    part = Renderer(camera, renderer.terrain, clean).render(view.gTb, view.sun_g, rng)
+    inside = whole[y0 : y0 + camera.height_px, x0 : x0 + camera.width_px].astype(float)
+    off = np.abs(inside - part)[4:-4, 4:-4]
+    assert np.median(off) <= 1.0
+    assert np.corrcoef(inside.ravel(), part.ravel())[0, 1] > 0.99
+
+
+def test_views_are_of_the_papers_first_case() -> None:
+    rng = np.random.default_rng(1)
+    for seed in range(20):
+        view = draw_view(rng, 50e3, seed)
+        semi_axes = np.array([view.catalog.semi_major_m[0], view.catalog.semi_minor_m[0]])
+        assert np.all((semi_axes >= 500.0) & (semi_axes <= 2500.0))
+        down = -view.gTb[:3, 3] / np.linalg.norm(view.gTb[:3, 3])
+        assert np.degrees(np.arccos(down @ view.gTb[:3, 2])) <= 30.0
+        rows, _ = view.catalog.visible(CAMERA, view.gTb, min_semi_minor_px=12.0, margin_px=2.0)
+        assert len(rows) == 1
+
+
+def test_canny_edges_lie_inside_the_crest() -> None:
+    one = edge_image.photograph(1)
+    true = one.ellipses_px
+    for k, row in enumerate(one.craters):
+        chart = canny_rim(one, int(row))
+        assert chart is not None
+        x, y, a, b, _ = ellipse_parameters(chart[None])[0]
+        assert np.hypot(x - true[k, 0], y - true[k, 1]) < 3.0
+        assert true[k, 2] - 4.0 < a < true[k, 2] + 0.2
+        assert true[k, 3] - 4.0 < b < true[k, 3] + 0.2
+
+
+def test_coefficients_have_the_errors_of_their_ellipses(coefficient_data: pa.Table) -> None:
+    """Near-circular rims: A and C err with the axes' difference, D and E on the axis with the centre."""
+    columns = {name: coefficient_data[name].to_numpy() for name in coefficient_data.column_names}
+    assert len(columns["image"]) == 10
+    found = np.isfinite(columns["guided_A"])
+    assert found.mean() >= 0.8
+    size = np.sqrt(columns["semi_major_px"] * columns["semi_minor_px"])[found]
+    axes = np.hypot(columns["guided_semi_major_px"], columns["guided_semi_minor_px"])[found]
+    assert np.all(np.abs(columns["guided_A"][found]) < 3.0 * axes / size + 1e-2)
+    # D = -2 A u: a centre error of e px on the axis is one of 2 A e / f, A of about 0.7.
+    shift = np.hypot(columns["guided_D_central"], columns["guided_E_central"])[found]
+    expected = 2.0 * np.sqrt(0.5) * columns["guided_centre_px"][found] / CAMERA.fx_px
+    assert np.median(shift / expected) == pytest.approx(1.0, abs=0.15)
+    assert np.nanmedian(np.abs(columns["canny_semi_minor_px"])) > 0.4
+
+
+def test_table2_has_a_row_for_each_coefficient_and_altitude(coefficient_data: pa.Table) -> None:
+    result = coefficients.table2(coefficient_data, FEW)
+    shown = [row for row in result.rows if row.headline]
+    assert len(shown) == 6 * (5 + 1)
+    printed = {(row.quantity, row.condition): row.paper for row in shown}
+    assert printed["standard deviation of B", "20 km, 2 images"] == 8.59e-3
+    assert printed["standard deviation of F", "in Qn, against all altitudes"] == pytest.approx(1.5e-8**0.5)
+    for row in shown:
+        assert row.efficient is None or 1e-6 < row.efficient < 0.1
+    assert "out of line" in next(row.verdict for row in shown if row.condition.startswith("50 km"))
+    assert "nan" not in result.note
+
+
+def test_table1_and_the_front_end_agree_on_the_same_rims(measured: rendered_sets.Sets) -> None:
+    table = rim_errors.table1(measured)
+    result = front_end(measured, FEW)
+    by_name = {(row.quantity, row.condition): row for row in result.rows}
+    fine = next(row for row in table.rows if row.quantity == "centre, average error")
+    assert "fine" in fine.condition
+    assert by_name["guided, fine rims", "centre, mean absolute"].efficient == fine.efficient
+    assert by_name["blind, plain ground", "centre, mean absolute"].corrected == fine.corrected
+    assert by_name["blind, plain ground", "recall"].paper == 0.92
+    # Coarse: one image of each set.
+    assert fine.efficient is not None
+    assert fine.efficient < 0.2
+    assert fine.as_printed is not None
+    assert fine.as_printed > 1.5 * fine.efficient
+    for name in ("noise", "gradient"):
+        row = by_name["images without craters", f"rims in 20 {name} images"]
+        assert (row.corrected, row.as_printed) == (0.0, 0.0)
+        assert row.verdict == "holds: at most 0"
+    crest = by_name["crest against projection, 4x zoom", "mean, absolute"]
+    assert crest.efficient is not None
+    assert crest.efficient < 0.03
+    for row in (*table.rows, *result.rows):
+        assert set(row.as_dict()) == set(FIELDS)
+        assert row.verdict
+    assert json.dumps([row.as_dict() for row in (*table.rows, *result.rows)], allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "holds", "share"),
+    [
+        (Limit(high=0.2), 0.1, True, 0.5),
+        (Limit(high=0.2), 0.3, False, 1.5),
+        (Limit(low=0.9), 0.95, True, 0.5),
+        (Limit(low=0.9), 0.7, False, 3.0),
+        (Limit(0.7, 1.3), 1.3, True, 1.0),
+        (Limit(0.7, 1.3), 0.7, True, 1.0),
+        (Limit(0.7, 1.3), 1.5, False, 1.545),
+        (Limit(high=0.0), 0.0, True, 0.0),
+        (Limit(high=0.0), 1.0, False, 2.0),
+    ],
+)
+def test_limits(limit: Limit, value: float, holds: bool, share: float) -> None:
+    assert limit.holds(value) is holds
+    assert limit.verdict(value).startswith("holds" if holds else "missed")
+    assert limit.share(value) == pytest.approx(share, abs=1e-3)
+    assert limit.verdict(None).startswith("not measured")
+
+
+def test_fig10_is_written_with_its_rows(tmp_path: Path) -> None:
+    results = run.reproduce(("fig10",), FEW)
+    run.write(tmp_path, results, FEW)
+    rows = json.loads((tmp_path / "reproduction.json").read_text())
+    count = rows[0]
+    assert (count["quantity"], count["efficient"], count["corrected"]) == ("craters found", 4.0, 4.0)
+    ours = [row["efficient"] for row in rows[1:]]
+    theirs = [row["as_printed"] for row in rows[1:]]
+    assert max(ours) < 0.4
+    assert np.mean(theirs) > 3.0 * np.mean(ours)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "fig10.png", "fig10.parquet", "reproduction.json", "reproduction.md",
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_every_figure_of_the_front_end_holds() -> None:
+    result = front_end(rendered_sets.simulate(ReproduceOptions()), ReproduceOptions())
+    missed = [(row.quantity, row.condition, row.verdict) for row in result.rows if "holds" not in row.verdict]
+    assert not missed
+
+
+def test_the_same_seed_gives_the_same_images() -> None:
+    batch = edge_parameters.Batch(50, 1, 0, 1)
+    first, again = edge_parameters.run_batch(batch), edge_parameters.run_batch(batch)
+    np.testing.assert_equal(first, again)
+    other = edge_parameters.run_batch(edge_parameters.Batch(50, 2, 0, 1))
+    assert other[0]["semi_major_px"] != first[0]["semi_major_px"]
+    assert {CANNY, BLIND, GUIDED} == {name.split("_")[0] for name in first[0] if name.endswith("_central")}
