@@ -31,7 +31,7 @@ _SUN_DEG = (10.0, 50.0)
 # As craters are; the paper draws both semi-axes by themselves.
 _LEAST_RATIO = 0.75
 # What is rendered around a rim: share of its extent, px; the front end wants level ground about it, too.
-_WINDOW = (1.7, 96.0)
+_WINDOW = (1.5, 80.0)
 _TRIES = 1000
 
 
