@@ -103,9 +103,8 @@ def table1(measured: Sets) -> Reproduction:
         "rendered crater and takes the edge at the crest; efficient: measured from a predicted pose. Canny "
         "edges lie inside the crest, which alone makes their axes too small. Irregular outlines make the "
         f"centre's error {rough / fine:.1f} times that of fine ones (paper: "
-        f"{TABLE1[ROUGH][0][0] / TABLE1[FINE][0][0]:.1f}): there the ellipse "
-        "itself, the least-squares "
-        "one of the outline, is the limit, not the edge. A maximum grows with the number of rims. A real "
+        f"{TABLE1[ROUGH][0][0] / TABLE1[FINE][0][0]:.1f}): what counts as the rim there is the "
+        "least-squares ellipse of the whole outline. A maximum grows with the number of rims. A real "
         "image has albedo, worn rims and a map's errors, which these have not: the paper's 92 % and half a "
         "pixel are of a harder task than ours."
     )
