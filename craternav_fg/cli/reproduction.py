@@ -30,6 +30,7 @@ def reproduce(
     images: Annotated[
         int, typer.Option(help="Images from each altitude of table 2; other sets by this, too.")
     ] = 128,
+    descents: Annotated[int, typer.Option(help="Trials of figs. 15 to 18 and of the lag.")] = 30,
     seed: Annotated[int, typer.Option(help="The same seed gives the same result.")] = 1,
     workers: Annotated[int, typer.Option(help="Processes.")] = 2,
     as_json: JsonOption = False,
@@ -38,7 +39,7 @@ def reproduce(
     names = reproduction.chosen(figures)
     options = ReproduceOptions(
         craters=craters, altitudes_km=altitudes, noise_px=noise, arc=arc, trials=trials, images=images,
-        seed=seed, workers=workers,
+        descents=descents, seed=seed, workers=workers,
     )  # fmt: skip
     contents = reproduction.CONTENTS
     with replacing_folder(output, marker=reproduction.MARKER, ours=contents) as folder, bar() as report:

@@ -131,3 +131,58 @@ def _axes() -> tuple[Figure, Axes]:
 def _shades(count: int) -> FloatArray:
     """Colours from dark to light, for curves that stand in an order."""
     return np.asarray(colormaps["viridis"](np.linspace(0.0, 0.88, count)))
+
+
+@dataclass(frozen=True)
+class Line:
+    """An error over the altitude.
+
+    Attributes
+    ----------
+    colour, style : str
+    value : ndarray, shape (k,)
+    """
+
+    colour: str
+    style: str
+    value: FloatArray
+
+
+def draw_descent(
+    altitude_km: FloatArray,
+    lines: Mapping[str, Line],
+    craters: FloatArray,
+    quantity: str,
+    title: str,
+    paper: tuple[float, float, str] | None = None,
+) -> Figure:
+    """Figs. 15 to 18: errors over the altitude, which falls to the right, and craters in view below.
+
+    Parameters
+    ----------
+    altitude_km : ndarray, shape (k,)
+    lines : mapping of str to Line
+    craters : ndarray, shape (k,)
+        In view, in the mean.
+    quantity, title : str
+    paper : tuple, optional
+        Altitude, value and name of what the paper prints.
+    """
+    figure = Figure(figsize=_SIZE, layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    for name, line in lines.items():
+        axes.plot(altitude_km, line.value, line.style, color=line.colour, lw=1.4, label=name)
+    if paper is not None:
+        axes.plot(paper[0], paper[1], "*", color="k", ms=12, zorder=5, label=paper[2], clip_on=False)
+    axes.set_yscale("log")
+    axes.set_ylabel(quantity)
+    axes.set_title(title, fontsize=10)
+    axes.legend(frameon=False, fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    below.plot(altitude_km, craters, color="0.3", lw=1.4)
+    below.set_ylim(0.0, 1.1 * max(float(craters.max()), 1.0))
+    below.set_ylabel("craters")
+    below.set_xlabel("altitude, km")
+    below.set_xlim(float(altitude_km.max()), float(altitude_km.min()))
+    for one in (axes, below):
+        one.grid(alpha=0.3)
+    return figure

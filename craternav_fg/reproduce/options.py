@@ -32,6 +32,8 @@ class ReproduceOptions:
         At each altitude, and triples of craters at each point of fig. 3.
     images : int
         From each altitude of table 2, and a measure of the other sets of rendered images.
+    descents : int
+        Trials of figs. 17 and 18, each with a terrain of its own; figs. 15 and 16 show the first.
     seed : int
     workers : int
         Processes.
@@ -45,6 +47,7 @@ class ReproduceOptions:
     arc: float = 1.0
     trials: int = 100
     images: int = 128
+    descents: int = 30
     seed: int = 1
     workers: int = 2
 
@@ -70,6 +73,7 @@ class ReproduceOptions:
             ),
             (self.trials >= 2, f"trials: expected 2 or more, found {self.trials}"),
             (self.images >= 2, f"images: expected 2 or more, found {self.images}"),
+            (self.descents >= 2, f"descents: expected 2 or more, found {self.descents}"),
             (self.seed >= 0, f"seed: expected 0 or more, found {self.seed}"),
             (self.workers >= 1, f"workers: expected 1 or more, found {self.workers}"),
         )

@@ -20,6 +20,8 @@ from craternav_fg.errors import CraternavError
 from craternav_fg.evaluation.figures import save
 from craternav_fg.reproduce import (
     centres,
+    descent_figures,
+    descents,
     edge_parameters,
     pose_figures,
     rendered_sets,
@@ -34,8 +36,10 @@ from craternav_fg.reproduce.pool import Progress
 from craternav_fg.reproduce.rim_errors import TABLE1, table1
 from craternav_fg.reproduce.rows import NUMBERS, Reproduction, number
 
+DESCENTS = ("fig15", "fig16", "fig17", "fig18")
 FIGURES = (
-    "fig02", "fig03", "fig04", "table1", "fig10", "table2", "fig11", "fig12", "fig13", "fig14", "front_end",
+    "fig02", "fig03", "fig04", "table1", "fig10", "table2", "fig11", "fig12", "fig13", "fig14", *DESCENTS,
+    "front_end",
 )  # fmt: skip
 MARKER = "reproduction.json"
 CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in FIGURES))
@@ -92,6 +96,9 @@ def reproduce(
         out += [
             pose_figures.draw_up(name, two, options, compared) for name in ("fig13", "fig14") if name in names
         ]
+    if set(DESCENTS) & set(names):
+        trials = descents.simulate(options, progress)
+        out += [descent_figures.draw_up(name, trials) for name in DESCENTS if name in names]
     return sorted(out, key=lambda result: FIGURES.index(result.name))
 
 

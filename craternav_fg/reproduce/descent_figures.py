@@ -1,0 +1,190 @@
+"""Figs. 15 to 18: errors over whole descents, of one trial and of thirty."""
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from craternav_fg.evaluation.consistency import anees_by_altitude, over_altitude
+from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
+from craternav_fg.reproduce import descents, drawing
+from craternav_fg.reproduce.descent_notes import one_trial_note, trials_note
+from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
+from craternav_fg.reproduce.rows import Reproduction, Row, number
+
+# What the paper prints: of one trial at 26 km; of thirty at 10 km, "less than".
+ONE_TRIAL_KM, LAST_KM = 26.0, 10.0
+PRINTED = {"fig15": 40.0, "fig16": 0.05, "fig17": 200.0, "fig18": 1.0}
+ALTITUDES_KM = (90.0, 50.0, 30.0, 26.0, 15.0, 10.0)
+# Edges of the bins of ANEES; frames just above the first belong to it.
+BINS_KM = (100.5, 80.0, 60.0, 40.0, 30.0, 20.0, 0.0)
+
+STYLE = {
+    PAPERS: ("paper's EKF", "#D55E00", "-"),
+    CENTRES: ("smoother, centres", "#E69F00", "-"),
+    FILTER: ("EKF, ellipse chart", "#009E73", "-"),
+    ONLINE: ("smoother, online", "#56B4E9", "-"),
+    SMOOTHER: ("smoother, in retrospect", "#0072B2", "-"),
+}
+
+
+def draw_up(name: str, data: pa.Table) -> Reproduction:
+    """Rows, paragraph and drawing of one of figs. 15 to 18.
+
+    Parameters
+    ----------
+    name : str
+        fig15 to fig18.
+    data : pyarrow.Table
+        Of `descents.simulate`.
+    """
+    unit, quantity = ("m", "position") if name in ("fig15", "fig17") else ("deg", "attitude")
+    every = Descents(data, unit)
+    if name in ("fig15", "fig16"):
+        one = every.first()
+        title = f"{quantity.capitalize()} error over one descent"
+        rows = _errors(name, f"{quantity} error, one trial", one, "mean")
+        return Reproduction(name, title, rows, one_trial_note(one), _draw(name, one, quantity), one.data)
+    trials = len(every.numbers)
+    rows = _errors(name, f"{quantity} error, mean", every, "mean")
+    rows += _errors(name, f"{quantity} error, RMS", every, "rms")
+    rows += _ratios(name, quantity, every)
+    if name == "fig17":
+        rows += _consistency(name, every)
+    return Reproduction(
+        name, f"{quantity.capitalize()} error over {trials} descents", rows,
+        trials_note(every), _draw(name, every, quantity), data,
+    )  # fmt: skip
+
+
+def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
+    """Errors at altitudes: of the filters, and in retrospect."""
+    found = {one: trials.of(one) for one in descents.ESTIMATORS}
+    rows = []
+    for km in ALTITUDES_KM:
+        k = trials.at(km)
+        value = {one: float(getattr(found[one], kind)[k]) for one in found}
+        bounded = kind == "rms" or len(trials.numbers) == 1
+        where = f"{km:g} km, {trials.craters[:, k].mean():.2g} craters in view"
+        printed = None
+        if km == (ONE_TRIAL_KM if len(trials.numbers) == 1 else LAST_KM) and kind == "mean":
+            printed = PRINTED[name]
+        rows.append(
+            Row(
+                name, quantity, where, trials.unit, printed, value[PAPERS], value[FILTER], value[ONLINE],
+                float(found[ONLINE].bound[k]) if bounded else None,
+                _verdict(printed, value, trials) if printed is not None else "the paper prints no number",
+            )
+        )  # fmt: skip
+        rows.append(
+            Row(
+                name, f"{quantity}, in retrospect", where, trials.unit, efficient=value[SMOOTHER],
+                bound=float(found[SMOOTHER].bound[k]) if bounded else None,
+                verdict="the paper has no smoother", headline=kind == "mean",
+            )
+        )  # fmt: skip
+        rows.append(
+            Row(
+                name, f"{quantity}, in retrospect by centres", where, trials.unit, corrected=value[CENTRES],
+                verdict="the baseline", headline=False,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _verdict(printed: float, value: dict[str, float], trials: Descents) -> str:
+    """Whether the paper's number is met, by its own filter and by those put right."""
+    unit = trials.unit
+    words = []
+    for name, who in ((PAPERS, "the paper's filter"), (FILTER, "the chart EKF")):
+        met = "met" if value[name] <= printed else "not met"
+        words.append(f"{met} by {who}: {number(value[name])} {unit}")
+    return "; ".join(words)
+
+
+def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
+    """Row by row what the estimators are worth to each other and to the bound."""
+    found = {one: trials.of(one) for one in descents.ESTIMATORS}
+    count = f"{len(trials.numbers)} trials"
+    ratio = {one: over_altitude(found[one].rms / found[one].bound, trials.altitude_km) for one in found}
+    middle = (trials.altitude_km <= 50.0) & (trials.altitude_km >= 30.0)
+    gain = over_altitude((found[SMOOTHER].rms / found[FILTER].rms)[middle], trials.altitude_km[middle])
+    last = {one: float(found[one].rms[-1]) for one in found}
+    over = f"{quantity} RMS over the bound, mean over the altitude"
+    rows = [
+        Row(name, over, count, "1", None, ratio[PAPERS], ratio[FILTER], ratio[ONLINE], 1.0, "1 is the best"),
+        Row(
+            name, f"{over}, in retrospect", count, "1", None, None, ratio[CENTRES], ratio[SMOOTHER], 1.0,
+            "corrected: by centres",
+        ),
+        Row(
+            name, f"{quantity} RMS, smoother in retrospect over chart EKF", "50 to 30 km", "1",
+            efficient=gain, verdict="later frames correct earlier ones",
+        ),
+        Row(
+            name, f"{quantity} RMS over that of the smoother", f"end, {count}", "1",
+            as_printed=last[PAPERS] / last[SMOOTHER], corrected=last[FILTER] / last[SMOOTHER],
+            efficient=last[ONLINE] / last[SMOOTHER], verdict="online a filter of charts is as good",
+        ),
+        Row(
+            name, f"{quantity} RMS by centres over that of the smoother", f"end, {count}", "1",
+            corrected=last[CENTRES] / last[SMOOTHER], verdict="a centre's image is not the ellipse's centre",
+        ),
+    ]  # fmt: skip
+    if quantity == "position":
+        ended = trials.converged
+        rows.append(
+            Row(
+                name, "trials that end within 200 m and 1 deg", count, "1", None,
+                ended[PAPERS], ended[FILTER], ended[ONLINE], None,
+                f"smoother {ended[SMOOTHER]}, by centres {ended[CENTRES]}",
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _consistency(name: str, trials: Descents) -> list[Row]:
+    """ANEES over all, and bin by bin."""
+    found = {one: trials.of(one) for one in descents.ESTIMATORS}
+    edges = [1e3 * km for km in BINS_KM]
+    altitude_m = 1e3 * trials.altitude_km
+    bins = {one: anees_by_altitude(found[one].nees, altitude_m, edges) for one in found}
+    rows = []
+    for kind, (own, right, best) in {
+        "": (PAPERS, FILTER, ONLINE), ", in retrospect": (None, CENTRES, SMOOTHER)
+    }.items():  # fmt: skip
+        rows.append(
+            Row(
+                name, f"pose ANEES{kind}", "all altitudes", "1", None,
+                None if own is None else float(found[own].nees.mean()),
+                float(found[right].nees.mean()), float(found[best].nees.mean()), 6.0,
+                "6 is honest" if own is not None else "6 is honest; corrected: by centres",
+            )
+        )  # fmt: skip
+        for k, one in enumerate(bins[best]):
+            inside = "inside" if one.consistent else "outside"
+            where = f"{one.highest_m / 1e3:.3g} to {one.lowest_m / 1e3:.3g} km"
+            rows.append(
+                Row(
+                    name, f"pose ANEES{kind}", where, "1",
+                    None, None if own is None else bins[own][k].mean, bins[right][k].mean, one.mean, 6.0,
+                    f"{inside} its 95 % interval of {one.trials} trials, {one.low:.2f} to {one.high:.2f}",
+                    headline=False,
+                )
+            )  # fmt: skip
+    return rows
+
+
+def _draw(name: str, trials: Descents, quantity: str) -> Figure:
+    lines = {}
+    for one, (label, colour, style) in STYLE.items():
+        lines[label] = drawing.Line(colour, style, trials.of(one).rms)
+    lines["bound (PCRB), online"] = drawing.Line("k", "--", trials.bound(FILTERED_BOUND))
+    lines["bound (PCRB), in retrospect"] = drawing.Line("k", ":", trials.bound(SMOOTHED_BOUND))
+    single = len(trials.numbers) == 1
+    kind = "error" if single else "error, RMS"
+    paper = (ONE_TRIAL_KM, PRINTED[name], "paper") if single else (LAST_KM, PRINTED[name], "paper: below")
+    title = "one descent" if single else f"{len(trials.numbers)} descents, each with its own terrain"
+    return drawing.draw_descent(
+        trials.altitude_km, lines, np.asarray(trials.craters.mean(axis=0)),
+        f"{quantity} {kind}, {trials.unit}", title, paper,
+    )  # fmt: skip

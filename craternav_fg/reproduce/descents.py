@@ -1,0 +1,170 @@
+"""Trials of the paper's third case, 4.2.3: whole descents, each with a terrain of its own."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from craternav_fg.config import load_scenario
+from craternav_fg.errors import CraternavError
+from craternav_fg.evaluation.trial import (
+    FILTERED_BOUND,
+    SMOOTHED_BOUND,
+    TrialResult,
+    TrialTask,
+    run_trial,
+    software,
+)
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.pool import Progress, run_all
+
+FloatArray = npt.NDArray[np.float64]
+
+SCENARIO = "paper_case3"
+PAPERS, FILTER, ONLINE, SMOOTHER, CENTRES = "ekf_paper", "ekf", "online", "smoother", "centre_smoother"
+ESTIMATORS = (SMOOTHER, ONLINE, FILTER, PAPERS, CENTRES)
+RETROSPECTIVE = (SMOOTHER, CENTRES)
+# What the paper asks for at 10 km: a trial that ends within has converged.
+CONVERGED_M, CONVERGED_DEG = 200.0, 1.0
+
+
+def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.Table:
+    """Run the trials with every estimator.
+
+    Returns
+    -------
+    pyarrow.Table
+        Of `craternav_fg.evaluation.trial.SCHEMA`.
+
+    Raises
+    ------
+    CraternavError
+        When a trial cannot be simulated.
+    """
+    scenario, versions = load_scenario(SCENARIO), software()
+    # The default seed is the scenario's own: its campaigns have the same trials.
+    scenario = scenario.model_copy(update={"seed": scenario.seed + options.seed - ReproduceOptions.seed})
+    tasks = [TrialTask(scenario, number, ESTIMATORS, versions) for number in range(options.descents)]
+    return table(run_all(run_trial, tasks, options.workers, "descents", progress))
+
+
+def table(results: Sequence[TrialResult]) -> pa.Table:
+    """Join the tables of trials.
+
+    Raises
+    ------
+    CraternavError
+        When a trial failed as a whole.
+    """
+    for result in results:
+        if result.error is not None:
+            raise CraternavError(f"trial {result.number}: {result.error}")
+    parts = [pq.read_table(pa.BufferReader(result.parquet)) for result in results]
+    return pa.concat_tables(part.replace_schema_metadata(None) for part in parts)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """An estimator's errors in one quantity, of the trials in which it gave a trajectory.
+
+    Attributes
+    ----------
+    error : ndarray, shape (trials, k)
+        Norms: position, m, or attitude, deg.
+    nees : ndarray, shape (trials, k)
+        Of the pose.
+    bound : ndarray, shape (k,)
+        RMS of the posterior Cramér-Rao bound over these trials: smoothed for those that look back.
+    """
+
+    error: FloatArray
+    nees: FloatArray
+    bound: FloatArray
+
+    @property
+    def mean(self) -> FloatArray:
+        """Over the trials (k,)."""
+        return np.asarray(self.error.mean(axis=0))
+
+    @property
+    def rms(self) -> FloatArray:
+        """Over the trials (k,)."""
+        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
+
+
+class Descents:
+    """Trials in arrays.
+
+    Parameters
+    ----------
+    data : pyarrow.Table
+        Of `simulate`.
+    unit : {"m", "deg"}
+        Position or attitude.
+    """
+
+    def __init__(self, data: pa.Table, unit: str) -> None:
+        self.data = data
+        self._column, part = ("position_error_m", slice(3, 6)) if unit == "m" else (
+            "attitude_error_rad", slice(0, 3)
+        )  # fmt: skip
+        self._part = part
+        self._scale = 1.0 if unit == "m" else np.degrees(1.0)
+        self.unit = unit
+        bound = data.filter(pc.equal(data["estimator"], FILTERED_BOUND))
+        self.numbers = np.array(pc.unique(bound["trial"]).to_pylist(), dtype=np.int64)
+        self.altitude_km = 1e-3 * self._array(bound, "altitude_m").mean(axis=0)
+        self.craters = self._array(bound, "rims").astype(np.float64)
+
+    def at(self, altitude_km: float) -> int:
+        """Frame nearest to an altitude."""
+        return int(np.argmin(np.abs(self.altitude_km - altitude_km)))
+
+    def first(self) -> "Descents":
+        """Only the first trial."""
+        return Descents(self.data.filter(pc.equal(self.data["trial"], self.numbers[0])), self.unit)
+
+    def of(self, name: str) -> Errors:
+        """Errors of an estimator."""
+        rows = self.data.filter(pc.equal(self.data["estimator"], name))
+        trials = pc.unique(rows["trial"])
+        error = self._scale * np.linalg.norm(self._array(rows, self._column), axis=-1)
+        bound = self.bound(SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND, trials)
+        return Errors(error, self._array(rows, "nees"), bound)
+
+    def bound(self, name: str, trials: pa.Array | None = None) -> FloatArray:
+        """RMS (k,) of one of the bounds over the trials."""
+        rows = self.data.filter(pc.equal(self.data["estimator"], name))
+        if trials is not None:
+            rows = rows.filter(pc.is_in(rows["trial"], value_set=trials))
+        sigmas = self._array(rows, "pose_sigma")[..., self._part]
+        return np.asarray(self._scale * np.sqrt(np.mean(np.sum(sigmas**2, axis=-1), axis=0)))
+
+    @functools.cached_property
+    def converged(self) -> dict[str, int]:
+        """In how many trials each estimator ends within the paper's 200 m and 1 deg."""
+        out = {}
+        for name in ESTIMATORS:
+            rows = self.data.filter(pc.equal(self.data["estimator"], name))
+            position, attitude = (
+                np.linalg.norm(self._array(rows, column), axis=-1)[:, -1]
+                for column in ("position_error_m", "attitude_error_rad")
+            )
+            near = (position <= CONVERGED_M) & (np.degrees(attitude) <= CONVERGED_DEG)
+            out[name] = int(np.count_nonzero(near))
+        return out
+
+    @staticmethod
+    def _array(rows: pa.Table, name: str) -> FloatArray:
+        trials = len(pc.unique(rows["trial"]))
+        values = rows[name].combine_chunks()
+        shape: tuple[int, ...] = (trials, len(rows) // max(trials, 1))
+        if pa.types.is_fixed_size_list(values.type):
+            shape = (*shape, values.type.list_size)
+            values = values.flatten()
+        return np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64).reshape(shape)
