@@ -16,7 +16,9 @@ from craternav_fg.reproduce.terminal import tables
 
 @app.command()
 def reproduce(
-    figures: Annotated[list[str], typer.Argument(help=f"{', '.join(reproduction.FIGURES)}, or all.")],
+    figures: Annotated[
+        list[str], typer.Argument(help=f"{', '.join((*reproduction.FIGURES, *reproduction.OTHERS))}, or all.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the figures.")] = Path(
         "runs/reproduction"
     ),

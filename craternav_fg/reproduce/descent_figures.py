@@ -107,7 +107,7 @@ def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
     count = f"{len(trials.numbers)} trials"
     ratio = {one: over_altitude(found[one].rms / found[one].bound, trials.altitude_km) for one in found}
     middle = (trials.altitude_km <= 50.0) & (trials.altitude_km >= 30.0)
-    gain = over_altitude((found[SMOOTHER].rms / found[FILTER].rms)[middle], trials.altitude_km[middle])
+    gain = (found[SMOOTHER].rms / found[FILTER].rms)[middle]
     last = {one: float(found[one].rms[-1]) for one in found}
     over = f"{quantity} RMS over the bound, mean over the altitude"
     rows = [
@@ -118,7 +118,8 @@ def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
         ),
         Row(
             name, f"{quantity} RMS, smoother in retrospect over chart EKF", "50 to 30 km", "1",
-            efficient=gain, verdict="later frames correct earlier ones",
+            efficient=float(gain.mean()) if len(gain) else None,
+            verdict="later frames correct earlier ones",
         ),
         Row(
             name, f"{quantity} RMS over that of the smoother", f"end, {count}", "1",

@@ -65,17 +65,20 @@ def trials_note(trials: Descents) -> str:
         "What decides is the start and the measurement, not smoothing: begun well, a filter of ellipse "
         "charts "
         f"is as good online as a factor graph ({final[FILTER]:.2f} times the smoother's RMS at the end). "
-        f"Smoothing wins in retrospect, {gain.min():.2f} to {gain.max():.2f} of the EKF's RMS between 50 and "
-        "30 km, in the start, and in what a filter cannot revisit: late outliers, biases, time offsets. "
-        f"The paper's EKF ends with {final[PAPERS]:.1f} times the smoother's RMS because the same noisy "
-        "conic is "
-        "in both the residual and its derivative of eq. (19), which biases every update alike, and "
-        "because one "
-        "Qn for all rims takes large rims for worse and small ones for better than they are. "
+        "Smoothing wins in retrospect"
+    )
+    if len(gain):
+        text += f" ({gain.min():.2f} to {gain.max():.2f} of the EKF's RMS between 50 and 30 km)"
+    return text + (
+        ", in the start, and in what a filter cannot revisit: late outliers, biases, time offsets. "
+        f"The paper's EKF ends with {final[PAPERS]:.1f} times the smoother's RMS: the same noisy conic is "
+        "in the "
+        "residual and in the derivative of eq. (19), which biases every update; one Qn for all rims takes no "
+        "account of their size; and sub-filters of one crater each, which (29) only combines, drift on their "
+        "own, as is seen when the others leave the view. "
         f"Centres end with {final[CENTRES]:.1f} times it: an ellipse's centre is not the image of the "
         "crater's "
-        "centre, by pixels when the crater is large in the image, the same in every frame; "
-        "and they "
-        "leave out the rim's size and shape, which tell the range. "
+        "centre, by pixels when the crater is large in the image, and the same in every frame; and they "
+        "leave "
+        "out size and shape, which tell the range."
     )
-    return text

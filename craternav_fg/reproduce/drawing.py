@@ -172,7 +172,8 @@ def draw_descent(
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     for name, line in lines.items():
         axes.plot(altitude_km, line.value, line.style, color=line.colour, lw=1.4, label=name)
-    if paper is not None:
+    # One that the descents do not reach would be drawn beside the axes.
+    if paper is not None and np.abs(altitude_km - paper[0]).min() < 1.0:
         axes.plot(paper[0], paper[1], "*", color="k", ms=12, zorder=5, label=paper[2], clip_on=False)
     axes.set_yscale("log")
     axes.set_ylabel(quantity)

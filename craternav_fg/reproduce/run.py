@@ -3,7 +3,7 @@
 reproduction.json   every number: a list of rows {figure, quantity, condition, unit, paper, as_printed,
                     corrected, efficient, bound, verdict}
 reproduction.md     the same to read: tables, drawings, and a paragraph on what cannot be had and why
-NAME.png            drawings: figNN, tableN, front_end
+NAME.png            drawings: figNN, tableN, front_end, lag
 NAME.parquet        what they rest on, trial by trial
 """
 
@@ -30,6 +30,7 @@ from craternav_fg.reproduce import (
 from craternav_fg.reproduce.coefficients import table2
 from craternav_fg.reproduce.edge_image import fig10
 from craternav_fg.reproduce.front_end import front_end
+from craternav_fg.reproduce.lag import lag
 from craternav_fg.reproduce.los import fig02
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress
@@ -41,8 +42,10 @@ FIGURES = (
     "fig02", "fig03", "fig04", "table1", "fig10", "table2", "fig11", "fig12", "fig13", "fig14", *DESCENTS,
     "front_end",
 )  # fmt: skip
+# Not of the paper, and not part of "all".
+OTHERS = ("lag",)
 MARKER = "reproduction.json"
-CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in FIGURES))
+CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in (*FIGURES, *OTHERS)))
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
@@ -54,9 +57,11 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
         For an unknown one.
     """
     for name in names:
-        if name not in (*FIGURES, "all"):
-            raise CraternavError(f"unknown figure {name!r}: expected {', '.join(FIGURES)} or all")
-    return tuple(name for name in FIGURES if name in names or "all" in names)
+        if name not in (*FIGURES, *OTHERS, "all"):
+            expected = ", ".join((*FIGURES, *OTHERS))
+            raise CraternavError(f"unknown figure {name!r}: expected {expected} or all")
+    of_paper = tuple(name for name in FIGURES if name in names or "all" in names)
+    return of_paper + tuple(name for name in OTHERS if name in names)
 
 
 def reproduce(
@@ -67,7 +72,7 @@ def reproduce(
     Parameters
     ----------
     names : sequence of str
-        Of `FIGURES`.
+        Of `FIGURES` and `OTHERS`.
     options : ReproduceOptions
     progress : callable, optional
     """
@@ -99,7 +104,9 @@ def reproduce(
     if set(DESCENTS) & set(names):
         trials = descents.simulate(options, progress)
         out += [descent_figures.draw_up(name, trials) for name in DESCENTS if name in names]
-    return sorted(out, key=lambda result: FIGURES.index(result.name))
+    if "lag" in names:
+        out.append(lag(options, progress))
+    return sorted(out, key=lambda result: (*FIGURES, *OTHERS).index(result.name))
 
 
 def write(folder: Path, results: Sequence[Reproduction], options: ReproduceOptions) -> None:
@@ -123,8 +130,8 @@ def _report(results: Sequence[Reproduction], options: ReproduceOptions) -> str:
         "maximum-likelihood solver; bound: an estimator that attains the Cramér-Rao bound, in the same "
         "statistic. reproduction.json has all rows.",
         "",
-        "The paper's methods are started at the truth, the efficient solver without a start: their errors "
-        "here are what the equations are worth, and leave out what a worse start would cost.",
+        "In figs. 2 to 14 the paper's methods are started at the truth, the efficient solver without a start: "
+        "their errors there are what the equations are worth, and leave out what a worse start would cost.",
         "",
         "Of tables 1 and 2, fig. 10 and the front end, which are measured in rendered images, as printed "
         "stands for Canny edges, the paper's way, corrected for the blind detector, efficient for rims "

@@ -1,0 +1,132 @@
+"""Figs. 15 to 18 and the lag: whole descents."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.testing import assert_allclose
+
+from craternav_fg.config import load_scenario
+from craternav_fg.evaluation.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
+from craternav_fg.reproduce import descent_figures, descents, run
+from craternav_fg.reproduce import lag as lag_module
+from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.rows import Row
+from tests.descents import scenario
+
+SMALL = ReproduceOptions(descents=2, workers=1)
+ALTITUDE_KM = np.array([50.0, 26.0, 10.0])
+# Position errors along an axis, m, of two trials at three frames.
+ERRORS = {
+    PAPERS: [[600.0, 300.0, 150.0], [800.0, 500.0, 450.0]],
+    FILTER: [[60.0, 30.0, 6.0], [80.0, 50.0, 8.0]],
+    ONLINE: [[50.0, 30.0, 5.0], [70.0, 40.0, 9.0]],
+    SMOOTHER: [[30.0, 15.0, 5.0], [40.0, 25.0, 9.0]],
+    CENTRES: [[300.0, 150.0, 90.0], [400.0, 250.0, 120.0]],
+}
+SIGMAS_M = {FILTERED_BOUND: [50.0, 30.0, 6.0], SMOOTHED_BOUND: [25.0, 15.0, 6.0]}
+
+
+def known() -> pa.Table:
+    """Table of two trials with errors and bounds that one can reckon with."""
+    rows = []
+    for trial in range(2):
+        for name in (*ERRORS, *SIGMAS_M):
+            for k, km in enumerate(ALTITUDE_KM):
+                bound = name in SIGMAS_M
+                sigma = SIGMAS_M[name][k] if bound else 1.0
+                rows.append(
+                    {
+                        "trial": trial,
+                        "estimator": name,
+                        "stamp_ns": 10**9 * k,
+                        "altitude_m": 1e3 * km,
+                        "rims": 3 - k,
+                        "attitude_error_rad": None if bound else [0.0, 0.01, 0.0],
+                        "position_error_m": None if bound else [0.0, 0.0, ERRORS[name][trial][k]],
+                        "velocity_error_m_s": None if bound else [0.0, 0.0, 0.0],
+                        "pose_sigma": [0.01, 0.0, 0.0, sigma, 0.0, 0.0],
+                        "nees": None if bound else 4.0 + 2.0 * trial + k,
+                    }
+                )
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def find(rows: list[Row], quantity: str, condition: str) -> Row:
+    (row,) = (row for row in rows if row.quantity == quantity and row.condition.startswith(condition))
+    return row
+
+
+def test_rows_say_what_the_trials_hold() -> None:
+    rows = list(descent_figures.draw_up("fig17", known()).rows)
+    last = find(rows, "position error, mean", "10 km")
+    assert (last.paper, last.as_printed, last.corrected, last.efficient) == (200.0, 300.0, 7.0, 7.0)
+    assert last.verdict == "not met by the paper's filter: 300 m; met by the chart EKF: 7 m"
+    middle = find(rows, "position error, RMS", "50 km")
+    assert middle.corrected == pytest.approx(np.sqrt(5000.0))
+    assert middle.bound == pytest.approx(50.0)
+    assert find(rows, "position error, RMS, in retrospect", "50 km").bound == pytest.approx(25.0)
+    # Frames weigh by the altitude that they stand for: 24, 20 and 16 km.
+    ratios = np.sqrt([3700.0 / 2500.0, 1250.0 / 900.0, 53.0 / 36.0])
+    over = find(rows, "position RMS over the bound, mean over the altitude", "2 trials")
+    assert over.efficient == pytest.approx(np.average(ratios, weights=np.abs(np.gradient(ALTITUDE_KM))))
+    end = find(rows, "position RMS over that of the smoother", "end")
+    assert end.as_printed == pytest.approx(np.sqrt((150.0**2 + 450.0**2) / (5.0**2 + 9.0**2)))
+    ended = find(rows, "trials that end within 200 m and 1 deg", "2 trials")
+    assert (ended.as_printed, ended.corrected, ended.efficient) == (1, 2, 2)
+    assert find(rows, "pose ANEES", "all").efficient == pytest.approx(6.0)
+    lowest = find(rows, "pose ANEES", "20 to 0")
+    assert lowest.efficient == pytest.approx(7.0)
+    assert lowest.verdict.startswith("inside")
+
+
+def test_one_trial_is_the_first() -> None:
+    row = find(list(descent_figures.draw_up("fig15", known()).rows), "position error, one trial", "26 km")
+    assert (row.paper, row.as_printed, row.corrected, row.efficient) == (40.0, 300.0, 30.0, 30.0)
+    assert row.bound == pytest.approx(30.0)
+    angle = find(list(descent_figures.draw_up("fig16", known()).rows), "attitude error, one trial", "26 km")
+    assert angle.corrected == pytest.approx(np.degrees(0.01))
+
+
+def test_an_estimator_that_gave_up_counts_where_it_did_not() -> None:
+    data = known()
+    lost = np.array([name == PAPERS and trial == 1 for name, trial in
+                     zip(data["estimator"].to_pylist(), data["trial"].to_pylist(), strict=True)])  # fmt: skip
+    every = Descents(data.filter(pa.array(~lost)), "m")
+    assert_allclose(every.of(PAPERS).mean, ERRORS[PAPERS][0])
+    assert_allclose(every.of(FILTER).mean, np.mean(ERRORS[FILTER], axis=0))
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trials of 20 s in place of the paper's descent."""
+    for module in (descents, lag_module):
+        monkeypatch.setattr(module, "load_scenario", lambda name: scenario(duration_s=20.0))
+
+
+@pytest.mark.usefixtures("short")
+def test_figures_of_simulated_descents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lag_module, "BAND_KM", (100.0, 0.0))
+    monkeypatch.setattr(lag_module, "LAGS_S", (4.0, 10.0))
+    names = (*run.DESCENTS, *run.OTHERS)
+    results = run.reproduce(names, SMALL)
+    run.write(tmp_path, results, SMALL)
+    assert [result.name for result in results] == list(names)
+    for result in results:
+        assert all(row.verdict for row in result.rows)
+        assert (tmp_path / f"{result.name}.png").read_bytes().startswith(b"\x89PNG")
+    # The state one lag old knows of more frames than the newest.
+    table = results[-1].data
+    assert np.mean(table["oldest_m"].to_numpy() ** 2) < np.mean(table["newest_m"].to_numpy() ** 2)
+    again, other = (descents.simulate(ReproduceOptions(descents=2, workers=1, seed=seed)) for seed in (1, 2))
+    assert again.equals(results[2].data)
+    assert not other.equals(results[2].data)
+
+
+def test_the_paper_s_case_varies_from_trial_to_trial() -> None:
+    craters = load_scenario(descents.SCENARIO).craters
+    assert craters.source == "list"
+    assert craters.trials is not None
+    assert craters.trials.semi_axes_m == (500.0, 2500.0)
