@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from craternav_fg.campaign.store import Campaign
+from craternav_fg.evaluation.consistency import over_altitude, rms
 from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
 
 FloatArray = npt.NDArray[np.float64]
@@ -32,9 +33,9 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
     dict
         What summary.json holds. Of each estimator: `converged`, trials whose last error is below 2 % of the
         altitude and 1 deg; mean and RMS of the last position error; mean of the last attitude error;
-        `rms_over_pcrb`, the ratio of the position's RMS to that of the posterior Cramér-Rao bound over the
-        trials (smoothed for those that look back), averaged over the frames; `anees` of the pose, 6 when the
-        covariances are honest; median wall time of a trial. All but `converged` are over the trials of which
+        `rms_over_pcrb`, the ratio of the position's RMS over the trials to that of the posterior Cramér-Rao
+        bound (the smoothed one for those that look back), averaged over the altitude; `anees` of the pose, 6
+        when the covariances are honest; median wall time of a trial. All but `converged` are over the trials of which
         the estimator gave a trajectory; null without any.
     """
     names = campaign.identity["estimators"]
@@ -89,14 +90,14 @@ def _estimator(campaign: Campaign, name: str) -> dict[str, Any]:
     final_m = position_m[:, -1]
     attitude = of_estimator(table, name, "attitude_error_rad")[:, -1]
     final_deg = np.degrees(np.linalg.norm(attitude, axis=-1))
-    altitude_m = of_estimator(table, name, "altitude_m")[:, -1]
+    altitude_m = of_estimator(table, name, "altitude_m")
     nees = of_estimator(table, name, "nees")
-    near = (final_m <= CONVERGED_OF_ALTITUDE * altitude_m) & (final_deg <= CONVERGED_DEG)
+    near = (final_m <= CONVERGED_OF_ALTITUDE * altitude_m[:, -1]) & (final_deg <= CONVERGED_DEG)
     out["converged"] = int(np.count_nonzero(near))
     out["position_final_mean_m"] = float(final_m.mean())
     out["position_final_rms_m"] = float(np.sqrt(np.mean(final_m**2)))
     out["attitude_final_mean_deg"] = float(final_deg.mean())
-    out["rms_over_pcrb"] = float(rms_over_bound(table, name).mean())
+    out["rms_over_pcrb"] = _over_altitude(rms_over_bound(table, name), altitude_m[0])
     out["anees"] = float(nees.mean()) if np.isfinite(nees).all() else None
     return out
 
@@ -116,4 +117,9 @@ def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
     e = of_estimator(table, name, "position_error_m")
     bound = SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND
     sigma = of_estimator(table.filter(of_trials), bound, "pose_sigma")[..., 3:]
-    return np.asarray(np.sqrt(np.mean(np.sum(e**2, axis=-1), axis=0) / np.mean(np.sum(sigma**2, -1), axis=0)))
+    return rms(e) / rms(sigma)
+
+
+def _over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:
+    level = len(values) == 1 or np.ptp(altitude_m) == 0.0
+    return float(values.mean()) if level else over_altitude(values, altitude_m)

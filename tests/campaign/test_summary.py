@@ -1,0 +1,91 @@
+"""Figures of a campaign whose errors are chosen."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from craternav_fg.campaign.store import Campaign
+from craternav_fg.campaign.summary import of_estimator, summarise
+from craternav_fg.evaluation.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
+
+ALTITUDES_M = [900.0, 400.0, 175.0]
+
+
+def rows(trial: int, name: str, **values: Any) -> list[dict[str, Any]]:
+    """Three frames that are alike but for their altitudes."""
+    common = {"trial": trial, "estimator": name, "rims": 1, **values}
+    return [{**common, "stamp_ns": k, "altitude_m": altitude_m} for k, altitude_m in enumerate(ALTITUDES_M)]
+
+
+def estimate(trial: int, name: str, off_m: float, off_deg: float, nees: float) -> list[dict[str, Any]]:
+    """An estimator whose every frame has the same error."""
+    return rows(
+        trial,
+        name,
+        position_error_m=[0.0, off_m, 0.0],
+        attitude_error_rad=[np.radians(off_deg), 0.0, 0.0],
+        velocity_error_m_s=[0.0, 0.0, 0.0],
+        pose_sigma=[1.0] * 6,
+        nees=nees,
+    )
+
+
+def campaign(table: list[dict[str, Any]], estimators: list[str]) -> Campaign:
+    """Two trials with results, one without."""
+    columns = {field.name: [row.get(field.name) for row in table] for field in SCHEMA}
+    return Campaign(
+        Path("nowhere"),
+        {"estimators": estimators},
+        pa.table(columns, schema=SCHEMA),
+        {2: "no sense"},
+        {0: {}, 1: {}},
+        {0: {"online": 1.0}, 1: {"online": 2.0}, 3: {"online": 60.0}},
+        12.0,
+    )
+
+
+def test_figures_of_known_errors() -> None:
+    table = []
+    for trial, (off_m, off_deg, nees) in enumerate(((3.0, 0.1, 5.0), (4.0, 0.3, 8.0))):
+        for name in ("online", "smoother"):
+            table += estimate(trial, name, off_m, off_deg, nees)
+        for name, sigma_m in ((FILTERED_BOUND, 2.0), (SMOOTHED_BOUND, 1.0)):
+            table += rows(trial, name, pose_sigma=[9.0] * 3 + [sigma_m] * 3)
+    summary = summarise(campaign(table, ["online", "smoother", "ekf"]))
+    assert (summary["trials"], summary["failed"], summary["wall_s"]) == (3, 1, 12.0)
+    online, smoother, none = (summary["estimators"][name] for name in ("online", "smoother", "ekf"))
+    # 2 % of 175 m are 3.5 m.
+    assert online["converged"] == 1
+    assert online["position_final_mean_m"] == pytest.approx(3.5)
+    assert online["position_final_rms_m"] == pytest.approx(np.sqrt(12.5))
+    assert online["attitude_final_mean_deg"] == pytest.approx(0.2)
+    assert online["anees"] == pytest.approx(6.5)
+    assert online["time_per_trial_s"] == 2.0
+    assert online["rms_over_pcrb"] == pytest.approx(np.sqrt(12.5 / 12.0))
+    assert smoother["rms_over_pcrb"] == pytest.approx(2.0 * online["rms_over_pcrb"])
+    assert smoother["time_per_trial_s"] is None
+    assert none["converged"] == 0
+    assert none["anees"] is None
+
+
+def test_an_estimator_that_failed_is_held_against_its_own_trials() -> None:
+    table = estimate(1, "online", 3.0, 2.0, 6.0)
+    for trial, sigma_m in ((0, 100.0), (1, np.sqrt(3.0))):
+        table += rows(trial, FILTERED_BOUND, pose_sigma=[9.0] * 3 + [sigma_m] * 3)
+    values = summarise(campaign(table, ["online"]))["estimators"]["online"]
+    assert values["rms_over_pcrb"] == pytest.approx(1.0)
+    # Near, and turned by more than a degree.
+    assert values["converged"] == 0
+
+
+def test_values_by_trial_and_frame() -> None:
+    table = estimate(0, "online", 3.0, 2.0, 6.0) + estimate(1, "online", 4.0, 2.0, 6.0)
+    table += rows(0, FILTERED_BOUND, pose_sigma=[1.0] * 6)
+    found = campaign(table, ["online"]).table
+    assert of_estimator(found, "online", "position_error_m")[:, :, 1].tolist() == [[3.0] * 3, [4.0] * 3]
+    assert of_estimator(found, "online", "altitude_m").tolist() == [ALTITUDES_M, ALTITUDES_M]
+    assert np.isnan(of_estimator(found, FILTERED_BOUND, "position_error_m")).all()
+    assert of_estimator(found, "ekf", "position_error_m").shape == (0, 0, 3)
