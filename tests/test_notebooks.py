@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom, the first on a run that the tests make."""
+"""The notebooks run from top to bottom, the first and the last on what the tests make."""
 
 from pathlib import Path
 
@@ -6,6 +6,10 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from craternav_fg.campaign import run
+from craternav_fg.campaign.run import CampaignOptions
+from tests import descents
+from tests.campaign import inline
 from tests.test_command_line import craternav, short_scenario
 
 NOTEBOOKS = Path(__file__).parent.parent / "notebooks"
@@ -29,6 +33,14 @@ def test_02_measurement_equations() -> None:
 
 def test_03_static_pose() -> None:
     execute("03_static_pose.ipynb")
+
+
+def test_05_monte_carlo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "processes", inline.processes)
+    chosen = CampaignOptions(trials=6, estimators=("smoother", "online", "ekf", "dead_reckoning"))
+    run.montecarlo(descents.scenario(duration_s=20.0), tmp_path / "campaign", chosen)
+    monkeypatch.setenv("CRATERNAV_CAMPAIGN", str(tmp_path / "campaign"))
+    execute("05_monte_carlo.ipynb")
 
 
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
