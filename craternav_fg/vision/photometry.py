@@ -123,9 +123,8 @@ class LevelMap:
         self.noise = noise_level(image)
         gTc = camera.gTc(gTb)
         rows, columns = image.shape[0] // block_px, image.shape[1] // block_px
-        # Every fourth pixel of every fourth row will do for a median.
-        blocks = image[: rows * block_px : 4, : columns * block_px : 4]
-        side = block_px // 4
+        blocks = image[: rows * block_px : 2, : columns * block_px : 2]
+        side = block_px // 2
         blocks = blocks.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
         median = np.median(blocks, axis=1).astype(np.float64)
         centre_px = np.stack(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.catalog import Catalog
+from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.guided import GuidedFrontEnd, GuidedOptions
 from tests.vision import scene
 
@@ -230,7 +231,7 @@ def test_a_systematic_error_that_repeats_counts_as_often(view):
     """Fusing n frames of equal covariance S divides it by n: what repeats must survive that."""
     catalog, gTb, sun_g, image = view
     once, often = (
-        GuidedFrontEnd(scene.camera(), catalog, GuidedOptions(sightings=n)).measure(
+        GuidedFrontEnd(scene.camera(), catalog, GuidedOptions(sightings=n, fit=FitOptions())).measure(
             image, 0, gTb, scene.covariance(0.5), sun_g
         )
         for n in (1.0, 9.0)
@@ -241,7 +242,7 @@ def test_a_systematic_error_that_repeats_counts_as_often(view):
     )
     floor_px *= scene.camera().fx_px
     _, _, minor = scene.semi_axes_px(once.rims.chart)
-    fit = GuidedOptions().fit
+    fit = FitOptions()
     np.testing.assert_allclose(floor_px, fit.floor_px + fit.floor_share * minor, rtol=0.02)
 
 
