@@ -68,6 +68,7 @@ def _fly(dataset: Dataset, images: list[ImageArray]) -> FloatArray:
     """Seconds of each frame but the first, of its measurement, and its rims: (n, 3)."""
     truth = dataset.truth
     assert truth is not None
+    assert dataset.initial is not None
     # The demo's poor start is another matter: here it is known well.
     initial = replace(
         dataset.initial, gTb=truth.gTb[0], attitude_sigma_rad=START_RAD, position_sigma_m=START_M

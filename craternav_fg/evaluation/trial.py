@@ -135,6 +135,7 @@ def _run(task: TrialTask, folder: Path) -> TrialResult:
     result = reconstruct(dataset, task.estimators)
     truth = dataset.truth
     assert truth is not None
+    assert dataset.initial is not None
     descent = Descent(
         dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
     )

@@ -90,6 +90,7 @@ def _trial(task: LagTask) -> pa.Table:
         dataset = Dataset.open(simulate(task.scenario, Path(folder) / "dataset", trial=task.number))
     assert dataset.truth is not None
     assert dataset.rims is not None
+    assert dataset.initial is not None
     descent = Descent(
         dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
     )
