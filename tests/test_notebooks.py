@@ -35,6 +35,13 @@ def test_03_static_pose() -> None:
     execute("03_static_pose.ipynb")
 
 
+def test_04_ekf_vs_smoother(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = craternav("reproduce", "fig17", "--descents", "2", "-o", tmp_path / "figures")
+    assert done.returncode == 0, done.stderr
+    monkeypatch.setenv("CRATERNAV_REPRODUCTION", str(tmp_path / "figures"))
+    execute("04_ekf_vs_smoother.ipynb")
+
+
 def test_05_monte_carlo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "processes", inline.processes)
     chosen = CampaignOptions(trials=6, estimators=("smoother", "online", "ekf", "dead_reckoning"))
