@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -39,8 +39,11 @@ class Reconstruction:
         The measurements that all estimators were given.
     start : Start
         Their common start.
-    initial : InitialState
-        The data set's or, when it has none or a wrong one, the one that was found.
+    origin : {"given", "found", "replaced"}
+        Where the initial state is from: the data set, the images as the data set has none, or the images as
+        they contradict the data set's.
+    resumed : tuple of int
+        Frames from which everything began anew, as the images contradicted what was predicted of them.
     trajectories : mapping of str to Trajectory
         By the estimator's name, at the frames' stamps.
     times_s : mapping of str to float
@@ -58,7 +61,8 @@ class Reconstruction:
 
     frames: tuple[FrameMeasurement, ...]
     start: Start
-    initial: InitialState
+    origin: str
+    resumed: tuple[int, ...]
     trajectories: Mapping[str, Trajectory]
     times_s: Mapping[str, float]
     options: Mapping[str, dict[str, Any]]
@@ -111,22 +115,18 @@ def reconstruct(
             tracked = Tracker(dataset, descent, front_end, finder).run(report)
         except NUMERICAL_ERRORS as error:
             raise EstimationError(f"front end: {_one_line(error)}") from error
-        frames, descent, predicted = tracked.frames, tracked.descent, tracked.guides
+        frames, arcs, predicted = tracked.frames, tracked.arcs, tracked.guides
     else:
-        frames = dataset.rims
-    start = find_start(descent, frames)
+        frames, arcs = dataset.rims, ((0, initial),)
+    problems = _problems(descent, frames, arcs)
     times_s = {"front_end": time.perf_counter() - began}
-    problem = Problem(
-        descent.body, descent.camera, descent.catalog, descent.imu, descent.imu_noise, descent.initial,
-        start, frames,
-    )  # fmt: skip
     trajectories: dict[str, Trajectory] = {}
     failures: dict[str, str] = {}
     for done, one in enumerate(chosen):
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
         try:
-            trajectories[one.name] = one.estimate(problem)
+            trajectories[one.name] = _joined([one.estimate(problem) for problem in problems])
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
@@ -147,9 +147,44 @@ def reconstruct(
             )
             for gTb in next(iter(trajectories.values())).gTb
         )
+    origin = "found" if dataset.initial is None else "given"
+    if origin == "given" and arcs[0][1] is not initial:
+        origin = "replaced"
     return Reconstruction(
-        frames, start, descent.initial, trajectories, times_s, options, failures, expected, predicted
-    )
+        frames, problems[0].start, origin, tuple(first for first, _ in arcs[1:]), trajectories, times_s,
+        options, failures, expected, predicted,
+    )  # fmt: skip
+
+
+def _problems(
+    descent: Descent, frames: Sequence[FrameMeasurement], arcs: Sequence[tuple[int, InitialState]]
+) -> list[Problem]:
+    """Make a problem of each part of a descent, from its first frame to the next part's."""
+    out = []
+    ends = [first for first, _ in arcs[1:]] + [len(frames)]
+    for (first, initial), end in zip(arcs, ends, strict=True):
+        part = replace(descent, initial=initial)
+        start = find_start(part, frames[first:end])
+        out.append(Problem(**vars(part), start=start, frames=frames[first:end]))
+    return out
+
+
+def _joined(parts: Sequence[Trajectory]) -> Trajectory:
+    """Put the parts of a trajectory one behind the other."""
+    if len(parts) == 1:
+        return parts[0]
+    values: dict[str, Any] = {}
+    for one in fields(Trajectory):
+        every = [getattr(part, one.name) for part in parts]
+        if any(value is None for value in every):
+            values[one.name] = None
+        elif one.name == "rim_weights":
+            values[one.name] = tuple(weights for value in every for weights in value)
+        elif one.name == "calibrated":
+            values[one.name] = every[-1]
+        else:
+            values[one.name] = np.concatenate(every)
+    return Trajectory(**values)
 
 
 def _one_line(error: Exception) -> str:

@@ -16,6 +16,7 @@ from craternav_fg.estimators.start import find_start
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.recovery import Finder, Located, earlier, initial_at
+from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.acquire import acquire, image_spread_px
 from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.kernels import strapdown
@@ -40,14 +41,15 @@ class Tracked:
     Attributes
     ----------
     frames : tuple of FrameMeasurement
-    descent : Descent
-        With another initial state than was given when the images contradicted that.
+    arcs : tuple of (int, InitialState)
+        First frame and initial state of each part of the descent: one, unless the images contradicted what
+        was predicted of them by those before.
     guides : ndarray, shape (k, 4, 4)
         Poses of the lander near which each image was measured.
     """
 
     frames: tuple[FrameMeasurement, ...]
-    descent: Descent
+    arcs: tuple[tuple[int, InitialState], ...]
     guides: FloatArray
 
 
@@ -69,6 +71,7 @@ class Tracker:
         self.finder = finder
         self._session = OnlineSession(descent)
         self._measured: list[FrameMeasurement] = []
+        self._arcs = [(0, descent.initial)]
         self._poor = 0
         self._guide = descent.initial.gTb
 
@@ -93,7 +96,7 @@ class Tracker:
             self._measured.append(frame)
             guides.append(guide)
             report("frames", k + 1, len(stamps))
-        return Tracked(tuple(self._measured), self.descent, np.array(guides))
+        return Tracked(tuple(self._measured), tuple(self._arcs), np.array(guides))
 
     def _begin(self, frame: FrameMeasurement) -> FrameMeasurement:
         start = find_start(self.descent, [frame])
@@ -188,9 +191,11 @@ class Tracker:
             frame.stamp_ns, located, predicted.gV, float(np.hypot(np.sqrt(variance), slip_m_s))
         )
         begun = replace(self.descent, initial=state)
-        if not tracked:
+        if tracked:
+            self._arcs.append((number, state))
+        else:
             # Nothing bore the initial state out, and the images contradict it.
-            self.descent = replace(self.descent, initial=earlier(begun, state, int(stamps[0])))
+            self._arcs = [(0, earlier(begun, state, int(stamps[0])))]
             self._measured = [FrameMeasurement(one.stamp_ns, RimSet.empty(), None) for one in self._measured]
         self._session = OnlineSession(begun)
         self._session.begin(frame, Start(located.gTb, located.pose_covariance, 0))

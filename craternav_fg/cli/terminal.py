@@ -101,6 +101,13 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
 def _warnings(summary: dict[str, Any]) -> list[str]:
     """Tell what a user of the run must know before believing it."""
     out = [f"no trajectory of {message}" for message in summary["failures"].values()]
+    if summary["initial_state"] == "replaced":
+        out.append("the images contradict the initial state: one from identified craters took its place")
+    if summary["resumed_at_frames"]:
+        numbers = ", ".join(map(str, summary["resumed_at_frames"]))
+        out.append(
+            f"track was lost; craters identified later contradict the IMU: all begins anew at frame {numbers}"
+        )
     found = np.array(summary["craters_per_frame"])
     blind = found == 0
     if not blind.any():

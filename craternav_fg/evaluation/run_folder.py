@@ -110,6 +110,8 @@ def write_run(
         "times_s": dict(times_s),
         "craters_per_frame": [len(frame.rims) for frame in result.frames],
         "craters_expected_per_frame": result.expected_rims,
+        "initial_state": result.origin,
+        "resumed_at_frames": list(result.resumed),
         "failures": dict(result.failures),
         "estimators": estimators,
     }
