@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from craternav_fg.bench import ratios
 from craternav_fg.bench.detect import detect_ms
-from craternav_fg.bench.identification import identify_scalars
 from craternav_fg.bench.guided import guided_costs
+from craternav_fg.bench.identification import identify_scalars
 from craternav_fg.bench.images import render_costs
 from craternav_fg.bench.pipeline import pipeline_ms
 from craternav_fg.bench.problems import make

@@ -35,7 +35,8 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
         altitude and 1 deg; mean and RMS of the last position error; mean of the last attitude error;
         `rms_over_pcrb`, the ratio of the position's RMS over the trials to that of the posterior Cramér-Rao
         bound (the smoothed one for those that look back), averaged over the altitude; `anees` of the pose, 6
-        when the covariances are honest; median wall time of a trial. All but `converged` are over the trials of which
+        when the covariances are honest; median wall time of a trial. All but `converged` are over the trials
+        of which
         the estimator gave a trajectory; null without any.
     """
     names = campaign.identity["estimators"]
