@@ -36,8 +36,7 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
         `rms_over_pcrb`, the ratio of the position's RMS over the trials to that of the posterior Cramér-Rao
         bound (the smoothed one for those that look back), averaged over the altitude; `anees` of the pose, 6
         when the covariances are honest; median wall time of a trial. All but `converged` are over the trials
-        of which
-        the estimator gave a trajectory; null without any.
+        of which the estimator gave a trajectory; null without any.
     """
     names = campaign.identity["estimators"]
     return {

@@ -131,7 +131,8 @@ def _report(results: Sequence[Reproduction], options: ReproduceOptions) -> str:
         "statistic. reproduction.json has all rows.",
         "",
         "In figs. 2 to 14 the paper's methods are started at the truth, the efficient solver without a "
-        "start: their errors there are what the equations are worth, and leave out what a worse start would cost.",
+        "start: their errors there are what the equations are worth, and leave out what a worse start would "
+        "cost.",
         "",
         "Of tables 1 and 2, fig. 10 and the front end, which are measured in rendered images, as printed "
         "stands for Canny edges, the paper's way, corrected for the blind detector, efficient for rims "
