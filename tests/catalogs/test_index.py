@@ -6,8 +6,8 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog, chart_to_pixels, rim_points
 from craternav_fg.catalog_index import SphereIndex
-from craternav_fg.simulation.population import power_law_population
 from factors.kernels import conic
+from tests.catalogs.population import power_law_population
 
 BODY = Body("ball", 250e3, 1.0, (0.0, 0.0, 0.0))
 DISTORTION = (-0.12, 0.03, 0.0004, -0.0002, 0.0)

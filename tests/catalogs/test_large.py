@@ -9,7 +9,7 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
-from craternav_fg.simulation.population import power_law_population
+from tests.catalogs.population import power_law_population
 from tests.catalogs.test_files import MOON, shared
 
 COUNT = 1_300_000

@@ -12,7 +12,7 @@ from craternav_fg.catalogs.store import read_body
 from craternav_fg.dataset import Dataset
 from craternav_fg.dem import read_dem
 from craternav_fg.errors import InputError
-from craternav_fg.simulation.population import power_law_population
+from tests.catalogs.population import power_law_population
 from tests.dataset.conftest import folder, with_images  # noqa: F401
 from tests.simulation.test_dem import GLOBE, write
 
