@@ -8,6 +8,9 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+# Components of the error that all rims of a descent share.
+SHARED_SIZE = 18
+
 
 @dataclass(frozen=True)
 class RimQuality:
@@ -50,15 +53,23 @@ class RimSet:
         Ellipse chart y = [m_x, m_y, ln(S_xx)/2, S_xy/S_xx, ln(S_yy - S_xy^2/S_xx)/2] in normalised
         image coordinates (EQUATIONS: "the chart to optimise in"); m is the image ellipse's centre.
     covariance : ndarray, shape (n, 5, 5)
-        Covariance of the chart, from each rim's own fit and the systematic floor.
+        Covariance of the chart, from each rim's own fit and the systematic floor: of all its error.
     quality : RimQuality or None
         None when the rims were not measured in an image.
+    persistent : ndarray, shape (n, 5, 5), optional
+        Root A of the part A A' of the covariance that a rim keeps from frame to frame: its error is A z with
+        z nearly the same in the next frame, so the columns belong to directions that are fixed to the
+        ground. None where no part is known to be kept.
+    shared : ndarray, shape (n, 5, 18), optional
+        Root of the part that all rims of a descent share: its error is A z with one z for all.
     """
 
     craters: IntArray
     chart: FloatArray
     covariance: FloatArray
     quality: RimQuality | None = None
+    persistent: FloatArray | None = None
+    shared: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
@@ -66,7 +77,19 @@ class RimSet:
     def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimSet":
         """Return the rims of some rows (a mask or indices)."""
         quality = None if self.quality is None else self.quality.take(rows)
-        return RimSet(self.craters[rows], self.chart[rows], self.covariance[rows], quality)
+        persistent, shared = (None if A is None else A[rows] for A in (self.persistent, self.shared))
+        return RimSet(
+            self.craters[rows], self.chart[rows], self.covariance[rows], quality, persistent, shared
+        )
+
+    @property
+    def white(self) -> FloatArray:
+        """Covariance (n, 5, 5) without its lasting parts."""
+        out = self.covariance
+        for A in (self.persistent, self.shared):
+            if A is not None:
+                out = out - A @ np.swapaxes(A, 1, 2)
+        return out
 
     def centres(self) -> "CentreSet":
         """Return the image ellipses' centres alone: what centre-based navigation measures."""

@@ -4,12 +4,38 @@ Zero when every predicted rim has the measured image. It carries the same inform
 and has the same optimum, with a far wider basin of convergence.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import gtsam
+import numpy as np
 import numpy.typing as npt
 
 from factors import validation
-from factors.custom import Loss, constant_mounting, packed_pose_factor
-from factors.kernels import packed
+from factors.custom import Loss, constant_mounting, packed_pose_factor, packed_pose_factor_with_errors
+from factors.errors import FactorError
+from factors.kernels import packed, rim_errors, robust
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChartError:
+    """An error of rims' images that is a variable, such as what one rim's images have in common.
+
+    Attributes
+    ----------
+    key : int
+        Of the variable, a vector of length m.
+    rims : sequence of int, length k
+        Rows of the rims that it moves.
+    roots : array_like, shape (k, 5, m)
+        It adds roots @ vector to their predicted charts.
+    """
+
+    key: int
+    rims: Sequence[int]
+    roots: npt.ArrayLike
 
 
 def conic_shape_factor(
@@ -22,6 +48,7 @@ def conic_shape_factor(
     loss: Loss = Loss(),
     *,
     mounting_key: int | None = None,
+    errors: Sequence[ChartError] = (),
 ) -> gtsam.CustomFactor:
     """All rims of a frame as one factor of the body's pose.
 
@@ -44,10 +71,13 @@ def conic_shape_factor(
     mounting_key : int, optional
         Key of the mounting as a variable (`Pose3`), to be estimated.
 
+    errors : sequence of ChartError
+        Errors of the charts, beside those of `covariances`, to be estimated.
+
     Returns
     -------
     gtsam.CustomFactor
-        With 5 n whitened rows.
+        With 5 n whitened rows, of the pose, the mounting if it is a variable, and the errors' variables.
 
     Raises
     ------
@@ -60,5 +90,34 @@ def conic_shape_factor(
     charts = validation.charts("charts", charts, n)
     W = validation.whitening("covariances", covariances, n, 5)
     mounting = constant_mounting(key, bTc, mounting_key)
+    if errors:
+        data = packed.pack(mounting, centres, axes, charts, W, robust.NONE, 1.0)
+        lengths = [_length(k, error) for k, error in enumerate(errors)]
+        ends = np.cumsum([0, *lengths])
+        roots = np.zeros((n, 5, ends[-1]))
+        for k, error in enumerate(errors):
+            shape = (len(error.rims), 5, lengths[k])
+            roots[list(error.rims), :, ends[k] : ends[k + 1]] += validation.array(
+                f"errors[{k}].roots", error.roots, shape
+            )
+        white = np.ascontiguousarray((W @ roots).reshape(5 * n, -1))
+        roots = roots.reshape(5 * n, -1)
+
+        def kernel(
+            T: FloatArray, z: FloatArray, linearise: bool, out: FloatArray, slopes: FloatArray
+        ) -> float:
+            return rim_errors.shape_residuals_with_errors(
+                T, z, data, charts, roots, white, loss.kind, loss.scale, linearise, out, slopes
+            )
+
+        keys = [(error.key, length) for error, length in zip(errors, lengths, strict=True)]
+        return packed_pose_factor_with_errors(key, 5 * n, kernel, keys, mounting_key)
     data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
     return packed_pose_factor(key, 5 * n, packed.shape_residuals, data, mounting_key)
+
+
+def _length(number: int, error: ChartError) -> int:
+    shape = np.shape(error.roots)
+    if len(shape) != 3 or shape[2] < 1:
+        raise FactorError(f"errors[{number}].roots: expected shape (k, 5, m), found {shape}")
+    return int(shape[2])

@@ -5,7 +5,7 @@ answer; here both buffers are allocated once with the right shapes, and what the
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,6 +176,71 @@ def packed_pose_factor(
         return e
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), [key], evaluate)
+
+
+def packed_pose_factor_with_errors(
+    key: int,
+    rows: int,
+    kernel: Callable[[FloatArray, FloatArray, bool, FloatArray, FloatArray], float],
+    errors: Sequence[tuple[int, int]],
+    mounting_key: int | None = None,
+) -> gtsam.CustomFactor:
+    """Build a factor as `packed_pose_factor` does, of a pose and of errors that enter linearly.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    rows : int
+        Length of the residual, at least 1.
+    kernel : callable
+        kernel(pose, z, linearise, out, slopes): as a packed kernel; z (m,) are all errors, one after
+        the other, the Jacobian in them is written to slopes (rows, m).
+    errors : sequence of (int, int)
+        Key and length of each error.
+    mounting_key : int, optional
+        Key of the mounting (`Pose3`) when it is a variable.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        Of the pose, the mounting if that is a variable, and the errors, in this order.
+    """
+    out = np.zeros((7, _positive(rows)))
+    e, J = out[6], out[:6].T
+    ends = np.cumsum([0, *(length for _, length in errors)]).tolist()
+    z = np.zeros(ends[-1])
+    slopes = np.zeros((rows, ends[-1]), order="F")
+    parts = [
+        (error, z[begin:end], slopes[:, begin:end])
+        for (error, _), begin, end in zip(errors, ends[:-1], ends[1:], strict=True)
+    ]
+    first = 1 if mounting_key is None else 2
+    J_body = np.zeros((rows, 6))
+
+    def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
+        linearise = H is not None
+        for error, part, _slopes in parts:
+            part[:] = values.atVector(error)
+        pose = _at_pose(values, key)
+        mounting = None
+        if mounting_key is not None:
+            mounting = values.atPose3(mounting_key)
+            pose = pose.compose(mounting)
+        if not math.isfinite(kernel(_matrix(pose), z, linearise, out, slopes)):
+            raise _not_finite(key)
+        if linearise:
+            if mounting is None:
+                H[0] = J
+            else:
+                conic.body_columns(J, mounting.matrix(), J_body)
+                H[0], H[1] = J_body, J
+            for k, (_error, _part, block) in enumerate(parts, first):
+                H[k] = block
+        return e
+
+    keys = [key, *([] if mounting_key is None else [mounting_key]), *(error for error, _ in errors)]
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, evaluate)
 
 
 def _of_both(

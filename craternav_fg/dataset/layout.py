@@ -5,7 +5,7 @@ b the lander's, which is the IMU's; in EuRoC's names R = g and S = b. Tables are
 columns in any order; the unit in brackets may be left out. Files below `mav0` are as EuRoC has them.
 
 `dataset.toml`: format, body, and the initial state with its standard deviations per axis (attitude: a
-rotation vector in b). The stamp is that of the first image. The table `initial` may be left out when nothing
+rotation vector in b). The stamp is that of the first image. The table [initial] may be left out when nothing
 is known: the images must then show craters that can be identified::
 
     format_version = 1
@@ -93,7 +93,8 @@ over all frames, in steps of at most 0.1 s::
 
 `rims.parquet` (optional): measured rims; when it is there, no image is read. Columns: `timestamp` (int64,
 a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance` (25 doubles), see
-`craternav_fg.measurements.RimSet`. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
+`craternav_fg.measurements.RimSet`; and, if known, the roots of what of it lasts: `persistent` (25 doubles),
+`shared` (90 doubles), row by row. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
 tilt, its standard deviation and the image point, normalised, at which it holds::
 
     #timestamp [ns],tilt [rad],sigma [rad],u,v

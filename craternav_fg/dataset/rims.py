@@ -12,7 +12,7 @@ from craternav_fg.catalog import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
-from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, RimSet, SunTilt
 from craternav_fg.tables import read_table, write_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -26,6 +26,8 @@ _SCHEMA = pa.schema(
         ("covariance", pa.list_(pa.float64(), 25)),
     ]
 )
+# Roots of the parts of the covariance that outlast a frame; a table may lack either.
+_LASTING = {"persistent": 5, "shared": SHARED_SIZE}
 
 
 def ground_sun_direction(
@@ -65,7 +67,18 @@ def write_measurements(folder: Path, frames: Sequence[FrameMeasurement], catalog
         pa.FixedSizeListArray.from_arrays(pa.array(charts.ravel(), pa.float64()), 5),
         pa.FixedSizeListArray.from_arrays(pa.array(covariances.ravel(), pa.float64()), 25),
     ]
-    pq.write_table(pa.Table.from_arrays(columns, schema=_SCHEMA), folder / layout.RIMS)
+    schema = _SCHEMA
+    for name, width in _LASTING.items():
+        roots = [getattr(f.rims, name) for f in frames]
+        if all(A is None for A in roots):
+            continue
+        full = [
+            np.zeros((len(f.rims), 5, width)) if A is None else A for f, A in zip(frames, roots, strict=True)
+        ]
+        flat = pa.array(np.concatenate(full).ravel(), pa.float64())
+        columns.append(pa.FixedSizeListArray.from_arrays(flat, 5 * width))
+        schema = schema.append(pa.field(name, pa.list_(pa.float64(), 5 * width)))
+    pq.write_table(pa.Table.from_arrays(columns, schema=schema), folder / layout.RIMS)
     tilts = [(f.stamp_ns, f.sun) for f in frames if f.sun is not None]
     write_table(
         folder / layout.TILTS,
@@ -131,7 +144,9 @@ def _read_rims(path: Path, catalog: Catalog) -> tuple[IntArray, RimSet]:
         table = pq.read_table(path)
     except (pa.ArrowInvalid, OSError) as error:
         raise InputError(path, f"expected a Parquet file: {error}") from None
-    for field in _SCHEMA:
+    lasting = [name for name in _LASTING if name in table.column_names]
+    extra = [pa.field(name, pa.list_(pa.float64(), 5 * _LASTING[name])) for name in lasting]
+    for field in [*_SCHEMA, *extra]:
         if field.name not in table.column_names:
             raise InputError(path, "column is missing", column=field.name)
         if table.schema.field(field.name).type != field.type:
@@ -140,25 +155,31 @@ def _read_rims(path: Path, catalog: Catalog) -> tuple[IntArray, RimSet]:
         if table[field.name].null_count:
             raise InputError(path, "expected no empty cells", column=field.name)
     for name in table.column_names:
-        if name not in _SCHEMA.names:
+        if name not in _SCHEMA.names and name not in _LASTING:
             raise InputError(path, "unknown column", column=name)
     n = len(table)
     charts = _flat(table["chart"]).reshape(n, 5)
     covariances = _flat(table["covariance"]).reshape(n, 5, 5)
-    for name, values in (("chart", charts), ("covariance", covariances)):
+    roots = {name: _flat(table[name]).reshape(n, 5, _LASTING[name]) for name in lasting}
+    for name, values in (("chart", charts), ("covariance", covariances), *roots.items()):
         bad = np.flatnonzero(~np.isfinite(values).reshape(n, -1).all(axis=1))
         if len(bad):
             raise InputError(path, f"expected finite numbers, row {bad[0] + 1} has others", column=name)
     symmetric = np.allclose(covariances, np.swapaxes(covariances, 1, 2), rtol=1e-9, atol=0.0)
     if n and (not symmetric or np.linalg.eigvalsh(covariances)[:, 0].min() <= 0.0):
         raise InputError(path, "expected symmetric positive definite matrices", column="covariance")
+    white = covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((n, 5, 5)))
+    if n and lasting and np.linalg.eigvalsh(white)[:, 0].min() <= 0.0:
+        raise InputError(path, "expected parts that are less than the whole covariance", column=lasting[0])
     known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
     craters = np.empty(n, dtype=np.int64)
     for i, identifier in enumerate(table["crater_id"].to_pylist()):
         if identifier not in known:
             raise InputError(path, f"row {i + 1}: {identifier!r} is not in the catalogue", column="crater_id")
         craters[i] = known[identifier]
-    return table["timestamp"].to_numpy(), RimSet(craters, charts, covariances)
+    return table["timestamp"].to_numpy(), RimSet(
+        craters, charts, covariances, persistent=roots.get("persistent"), shared=roots.get("shared")
+    )
 
 
 def _flat(column: pa.ChunkedArray) -> FloatArray:

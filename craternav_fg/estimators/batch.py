@@ -27,6 +27,7 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
+from craternav_fg.estimators.rim_errors import RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.conic import project_rims
@@ -155,7 +156,8 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     problem : Problem
     options : GraphOptions
     values : gtsam.Values
-        Of all states: each frame's, and those between. Gets what is estimated along, where it is missing.
+        Of all states: each frame's, and those between. Gets what is estimated along, where it is missing:
+        errors of rims as zero.
 
     Returns
     -------
@@ -163,6 +165,8 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     """
     graph = FactorGraph()
     add_prior(graph, problem.initial)
+    states = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
+    added = gtsam.Values()
     add_calibration(graph, values, options.calibration)
 
     def add_image(number: int, frame: FrameMeasurement) -> None:
@@ -170,7 +174,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
         if options.calibration:
             state = values.atPose3(key), values.atVector(V(number)), values.atConstantBias(B(number))
             key = add_exposure(graph, values, problem, options.calibration, number, frame.stamp_ns, state)
-        add_frame(graph, problem, options, key, frame)
+        add_frame(graph, problem, options, key, frame, states=states, values=added)
 
     add_image(0, problem.frames[0])
     number = 0
@@ -182,6 +186,9 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
             add_imu(graph, problem, number, int(begin_ns), int(end_ns), 0.5 * (ends[0] + ends[1]), bias)
             number += 1
         add_image(number, frame)
+    for key in added.keys():  # noqa: SIM118 (Values is no mapping)
+        if not values.exists(key):
+            values.insert(key, added.atVector(key))
     return graph
 
 

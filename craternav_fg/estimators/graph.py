@@ -1,6 +1,7 @@
 """The factor graph of a descent: priors, frames, IMU intervals."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import gtsam
@@ -12,9 +13,10 @@ from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.calibration import Calibration
+from craternav_fg.estimators.rim_errors import RimErrorOptions, RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
-from factors.conic_shape import conic_shape_factor
+from factors.conic_shape import ChartError, conic_shape_factor
 from factors.crater_centre import crater_centre_factor
 from factors.custom import Loss
 from factors.imu import imu_factor, integrate, parameters
@@ -44,12 +46,16 @@ class GraphOptions:
         Longest interval between two states: gravity is constant within one.
     calibration : Calibration
         What the batch smoother estimates along.
+    rim_errors : RimErrorOptions or None
+        How errors of rims that outlast a frame are modelled, where the measurements have any. None takes
+        them as new in every frame, which promises too much.
     """
 
     rims: Literal["chart", "centre"] = "chart"
     loss: Loss = Loss(robust.HUBER, 3.3)
     keyframe_s: float = 1.0
     calibration: Calibration = Calibration()
+    rim_errors: RimErrorOptions | None = field(default_factory=RimErrorOptions)
 
     def __post_init__(self) -> None:
         if self.rims not in ("chart", "centre"):
@@ -130,16 +136,28 @@ def add_frame(
     key: int,
     frame: FrameMeasurement,
     noise_scale: float = 1.0,
+    states: RimErrorStates | None = None,
+    values: gtsam.Values | None = None,
+    holds: Callable[[int], bool] | None = None,
 ) -> None:
-    """Add what one image says of the pose at `key`, its noise multiplied by `noise_scale`."""
+    """Add what one image says of the pose at `key`, its noise multiplied by `noise_scale`.
+
+    With `states` the errors that outlast the frame are variables, and `values` gets those that are new (see
+    `RimErrorStates.enter`); without, they count as new in every frame.
+    """
     rims = frame.rims
     bTc = descent.camera.bTc
     if len(rims):
         centres = descent.catalog.centres[rims.craters]
         if options.rims == "chart":
-            S = noise_scale**2 * rims.covariance
             axes = descent.catalog.axes[rims.craters]
-            graph.push_back(conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss))
+            errors: list[ChartError] = []
+            if states is not None and values is not None:
+                errors = states.enter(rims, graph, values, holds)
+            S = noise_scale**2 * (rims.white if errors else rims.covariance)
+            graph.push_back(
+                conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
+            )
         else:
             points = rims.centres()
             S = noise_scale**2 * points.covariance

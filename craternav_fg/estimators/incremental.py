@@ -6,13 +6,14 @@ as long as the solver lives: callbacks get that object and not a deep copy of al
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
+from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -22,11 +23,15 @@ FloatArray = npt.NDArray[np.float64]
 RELINEARISE = {
     "x": np.array([5e-4, 5e-4, 5e-4, 5.0, 5.0, 5.0]),
     "v": np.full(3, 1.0),
+    "r": np.full(5, 1e3),
+    "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
 }
 # Letters of what belongs to one state; one of another letter, such as the mounting, belongs to all of them.
 STATE = ("x", "v", "b")
+# Letters of errors that outlast a frame: of one rim, and shared by all.
+LASTING = ("r", "s")
 # Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
 # are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
 WILDFIRE = 1.0
@@ -295,7 +300,14 @@ class FixedLagIsam(Isam):
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
-        self._smoother.update(graph, values, dict.fromkeys(values.keys(), time_s), drop)
+        stamps_s: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = dict.fromkeys(
+            values.keys(), time_s
+        )
+        # What outlasts a frame lives for as long as new factors speak of it.
+        for number in range(graph.size()):
+            keys = graph.at(number).keys()
+            stamps_s.update((key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in LASTING)
+        self._smoother.update(graph, values, stamps_s, drop)
 
 
 def _jacobian_factor(keys: list[int], blocks: list[FloatArray]) -> gtsam.JacobianFactor:

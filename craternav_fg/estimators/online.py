@@ -25,6 +25,7 @@ from craternav_fg.estimators.graph import (
     state_stamps,
 )
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
+from craternav_fg.estimators.rim_errors import RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -76,6 +77,7 @@ class OnlineSession:
         self._options = options
         self._solver = Isam() if solver is None else solver
         self._last = 0
+        self._errors = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
         self._frame_numbers: list[int] = []
         self._stamps_ns: list[int] = []
         self._states: list[FilterState] = []
@@ -113,7 +115,7 @@ class OnlineSession:
         values = gtsam.Values()
         initial = self._descent.initial
         add_prior(graph, initial)
-        add_frame(graph, self._descent, self._options, X(0), frame)
+        add_frame(graph, self._descent, self._options, X(0), frame, states=self._errors, values=values)
         gTb = start.gTb if start.frame == 0 else initial.gTb
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._update(graph, values, 0, frame.stamp_ns)
@@ -150,7 +152,10 @@ class OnlineSession:
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
-        add_frame(graph, self._descent, self._options, X(last), frame)
+        add_frame(
+            graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
+            holds=self._solver.tree.valueExists,
+        )  # fmt: skip
         self._update(graph, values, last, frame.stamp_ns)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
+from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -22,6 +23,8 @@ STEP_SCALES: dict[str, FloatArray] = {
     "d": np.full(1, 0.1),
     "v": np.full(3, 5.0),
     "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
+    "r": np.full(5, 1.0),
+    "s": np.full(SHARED_SIZE, 1.0),
     "b": np.array([3e-3, 3e-3, 3e-3, 5e-6, 5e-6, 5e-6]),
 }
 

@@ -10,7 +10,7 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.config import FaultsSection
-from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.measurements import FrameMeasurement
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def mismatch(
     else:
         rng.shuffle(wrong)
         craters[wrong] = craters[np.roll(wrong, 1)]
-    rims = RimSet(craters, frame.rims.chart, frame.rims.covariance)
+    rims = replace(frame.rims, craters=craters)
     return replace(frame, rims=rims, sun=None if faults.without_sun else frame.sun)
 
 

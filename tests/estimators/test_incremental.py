@@ -109,7 +109,7 @@ def test_session_goes_on_after_a_frame_that_failed(
                 session.update(frame)
         return session
 
-    def spoilt(graph: gtsam.NonlinearFactorGraph, *arguments: Any) -> None:
+    def spoilt(graph: gtsam.NonlinearFactorGraph, *arguments: Any, **_: Any) -> None:
         graph.push_back(spoilt_factor(arguments[2]))
 
     lost, never = run(4), run(None)
