@@ -50,10 +50,15 @@ class Calibrated:
         Rotation vector, in b, that turns the mounting believed into the camera's.
     image_delay_s : (float, float), or None
         From an image's stamp to its exposure.
+    map_errors : dict of int to (ndarray, ndarray), shape (6,) each, or None
+        By row of the catalogue, true minus map: shift of the centre along the major axis, the minor axis and
+        their normal, growth along the major axis, shear, growth along the minor axis; as parts of the mean
+        radius.
     """
 
     mounting_rad: tuple[FloatArray, FloatArray] | None = None
     image_delay_s: tuple[float, float] | None = None
+    map_errors: dict[int, tuple[FloatArray, FloatArray]] | None = None
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated
+from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
 from craternav_fg.estimators.ekf import ekf
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
@@ -30,6 +30,7 @@ from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
 from craternav_fg.estimators.rim_errors import RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
+from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
@@ -74,7 +75,7 @@ class BatchSmoother:
             guess, numbers = initial_values(problem, problem.start, states, self.options.keyframe_s)
             found.append(optimum(problem, self.options, guess))
             if self.options.rims == "centre" or not _doubtful(*found[0]):
-                return trajectory(problem, *found[0], numbers)
+                return trajectory(problem, self.options, *found[0], numbers)
         session = OnlineSmoother(self.options).run(problem)
         try:
             found.append(optimum(problem, self.options, session.smoothed_values()))
@@ -82,7 +83,7 @@ class BatchSmoother:
             if not found:
                 raise
         best = min(found, key=lambda one: one[0].error(one[1]))
-        return trajectory(problem, *best, session.frame_numbers)
+        return trajectory(problem, self.options, *best, session.frame_numbers)
 
 
 def _doubtful(graph: FactorGraph, values: gtsam.Values) -> bool:
@@ -171,10 +172,14 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
 
     def add_image(number: int, frame: FrameMeasurement) -> None:
         key = int(X(number))
-        if options.calibration:
+        if options.calibration.of_exposure:
             state = values.atPose3(key), values.atVector(V(number)), values.atConstantBias(B(number))
             key = add_exposure(graph, values, problem, options.calibration, number, frame.stamp_ns, state)
-        add_frame(graph, problem, options, key, frame, states=states, values=added)
+        errors: list[ChartError] = []
+        if options.rims == "chart":
+            exposed = values.atPose3(key).matrix()
+            errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed)
+        add_frame(graph, problem, options, key, frame, states=states, values=added, map_errors=errors)
 
     add_image(0, problem.frames[0])
     number = 0
@@ -204,13 +209,18 @@ def _move_gravity(graph: FactorGraph, body: Body, values: gtsam.Values) -> bool:
 
 
 def trajectory(
-    problem: Problem, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, numbers: list[int]
+    problem: Problem,
+    options: GraphOptions,
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    numbers: list[int],
 ) -> Trajectory:
     """Gather the states of the frames and their marginal covariances.
 
     Parameters
     ----------
     problem : Problem
+    options : GraphOptions
     graph : gtsam.NonlinearFactorGraph
         Of the whole descent.
     values : gtsam.Values
@@ -237,5 +247,5 @@ def trajectory(
         ),
         velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in numbers]),
         bias_covariance=np.array([bias_covariance_ours(tree.marginalCovariance(B(n))) for n in numbers]),
-        calibrated=calibrated(tree, values),
+        calibrated=calibrated(tree, values, options.calibration, problem),
     )

@@ -1,17 +1,20 @@
-"""The camera's mounting and the delay of its images, estimated along with a descent."""
+"""The camera's mounting, the delay of its images and errors of the map, estimated along with a descent."""
 
 from dataclasses import dataclass, fields
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from gtsam.symbol_shorthand import C, D, X, Y
+from gtsam.symbol_shorthand import C, D, M, X, Y
 
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.base import Descent
+from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.measurements import RimSet
 from craternav_fg.trajectory import Calibrated
+from factors.conic_shape import ChartError
 from factors.exposure import exposure_factor
+from factors.kernels.rim_errors import ground_slopes
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -30,10 +33,19 @@ class Calibration:
         Of the camera's rotation on the lander, per axis.
     image_delay_sigma_s : float
         Of the time from an image's stamp to its exposure, the same for all images.
+    map_place_sigma : float
+        Of a crater's place on the map, east and north, as a part of its mean radius.
+    map_height_sigma : float
+        Of its rim's height, as a part of its mean radius.
+    map_size_sigma : float
+        Of its semi-axes, each as a part of itself.
     """
 
     mounting_sigma_rad: float = 0.0
     image_delay_sigma_s: float = 0.0
+    map_place_sigma: float = 0.0
+    map_height_sigma: float = 0.0
+    map_size_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -41,9 +53,17 @@ class Calibration:
             if not 0.0 <= value < np.inf:
                 raise EstimationError(f"{field.name}: expected 0 or more, found {value}")
 
-    def __bool__(self) -> bool:
-        """Whether there is anything to estimate."""
-        return any(getattr(self, field.name) > 0.0 for field in fields(self))
+    @property
+    def of_exposure(self) -> bool:
+        """Whether an exposure's pose is another one than the state's at its stamp."""
+        return self.mounting_sigma_rad > 0.0 or self.image_delay_sigma_s > 0.0
+
+    @property
+    def map_sigmas(self) -> FloatArray:
+        """Standard deviations (6,) of a crater's errors, in the order of `ground_slopes`."""
+        place, height, size = self.map_place_sigma, self.map_height_sigma, self.map_size_sigma
+        # The shear of independent axes whose directions mean nothing: a circle has none.
+        return np.array([place, place, height, size, np.sqrt(0.5) * size, size])
 
 
 def add_calibration(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: Calibration) -> None:
@@ -104,16 +124,70 @@ def add_exposure(
     return int(Y(number))
 
 
-def calibrated(tree: gtsam.ISAM2, values: gtsam.Values) -> Calibrated | None:
+def map_errors(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    descent: Descent,
+    options: Calibration,
+    rims: RimSet,
+    gTb: FloatArray,
+) -> list[ChartError]:
+    """Give a frame's rims the errors that their craters have on the map: one vector for each crater.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Gets the priors of craters that are new.
+    values : gtsam.Values
+        Gets their errors, as zero, if it has none.
+    descent : Descent
+    options : Calibration
+    rims : RimSet
+    gTb : ndarray, shape (4, 4)
+        Pose of the lander to a per cent of the range: what an error on the ground does to the image.
+
+    Returns
+    -------
+    list of ChartError
+        Empty when the map is taken as right.
+    """
+    sigmas = options.map_sigmas
+    if not sigmas.any():
+        return []
+    catalog = descent.catalog
+    centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
+    roots = ground_slopes(gTb, descent.camera.bTc, centres, axes) * sigmas
+    out = []
+    for i, crater in enumerate(rims.craters.tolist()):
+        key = int(M(crater))
+        if not values.exists(key):
+            values.insert(key, np.zeros(len(sigmas)))
+            unit = gtsam.noiseModel.Unit.Create(len(sigmas))
+            graph.push_back(gtsam.PriorFactorVector(key, np.zeros(len(sigmas)), unit))
+        out.append(ChartError(key, [i], roots[i : i + 1]))
+    return out
+
+
+def calibrated(
+    tree: gtsam.ISAM2, values: gtsam.Values, options: Calibration, problem: Problem
+) -> Calibrated | None:
     """Read what was estimated along off an optimum; None when there was nothing."""
-    mounting = delay = None
-    if values.exists(MOUNTING_KEY):
+    mounting = delay = craters = None
+    if options.mounting_sigma_rad > 0.0:
         turn = frames.rotation_log(values.atPose3(MOUNTING_KEY).rotation().matrix())
         mounting = (turn, np.sqrt(np.diag(tree.marginalCovariance(MOUNTING_KEY))[:3]))
-    if values.exists(DELAY_KEY):
+    if options.image_delay_sigma_s > 0.0:
         variance = float(tree.marginalCovariance(DELAY_KEY)[0, 0])
         delay = (float(values.atVector(DELAY_KEY)[0]), float(np.sqrt(variance)))
-    return None if mounting is None and delay is None else Calibrated(mounting, delay)
+    sigmas = options.map_sigmas
+    if sigmas.any():
+        seen = np.unique(np.concatenate([frame.rims.craters for frame in problem.frames])).tolist()
+        errors = [sigmas * values.atVector(M(crater)) for crater in seen]
+        spread = [sigmas * np.sqrt(np.diag(tree.marginalCovariance(M(crater)))) for crater in seen]
+        craters = {crater: (error, sigma) for crater, error, sigma in zip(seen, errors, spread, strict=True)}
+    if mounting is None and delay is None and craters is None:
+        return None
+    return Calibrated(mounting, delay, craters)
 
 
 def _angular_velocity(descent: Descent, stamp_ns: int) -> FloatArray:

@@ -97,7 +97,7 @@ class GncSmoother:
         values, numbers = initial_values(problem, track.start, track.states, graph_options.keyframe_s)
         kept, values = self._decide(problem, track, values, numbers)
         graph, values = optimum(_with_weights(problem, kept), graph_options, values)
-        return replace(trajectory(problem, graph, values, numbers), rim_weights=tuple(kept))
+        return replace(trajectory(problem, graph_options, graph, values, numbers), rim_weights=tuple(kept))
 
     def _decide(
         self, problem: Problem, track: Track, values: gtsam.Values, numbers: Sequence[int]
@@ -154,7 +154,7 @@ class _Rims:
         self._problem = problem
         self._options = options
         # Image factors hold on to the exposure, where that is not the state itself.
-        letter = Y if options.calibration else X
+        letter = Y if options.calibration.of_exposure else X
         self._keys = [letter(number) for number in numbers]
         self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])

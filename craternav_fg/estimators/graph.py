@@ -1,6 +1,6 @@
 """The factor graph of a descent: priors, frames, IMU intervals."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -139,11 +139,13 @@ def add_frame(
     states: RimErrorStates | None = None,
     values: gtsam.Values | None = None,
     holds: Callable[[int], bool] | None = None,
+    map_errors: Sequence[ChartError] = (),
 ) -> None:
     """Add what one image says of the pose at `key`, its noise multiplied by `noise_scale`.
 
     With `states` the errors that outlast the frame are variables, and `values` gets those that are new (see
-    `RimErrorStates.enter`); without, they count as new in every frame.
+    `RimErrorStates.enter`); without, they count as new in every frame. `map_errors` are further variables of
+    the rims.
     """
     rims = frame.rims
     bTc = descent.camera.bTc
@@ -155,6 +157,7 @@ def add_frame(
             if states is not None and values is not None:
                 errors = states.enter(rims, graph, values, holds)
             S = noise_scale**2 * (rims.white if errors else rims.covariance)
+            errors.extend(map_errors)
             graph.push_back(
                 conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
             )

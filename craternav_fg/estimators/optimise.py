@@ -21,6 +21,7 @@ STEP_SCALES: dict[str, FloatArray] = {
     "x": np.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3]),
     "y": np.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3]),
     "d": np.full(1, 0.1),
+    "m": np.full(6, 1.0),
     "v": np.full(3, 5.0),
     "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
     "r": np.full(5, 1.0),

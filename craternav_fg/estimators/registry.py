@@ -1,10 +1,12 @@
 """The estimators by name."""
 
+import math
 from collections.abc import Callable
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator
 from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf import ekf, ekf_paper
 from craternav_fg.estimators.gnc import GncSmoother
@@ -16,9 +18,22 @@ def _centre_smoother() -> Estimator:
     return BatchSmoother(GraphOptions(rims="centre"), "centre_smoother")
 
 
+def _calibrating_smoother() -> Estimator:
+    """Estimate along what thermal distortion, a clock and a good map leave open."""
+    calibration = Calibration(
+        mounting_sigma_rad=math.radians(0.2),
+        image_delay_sigma_s=0.02,
+        map_place_sigma=0.01,
+        map_height_sigma=0.01,
+        map_size_sigma=0.01,
+    )
+    return BatchSmoother(GraphOptions(calibration=calibration), "calibrating_smoother")
+
+
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "smoother": BatchSmoother,
     "gnc_smoother": GncSmoother,
+    "calibrating_smoother": _calibrating_smoother,
     "online": OnlineSmoother,
     "fixed_lag": FixedLagSmoother,
     "ekf": ekf,

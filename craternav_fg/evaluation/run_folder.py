@@ -1,6 +1,6 @@
 """A run on disk: what `reconstruct` writes and `compare`, notebooks and other tools read.
 
-metrics.json        errors of every estimator, wall time
+metrics.json        errors of every estimator, what it calibrated, wall time
 truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in g)
 states.parquet      every estimator's states with covariances, one row per frame
 residuals.parquet   every rim against every estimator's pose, one row per rim and estimator: as measured
@@ -33,7 +33,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import FrameMeasurement, RimQuality, RimSet
 from craternav_fg.reconstruction import Reconstruction
-from craternav_fg.trajectory import Trajectory
+from craternav_fg.trajectory import Calibrated, Trajectory
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
@@ -104,7 +104,12 @@ def write_run(
     dict
         What metrics.json holds.
     """
-    estimators = {name: metrics(t, truth).as_dict() for name, t in result.trajectories.items()}
+    estimators: dict[str, dict[str, Any]] = {
+        name: dict(metrics(t, truth).as_dict()) for name, t in result.trajectories.items()
+    }
+    for name, trajectory in result.trajectories.items():
+        if trajectory.calibrated is not None:
+            estimators[name]["calibrated"] = _calibrated(trajectory.calibrated, catalog)
     summary = {
         "wall_s": wall_s,
         "times_s": dict(times_s),
@@ -155,6 +160,23 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
         numbers = " ".join(repr(float(x)) for x in (*P, *quaternion))
         rows.append(f"{seconds}.{rest:09d} {numbers}\n")
     path.write_text("".join(rows), encoding="ascii")
+
+
+def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
+    """Give what was estimated along as plain data, craters by their names."""
+    out: dict[str, Any] = {}
+    if found.mounting_rad is not None:
+        out["mounting_deg"], out["mounting_sigma_deg"] = (
+            np.degrees(part).tolist() for part in found.mounting_rad
+        )
+    if found.image_delay_s is not None:
+        out["image_delay_s"], out["image_delay_sigma_s"] = found.image_delay_s
+    if found.map_errors is not None:
+        out["map_errors"] = {
+            catalog.identifiers[row]: {"error": error.tolist(), "sigma": sigma.tolist()}
+            for row, (error, sigma) in found.map_errors.items()
+        }
+    return out
 
 
 def read_run(folder: Path | str) -> Run:

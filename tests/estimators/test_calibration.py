@@ -93,6 +93,35 @@ def test_a_delay_is_found_and_the_pose_is_honest_again(delayed: list[tuple[Probl
     assert max(rms) < 0.9 * DELAY_S
 
 
+def test_errors_of_the_map_are_found_and_the_pose_is_honest_again(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    share = 0.02
+    faults = FaultsSection(map_place=share, map_size=share, map_height=share)
+    folder = tmp_path_factory.mktemp("map")
+    calibration = Calibration(map_place_sigma=share, map_height_sigma=share, map_size_sigma=share)
+    poses, untold, believed = [], [], []
+    for trial in range(TRIALS):
+        p, truth = problem(folder, scenario(duration_s=60.0, faults=faults), trial)
+        right, _ = problem(folder, scenario(duration_s=60.0), trial)
+        t = smooth(p, calibration)
+        poses.append(pose_nees(t, truth))
+        untold.append(pose_nees(smooth(p, Calibration()), truth))
+        assert t.calibrated is not None
+        assert t.calibrated.map_errors is not None
+        assert len(t.calibrated.map_errors) == len(p.catalog)
+        for crater, (error, sigma) in t.calibrated.map_errors.items():
+            off = right.catalog.centres[crater] - p.catalog.centres[crater]
+            radius_m = np.sqrt(p.catalog.semi_major_m[crater] * p.catalog.semi_minor_m[crater])
+            actual = p.catalog.gRl[crater].T @ off / radius_m
+            believed.append(((error[:3] - actual) / sigma[:3]) ** 2)
+            assert np.all(sigma <= 1.001 * share)
+    low, high = interval(6)
+    assert low < np.mean(poses) < high
+    assert np.mean(untold) > 2.0 * high
+    assert 0.5 < np.mean(believed) < 1.6
+
+
 def test_what_is_not_asked_for_is_not_estimated(mounted: list[tuple[Problem, Trajectory]]) -> None:
     p, _ = mounted[0]
     assert smooth(p, Calibration()).calibrated is None
@@ -100,7 +129,7 @@ def test_what_is_not_asked_for_is_not_estimated(mounted: list[tuple[Problem, Tra
     assert np.allclose(tight.gTb, smooth(p, Calibration()).gTb, atol=1e-3)
 
 
-@pytest.mark.parametrize("field", ["mounting_sigma_rad", "image_delay_sigma_s"])
+@pytest.mark.parametrize("field", ["mounting_sigma_rad", "image_delay_sigma_s", "map_height_sigma"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_refusals_name_the_field(field: str, value: float) -> None:
     with pytest.raises(EstimationError, match=field):
