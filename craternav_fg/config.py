@@ -455,6 +455,8 @@ def _with_base(path: Path) -> Scenario:
         if seen[-1] in seen[:-1]:
             raise InputError(path, f"is its own base, by way of {seen[-1]}", column="base")
         _, under = read_toml(seen[-1])
+        # What is expected of the base is not expected of what differs from it.
+        under.pop("expected", None)
         for given, other in (("measurements", "render"), ("render", "measurements")):
             if given in data:
                 under.pop(other, None)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Problem, Start
-from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.start import find_start
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.recovery import Finder, find_initial
@@ -73,7 +73,7 @@ class Reconstruction:
 
 def reconstruct(
     dataset: Dataset,
-    names: Sequence[str] = tuple(ESTIMATORS),
+    names: Sequence[str] = DEFAULT,
     *,
     progress: Progress | None = None,
 ) -> Reconstruction:

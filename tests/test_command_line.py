@@ -16,7 +16,7 @@ from evo.tools import file_interface
 
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
-from craternav_fg.estimators.registry import ESTIMATORS
+from craternav_fg.estimators.registry import DEFAULT
 from craternav_fg.evaluation.run_folder import read_run
 
 FIELDS = {
@@ -77,7 +77,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.Com
 def test_demo_writes_a_run_and_says_where(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, done = demo
     summary = json.loads((run / "metrics.json").read_text())
-    assert list(summary["estimators"]) == list(ESTIMATORS)
+    assert list(summary["estimators"]) == list(DEFAULT)
     assert summary["wall_s"] > 0.0
     for name, values in summary["estimators"].items():
         assert set(values) == FIELDS
@@ -142,7 +142,7 @@ def test_evo_reads_the_trajectories(demo: tuple[Path, subprocess.CompletedProces
 def test_run_toml_tells_how_it_was_made(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, _ = demo
     told = tomllib.loads((run / "run.toml").read_text())
-    assert told["estimators"] == list(ESTIMATORS)
+    assert told["estimators"] == list(DEFAULT)
     assert told["options"]["centre_smoother"]["rims"] == "centre"
     assert told["options"]["ekf_paper"]["measurement"] == "implicit"
     assert told["options"]["front_end"]["fit"]["floor_px"] > 0.0
@@ -152,7 +152,7 @@ def test_run_toml_tells_how_it_was_made(demo: tuple[Path, subprocess.CompletedPr
 def test_run_reads_back(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, _ = demo
     back = read_run(run)
-    assert list(back.trajectories) == list(ESTIMATORS)
+    assert list(back.trajectories) == list(DEFAULT)
     assert back.truth is not None
     smoother = back.trajectories["smoother"]
     assert smoother.pose_covariance is not None

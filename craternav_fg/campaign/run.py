@@ -13,7 +13,7 @@ from craternav_fg.campaign.summary import summarise
 from craternav_fg.campaign.workers import Workers, cluster, processes
 from craternav_fg.config import MeasurementSection, Scenario
 from craternav_fg.errors import CraternavError
-from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.evaluation.trial import TrialResult, TrialTask, failed, run_trial, software
 
 # What is being done, how many of its steps are done, how many there are.
@@ -49,7 +49,7 @@ class CampaignOptions:
     """
 
     trials: int
-    estimators: tuple[str, ...] = tuple(ESTIMATORS)
+    estimators: tuple[str, ...] = DEFAULT
     images: bool = False
     workers: int = 1
     scheduler: str | None = None

@@ -17,7 +17,7 @@ from craternav_fg.cli.descents import EstimatorOption
 from craternav_fg.cli.terminal import bar, err, number, out, say
 from craternav_fg.config import load_scenario
 from craternav_fg.errors import CraternavError
-from craternav_fg.estimators.registry import ESTIMATORS
+from craternav_fg.estimators.registry import DEFAULT
 
 COLUMNS = {
     "converged": "conv.",
@@ -55,7 +55,7 @@ def montecarlo(
         raise CraternavError("expected --workers or --scheduler, found both")
     options = CampaignOptions(
         trials=trials,
-        estimators=tuple(dict.fromkeys(estimators or ESTIMATORS)),
+        estimators=tuple(dict.fromkeys(estimators or DEFAULT)),
         images=images,
         workers=os.cpu_count() or 1 if workers is None else workers,
         scheduler=scheduler,

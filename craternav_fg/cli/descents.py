@@ -22,7 +22,7 @@ from craternav_fg.cli.terminal import (
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
-from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.estimators.registry import DEFAULT, ESTIMATORS, ON_REQUEST, estimator
 from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, read_run
 from craternav_fg.evaluation.runs import write_reconstruction
 from craternav_fg.files import replacing_folder
@@ -33,7 +33,9 @@ DEMO_DATASET = "dataset"
 EstimatorOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--estimator", "-e", help=f"One of {', '.join(ESTIMATORS)}; may be repeated.  [default: all]"
+        "--estimator",
+        "-e",
+        help=f"One of {', '.join(ESTIMATORS)}; may be repeated.  [default: all but {', '.join(ON_REQUEST)}]",
     ),
 ]
 
@@ -57,7 +59,7 @@ def demo(
         summary = write_reconstruction(
             Dataset.open(folder / DEMO_DATASET),
             folder,
-            tuple(ESTIMATORS),
+            DEFAULT,
             label=DEMO_DATASET,
             began_s=began_s,
             earlier_s={"simulation": simulated_s},
@@ -105,7 +107,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct the trajectory of a data set."""
     began_s = time.perf_counter()
-    names = tuple(dict.fromkeys(estimators or ESTIMATORS))
+    names = tuple(dict.fromkeys(estimators or DEFAULT))
     for name in names:
         estimator(name)
     if data.resolve().is_relative_to(output.resolve()):

@@ -19,21 +19,22 @@ def _centre_smoother() -> Estimator:
 
 
 def _calibrating_smoother() -> Estimator:
-    """Estimate along what thermal distortion, a clock and a good map leave open."""
-    calibration = Calibration(
-        mounting_sigma_rad=math.radians(0.2),
-        image_delay_sigma_s=0.02,
-        map_place_sigma=0.01,
-        map_height_sigma=0.01,
-        map_size_sigma=0.01,
-    )
+    """Estimate along what thermal distortion and a clock leave open."""
+    calibration = Calibration(mounting_sigma_rad=math.radians(0.2), image_delay_sigma_s=0.02)
     return BatchSmoother(GraphOptions(calibration=calibration), "calibrating_smoother")
+
+
+def _mapping_smoother() -> Estimator:
+    """Estimate along what a good map leaves open."""
+    calibration = Calibration(map_place_sigma=0.01, map_height_sigma=0.01, map_size_sigma=0.01)
+    return BatchSmoother(GraphOptions(calibration=calibration), "mapping_smoother")
 
 
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "smoother": BatchSmoother,
     "gnc_smoother": GncSmoother,
     "calibrating_smoother": _calibrating_smoother,
+    "mapping_smoother": _mapping_smoother,
     "online": OnlineSmoother,
     "fixed_lag": FixedLagSmoother,
     "ekf": ekf,
@@ -41,6 +42,11 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "centre_smoother": _centre_smoother,
     "dead_reckoning": DeadReckoning,
 }
+
+
+# A freedom that is not needed costs accuracy: these are run when they are asked for.
+ON_REQUEST = ("calibrating_smoother", "mapping_smoother")
+DEFAULT = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
 
 
 def estimator(name: str) -> Estimator:

@@ -265,6 +265,8 @@ def test_registry_names_what_there_is() -> None:
     assert list(ESTIMATORS) == [
         "smoother",
         "gnc_smoother",
+        "calibrating_smoother",
+        "mapping_smoother",
         "online",
         "fixed_lag",
         "ekf",
