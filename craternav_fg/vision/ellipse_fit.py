@@ -77,9 +77,10 @@ class RimFit:
     chart : ndarray, shape (5,)
         Ellipse chart in normalised image coordinates, bias removed.
     covariance : ndarray, shape (5, 5)
-        Of the chart: the points' scatter, the outline's deviation from an ellipse and the systematic floor.
+        Of the chart: the points' scatter, what moves them together, the outline's deviation from an ellipse
+        and the systematic floor.
     systematic : ndarray, shape (5, 5)
-        The last two of these: about the same error in every image of the rim.
+        The last two of these and the lever's slope: about the same error in every image of the rim.
     chart_px : ndarray, shape (5,)
         The same ellipse's chart in pixel coordinates.
     rms_px : float
@@ -156,6 +157,8 @@ def refine_rim(
     sigma_ratio: FloatArray,
     lever: FloatArray | None = None,
     lever_sigma: float = 1.0,
+    lever_slope: float = 0.0,
+    toward: FloatArray | None = None,
 ) -> RimFit | FitFailure:
     """Fit as `fit_rim`, from a given start and with an unknown that moves all points.
 
@@ -169,12 +172,20 @@ def refine_rim(
         Motion of the points, px, per unit of an unknown that is estimated beside the ellipse.
     lever_sigma : float
         Prior standard deviation of that unknown, about 0.
+    lever_slope : float
+        That of its change from the rim's centre to the rim, in each of two directions; 0: it is the same all
+        round.
+    toward : ndarray, shape (2,), optional
+        The one of these directions, px, in which the slope cannot be told from the rim's size: it is
+        uncertainty only.
     """
     if len(points) < options.min_points:
         return FitFailure.TOO_FEW_POINTS
+    still = np.zeros_like(points)
     ok, y, cov, of_outline, rms, kept, arc, outline = ellipse_kernel.fit(
-        points, sigma_ratio, np.zeros_like(points) if lever is None else lever, lever_sigma, start_px,
-        options.min_scatter_px, options.max_gap_rad, options.outline_share,
+        points, sigma_ratio, still if lever is None else lever, lever_sigma, lever_slope,
+        np.zeros(2) if toward is None else toward, start_px, options.min_scatter_px, options.max_gap_rad,
+        options.outline_share,
     )  # fmt: skip
     if not ok or np.sqrt(max(cov[2, 2], cov[4, 4])) > options.max_sigma_share:
         return FitFailure.NO_ELLIPSE

@@ -28,6 +28,10 @@ HARMONIC_SHARE = (1.0 / _ORDERS**2) / np.sum(0.5 / _ORDERS**2)
 # The outline's variance is told by few harmonics, partly seen: its inverse's mean is larger than its mean's.
 _OUTLINE_SPREAD = 1.4
 _MAX_OUTLINE = 0.15
+# Unknowns: 5 of the ellipse, the lever's, its slopes across and along the light, then harmonics.
+_LEVER, _ACROSS, _ALONG, _OUTLINE = 5, 6, 7, 8
+# Variance of an unknown that is held.
+_HELD = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
@@ -130,28 +134,35 @@ def signed_distance(px: float, py: float, y: FloatArray, n: FloatArray, w: Float
 
 
 @njit(cache=True, error_model="numpy")
-def _point_row(px: float, py: float, lever: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
-    """Distance as `signed_distance`; writes its derivative (m,) for chart, lever's unknown and outline, too.
+def _point_row(
+    px: float, py: float, lever: FloatArray, toward: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray
+) -> float:
+    """Distance as `signed_distance`; writes its derivative (m,) for chart, lever's unknowns and outline, too.
 
-    The outline deviates from the ellipse by harmonics of the angle in which that is a circle, as shares of
-    the radius: a share moves a tangent by as much of its distance from the centre.
+    The lever's unknown has slopes across `toward` and along it. The outline deviates from the ellipse by
+    harmonics of the angle in which that is a circle, as shares of the radius: a share moves a tangent by as
+    much of its distance from the centre.
     """
     d = signed_distance(px, py, y, n, w)
-    w[5] = -(n[0] * lever[0] + n[1] * lever[1])
-    if len(w) > 6:
-        x = px - y[0]
-        u, v = x / np.exp(y[2]), (py - y[1] - y[3] * x) / np.exp(y[4])
-        r = np.sqrt(u * u + v * v)
-        h = n[0] * x + n[1] * (py - y[1]) - d
-        c1, s1 = u / r, v / r
-        c, s = c1, s1
-        k = 1
-        for j in range(6, len(w), 2):
-            while k < FIRST_HARMONIC + (j - 6) // 2:
-                c, s = c * c1 - s * s1, s * c1 + c * s1
-                k += 1
-            w[j] = -h * c
-            w[j + 1] = -h * s
+    w[_LEVER] = -(n[0] * lever[0] + n[1] * lever[1])
+    ea, es = np.exp(y[2]), np.exp(y[4])
+    x = px - y[0]
+    u, v = x / ea, (py - y[1] - y[3] * x) / es
+    r = np.sqrt(u * u + v * v)
+    c1, s1 = u / r, v / r
+    tu, tv = toward[0] / ea, (toward[1] - y[3] * toward[0]) / es
+    t = np.sqrt(tu * tu + tv * tv) + 1e-300
+    w[_ACROSS] = w[_LEVER] * (c1 * tv - s1 * tu) / t
+    w[_ALONG] = w[_LEVER] * (c1 * tu + s1 * tv) / t
+    h = n[0] * x + n[1] * (py - y[1]) - d
+    c, s = c1, s1
+    k = 1
+    for j in range(_OUTLINE, len(w), 2):
+        while k < FIRST_HARMONIC + (j - _OUTLINE) // 2:
+            c, s = c * c1 - s * s1, s * c1 + c * s1
+            k += 1
+        w[j] = -h * c
+        w[j + 1] = -h * s
     return d
 
 
@@ -315,12 +326,12 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
     if not _factorised(ellipse, L):
         return 0.0
     left = 0.0
-    for j in range(6, m):
+    for j in range(_OUTLINE, m):
         column = _solved(L, N[j, :5])
         rest = N[j, j]
         for a in range(5):
             rest -= N[j, a] * column[a]
-        left += HARMONIC_SHARE[j - 6] * rest
+        left += HARMONIC_SHARE[j - _OUTLINE] * rest
     # What the errors' own mean square may be by chance is no outline.
     own *= count + 2.0 * np.sqrt(2.0 * count)
     return min(max(power - own, 0.0) / left, _MAX_OUTLINE**2)
@@ -328,17 +339,18 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
 
 @njit(cache=True, error_model="numpy")
 def fit(
-    points: FloatArray, ratio: FloatArray, lever: FloatArray, lever_sigma: float, start: FloatArray,
-    min_scatter: float, max_gap_rad: float, outline_share: float,
+    points: FloatArray, ratio: FloatArray, lever: FloatArray, lever_sigma: float, lever_slope: float,
+    toward: FloatArray, start: FloatArray, min_scatter: float, max_gap_rad: float, outline_share: float,
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray, float, int, float, float]:  # fmt: skip
     """Robust fit.
 
     Returns whether it converged, chart (5,), covariance (5, 5) and the part of it (5, 5) that is from the
-    outline, rms of the distances, points kept, arc share and the outline's rms deviation from the ellipse in
-    radii. `outline_share`, that expected, is corrected by what the points say; 0 leaves no room for any.
+    lever's slope and the outline, rms of the distances, points kept, arc share and the outline's rms
+    deviation from the ellipse in radii. `outline_share`, that expected, is corrected by what the points say;
+    0 leaves no room for any.
     """
     count = points.shape[0]
-    size_all = 6 + (len(HARMONIC_SHARE) if outline_share > 0.0 else 0)
+    size_all = _OUTLINE + (len(HARMONIC_SHARE) if outline_share > 0.0 else 0)
     y = start.copy()
     cov = np.zeros((5, 5))
     base = 1.0 / (ratio * ratio)
@@ -347,17 +359,20 @@ def fit(
     r, d = np.empty(count), np.empty(count)
     n = np.empty(2)
     rows = np.empty((count, size_all))
-    # The lever's unknown and the harmonics, and their prior variances.
+    # The unknowns beside the ellipse and their prior variances. A slope along the light does what a change of
+    # size does: it is an uncertainty, but what would be found of it were other errors.
     other = np.zeros(size_all)
-    prior = np.full(size_all, lever_sigma * lever_sigma)
+    prior = np.full(size_all, _HELD)
+    prior[_LEVER] = lever_sigma * lever_sigma
+    prior[_ACROSS] = max(lever_slope * lever_slope, _HELD)
     outline2 = outline_share * outline_share
     L = np.zeros((size_all, size_all))
     unit = np.zeros(size_all)
     sigma, length = 1.0, np.inf
     for iteration in range(30):
         for i in range(count):
-            d[i] = _point_row(points[i, 0], points[i, 1], lever[i], y, n, rows[i])
-            for j in range(5, size_all):
+            d[i] = _point_row(points[i, 0], points[i, 1], lever[i], toward, y, n, rows[i])
+            for j in range(_LEVER, size_all):
                 d[i] += rows[i, j] * other[j]
             r[i] = d[i] * np.sqrt(base[i])
         # With a scale that follows the points' order the weights can go round for ever.
@@ -371,15 +386,15 @@ def fit(
                 weight[i] = 1.0 / (1.0 + (r[i] / sigma) ** 2)
             elif iteration < _WEIGHT_ROUNDS:
                 weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
-        if size_all > 6 and iteration == _GENTLE_ROUNDS:
+        if size_all > _OUTLINE and iteration == _GENTLE_ROUNDS:
             outline2 += _outline_variance(rows, r, base, sigma)
-            for j in range(6, size_all):
-                prior[j] = outline2 * HARMONIC_SHARE[j - 6]
+            for j in range(_OUTLINE, size_all):
+                prior[j] = outline2 * HARMONIC_SHARE[j - _OUTLINE]
         # The outline's variance is known from here on.
-        used = 6 if iteration < _GENTLE_ROUNDS else size_all
+        used = _OUTLINE if iteration < _GENTLE_ROUNDS else size_all
         L = np.zeros((used, used))
         N, grad = _normal_equations(rows, used, d, base, weight)
-        for j in range(5, used):
+        for j in range(_LEVER, used):
             N[j, j] += sigma * sigma / prior[j]
             grad[j] += sigma * sigma / prior[j] * other[j]
         if not _factorised(N, L):
@@ -391,7 +406,7 @@ def fit(
         damp = min(1.0, 0.5 * size / (length + 1e-300))
         for a in range(5):
             y[a] += damp * step[a]
-        for j in range(5, used):
+        for j in range(_LEVER, used):
             other[j] += damp * step[j]
         if iteration > _GENTLE_ROUNDS and length < 1e-4:
             break
@@ -400,10 +415,15 @@ def fit(
         return False, y, cov, cov, 0.0, 0, 0.0, 0.0
     kept = 0
     psi2, slope, square, mass = 0.0, 0.0, 0.0, 0.0
+    level = points.copy()
     for i in range(count):
-        d[i] = _point_row(points[i, 0], points[i, 1], lever[i], y, n, rows[i]) + rows[i, 5] * other[5]
+        d[i] = _point_row(points[i, 0], points[i, 1], lever[i], toward, y, n, rows[i])
+        if rows[i, _LEVER] != 0.0:
+            moved = rows[i, _LEVER] * other[_LEVER] + rows[i, _ACROSS] * other[_ACROSS]
+            d[i] += moved
+            level[i] -= moved / rows[i, _LEVER] * lever[i]
         whole = d[i] * np.sqrt(base[i])
-        for j in range(6, size_all):
+        for j in range(_OUTLINE, size_all):
             d[i] += rows[i, j] * other[j]
         r[i] = d[i] * np.sqrt(base[i])
         t = r[i] / (_TUKEY * sigma)
@@ -420,7 +440,7 @@ def fit(
     # Covariance of an M-estimate: psi's mean square over its mean slope squared.
     sigma2 = psi2 * count / (slope * slope)
     fitted = 5.0
-    for j in range(6, size_all):
+    for j in range(_ACROSS, size_all):
         unit[:] = 0.0
         unit[j] = 1.0
         fitted += max(0.0, 1.0 - sigma2 * _solved(L, unit)[j] / prior[j])
@@ -429,13 +449,14 @@ def fit(
     sigma2 *= count / (count - fitted - _SCATTER) * (1.0 + fitted * _UNEVEN / count) ** 2
     sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
     N, _ = _normal_equations(rows, size_all, d, base, np.ones(count))
-    for j in range(5, size_all):
-        N[j, j] += sigma2 / (prior[j] * (_OUTLINE_SPREAD if j > 5 else 1.0))
+    prior[_ALONG] = prior[_ACROSS]
+    for j in range(_LEVER, size_all):
+        N[j, j] += sigma2 / (prior[j] * (_OUTLINE_SPREAD if j >= _OUTLINE else 1.0))
     C, noise = np.empty((5, 5)), np.empty((5, 5))
     if not (_inverse_block(N, C) and _inverse_block(np.ascontiguousarray(N[:6, :6]), noise)):
         return False, y, cov, cov, 0.0, kept, 0.0, 0.0
     arc = _covered(points, weight, y, max_gap_rad)
     # A hardly determined ellipse has no second-order expansion; it is refused by its covariance.
     if sigma2 * max(C[2, 2], C[4, 4]) < 0.06:
-        y = y - _second_order_bias(points - other[5] * lever, base, np.ones(count), y, noise, white2)
+        y = y - _second_order_bias(level, base, np.ones(count), y, noise, white2)
     return True, y, sigma2 * C, sigma2 * (C - noise), rms, kept, arc, np.sqrt(outline2)

@@ -196,6 +196,35 @@ def test_an_unknown_common_motion_of_the_points_is_estimated():
     assert np.hypot(*(given_lever.chart_px[:2] - truth)) < 0.08
 
 
+def test_a_slope_of_that_motion_is_in_the_covariance():
+    """Ground that is not evenly bright under a large rim: across the light its shape tells, along it none."""
+    rng = np.random.default_rng(12)
+    points, normals = rim(110.0, 100.0, 0.2, 120)
+    light = np.array([0.6, 0.8])
+    side = normals @ light
+    keep = np.abs(side) > 0.15
+    place = ((points - points.mean(axis=0)) / 105.0)[keep]
+    lever = 20.0 * (normals / side[:, None])[keep]
+    truth = chart_of(110.0, 100.0, 0.2, CAMERA)
+    start, ones = pixel_chart(truth, CAMERA), np.ones(len(lever))
+    blind, knowing, too_sure, honest = [], [], [], []
+    for _ in range(100):
+        slope = place @ rng.normal(0.0, 0.01, 2)
+        off = rng.normal(0.0, 0.08, (len(lever), 1))
+        moved = points[keep] + slope[:, None] * lever + normals[keep] * off
+        args = (moved, start, CAMERA, BARE, np.abs(1.0 / side[keep]), lever, 0.02)
+        for fit, errors, distances in (
+            (refine_rim(*args), blind, too_sure), (refine_rim(*args, 0.01, light), knowing, honest)
+        ):  # fmt: skip
+            assert isinstance(fit, RimFit)
+            error = fit.chart - truth
+            errors.append(error)
+            distances.append(error @ np.linalg.solve(fit.covariance, error) / 5.0)
+    assert np.mean(too_sure) > 3.0
+    assert 0.7 < np.mean(honest) < 1.3
+    assert np.std(knowing, axis=0)[3] < 0.7 * np.std(blind, axis=0)[3]
+
+
 def outlined(rng, rms, arc, last=20, fall=1.5):
     """Points of an ellipse whose radius has harmonics from 3 on; the fit expects another spectrum."""
     points, normals = rim(30.0, 24.0, 0.4, 90, arc)

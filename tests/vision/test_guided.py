@@ -231,9 +231,9 @@ def test_a_systematic_error_that_repeats_counts_as_often(view):
     """Fusing n frames of equal covariance S divides it by n: what repeats must survive that."""
     catalog, gTb, sun_g, image = view
     once, often = (
-        GuidedFrontEnd(scene.camera(), catalog, GuidedOptions(sightings=n, fit=FitOptions())).measure(
-            image, 0, gTb, scene.covariance(0.5), sun_g
-        )
+        GuidedFrontEnd(
+            scene.camera(), catalog, GuidedOptions(sightings=n, level_slope_px=0.0, fit=FitOptions())
+        ).measure(image, 0, gTb, scene.covariance(0.5), sun_g)
         for n in (1.0, 9.0)
     )
     assert np.array_equal(once.rims.chart, often.rims.chart)
