@@ -10,6 +10,8 @@ Brightness relative to level ground: (1 + gain slope) / sqrt(1 + slope^2), not b
 Lambertian surface in the plane of the cross-section.
 """
 
+from functools import cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -30,6 +32,7 @@ def slopes(rho: FloatArray) -> FloatArray:
     return _raw_slope(rho * crest)
 
 
+@cache
 def crossing_table() -> FloatArray:
     """Outward displacement of the crossing in radii, shape (len(BLUR), len(GAIN))."""
     step = 0.002
@@ -45,6 +48,7 @@ def crossing_table() -> FloatArray:
     # At zero gain the slope's square is all there is: take the mean of the neighbours.
     middle = len(GAIN) // 2
     table[:, middle] = 0.5 * (table[:, middle - 1] + table[:, middle + 1])
+    table.flags.writeable = False
     return table
 
 

@@ -148,23 +148,34 @@ def _back_through_lens(point: FloatArray, move: FloatArray, lens: FloatArray) ->
 
 
 @njit(cache=True, error_model="numpy")
+def rim_points(charts_px: FloatArray, angles: FloatArray) -> FloatArray:
+    """Points of rims (n, k, 6), see `rim_point`, at angles (k,)."""
+    points = np.empty((charts_px.shape[0], angles.shape[0], 6))
+    for r in range(charts_px.shape[0]):
+        for k in range(angles.shape[0]):
+            rim_point(charts_px[r], angles[k], points[r, k])
+    return points
+
+
+@njit(cache=True, error_model="numpy")
 def shift_score(
-    image: ImageArray, charts_px: FloatArray, gain_px: FloatArray, level: FloatArray, angles: FloatArray,
-    dx: float, dy: float, reach_share: float, reach_px: float, lens: FloatArray,
+    image: ImageArray, points: FloatArray, gain_px: FloatArray, level: FloatArray, dx: float, dy: float,
+    reach_share: float, reach_px: float, lens: FloatArray,
 ) -> float:  # fmt: skip
     """How well rims, all moved by (dx, dy) px of the camera without distortion, agree with the brightness.
 
-    The mean over rim points of the brightness step across the rim, signed and weighed by the shading
-    gain across it. `gain_px` (n, 2) is the gain's image per pixel of crater radius, `level` (n,) the
-    brightness of level ground; the step is taken reach_share radii, at least reach_px, to both sides.
+    The mean over the rims' `points` (n, k, 6) of the brightness step across the rim, signed and weighed by
+    the shading gain across it. `gain_px` (n, 2) is the gain's image per pixel of crater radius, `level` (n,)
+    the brightness of level ground; the step is taken reach_share radii, at least reach_px, to both sides.
     `lens` is `Camera.lens`, for the image's pixels.
     """
     total, mass = 0.0, 0.0
     q = np.empty(6)
     bent = distorts(lens)
-    for r in range(charts_px.shape[0]):
-        for k in range(angles.shape[0]):
-            rim_point(charts_px[r], angles[k], q)
+    for r in range(points.shape[0]):
+        for k in range(points.shape[1]):
+            for j in range(6):
+                q[j] = points[r, k, j]
             sign = -(gain_px[r, 0] * q[2] + gain_px[r, 1] * q[3]) / q[4]
             q[0] += dx
             q[1] += dy
@@ -187,13 +198,14 @@ def search_shift(
     start: FloatArray, radius: float, step: float, reach_share: float, reach_px: float, lens: FloatArray,
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Best common shift (2,) on a square grid about `start`, and its score (see `shift_score`)."""
+    points = rim_points(charts_px, angles)
     best = start.copy()
     top = -np.inf
     n = int(np.ceil(radius / step))
     for i in range(-n, n + 1):
         for j in range(-n, n + 1):
             dx, dy = start[0] + i * step, start[1] + j * step
-            score = shift_score(image, charts_px, gain_px, level, angles, dx, dy, reach_share, reach_px, lens)
+            score = shift_score(image, points, gain_px, level, dx, dy, reach_share, reach_px, lens)
             if score > top:
                 top = score
                 best[0] = dx

@@ -10,6 +10,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # The scatter of fewer rims about one pose says little about their covariances.
 _MIN_RIMS = 6
+# Weights that change by less are right.
+_SETTLED = 1e-3
 
 
 def squared_distance(residual: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -37,13 +39,16 @@ def corrected_pose(
     H, residual = white[..., :6], white[..., 6]
     each = np.swapaxes(H, 1, 2) @ H
     pull = np.einsum("nij,ni->nj", H, residual)
-    delta = np.zeros(6)
+    delta, last = np.zeros(6), np.zeros(len(H))
     for _ in range(12):
         off2 = np.mean((residual - H @ delta) ** 2, axis=1)
         # Redescending (Geman-McClure), from the median outwards: what fits nothing pulls nothing.
         weight = 1.0 / (1.0 + off2 / max(1.0, 2.0 * float(np.median(off2)))) ** 2
         N = information + np.einsum("n,nij->ij", weight, each)
         delta = np.linalg.solve(N, weight @ pull - information @ moved)
+        if np.max(np.abs(weight - last)) < _SETTLED:
+            break
+        last = weight
     out = pose.copy()
     out[:3, :3] = pose[:3, :3] @ frames.rotation_exp(delta[:3])
     out[:3, 3] = pose[:3, 3] + pose[:3, :3] @ delta[3:]

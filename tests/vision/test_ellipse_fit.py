@@ -206,7 +206,7 @@ def test_a_slope_of_that_motion_is_in_the_covariance():
     place = ((points - points.mean(axis=0)) / 105.0)[keep]
     lever = 20.0 * (normals / side[:, None])[keep]
     truth = chart_of(110.0, 100.0, 0.2, CAMERA)
-    start, ones = pixel_chart(truth, CAMERA), np.ones(len(lever))
+    start = pixel_chart(truth, CAMERA)
     blind, knowing, too_sure, honest = [], [], [], []
     for _ in range(100):
         slope = place @ rng.normal(0.0, 0.01, 2)
