@@ -6,7 +6,6 @@ cratered image from noise. Those that agree are traced and fitted as if they had
 """
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -156,26 +155,42 @@ def find_rims(
     ValueError
         When the array is no image.
     EstimationError
-        When the image's craters are clearly lit from elsewhere than `light_rad`.
+        When the image's craters are clearly lit from elsewhere than `light_rad`, and have the better rims
+        under that light.
     """
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
     largest = options.max_radius_share * min(pixels.shape)
     places = find_places(everywhere, options.min_radius_px, largest, options.min_correlation)
     places = distinct(places, options.max_places)
-    least = options.min_quality
-    light = float("nan") if light_rad is None else float(light_rad)
-    if len(places) > 0:
-        light, certain = agreed_light(places, light_rad)
-        if not certain and len(places) >= _MIN_VOTES:
-            places = places.take(np.zeros(0, dtype=np.int64))
-        least = options.min_quality if certain else max(options.lone_quality, options.min_quality)
-        places = places.take(lit_from(places, light, options.max_light_deviation_rad))
     if len(places) == 0:
         return gather([], [], [], light_rad if light_rad is not None else float("nan"))
+    noise = edges.noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
+    try:
+        light, certain = agreed_light(places, light_rad)
+    except EstimationError:
+        # Places are no rims yet: those within one large shadow agree, too, and have none.
+        assert light_rad is not None
+        given = _found(pixels, places, float(light_rad), False, noise, options)
+        other = _found(pixels, places, common_light(places)[0], True, noise, options)
+        if given.quality.sum() < other.quality.sum():
+            raise
+        return given
+    if not certain and len(places) >= _MIN_VOTES:
+        places = places.take(np.zeros(0, dtype=np.int64))
+    return _found(pixels, places, light, certain, noise, options)
+
+
+def _found(
+    pixels: ImageArray, places: Places, light_rad: float, certain: bool, noise: float, options: BlindOptions
+) -> FoundRims:
+    """Rims at those places that seem to be lit from about a direction."""
+    least = options.min_quality if certain else max(options.lone_quality, options.min_quality)
+    places = places.take(lit_from(places, light_rad, options.max_light_deviation_rad))
+    if len(places) == 0:
+        return gather([], [], [], light_rad)
     lights = local_light(places, _LIGHT_REACH * max(pixels.shape))
     gain = _GAIN_FACTOR * float(np.median(places.gain[:_GAIN_PLACES]))
-    noise = edges.noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
     camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
     fits: list[RimFit] = []
     quality: list[float] = []
@@ -186,7 +201,7 @@ def find_rims(
             fits.append(fit[0])
             quality.append(fit[1])
             at_rims.append(float(lights[k]))
-    return gather(fits, quality, at_rims, light)
+    return gather(fits, quality, at_rims, light_rad)
 
 
 def agreed_light(places: Places, light_rad: float | None) -> tuple[float, bool]:
@@ -251,11 +266,6 @@ def ellipse_parameters(charts_px: FloatArray) -> FloatArray:
     return np.column_stack([charts_px[:, :2], major, minor, angle])
 
 
-@lru_cache(maxsize=1)
-def _crossings() -> FloatArray:
-    return crest.crossing_table()
-
-
 def _trace(
     image: ImageArray,
     places: Places,
@@ -284,7 +294,7 @@ def _trace(
         points, ratio, lever, tried, _ = edges.trace_rim(
             image, chart, gain * direction / np.hypot(u, v), level, reach_px + reach_share * size, *_SMOOTH,
             options.psf_px, _MIN_GAIN, _MIN_STEP, _STEP_SIGMAS * np.sqrt(2.0) * noise / level, count,
-            _crossings(), crest.BLUR, crest.GAIN, camera.lens,
+            crest.crossing_table(), crest.BLUR, crest.GAIN, camera.lens,
         )  # fmt: skip
         if tried < _MIN_TRIED * count or len(points) < _MIN_FOUND * tried:
             return None

@@ -13,6 +13,9 @@ from craternav_fg.vision.edges import noise_level
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
+# An image has at least so many blocks along a side; fewer in all tell no quadratic.
+_BLOCKS, _MIN_BLOCKS = 6, 24
+
 
 def lunar_lambert_share(phase_rad: FloatArray) -> FloatArray:
     """Share L of the Lommel-Seeliger term at a phase angle, McEwen's cubic."""
@@ -90,7 +93,8 @@ class LevelMap:
     """Ratio of an image's brightness to the Lunar-Lambert law's on level ground, smooth over the image.
 
     A quadratic in the image coordinates through the medians of blocks, under a redescending loss:
-    exposure, albedo and what the law misses of the phase angle.
+    exposure, albedo and what the law misses of the phase angle. Where few blocks show lit ground it is the
+    same all over.
 
     Parameters
     ----------
@@ -103,7 +107,7 @@ class LevelMap:
     sun_g : ndarray, shape (3,)
         Unit vector towards the sun in g.
     block_px : int
-        Side of the blocks.
+        Side of the blocks, at most: small images have smaller ones.
 
     Attributes
     ----------
@@ -122,6 +126,7 @@ class LevelMap:
     ) -> None:
         self.noise = noise_level(image)
         gTc = camera.gTc(gTb)
+        block_px = min(block_px, max(2 * (min(image.shape) // (2 * _BLOCKS)), 2))
         rows, columns = image.shape[0] // block_px, image.shape[1] // block_px
         blocks = image[: rows * block_px : 2, : columns * block_px : 2]
         side = block_px // 2
@@ -140,8 +145,11 @@ class LevelMap:
         brightness, _ = level_ground(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
         keep = hit & (brightness > 0.02) & (median < 250.0)
         self._coefficients = np.zeros(6)
-        if np.count_nonzero(keep) >= 24:
-            self._coefficients = _robust_quadratic(_powers(points[keep]), median[keep] / brightness[keep])
+        ratio = median[keep] / brightness[keep]
+        if len(ratio) >= _MIN_BLOCKS:
+            self._coefficients = _robust_quadratic(_powers(points[keep]), ratio)
+        elif len(ratio) > 0:
+            self._coefficients[0] = np.median(ratio)
 
     def ratio(self, points: FloatArray) -> FloatArray:
         """Ratio (n,) at normalised image coordinates (n, 2); 0 where the image has no lit ground."""

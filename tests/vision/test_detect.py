@@ -11,6 +11,8 @@ from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.matching import match
 from craternav_fg.reproduce.empty_images import gradient_images, noise_images
+from craternav_fg.reproduce.rim_images import draw_view, photograph
+from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
@@ -256,3 +258,13 @@ def test_real_images(name, crop, drawn):
     for x, y, a, b in drawn:
         off = np.abs(rims.ellipses_px[:, :4] - [x, y, a, b]).max(axis=1)
         assert off.min() < 1.0 + 0.06 * a
+
+
+def test_places_in_one_large_shadow_do_not_outvote_the_light():
+    """A window with one crater of 240 px, half of it in its shadow: small places there agree on the reverse."""
+    rng = np.random.default_rng([12, 77])
+    view = draw_view(rng, 10e3, int(rng.integers(2**31)))
+    one, _ = photograph(view, rng, TerrainOptions(cells=1024))
+    rims = find_rims(one.image, one.light_rad)
+    assert len(rims) > 0
+    assert rims.light_rad == one.light_rad

@@ -294,3 +294,23 @@ def test_a_soft_lens_is_corrected_by_the_width_it_is_said_to_have():
         bias[said_px] = np.mean(minor - scene.semi_axes_px(scene.true_charts(catalog, gTb, rims.craters))[2])
     assert abs(bias[1.8]) < 0.6 * abs(bias[0.7])
     assert abs(bias[1.8]) < 0.2
+
+
+@pytest.mark.parametrize("half_px", [40, 70])
+def test_small_images_have_a_level_of_their_own(view, half_px):
+    catalog, gTb, sun_g, image = view
+    whole = scene.camera()
+    rims = GuidedFrontEnd(whole, catalog, SINGLE).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
+    centre_px = rims.chart[:, :2] * whole.fx_px + [whole.cx_px, whole.cy_px]
+    inside = np.all((centre_px > half_px) & (centre_px < len(image) - half_px), axis=1)
+    _, major, _ = scene.semi_axes_px(rims.chart)
+    k = int(np.flatnonzero(inside & (major < 0.6 * half_px))[0])
+    x, y = np.rint(centre_px[k]).astype(int) - half_px
+    window = np.ascontiguousarray(image[y : y + 2 * half_px, x : x + 2 * half_px])
+    camera = replace(
+        whole, width_px=2 * half_px, height_px=2 * half_px, cx_px=whole.cx_px - x, cy_px=whole.cy_px - y
+    )
+    part = GuidedFrontEnd(camera, catalog, SINGLE).measure(window, 0, gTb, scene.covariance(0.5), sun_g).rims
+    found = np.flatnonzero(part.craters == rims.craters[k])
+    assert len(found) == 1
+    np.testing.assert_allclose(part.chart[found[0], :2], rims.chart[k, :2], atol=0.3 / whole.fx_px)
