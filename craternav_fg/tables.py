@@ -170,7 +170,7 @@ def write_table(path: Path, columns: Sequence[Column], data: Sequence[Any], *, c
     texts = []
     for column, values in zip(columns, data, strict=True):
         if column.kind == "number":
-            texts.append([repr(float(v)) for v in values])
+            texts.append(list(map(repr, np.asarray(values, dtype=np.float64).tolist())))
         elif column.kind == "integer":
             texts.append([str(int(v)) for v in values])
         else:
