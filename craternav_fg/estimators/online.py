@@ -1,5 +1,6 @@
 """The online smoother: iSAM2, frame by frame."""
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -201,12 +202,13 @@ class OnlineSession:
         factors = tree.getFactorsUnsafe()
         graph = FactorGraph()
         kept, drop = [], []
-        for one in self._intervals:
-            if not tree.valueExists(X(one.number)):
-                continue
-            ends = [tree.calculateEstimatePose3(X(i)).translation() for i in (one.number, one.number + 1)]
-            midpoint = 0.5 * (ends[0] + ends[1])
-            if np.linalg.norm(midpoint - one.midpoint) < MIDPOINT_TOLERANCE_M:
+        there = [one for one in self._intervals if tree.valueExists(X(one.number))]
+        # Neighbouring intervals share a state.
+        numbers = {number for one in there for number in (one.number, one.number + 1)}
+        positions = {number: tree.calculateEstimatePose3(X(number)).translation() for number in numbers}
+        for one in there:
+            midpoint = 0.5 * (positions[one.number] + positions[one.number + 1])
+            if math.dist(midpoint, one.midpoint) < MIDPOINT_TOLERANCE_M:
                 kept.append(one)
                 continue
             graph.push_back(factors.at(one.slot))
