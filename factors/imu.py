@@ -157,8 +157,9 @@ def integrate(
     pim = gtsam.PreintegratedCombinedMeasurements(params, gtsam.imuBias.ConstantBias(b[3:], b[:3]))
     # A row's force is the mean along turning axes; GTSAM takes it along the axes at the row's beginning.
     f = f + 0.5 * np.cross((w - b[:3]) * dt[:, None], f - b[3:])
-    for k in range(m):
-        pim.integrateMeasurement(f[k], w[k], dt[k])
+    step = pim.integrateMeasurement
+    for force, rate, dt_k in zip(f, w, dt.tolist(), strict=True):
+        step(force, rate, dt_k)
     return pim
 
 
