@@ -261,7 +261,7 @@ def test_real_images(name, crop, drawn):
 
 
 def test_places_in_one_large_shadow_do_not_outvote_the_light():
-    """A window with one crater of 240 px, half of it in its shadow: small places there agree on the reverse."""
+    """A window with one crater of 240 px, half in its shadow: small places there agree on the reverse."""
     rng = np.random.default_rng([12, 77])
     view = draw_view(rng, 10e3, int(rng.integers(2**31)))
     one, _ = photograph(view, rng, TerrainOptions(cells=1024))
