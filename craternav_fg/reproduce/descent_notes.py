@@ -80,5 +80,7 @@ def trials_note(trials: Descents) -> str:
         "crater's "
         "centre, by pixels when the crater is large in the image, and the same in every frame; and they "
         "leave "
-        "out size and shape, which tell the range."
+        f"out size and shape, which tell the range. {ended[CENTRES]} of {count} trials by centres end within "
+        "200 m and 1 deg: the others' errors are those of the measurement and not of the optimiser, which "
+        "in two trials begun at the truth as well, one of them ending at 307 m, came to the same optimum."
     )
