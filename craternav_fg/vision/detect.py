@@ -5,7 +5,7 @@ cratered image from noise. Those that agree are traced and fitted as if they had
 `edges` and `ellipse_fit`), from circles, and judged by what the fit says of them.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -282,6 +282,7 @@ def _trace(
     direction = np.array([np.cos(light_rad), np.sin(light_rad)])
     fit: RimFit | FitFailure = FitFailure.NO_ELLIPSE
     tried = 0
+    ellipse = replace(options.fit, outline_share=0.0)
     for reach_px, reach_share in _REACHES:
         size = float(np.exp(0.5 * (chart[2] + chart[4])))
         level = ring_level(image, chart)
@@ -298,18 +299,22 @@ def _trace(
         )  # fmt: skip
         if tried < _MIN_TRIED * count or len(points) < _MIN_FOUND * tried:
             return None
-        fit = refine_rim(points, chart, camera, options.fit, ratio, lever, _LEVEL_SIGMA)
+        fit = refine_rim(points, chart, camera, ellipse, ratio, lever, _LEVEL_SIGMA)
         if isinstance(fit, FitFailure):
             return None
         chart = fit.chart_px
     assert isinstance(fit, RimFit)
+    # The quality is that of an ellipse, the outline would explain other edges away.
+    outlined = refine_rim(points, chart, camera, options.fit, ratio, lever, _LEVEL_SIGMA)
+    if isinstance(outlined, FitFailure):
+        return None
     minor = float(ellipse_parameters(chart[None])[0, 3])
     moved = float(np.hypot(*(chart[:2] - places.xy_px[k])))
     if minor < 0.5 * radius or moved > _MAX_MOVE * radius:
         return None
     scatter = max(fit.rms_px / minor, _LEAST_SCATTER)
     evidence = np.array([places.correlation[k], fit.point_count / tried, scatter, fit.arc_share])
-    return fit, float(1.0 / (1.0 + np.exp(-(_WEIGHTS @ evidence + _OFFSET))))
+    return outlined, float(1.0 / (1.0 + np.exp(-(_WEIGHTS @ evidence + _OFFSET))))
 
 
 def ring_level(image: ImageArray, chart_px: FloatArray) -> float:
