@@ -3,7 +3,10 @@
 import resource
 import sys
 import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +33,15 @@ def render_costs() -> dict[str, float]:
     dict of str to float
         `render_s`: mean seconds a frame with one sample a pixel, grids included, over all altitudes;
         `render_2x2_s`: the same with four; `render_altitude_ratio`: the dearest altitude's frames over the
-        cheapest's, both with one sample; `render_peak_mb`: most memory that the process has held so far.
+        cheapest's, both with one sample; `render_peak_mb`: most memory that the process held that did this
+        and nothing else.
     """
+    # What this process has held before is no matter of the renderer's.
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+        return alone.submit(_costs, ALTITUDES_M, FRAMES).result()
+
+
+def _costs(altitudes_m: Sequence[float], count: int) -> dict[str, float]:
     scenario = load_scenario("lunar_descent")
     body, camera = scenario.body.body(), scenario.camera.camera()
     trajectory = scenario.trajectory
@@ -43,7 +53,7 @@ def render_costs() -> dict[str, float]:
     looking = np.stack([enu[:, 0], -enu[:, 1], -enu[:, 2]], axis=-1) @ camera.bTc[:3, :3].T
     relief = Relief(body, enu[:, 2], ReliefOptions())
     options = CraterFieldOptions(focal_px=camera.focal_px)
-    track = (body.radius_m + np.geomspace(ALTITUDES_M[0], ALTITUDES_M[-1], 60))[:, None] * enu[:, 2]
+    track = (body.radius_m + np.geomspace(altitudes_m[0], altitudes_m[-1], 60))[:, None] * enu[:, 2]
     rng = np.random.default_rng(0)
     catalog = random_craters(rng, body, track, options, relief)
     clutter = random_clutter(rng, body, track, options, catalog)
@@ -54,7 +64,7 @@ def render_costs() -> dict[str, float]:
         # Compiles.
         renderer.render(frames.pose(looking, track[0]), sun, rng)
         seconds[samples] = [
-            _frame_s(renderer, looking, enu, altitude_m, sun, rng) for altitude_m in ALTITUDES_M
+            _frame_s(renderer, looking, enu, altitude_m, sun, rng, count) for altitude_m in altitudes_m
         ]
     return {
         "render_s": float(np.mean(seconds[1])),
@@ -71,14 +81,15 @@ def _frame_s(
     altitude_m: float,
     sun: FloatArray,
     rng: np.random.Generator,
+    count: int,
 ) -> float:
     """Mean seconds a frame of a level flight."""
     began = time.perf_counter()
-    for k in range(FRAMES):
+    for k in range(count):
         offset = 0.1 * k * altitude_m * enu[:, 0]
         position = (renderer.terrain.body.radius_m + altitude_m) * enu[:, 2] + offset
         renderer.render(frames.pose(looking, position), sun, rng)
-    return (time.perf_counter() - began) / FRAMES
+    return (time.perf_counter() - began) / count
 
 
 def _peak_mb() -> float:
