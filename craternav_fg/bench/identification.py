@@ -26,8 +26,6 @@ _DIAMETERS_KM = np.array([3.9, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.
 _LARGER = np.array([21433.0, 14477.0, 10855.0, 7164.0, 5150.0, 2604.0, 1504.0, 695.0, 249.0, 11.0, 0.5])
 # Median and spread of ln(a / b), as of that catalogue.
 _FLATTENING, _FLATTENING_SPREAD = 0.0725, 0.79
-# Slope of the number larger than a diameter below 4 km (Robbins 2018: 1.3 million of 1 km and more).
-_SMALL_SLOPE = 2.0
 
 
 @dataclass(frozen=True)
@@ -209,33 +207,15 @@ def synthetic_catalog(body: Body, rng: np.random.Generator, *, count: int = 21_4
     diameter_km = np.exp(
         np.interp(np.log(share), np.log(_LARGER / _LARGER[0])[::-1], np.log(_DIAMETERS_KM)[::-1])
     )
-    return _scattered(body, rng, diameter_km, "S")
+    return _scattered(body, rng, diameter_km)
 
 
-def with_small_craters(catalog: Catalog, count: int, rng: np.random.Generator) -> Catalog:
-    """Add scattered craters of 1 to 4 km, of cumulative slope 2, to a catalogue, up to a number of all."""
-    share = rng.random(count - len(catalog))
-    far = 4.0**-_SMALL_SLOPE
-    diameter_km = (far + share * (1.0 - far)) ** (-1.0 / _SMALL_SLOPE)
-    small = _scattered(catalog.body, rng, diameter_km, "small-")
-    return Catalog(
-        catalog.identifiers + small.identifiers,
-        np.concatenate([catalog.latitude_rad, small.latitude_rad]),
-        np.concatenate([catalog.longitude_rad, small.longitude_rad]),
-        np.concatenate([catalog.semi_major_m, small.semi_major_m]),
-        np.concatenate([catalog.semi_minor_m, small.semi_minor_m]),
-        np.concatenate([catalog.angle_rad, small.angle_rad]),
-        np.concatenate([catalog.height_m, small.height_m]),
-        catalog.body,
-    )
-
-
-def _scattered(body: Body, rng: np.random.Generator, diameter_km: FloatArray, prefix: str) -> Catalog:
+def _scattered(body: Body, rng: np.random.Generator, diameter_km: FloatArray) -> Catalog:
     n = len(diameter_km)
     flattening = np.minimum(_FLATTENING * np.exp(_FLATTENING_SPREAD * rng.normal(size=n)), 0.6)
     mean_m = 500.0 * diameter_km
     return Catalog(
-        tuple(f"{prefix}{k}" for k in range(n)),
+        tuple(f"S{k}" for k in range(n)),
         np.arcsin(rng.uniform(-1.0, 1.0, n)),
         rng.uniform(-np.pi, np.pi, n),
         mean_m * np.exp(0.5 * flattening),

@@ -1,22 +1,13 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from craternav_fg.body import Body
 from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
 from craternav_fg.errors import InputError
+from tests.shared_data import shared
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 MOON = Body("Moon", 1737400.0, 4.902800118e12, (0.0, 0.0, 2.6616995e-6))
 HEADER = "CRATER_ID,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_ELLI_MAJOR_IMG,DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG"
-
-
-def shared(name):
-    path = SHARED / name
-    if not path.is_file():
-        pytest.skip(f"{path} is missing")
-    return path
 
 
 def written(tmp_path, *rows, header=HEADER):

@@ -10,7 +10,8 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
 from tests.catalogs.population import power_law_population
-from tests.catalogs.test_files import MOON, shared
+from tests.catalogs.test_files import MOON
+from tests.shared_data import shared
 
 COUNT = 1_300_000
 

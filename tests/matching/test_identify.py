@@ -1,7 +1,6 @@
 """Identification with no prior position: right answers, no wrong ones, and none where there is none."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify import IdentifyOptions, KnownAttitude, Status, identify
 from craternav_fg.matching.identify_index import Index
 from factors.kernels.gauss_newton import screw_between
-
-REAL = Path("/work/shared/data/robbins_2018_subset.csv")
+from tests.shared_data import shared
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +32,7 @@ def synthetic() -> Index:
 def index(request: pytest.FixtureRequest, synthetic: Index) -> Index:
     if request.param == "synthetic":
         return synthetic
-    if not REAL.is_file():
-        pytest.skip(f"{REAL} is missing")
-    return Index.build(import_catalog(REAL, MOON)[0])
+    return Index.build(import_catalog(shared("robbins_2018_subset.csv"), MOON)[0])
 
 
 def tracker(scene, rng, sigma_deg=1.5) -> KnownAttitude:

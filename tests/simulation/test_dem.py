@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,10 +12,10 @@ from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+from tests.shared_data import shared
 from tests.simulation import scene
 
 rasterio = pytest.importorskip("rasterio")
-MOON_DEM = Path(__file__).parents[3] / "shared/data/moon_dem.tif"
 MOON = "+proj=longlat +R=1737400 +no_defs"
 GLOBE = (-180.0, 90.0, 0.5, 0.5)
 ROWS = np.radians(90.0 - 0.5 * (np.arange(360) + 0.5))
@@ -143,10 +141,9 @@ def test_a_scenario_with_a_model(globe, tmp_path):
     assert not (tmp_path / "below").exists()
 
 
-@pytest.mark.skipif(not MOON_DEM.exists(), reason=f"{MOON_DEM} is missing")
 def test_the_moon():
     """South Pole-Aitken is deep, the highlands of the far side are high."""
-    dem = read_dem(MOON_DEM, 0.5)
+    dem = read_dem(shared("moon_dem.tif"), 0.5)
     deep, high = dem.heights_m(frames.up(np.radians([-53.0, 5.0]), np.radians([-169.0, -158.0])))
     assert deep < -3000.0
     assert high > 3000.0

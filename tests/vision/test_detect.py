@@ -1,7 +1,5 @@
 """Rims in images without any prior: rendered ground, noise, damaged and unusual images, real ones."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,8 +14,8 @@ from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
+from tests.shared_data import shared
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny])
 
 
@@ -222,13 +220,6 @@ def test_brightness_keeps_plain_bytes_and_tells_saturation():
     assert out[10:].max() < 250.0
 
 
-def shared(name):
-    path = SHARED / name
-    if not path.is_file():
-        pytest.skip(f"{path} is missing")
-    return read_foreign_image(path)
-
-
 @pytest.mark.parametrize(
     ("name", "crop", "drawn"),
     [
@@ -252,7 +243,7 @@ def shared(name):
     ],
 )
 def test_real_images(name, crop, drawn):
-    rims = find_rims(shared(name)[crop], options=BlindOptions(min_radius_px=4.0))
+    rims = find_rims(read_foreign_image(shared(name))[crop], options=BlindOptions(min_radius_px=4.0))
     # Every one was looked at: few, and all of them craters.
     assert len(drawn) <= len(rims) <= 15
     for x, y, a, b in drawn:
