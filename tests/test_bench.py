@@ -147,7 +147,10 @@ def test_a_figure_of_no_known_kind_is_refused_before_anything_is_measured(tmp_pa
 def test_what_an_image_costs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
     monkeypatch.setattr(images, "FRAMES", 1)
+    # More than the limit below: what this process has held must not count.
+    ballast = np.ones(250_000_000)
     costs = images.render_costs()
+    assert ballast.nbytes > 1500e6
     assert set(costs) == {"render_s", "render_2x2_s", "render_altitude_ratio", "render_peak_mb"}
     assert costs["render_2x2_s"] > costs["render_s"] > 0.0
     assert costs["render_altitude_ratio"] >= 1.0
