@@ -85,21 +85,27 @@ class Catalog:
         l2 = -sin * enu[:, :, 0] + cos * enu[:, :, 1]
         return np.stack([l1, l2, enu[:, :, 2]], axis=-1)
 
-    @cached_property
+    @property
     def centres(self) -> FloatArray:
         """Rim centres gL (n, 3) in g, m."""
-        return (self.body.radius_m + self.height_m)[:, None] * self.gRl[:, :, 2]
+        return self._geometry[0]
 
-    @cached_property
+    @property
     def axes(self) -> FloatArray:
         """Semi-axes a l1 and b l2 in g, shape (n, 2, 3), m."""
-        sizes = np.stack([self.semi_major_m, self.semi_minor_m], axis=-1)
-        return np.ascontiguousarray(sizes[:, :, None] * np.swapaxes(self.gRl[:, :, :2], 1, 2))
+        return self._geometry[1]
 
-    @cached_property
+    @property
     def normals(self) -> FloatArray:
         """Outward unit normals (n, 3) of the rim planes in g."""
-        return np.ascontiguousarray(self.gRl[:, :, 2])
+        return self._geometry[2]
+
+    @cached_property
+    def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return _rims(
+            self.latitude_rad, self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad,
+            self.height_m, self.body.radius_m,
+        )  # fmt: skip
 
     @cached_property
     def index(self) -> SphereIndex:
@@ -133,10 +139,18 @@ class Catalog:
         """
         place = frames.up(np.array(latitude_rad), np.array(longitude_rad))
         rows = self.index.near(place, distance_m / self.body.radius_m, 0.5 * min_diameter_m)
-        away = frames.up(self.latitude_rad[rows], self.longitude_rad[rows]) - place
-        angle = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(away, axis=-1), 1.0))
-        nearest = np.argsort(angle, kind="stable")
-        return rows[nearest], self.body.radius_m * angle[nearest]
+        away_m = self._along_sphere_m(frames.up(self.latitude_rad[rows], self.longitude_rad[rows]), place)
+        nearest = np.argsort(away_m, kind="stable")
+        return rows[nearest], away_m[nearest]
+
+    def distance_m(self, rows: IntArray, others: IntArray) -> FloatArray:
+        """Distances (k,) of rims' centres from those of others, along the reference sphere."""
+        one, other = (frames.up(self.latitude_rad[k], self.longitude_rad[k]) for k in (rows, others))
+        return self._along_sphere_m(one, other)
+
+    def _along_sphere_m(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        chord = np.linalg.norm(one - other, axis=-1)
+        return np.asarray(2.0 * self.body.radius_m * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 
     def visible(
         self,
@@ -201,6 +215,41 @@ class Catalog:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _rims(
+    latitude: FloatArray, longitude: FloatArray, semi_major: FloatArray, semi_minor: FloatArray,
+    angle: FloatArray, height: FloatArray, radius_m: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Centres (n, 3), semi-axes (n, 2, 3) and normals (n, 3): a million of them in a fifth of a second."""
+    n = latitude.shape[0]
+    centres, axes, normals = np.empty((n, 3)), np.empty((n, 2, 3)), np.empty((n, 3))
+    for i in range(n):
+        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], normals[i], axes[i])
+        for k in range(3):
+            centres[i, k] = (radius_m + height[i]) * normals[i, k]
+    return centres, axes, normals
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(
+    latitude: float, longitude: float, semi_major: float, semi_minor: float, angle: float,
+    normal: FloatArray, axes: FloatArray,
+) -> None:  # fmt: skip
+    """Write a rim's normal (3,) and semi-axes (2, 3) in g."""
+    sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
+    sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
+    normal[0], normal[1], normal[2] = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
+    sin, cos = np.sin(angle), np.cos(angle)
+    # Along a and b, in east and north.
+    for j, east, north in (
+        (0, semi_major * cos, semi_major * sin),
+        (1, -semi_minor * sin, semi_minor * cos),
+    ):
+        axes[j, 0] = -sin_lon * east - sin_lat * cos_lon * north
+        axes[j, 1] = cos_lon * east - sin_lat * sin_lon * north
+        axes[j, 2] = cos_lat * north
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _images(
     gTb: FloatArray, bTc: FloatArray, rows: IntArray, latitude: FloatArray, longitude: FloatArray,
     semi_major: FloatArray, semi_minor: FloatArray, angle: FloatArray, height: FloatArray, radius_m: float,
@@ -214,17 +263,8 @@ def _images(
     p, c = np.empty(3), np.empty((2, 3))
     for k in range(rows.shape[0]):
         i = rows[k]
-        sin_lat, cos_lat = np.sin(latitude[i]), np.cos(latitude[i])
-        sin_lon, cos_lon = np.sin(longitude[i]), np.cos(longitude[i])
-        r = radius_m + height[i]
-        centre[0], centre[1], centre[2] = r * cos_lat * cos_lon, r * cos_lat * sin_lon, r * sin_lat
-        # Along a and b, in east and north.
-        e0, n0 = semi_major[i] * np.cos(angle[i]), semi_major[i] * np.sin(angle[i])
-        e1, n1 = -semi_minor[i] * np.sin(angle[i]), semi_minor[i] * np.cos(angle[i])
-        for j, east, north in ((0, e0, n0), (1, e1, n1)):
-            axes[j, 0] = -sin_lon * east - sin_lat * cos_lon * north
-            axes[j, 1] = cos_lon * east - sin_lat * sin_lon * north
-            axes[j, 2] = cos_lat * north
+        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], centre, axes)
+        centre *= radius_m + height[i]
         conic.rim_in_camera(R, P, centre, axes, p, c)
         if not conic.chart(p, c, charts[k]):
             continue

@@ -15,7 +15,7 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+
 
 # A band holds about so many times as many craters as its octave has bands.
 _BAND_SPACINGS = 2.0
@@ -122,7 +122,7 @@ class SphereIndex:
         )  # fmt: skip
         return self.order[found]
 
-    def overlaps(self, alike: float) -> tuple[BoolArray, IntArray]:
+    def overlaps(self, alike: float) -> tuple[IntArray, IntArray]:
         """How craters meet each other, the rims taken for circles.
 
         Parameters
@@ -133,18 +133,16 @@ class SphereIndex:
 
         Returns
         -------
-        crossed : ndarray of bool, shape (n,)
-            Rows of the catalogue whose rim crosses another's.
+        crossings : ndarray of int, shape (m, 2)
+            Pairs of rows of the catalogue whose rims cross, the larger first.
         twins : ndarray of int, shape (k, 2)
             Pairs of rows that are taken for one crater, the larger first.
         """
-        crossed, twins = _overlaps(
+        crossings, twins = _overlaps(
             float(alike), self.longitude_rad, self.directions, self.size_m, self.range_m, self.firsts,
             self.starts, self.limits_m,
         )  # fmt: skip
-        out = np.empty_like(crossed)
-        out[self.order] = crossed
-        return out, self.order[twins]
+        return self.order[crossings], self.order[twins]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -303,12 +301,10 @@ def _in_view(
 def _overlaps(
     alike: float, longitude: FloatArray, directions: FloatArray, size: FloatArray, range_m: FloatArray,
     firsts: IntArray, starts: IntArray, limits: FloatArray,
-) -> tuple[BoolArray, IntArray]:  # fmt: skip
-    n = size.shape[0]
+) -> tuple[IntArray, IntArray]:  # fmt: skip
     runs = np.empty((2 * _MOST_BANDS + 2, 2), dtype=np.int64)
-    crossed = np.zeros(n, dtype=np.bool_)
-    twins = np.empty((1024, 2), dtype=np.int64)
-    count = 0
+    crossings, twins = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
+    crossed = count = 0
     for t in range(limits.shape[0]):
         for i in range(starts[firsts[t]], starts[firsts[t + 1]]):
             # Each pair once: with the smaller octaves, and within its own those not larger.
@@ -325,14 +321,21 @@ def _overlaps(
                         d2 *= range_m[i] * range_m[i]
                         a, b = size[i], size[k]
                         if d2 < (alike * b) ** 2 and a - b < alike * b:
-                            if count == twins.shape[0]:
-                                larger = np.empty((2 * count, 2), dtype=np.int64)
-                                larger[:count] = twins
-                                twins = larger
-                            twins[count, 0] = i
-                            twins[count, 1] = k
+                            twins = _with_pair(twins, count, i, k)
                             count += 1
                         elif (a - b) ** 2 < d2 < (a + b) ** 2:
-                            crossed[i] = True
-                            crossed[k] = True
-    return crossed, twins[:count].copy()
+                            crossings = _with_pair(crossings, crossed, i, k)
+                            crossed += 1
+    return crossings[:crossed].copy(), twins[:count].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _with_pair(pairs: IntArray, count: int, i: int, k: int) -> IntArray:
+    """Pairs with one more in row `count`."""
+    if count == pairs.shape[0]:
+        larger = np.empty((2 * count, 2), dtype=np.int64)
+        larger[:count] = pairs
+        pairs = larger
+    pairs[count, 0] = i
+    pairs[count, 1] = k
+    return pairs

@@ -1,5 +1,7 @@
 """Elevation models: a raster of heights, from a GeoTIFF, as a smooth function of position on the body."""
 
+import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +17,9 @@ Float32Array = npt.NDArray[np.float32]
 
 # More are no base for a landing site, and would fill the memory.
 MAX_POINTS = 100_000_000
+_EARTH_M = 6378137.0
+# Radii of one body differ by less than this part, from one author to another.
+_SAME_BODY = 0.01
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Dem:
         return out
 
 
-def read_dem(path: Path, unit_m: float = 1.0) -> Dem:
+def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> Dem:
     """Read an elevation model.
 
     Parameters
@@ -54,13 +59,15 @@ def read_dem(path: Path, unit_m: float = 1.0) -> Dem:
         GeoTIFF with one band, in geographic coordinates: longitude and latitude in degrees.
     unit_m : float
         Metres that a unit of its values means.
+    radius_m : float, optional
+        Of the body that it must be of, as far as its coordinates tell.
 
     Raises
     ------
     CraternavError
         When rasterio is not installed.
     InputError
-        When the file is missing, no such raster, too large, or without heights somewhere.
+        When the file is missing, no such raster, of another body, too large, or without heights somewhere.
     """
     try:
         import rasterio
@@ -69,8 +76,13 @@ def read_dem(path: Path, unit_m: float = 1.0) -> Dem:
     if not path.is_file():
         raise InputError(path, "file is missing")
     try:
-        with rasterio.open(path) as raster:
+        with warnings.catch_warnings():
+            # What has no coordinates is refused below.
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            opened = rasterio.open(path)
+        with opened as raster:
             _check(path, raster)
+            _check_body(path, raster.crs.to_wkt(), radius_m)
             transform = raster.transform
             values = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
             heights = values * raster.scales[0] + raster.offsets[0]
@@ -100,6 +112,18 @@ def _check(path: Path, raster: object) -> None:
     if min(shape) < 4 or shape[0] * shape[1] > MAX_POINTS:
         problem = f"expected 4 x 4 to {MAX_POINTS} points, found {shape[0]} x {shape[1]}: crop it to the site"
         raise InputError(path, problem)
+
+
+def _check_body(path: Path, wkt: str, radius_m: float | None) -> None:
+    """Refuse coordinates of another body; the Earth's are on many rasters of others, and tell nothing."""
+    found = re.search(r'(?:SPHEROID|ELLIPSOID)\["([^"]*)",\s*([\d.]+)', wkt)
+    if found is None or radius_m is None:
+        return
+    sphere_m = float(found[2])
+    earth = abs(sphere_m - _EARTH_M) < _SAME_BODY * _EARTH_M
+    if not earth and abs(sphere_m - radius_m) > _SAME_BODY * radius_m:
+        problem = f"expected an elevation model of a body of {radius_m:.9g} m, found one of {sphere_m:.9g} m"
+        raise InputError(path, f"{problem} ({found[1]})")
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

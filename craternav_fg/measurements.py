@@ -1,6 +1,6 @@
 """What one image says: rims in the ellipse chart, arcs of rims as edge points, and the sun's tilt."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -8,8 +8,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+# In sigmas of what was measured: a shape expected further away is a worse guess than the measured one.
+EXPECTED_SIGMAS = 5.0
 # Components of the error that all rims of a descent share.
-SHARED_SIZE = 18
+SHARED_SIZE = 7
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class RimSet:
         Root A of the part A A' of the covariance that a rim keeps from frame to frame: its error is A z with
         z nearly the same in the next frame, so the columns belong to directions that are fixed to the
         ground. None where no part is known to be kept.
-    shared : ndarray, shape (n, 5, 18), optional
+    shared : ndarray, shape (n, 5, 7), optional
         Root of the part that all rims of a descent share: its error is A z with one z for all.
     """
 
@@ -90,6 +92,35 @@ class RimSet:
             if A is not None:
                 out = out - A @ np.swapaxes(A, 1, 2)
         return out
+
+    def expected_at(self, charts: FloatArray) -> "RimSet":
+        """Return the same rims with the covariances that they had if these charts (n, 5) were the true ones.
+
+        A fit takes its covariance at what it measured. Errors of edge points are in the image, so a rim
+        measured too small is given a larger error of its logarithm and less weight: on average all seem too
+        large. Here errors of S = L L' are kept in the units of L, not in those of its logarithm. Rims whose
+        chart is not finite, or of a shape that the measured one contradicts, stay as they are.
+        """
+        off = self.chart[:, 2:] - charts[:, 2:]
+        white = np.linalg.solve(self.covariance[:, 2:, 2:], off[..., None])[..., 0]
+        near = np.sum(off * white, axis=1) < EXPECTED_SIGMAS**2
+        T = np.zeros((len(self), 5, 5))
+        T[:] = np.eye(5)
+        first = np.exp(off[near, 0])
+        T[near, 2, 2] = T[near, 3, 3] = first
+        T[near, 3, 2] = first * off[near, 1]
+        T[near, 4, 4] = np.exp(off[near, 2])
+        covariance = T @ self.covariance @ np.swapaxes(T, 1, 2)
+        persistent, shared = (None if A is None else T @ A for A in (self.persistent, self.shared))
+        return replace(self, covariance=covariance, persistent=persistent, shared=shared)
+
+    def as_new(self, frames: float) -> "RimSet":
+        """Return the rims for those who take what lasts as new in each frame: it counts `frames` times."""
+        out = self.covariance
+        for A in (self.persistent, self.shared):
+            if A is not None:
+                out = out + (frames - 1.0) * A @ np.swapaxes(A, 1, 2)
+        return RimSet(self.craters, self.chart, out, self.quality)
 
     def centres(self) -> "CentreSet":
         """Return the image ellipses' centres alone: what centre-based navigation measures."""
@@ -133,20 +164,48 @@ class ArcSet:
     points : tuple of n ndarray, shapes (m_i, 2)
         Edge points, normalised image coordinates.
     sigmas : tuple of n ndarray, shapes (m_i,)
-        Standard deviations along the rim's normal, normalised; the points' errors are independent.
+        Standard deviations along the rim's normal, normalised, of what is independent from point to point
+        and from frame to frame.
+    lasting : ndarray, shape (n,), optional
+        Standard deviation of an error that the points of an arc share and keep from frame to frame, outward,
+        normalised. None where no part is known to be kept.
     """
 
     craters: IntArray
     points: tuple[FloatArray, ...]
     sigmas: tuple[FloatArray, ...]
+    lasting: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
+
+    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "ArcSet":
+        """Return the arcs of some rows (a mask or indices)."""
+        chosen = np.arange(len(self))[rows].tolist()
+        return ArcSet(
+            self.craters[rows],
+            tuple(self.points[i] for i in chosen),
+            tuple(self.sigmas[i] for i in chosen),
+            None if self.lasting is None else self.lasting[rows],
+        )
 
     @classmethod
     def empty(cls) -> "ArcSet":
         """Return a frame without arcs."""
         return cls(np.empty(0, dtype=np.int64), (), ())
+
+    def as_new(self, frames: float) -> "ArcSet":
+        """Return the arcs for those who take what lasts as new in each frame: it counts `frames` times.
+
+        The points' errors are then independent, and so large that their mean is as uncertain as it is.
+        """
+        if self.lasting is None:
+            return self
+        sigmas = tuple(
+            np.sqrt(sigma**2 + frames * len(sigma) * shared**2)
+            for sigma, shared in zip(self.sigmas, self.lasting, strict=True)
+        )
+        return ArcSet(self.craters, self.points, sigmas)
 
 
 @dataclass(frozen=True)
@@ -192,3 +251,7 @@ class FrameMeasurement:
     rims: RimSet
     sun: SunTilt | None
     arcs: ArcSet = field(default_factory=ArcSet.empty)
+
+    def as_new(self, frames: float) -> "FrameMeasurement":
+        """Return the measurement for those who take what lasts as new in each frame: see `RimSet.as_new`."""
+        return replace(self, rims=self.rims.as_new(frames), arcs=self.arcs.as_new(frames))

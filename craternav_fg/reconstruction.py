@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.base import Descent, Problem, Start
+from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.start import find_start
 from craternav_fg.measurements import FrameMeasurement
@@ -37,8 +37,9 @@ class Reconstruction:
     ----------
     frames : tuple of FrameMeasurement
         The measurements that all estimators were given.
-    start : Start
-        Their common start.
+    problems : tuple of Problem
+        What the estimators were given: one, or one for each part of a descent that began anew. Each has its
+        start.
     origin : {"given", "found", "replaced"}
         Where the initial state is from: the data set, the images as the data set has none, or the images as
         they contradict the data set's.
@@ -60,7 +61,7 @@ class Reconstruction:
     """
 
     frames: tuple[FrameMeasurement, ...]
-    start: Start
+    problems: tuple[Problem, ...]
     origin: str
     resumed: tuple[int, ...]
     trajectories: Mapping[str, Trajectory]
@@ -105,6 +106,9 @@ def reconstruct(
     finder = Finder(dataset)
     initial = dataset.initial
     if initial is None:
+        report("index of the catalogue", 0, 1)
+        finder.prepare()
+        report("index of the catalogue", 1, 1)
         initial = find_initial(dataset, finder, lambda done: report("identified frames", done, len(dataset)))
     descent = Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, initial)
     predicted: FloatArray | None = None
@@ -151,7 +155,7 @@ def reconstruct(
     if origin == "given" and arcs[0][1] is not initial:
         origin = "replaced"
     return Reconstruction(
-        frames, problems[0].start, origin, tuple(first for first, _ in arcs[1:]), trajectories, times_s,
+        frames, tuple(problems), origin, tuple(first for first, _ in arcs[1:]), trajectories, times_s,
         options, failures, expected, predicted,
     )  # fmt: skip
 
@@ -178,8 +182,8 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
         every = [getattr(part, one.name) for part in parts]
         if any(value is None for value in every):
             values[one.name] = None
-        elif one.name == "rim_weights":
-            values[one.name] = tuple(weights for value in every for weights in value)
+        elif one.name in ("rim_weights", "rim_craters"):
+            values[one.name] = tuple(of_frame for value in every for of_frame in value)
         elif one.name == "calibrated":
             values[one.name] = every[-1]
         else:

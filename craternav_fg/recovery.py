@@ -8,19 +8,20 @@ measurement: the estimators measure the same images themselves.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import normalised_chart
-from craternav_fg.dataset import Dataset
+from craternav_fg.dataset import Dataset, layout
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.matching.identify import identify
-from craternav_fg.matching.identify_index import Index
+from craternav_fg.matching.identify_index import Index, load_or_build
 from craternav_fg.measurements import RimSet
 from craternav_fg.static.problem import MatchedRims, StaticProblem, Status
 from craternav_fg.static.robust import solve_robustly
@@ -60,8 +61,15 @@ class Located:
     rims: int
 
 
+def index_path(catalog: Path) -> Path:
+    """Where a catalogue's index is kept, if not elsewhere: beside it."""
+    return catalog.with_name(f"{catalog.name}.index.npz")
+
+
 class Finder:
     """Finds poses in the images of a data set; its catalogue is indexed when that is first needed.
+
+    The index of a large catalogue, `craters.parquet`, takes long: it is kept beside it.
 
     Parameters
     ----------
@@ -72,8 +80,16 @@ class Finder:
         self._dataset = dataset
         self._found: tuple[int, FoundRims] | None = None
 
+    def prepare(self) -> None:
+        """Index the catalogue now, which may take half a minute, if images are to be looked at."""
+        if self._dataset.rims is None:
+            _ = self._index
+
     @cached_property
     def _index(self) -> Index:
+        large = self._dataset.path / layout.LARGE_CRATERS
+        if large.is_file():
+            return load_or_build(index_path(large), self._dataset.catalog)[0]
         return Index.build(self._dataset.catalog)
 
     def locate(self, number: int) -> Located | None:

@@ -83,8 +83,11 @@ class Trajectory:
     bias_covariance : ndarray, shape (k, 6, 6), or None
         Gyro, then accelerometer.
     rim_weights : tuple of ndarray, or None
-        For each stamp, the weights (n,) of the measured rims: 1 used, 0 rejected as a wrong match. None
+        For each stamp, the weights (n,) of the measured rims' matches: 1 right, 0 rejected as wrong. None
         where nothing chose among them.
+    rim_craters : tuple of ndarray, or None
+        With `rim_weights`: for each stamp, the rows (n,) of the catalogue's craters that the rims were taken
+        for, which of a rejected match is another one; -1 for a rim that was not used.
     calibrated : Calibrated, or None
         What was estimated along.
     """
@@ -97,6 +100,7 @@ class Trajectory:
     velocity_covariance: FloatArray | None = None
     bias_covariance: FloatArray | None = None
     rim_weights: tuple[FloatArray, ...] | None = None
+    rim_craters: tuple[IntArray, ...] | None = None
     calibrated: Calibrated | None = None
 
     def __len__(self) -> int:

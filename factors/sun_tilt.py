@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
-from factors.custom import pose_factor
+from factors.custom import constant_mounting, packed_pose_factor
 from factors.errors import FactorError
 from factors.kernels import sun
 
@@ -72,9 +72,6 @@ def sun_tilt_factor(
     if not sigma_rad > LEAST_SIGMA_RAD:
         raise FactorError(f"sigma_rad: expected a positive number, found {sigma_rad}")
 
-    def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
-        predicted, strength = sun.sun_tilt(gTb, bTc, direction, u, v, J)
-        J /= sigma_rad
-        e[0] = (sun.wrap(predicted - measured) if strength > 0.0 else np.pi) / sigma_rad
-
-    return pose_factor(key, 1, kernel, bTc, mounting_key)
+    mounting = constant_mounting(key, bTc, mounting_key)
+    data = np.concatenate([mounting.ravel(), direction, [u, v, measured, sigma_rad]])
+    return packed_pose_factor(key, 1, sun.tilt_residual, data, mounting_key)

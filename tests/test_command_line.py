@@ -13,9 +13,13 @@ import numpy as np
 import pytest
 from evo.core import metrics as evo_metrics
 from evo.tools import file_interface
+from typer.testing import CliRunner
 
+from craternav_fg.cli.app import app
+from craternav_fg.cli.descents import reconstruct
 from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import DEFAULT
 from craternav_fg.evaluation.run_folder import read_run
 
@@ -30,6 +34,7 @@ FIELDS = {
     "rpe_deg",
     "anees",
     "frames",
+    "rim_misfit_share",
 }
 
 
@@ -84,6 +89,8 @@ def test_demo_writes_a_run_and_says_where(demo: tuple[Path, subprocess.Completed
         assert values["frames"] == 6
         assert name in done.stdout
         assert (run / f"{name}.tum").is_file()
+    assert set(summary["innovations"]["nis"]) == {"imu", "rims", "sun"}
+    assert "NIS per dimension of ekf" in done.stdout
     for path in ("dataset", "figures", "metrics.json", "states.parquet", "residuals.parquet", "run.toml"):
         assert (run / path).exists()
         assert str(run / path) in done.stdout
@@ -188,12 +195,14 @@ def test_images_that_show_something_else_are_warned_of(
     shutil.copytree(demo[0] / "dataset", data)
     for image in (data / "mav0/cam0/data").iterdir():
         cv2.imwrite(str(image), np.zeros((1024, 1024), dtype=np.uint8))
-    names = ("-e", "smoother", "-e", "dead_reckoning")
+    names = ("-e", "smoother", "-e", "ekf", "-e", "dead_reckoning")
     done = craternav("reconstruct", data, "-o", tmp_path / "run", *names, "--overlays")
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "run/overlays").iterdir())) == 6
     assert "warning: no rim was found in any frame" in done.stderr
-    estimators = json.loads((tmp_path / "run/metrics.json").read_text())["estimators"]
+    summary = json.loads((tmp_path / "run/metrics.json").read_text())
+    assert summary["innovations"] is None
+    estimators = summary["estimators"]
     smoother, dead = (estimators[name]["position_rms_m"] for name in ("smoother", "dead_reckoning"))
     assert smoother == pytest.approx(dead, rel=0.01)
 
@@ -241,6 +250,7 @@ def test_compare_prints_and_tells_json(demo: tuple[Path, subprocess.CompletedPro
     done = craternav("compare", run, run)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("dead_reckoning") == 2
+    assert "…" not in done.stdout
     result = json.loads(craternav("compare", run, "--json").stdout)[str(run)]
     assert result["smoother"]["from_smoother_rms_m"] == 0.0
     assert result["dead_reckoning"]["from_smoother_rms_m"] > 0.0
@@ -250,11 +260,34 @@ def test_simulate_and_one_estimator_from_measured_rims(tmp_path: Path) -> None:
     assert craternav("simulate", "paper_case3", "-o", tmp_path / "data").returncode == 0
     done = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "ekf", "--json")
     assert done.returncode == 0, done.stderr
-    assert list(json.loads(done.stdout)["estimators"]) == ["ekf"]
+    result = json.loads(done.stdout)["estimators"]
+    assert list(result) == ["ekf"]
+    assert result["ekf"]["rim_misfit_share"] < 0.01
+    assert "sigma" not in done.stderr
     none = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "other", "--overlays")
     assert none.returncode == 2
     assert "has measured rims: expected images for --overlays" in none.stderr
     assert not (tmp_path / "other").exists()
+
+
+def test_an_imu_in_units_of_g_is_warned_of(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    assert craternav("simulate", "paper_case3", "-o", data).returncode == 0
+    imu = data / "mav0/imu0/data.csv"
+    header, *rows = imu.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    lines = [",".join([*row[:4], *(repr(float(a) / 9.81) for a in row[4:])]) for row in cells]
+    imu.write_text("\n".join([header, *lines]) + "\n")
+    # Without the truth nothing else tells.
+    shutil.rmtree(data / "mav0/state_groundtruth_estimate0")
+    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "ekf", "-e", "dead_reckoning")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"put by ekf \(\d+ %\), not to be believed; check the units", done.stderr)
+
+
+def test_help_tells_defaults_that_are_not_values() -> None:
+    shown = CliRunner().invoke(app, ["reconstruct", "--help"], env={"COLUMNS": "200"}).output
+    assert "all but calibrating_smoother" in shown
 
 
 @pytest.mark.parametrize(
@@ -293,6 +326,13 @@ def test_a_damaged_image_leaves_nothing_half_written(
     assert image.name in done.stderr
     assert done.stderr.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_run_is_no_data_set_but_holds_one(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=r"found a run: its data set is .*dataset"):
+        reconstruct(demo[0], tmp_path / "run")
 
 
 def test_a_run_does_not_replace_the_folder_of_its_data(

@@ -5,13 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from craternav_fg.config import built_in_scenarios, load_scenario
+from craternav_fg.config import FaultsSection, built_in_scenarios, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.reconstruction import reconstruct
 from craternav_fg.simulation.scenario import simulate
 
 CASES = [name for name in built_in_scenarios() if load_scenario(name).expected]
+
+
+def test_every_hard_case_says_what_to_expect() -> None:
+    assert {name for name in built_in_scenarios() if name.startswith("hard_")} <= set(CASES)
 
 
 def check(name: str, folder: Path, trials: int) -> None:
@@ -38,3 +42,21 @@ def test_a_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_every_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
     check(name, tmp_path, 5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.2, 0.3, 0.4])
+def test_wrong_matches_cost_the_robust_smoother_nothing(share: float, tmp_path: Path) -> None:
+    case = load_scenario("measured_descent")
+    wrong = case.model_copy(update={"faults": FaultsSection(wrong_matches=share)})
+    rms_m = []
+    for trial in range(3):
+        row = []
+        for name, each in (("smoother", case), ("gnc_smoother", wrong)):
+            data = Dataset.open(simulate(each, tmp_path / name / str(trial), trial=trial))
+            found = metrics(reconstruct(data, [name]).trajectories[name], data.truth)
+            assert found.position_rms_m is not None
+            row.append(found.position_rms_m)
+        rms_m.append(row)
+    clean, robust = np.mean(rms_m, axis=0)
+    assert robust < 1.1 * clean

@@ -1,20 +1,28 @@
 """Descents of which no beginning is known, and such as lose track."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from craternav_fg import frames
+from craternav_fg.camera import normalised_chart, pixel_chart
+from craternav_fg.catalog import chart_to_pixels
+from craternav_fg.catalog_files import read_catalog, write_catalog
 from craternav_fg.config import load_scenario
-from craternav_fg.dataset import Dataset
+from craternav_fg.dataset import Dataset, layout
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
+from craternav_fg.matching.gate import match_rims
+from craternav_fg.matching.identify_index import Index
 from craternav_fg.measurements import RimSet
 from craternav_fg.reconstruction import _joined, reconstruct
 from craternav_fg.recovery import Finder, earlier, find_initial
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.vision.detect import find_rims
+from craternav_fg.vision.grey import on_8_bit_scale
 from tests.descents import scenario
 
 
@@ -48,6 +56,29 @@ def test_measured_rims_without_an_initial_state(folders):
         away = result.trajectories[name].gP[-1] - reference.trajectories[name].gP[-1]
         assert np.linalg.norm(away) < sigma_m
         assert final_error_m(lost, result, name) < 4.0 * sigma_m
+
+
+def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, monkeypatch):
+    lost = Dataset.open(folders[1])
+    write_catalog(tmp_path / layout.LARGE_CRATERS, lost.catalog)
+    catalog = read_catalog(tmp_path / layout.LARGE_CRATERS, lost.body)
+    chart = lost.rims[0].rims.chart
+    charts = pixel_chart(chart, lost.camera.pinhole)
+    _, S = chart_to_pixels(lost.camera, chart)
+    (b, a), turns = np.sqrt(np.linalg.eigvalsh(S)).T, np.linalg.eigh(S)[1][:, :, 1]
+    found = SimpleNamespace(
+        ellipses_px=np.column_stack([charts[:, :2], a, b, np.arctan2(turns[:, 1], turns[:, 0])]),
+        charts_px=charts,
+        covariance_px=np.tile(0.01 * np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]), (len(charts), 1, 1)),
+    )
+    data = dataclasses.replace(lost, path=tmp_path, catalog=catalog, rims=None)
+    monkeypatch.setattr(Finder, "_rims", lambda self, number: found)
+    first = Finder(data).locate(0)
+    kept = tmp_path / f"{layout.LARGE_CRATERS}.index.npz"
+    assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
+    assert kept.is_file()
+    monkeypatch.setattr(Index, "build", lambda catalog: pytest.fail("built again"))
+    np.testing.assert_array_equal(Finder(data).locate(0).gTb, first.gTb)
 
 
 def test_too_few_frames_with_craters(folders):
@@ -115,6 +146,47 @@ def rendered(tmp_path_factory):
     trajectory = demo.trajectory.model_copy(update={"frame_interval_s": 10.0})
     folder = tmp_path_factory.mktemp("rendered") / "d"
     return Dataset.open(simulate(demo.model_copy(update={"trajectory": trajectory}), folder))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sigma_deg", "sigma_share", "first_only"), [(0.1, 0.002, False), (2.0, 0.02, False), (25.0, 0.08, True)]
+)
+def test_prior_matching_with_the_prior_wrong_by_three_sigma(
+    rendered: Dataset, sigma_deg, sigma_share, first_only
+):
+    """Rims found blindly in the demo's images; the data set's own prior, 25 deg and 4 km, is of the first.
+
+    A position's standard deviation is a share of the altitude, 50 to 3 km.
+    """
+    camera, catalog = rendered.camera, rendered.catalog
+    rng = np.random.default_rng(7)
+    right = wrong = real = 0
+    images = {k: find_rims(on_8_bit_scale(rendered.image(k), camera)) for k in range(0, len(rendered), 2)}
+    for number in [0] * 20 if first_only else images:
+        found = images[number]
+        charts, scale = normalised_chart(found.charts_px, camera.pinhole)
+        gTb = rendered.truth.gTb[number]
+        rows, true = catalog.visible(camera, gTb, min_semi_minor_px=3.0, margin_px=-1e4)
+        # A rim is a crater's when it lies within a few percent of its size: far nearer than any other's.
+        off = np.linalg.norm(charts[:, None, :2] - true[None, :, :2], axis=2) / np.exp(true[:, 2])
+        off = np.maximum(off, 0.5 * np.abs(charts[:, None, 2::2] - true[None, :, 2::2]).max(axis=2))
+        truth = np.where(off.min(axis=1) < 0.06, rows[off.argmin(axis=1)], -1)
+        sigma_m = sigma_share * float(rendered.body.altitude_m(gTb[:3, 3]))
+        sigmas = np.repeat([np.radians(sigma_deg), sigma_m], 3)
+        e = rng.standard_normal(6)
+        e *= 3.0 / np.linalg.norm(e)
+        prior = gTb.copy()
+        prior[:3, :3] = gTb[:3, :3] @ frames.rotation_exp(sigmas[:3] * e[:3])
+        prior[:3, 3] += sigmas[3:] * e[3:]
+        covariances = found.covariance_px * np.outer(scale, scale)
+        answer = match_rims(charts, covariances, camera.pinhole, catalog, prior, np.diag(sigmas**2))
+        real += np.count_nonzero(truth >= 0)
+        right += np.count_nonzero((answer.craters == truth) & (truth >= 0))
+        wrong += np.count_nonzero((answer.craters >= 0) & (answer.craters != truth))
+    assert real > 150
+    assert right / real >= 0.98
+    assert wrong / (right + wrong) <= 0.002
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """How well and how fast catalogue rims are measured from predicted poses, on rendered ground."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ from craternav_fg.bench.scenes import IRREGULAR, Ground, Scene, scene
 from craternav_fg.camera import pixel_chart
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.vision.detect import ellipse_parameters
-from craternav_fg.vision.guided import GuidedFrontEnd, GuidedOptions
+from craternav_fg.vision.guided import SINGLE_IMAGE, GuidedFrontEnd, GuidedOptions
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
@@ -121,7 +121,7 @@ def accuracy(
     scenes : list of Scene
     prior : Prior
     options : GuidedOptions, optional
-        As for a crater seen once if not given.
+        As for a single image if not given.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def accuracy(
         `semi_minor_px`, the largest signed mean `bias_px` of the centre's coordinates and the axes below
         `SMALL_PX`, and `chi2_5`, the mean chi-square over 5.
     """
-    options = options or replace(GuidedOptions(), sightings=1.0)
+    options = options or SINGLE_IMAGE
     rng = np.random.default_rng(0)
     every = [measure(one, options, prior, rng)[1] for one in scenes]
     centre, axes, chi2, minor = (

@@ -2,27 +2,37 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.catalog import Catalog
 from craternav_fg.catalogs.columns import HEIGHT
+from craternav_fg.tables import Column, write_table
 
 FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 # For each row at fault, the column and what is wrong with it.
 Faults = dict[int, tuple[str, str]]
 
-# The Moon's craters of 5 km and up cover two thirds of it; equilibrium keeps any body from far more.
+# The Moon's craters of 5 km and up cover two thirds of it; equilibrium keeps any ground from far more.
 _MOST_COVER = 5.0
+# Cells of equal area on the body, in sine of latitude and longitude.
+_CELLS = (36, 72)
+# Latitudes beyond the poles in so many rows, or in most of few, are longitudes.
+_SWAPPED, _FEW = 0.2, 20
 # Kilometres taken for metres leave no crater larger than this share of a body's radius.
 _LEAST_OF_A_GLOBE = 2e-3
 _ENOUGH_TO_TELL = 1000
 # Two entries this alike, in size and place, are taken for one crater.
 _ALIKE = 0.1
+_PAIR_COLUMNS = (
+    Column("kind", "text"), Column("crater_id", "text"), Column("other_id", "text"),
+    Column("diameter_km"), Column("other_diameter_km"), Column("distance_km"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -31,13 +41,13 @@ class Overlaps:
 
     Attributes
     ----------
-    crossed : ndarray of bool, shape (n,)
-        Whose rim crosses another's.
+    crossings : ndarray of int, shape (m, 2)
+        Pairs of rows whose rims cross, the larger crater first.
     twins : ndarray of int, shape (k, 2)
         Pairs of rows that are probably one crater, entered twice.
     """
 
-    crossed: BoolArray
+    crossings: IntArray
     twins: IntArray
 
 
@@ -91,8 +101,33 @@ def identifier_faults(identifiers: Sequence[str | None], name: str) -> Faults:
 
 def overlaps(catalog: Catalog) -> Overlaps:
     """Find rims that cross, taken for circles, and craters that were probably entered twice."""
-    crossed, twins = catalog.index.overlaps(_ALIKE)
-    return Overlaps(crossed, twins)
+    return Overlaps(*catalog.index.overlaps(_ALIKE))
+
+
+def write_pairs(path: Path, catalog: Catalog, meets: Overlaps) -> None:
+    """Write the pairs of craters that meet as CSV: twins first, then crossing rims."""
+    pairs = np.concatenate([meets.twins, meets.crossings])
+    kinds = ["twin"] * len(meets.twins) + ["crossing"] * len(meets.crossings)
+    data: list[Any] = [kinds]
+    data += [[catalog.identifiers[row] for row in side] for side in pairs.T.tolist()]
+    data += [2e-3 * catalog.semi_major_m[side] for side in pairs.T]
+    data.append(1e-3 * catalog.distance_m(pairs[:, 0], pairs[:, 1]))
+    write_table(path, _PAIR_COLUMNS, data)
+
+
+def swapped(
+    latitude_deg: FloatArray, longitude_deg: FloatArray, longitude_name: str
+) -> tuple[int, str] | None:
+    """Say when latitudes (n,) are longitudes: a row and what is wrong with it; None when they are not."""
+    beyond = np.abs(latitude_deg) > 90.0
+    enough = _SWAPPED if len(beyond) >= _FEW else 0.5
+    if np.count_nonzero(beyond) <= enough * len(beyond):
+        return None
+    if np.nanmax(np.abs(longitude_deg), initial=0.0) > 90.0:
+        return None
+    row = int(np.flatnonzero(beyond)[0])
+    found = f"expected -90 to 90 deg, found {latitude_deg[row]:g}, and in {longitude_name} no more than 90"
+    return row, f"{found}: latitude and longitude are swapped"
 
 
 def implausible_sizes(
@@ -101,16 +136,16 @@ def implausible_sizes(
     """Say what is odd about sizes (n,) on a body of some radius, None when nothing is.
 
     Units and bodies are mixed up easily, and a single crater does not show it: together they would cover the
-    body many times over, or, known all over it, be grains.
+    ground many times over, or, known all over the body, be grains.
     """
     if not len(diameter_m):
         return None
-    cover = float(np.sum((diameter_m / radius_m) ** 2)) / 16.0
+    cover = _cover(latitude_deg, longitude_deg, diameter_m, radius_m)
     largest = float(np.max(diameter_m))
     if cover > _MOST_COVER:
         return (
-            f"the craters would cover a body of radius {radius_m:g} m {cover:.3g} times over, the largest of "
-            f"{largest:g} m: wrong unit (km, m), or another body"
+            f"the craters would cover a body of radius {radius_m:g} m {cover:.3g} times over where they lie, "
+            f"the largest of {largest:g} m: wrong unit (km, m; deg, rad), or another body"
         )
     if len(diameter_m) < _ENOUGH_TO_TELL or largest > _LEAST_OF_A_GLOBE * radius_m:
         return None
@@ -124,3 +159,21 @@ def implausible_sizes(
             "wrong unit (km, m), or another body"
         )
     return None
+
+
+def _cover(
+    latitude_deg: FloatArray, longitude_deg: FloatArray, diameter_m: FloatArray, radius_m: float
+) -> float:
+    """How many times over craters cover the ground about themselves; larger ones than a cell, the body."""
+    rows, turns = _CELLS
+    cell_m2 = 4.0 * np.pi * radius_m**2 / (rows * turns)
+    area_m2 = 0.25 * np.pi * diameter_m**2
+    large = area_m2 > cell_m2
+    total = float(np.sum(area_m2[large])) / (4.0 * np.pi * radius_m**2)
+    row = (0.5 * rows * (1.0 + np.sin(np.radians(latitude_deg)))).astype(np.int64).clip(0, rows - 1)
+    column = (np.mod(longitude_deg, 360.0) * turns / 360.0).astype(np.int64).clip(0, turns - 1)
+    cell = (turns * row + column)[~large]
+    if not len(cell):
+        return total
+    covered = np.bincount(cell, area_m2[~large]) / cell_m2
+    return total + float(np.mean(covered[cell]))

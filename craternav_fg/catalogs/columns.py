@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from craternav_fg.catalogs.bodies import BODY_RADIUS, is_body_column
 from craternav_fg.errors import InputError
 
 ID = "CRATER_ID"
@@ -20,14 +21,23 @@ ELLIPSE = (LATITUDE, LONGITUDE, MAJOR, MINOR, ANGLE)
 CIRCLE = ("LAT_CIRC_IMG", "LON_CIRC_IMG", "DIAM_CIRC_IMG")
 
 # Names that others give, without case, signs and units; the unit of a size is looked for in the whole name.
-_LATITUDES = ("lat", "latitude", "latdeg", "latn", "latitudedeg", "centerlat", "centerlatitude", "ycoord")
-_LONGITUDES = (
-    "lon", "long", "longitude", "londeg", "lone", "longitudedeg", "centerlon", "centerlongitude", "xcoord",
+_LATITUDES = (
+    "lat", "latitude", "latdeg", "latn", "latitudedeg", "latitudedegree", "centerlat", "centerlatitude",
+    "latitudecircleimage", "ycoord",
 )  # fmt: skip
-_DIAMETERS = ("diam", "diamkm", "diameter", "diameterkm", "diamm", "diameterm", "dkm")
-_RADII = ("radiusdeg", "rdeg")
+_LONGITUDES = (
+    "lon", "long", "longitude", "londeg", "lone", "longitudedeg", "longitudedegree", "centerlon",
+    "centerlongitude", "longitudecircleimage", "xcoord",
+)  # fmt: skip
+_DIAMETERS = (
+    "diam", "diamkm", "diameter", "diameterkm", "diamm", "diameterm", "diamcircleimage", "dkm",
+)  # fmt: skip
+_ANGULAR_RADII = ("radiusdeg", "rdeg")
+_RADII = ("radius", "radiuskm", "radiusm", "rkm")
 _IDENTIFIERS = ("craterid", "id", "identifier")
+_WEST = {"w", "west"}
 _METRES_PER = {"km": 1000.0, "m": 1.0}
+_METRES = {"m", "metre", "metres", "meter", "meters"}
 
 
 @dataclass(frozen=True)
@@ -37,11 +47,12 @@ class ImportOptions:
     Attributes
     ----------
     latitude, longitude, diameter : str, optional
-        Columns of a catalogue of circles, deg (longitude to the east).
+        Columns of a catalogue of circles, deg (longitude to the east). A column of sizes that is called
+        a radius is one.
     identifier : str, optional
         Column of unique names; craters are numbered when there is none.
     unit : {"km", "m"}, optional
-        Of the diameters.  Taken from the column's name when not given, km when that does not tell.
+        Of the sizes.  Taken from the column's name when not given, km when that does not tell.
     """
 
     latitude: str | None = None
@@ -61,19 +72,44 @@ class Columns:
         Latitude, longitude, major and minor diameter, angle; empty for a catalogue of circles.
     circle : tuple of str
         Latitude, longitude, diameter; empty when there is none beside the ellipse.
-    identifier, height : str or None
+    identifier, height, body, body_radius : str or None
     size_m : float
-        Metres that a unit of the diameters means.
+        Metres of diameter that a unit of the sizes means; of angular ones, on a sphere of 1 m.
+    angular : bool
+        Whether sizes are angles at the body's centre.
     """
 
     ellipse: tuple[str, ...]
     circle: tuple[str, ...]
     identifier: str | None
     height: str | None
+    body: str | None
+    body_radius: str | None
     size_m: float
+    angular: bool = False
+
+    @property
+    def numbers(self) -> list[str]:
+        """Columns of numbers that are needed."""
+        others = [name for name in (self.height, self.body_radius) if name]
+        return list(dict.fromkeys([*self.ellipse, *self.circle, *others]))
+
+    @property
+    def texts(self) -> list[str]:
+        """Columns of texts that are needed."""
+        return [name for name in (self.identifier, self.body) if name]
+
+    @property
+    def shown(self) -> str:
+        """What was taken for what, for people."""
+        names = self.ellipse or self.circle
+        half = {1.0: "m", 2.0: "m of radius", 1000.0: "km", 2000.0: "km of radius"}
+        unit = "deg of radius" if self.angular else half[self.size_m]
+        sizes = " and ".join(names[2:4])
+        return f"latitude {names[0]}, longitude {names[1]} (east), size {sizes} ({unit})"
 
 
-def recognise(path: Path, names: Sequence[str], options: ImportOptions, radius_m: float) -> Columns:
+def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: int = 1) -> Columns:
     """Find out which columns of a table are needed.
 
     Parameters
@@ -83,50 +119,74 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, radius_m
     names : sequence of str
         The header.
     options : ImportOptions
-    radius_m : float
-        Of the body: some give a crater's radius as an angle at its centre.
+    line : int
+        Of the header.
 
     Raises
     ------
     InputError
-        When a column that was named is not there, or one is missing; it lists what was found.
+        When a column that was named is not there, or one is missing (it lists what was found), or when
+        longitudes count to the west.
     """
     given = (options.latitude, options.longitude, options.diameter)
     for name in (*given, options.identifier):
         if name is not None and name not in names:
-            raise InputError(path, f"expected this column, found {_listed(names)}", line=1, column=name)
+            raise InputError(path, f"expected this column, found {_listed(names)}", line=line, column=name)
+    written = {name.upper(): name for name in names}
     identifier = options.identifier or _one_of(names, _IDENTIFIERS)
-    height = HEIGHT if HEIGHT in names else None
+    others = (
+        identifier, written.get(HEIGHT), next((name for name in names if is_body_column(name)), None),
+        written.get(BODY_RADIUS),
+    )  # fmt: skip
     unit = None if options.unit is None else _METRES_PER[options.unit]
-    if not any(given) and MAJOR in names:
-        missing = [name for name in ELLIPSE if name not in names]
+    circle = tuple(written[name] for name in CIRCLE if name in written)
+    circle = circle if len(circle) == len(CIRCLE) else ()
+    if not any(given) and MAJOR in written:
+        missing = [name for name in ELLIPSE if name not in written]
         if missing:
             raise InputError(
                 path,
                 f"expected this column beside {MAJOR}, found {_listed(names)}",
-                line=1,
+                line=line,
                 column=missing[0],
             )
-        circle = CIRCLE if all(name in names for name in CIRCLE) else ()
-        return Columns(ELLIPSE, circle, identifier, height, unit or 1000.0)
-    if not any(given) and all(name in names for name in CIRCLE):
-        return Columns((), CIRCLE, identifier, height, unit or 1000.0)
-    latitude = _column(path, names, "latitude", options.latitude, _LATITUDES)
-    longitude = _column(path, names, "longitude", options.longitude, _LONGITUDES)
-    diameter = _column(path, names, "diameter", options.diameter, (*_DIAMETERS, *_RADII))
-    if options.diameter is None and _plain(diameter) in _RADII:
-        unit = 2.0 * float(np.radians(radius_m))
-    elif unit is None:
-        unit = _METRES_PER[_unit_in(diameter)]
-    return Columns((), (latitude, longitude, diameter), identifier, height, unit)
+        return Columns(tuple(written[name] for name in ELLIPSE), circle, *others, unit or 1000.0)
+    if not any(given) and circle:
+        return Columns((), circle, *others, unit or 1000.0)
+    where = path, names, line
+    latitude = _column(*where, "latitude", options.latitude, _LATITUDES)
+    longitude = _column(*where, "longitude", options.longitude, _LONGITUDES)
+    if _WEST.intersection(re.split(r"[^a-z]+", longitude.lower())):
+        problem = "expected longitudes to the east, this column's name says to the west"
+        raise InputError(path, problem, line=line, column=longitude)
+    size = _column(*where, "diameter", options.diameter, (*_DIAMETERS, *_ANGULAR_RADII, *_RADII))
+    circle = (latitude, longitude, size)
+    if _plain(size) in _ANGULAR_RADII:
+        return Columns((), circle, *others, 2.0 * float(np.radians(1.0)), angular=True)
+    size_m = unit or _METRES_PER[_unit_in(size)]
+    return Columns((), circle, *others, 2.0 * size_m if _plain(size) in _RADII else size_m)
 
 
-def _column(path: Path, names: Sequence[str], what: str, given: str | None, known: Sequence[str]) -> str:
+def _column(
+    path: Path, names: Sequence[str], line: int, what: str, given: str | None, known: Sequence[str]
+) -> str:
     name = given or _one_of(names, known)
-    if name is None:
-        problem = f"no column of a {what} was recognised among {_listed(names)}: name it (--{what})"
-        raise InputError(path, problem, line=1)
-    return name
+    if name is not None:
+        return name
+    if sum(_is_number(name) for name in names) > 0.5 * len(names):
+        problem = f"expected column names in the first line, found numbers: {_listed(names)}"
+    else:
+        way = f"craternav catalog import --{what}"
+        problem = f"no column of a {what} was recognised among {_listed(names)}: name it ({way})"
+    raise InputError(path, problem, line=line)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _plain(name: str) -> str:
@@ -141,7 +201,7 @@ def _one_of(names: Sequence[str], known: Sequence[str]) -> str | None:
 
 def _unit_in(name: str) -> str:
     words = re.split(r"[^a-z]+", name.lower())
-    return "m" if "m" in words else "km"
+    return "m" if _METRES.intersection(words) else "km"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -11,6 +11,17 @@ from craternav_fg.dem import Dem
 FloatArray = npt.NDArray[np.float64]
 
 _POINTS = 24
+# The highest and lowest ground even of small, irregular bodies lies within this part of the radius.
+_MOST = 0.4
+
+
+def implausible_heights(catalog: Catalog) -> str | None:
+    """Say what is odd about the heights of rims on a body, None when nothing is."""
+    low, high, radius_m = catalog.height_m.min(), catalog.height_m.max(), catalog.body.radius_m
+    if max(-low, high) < _MOST * radius_m:
+        return None
+    heights = f"{low:.0f} to {high:.0f} m above a sphere of {radius_m:.9g} m"
+    return f"rims would lie {heights}: wrong unit (--dem-unit-m)"
 
 
 def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:

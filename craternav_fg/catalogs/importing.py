@@ -1,7 +1,8 @@
 """Importing the catalogues of others: rows that are no rim are left out and said, wrong files refused."""
 
+import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,9 @@ import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalog import Catalog
-from craternav_fg.catalogs import checks, columns
+from craternav_fg.catalogs import bodies, checks, columns
 from craternav_fg.catalogs.columns import Columns, ImportOptions
-from craternav_fg.catalogs.table import ForeignTable, read_columns, read_header
+from craternav_fg.catalogs.table import ForeignTable, Header, read_columns, read_headers, refuse_doubled
 from craternav_fg.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
@@ -20,8 +21,6 @@ IntArray = npt.NDArray[np.int64]
 
 # From so many rows on, one fault in half of them is no matter of rows.
 _FEW = 20
-# Latitudes beyond the poles in so many rows are longitudes.
-_SWAPPED = 0.2
 
 
 @dataclass(frozen=True)
@@ -57,45 +56,62 @@ class ImportReport:
         Whether the file had no identifiers: craters have their line's number.
     skipped : tuple of SkippedRow
         Rows that were left out.
+    columns : str
+        What was taken for what, for people; empty for our own store.
+    body_by : str
+        What told the body: "given", words that say what in the file did, or empty when nothing did and it was
+        taken for the Moon.
     """
 
     rows: int
     circles: int
     numbered: bool
     skipped: tuple[SkippedRow, ...]
+    columns: str
+    body_by: str
 
 
-def import_table(path: Path, body: Body, options: ImportOptions) -> tuple[Catalog, ImportReport]:
+def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple[Catalog, ImportReport]:
     """Read a table of craters: Robbins' columns, or circles under the columns' usual names or given ones.
 
     Raises
     ------
     InputError
-        When the file is no such table, when latitude and longitude are swapped, when the sizes make no
-        sense for the body, or when no row is left.
+        When the file is no such table or of another body, when latitude and longitude are swapped, when the
+        sizes make no sense for the body, or when no row is left.
     """
-    names, _ = read_header(path)
-    found = columns.recognise(path, names, options, body.radius_m)
-    numbers = list(dict.fromkeys([*found.ellipse, *found.circle, *([found.height] if found.height else [])]))
-    table = read_columns(path, numbers, [found.identifier] if found.identifier else [])
+    header, found = _header(path, options)
+    table = read_columns(path, header, found.numbers, found.texts)
+    identifiers = table.columns[found.identifier] if found.identifier else []
+    body, body_by = bodies.settled(path, body, bodies.stated_body(path, table.columns, identifiers))
+    shown = found.shown
+    if found.angular:
+        found = replace(found, size_m=found.size_m * body.radius_m)
     values, is_circle = _values(table, found)
     used = found.ellipse or found.circle
-    _refuse_swapped(table, used[0], used[1], values)
+    problem = checks.swapped(values[0], values[1], used[1])
+    if problem is not None:
+        table.fail(problem[0], used[0], problem[1])
     faults = checks.row_faults(values, used, body.radius_m)
     if found.identifier is None:
         identifiers = [str(line) for line in table.lines(range(len(table)))]
     else:
-        identifiers = table.columns[found.identifier]
         faults = {**checks.identifier_faults(identifiers, found.identifier), **faults}
     _refuse_common_fault(table, faults, used[2:4])
     keep = np.ones(len(table), dtype=np.bool_)
     keep[list(faults)] = False
     if not keep.any():
-        raise InputError(path, f"expected at least one crater, found none in {len(table)} rows")
+        none_left = f"expected at least one crater, found none in {len(table)} rows"
+        if faults:
+            row = min(faults)
+            column, fault = faults[row]
+            hint = ": wrong unit (km, m), or another body" if column in used[2:4] else ""
+            none_left += f", the first left out is line {table.lines([row])[0]}: {column}: {fault}{hint}"
+        raise InputError(path, none_left)
     latitude, longitude, major, minor, angle, height = (column[keep] for column in values)
-    problem = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
-    if problem is not None:
-        raise InputError(path, problem, column=used[2])
+    odd = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
+    if odd is not None:
+        raise InputError(path, odd, column=used[2])
     catalog = Catalog(
         identifiers=tuple(np.array(identifiers, dtype=object)[keep]),
         latitude_rad=np.radians(latitude),
@@ -120,8 +136,24 @@ def import_table(path: Path, body: Body, options: ImportOptions) -> tuple[Catalo
         circles=int(np.count_nonzero(is_circle & keep)) if found.ellipse else 0,
         numbered=found.identifier is None,
         skipped=tuple(skipped),
+        columns=shown,
+        body_by=body_by,
     )
     return catalog, report
+
+
+def _header(path: Path, options: ImportOptions) -> tuple[Header, Columns]:
+    """Find the line with the column names: the first, or one below a preamble."""
+    first, *others = read_headers(path)
+    try:
+        found = columns.recognise(path, first.names, options, first.line)
+    except InputError:
+        for header in others:
+            with contextlib.suppress(InputError):
+                return header, columns.recognise(path, header.names, options, header.line)
+        raise
+    refuse_doubled(path, first)
+    return first, found
 
 
 def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...], BoolArray]:
@@ -145,18 +177,6 @@ def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...]
     return (*ellipse, np.nan_to_num(height)), is_circle
 
 
-def _refuse_swapped(
-    table: ForeignTable, latitude_name: str, longitude_name: str, values: tuple[FloatArray, ...]
-) -> None:
-    latitude, longitude = values[0], values[1]
-    beyond = np.abs(latitude) > 90.0
-    enough = _SWAPPED if len(table) >= _FEW else 0.5
-    if np.count_nonzero(beyond) > enough * len(table) and np.nanmax(np.abs(longitude), initial=0.0) <= 90.0:
-        row = int(np.flatnonzero(beyond)[0])
-        problem = f"expected -90 to 90 deg, found {latitude[row]:g}, and in {longitude_name} no more than 90"
-        table.fail(row, latitude_name, f"{problem}: latitude and longitude are swapped")
-
-
 def _refuse_common_fault(table: ForeignTable, faults: checks.Faults, diameters: Sequence[str]) -> None:
     """Refuse a table of which half the rows have the same fault."""
     if len(table) < _FEW:
@@ -168,6 +188,8 @@ def _refuse_common_fault(table: ForeignTable, faults: checks.Faults, diameters: 
         if len(rows) > 0.5 * len(table):
             row = min(rows)
             problem = f"{faults[row][1]}; so in {len(rows)} of {len(table)} rows"
-            if column in diameters:
+            if "at most the major" in problem:
+                problem += ": major and minor diameters are swapped"
+            elif column in diameters:
                 problem += ": wrong unit (km, m), or another body"
             table.fail(row, column, problem)

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from craternav_fg.body import Body
 from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.bodies import StatedBody, settled
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 
@@ -23,8 +24,6 @@ _KEY = b"craternav_catalog"
 _ID = "crater_id"
 # Latitude and longitude are planetocentric, east-positive; the angle counts from east towards north.
 _NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
-# Radii closer than this are one body's.
-_SAME_RADIUS = 1e-6
 
 
 def write_parquet(path: Path, catalog: Catalog) -> None:
@@ -50,20 +49,14 @@ def write_parquet(path: Path, catalog: Catalog) -> None:
         pq.write_table(pa.Table.from_arrays(arrays, schema=schema), temporary, use_dictionary=False)
 
 
-def read_body(path: Path) -> Body:
-    """Give the body of a stored catalogue: name and radius, without gravity and spin."""
-    about = _about(path)
-    return Body(str(about["body"]), float(about["radius_m"]), 1.0, (0.0, 0.0, 0.0))
-
-
-def read_parquet(path: Path, body: Body) -> Catalog:
+def read_parquet(path: Path, body: Body | None) -> Catalog:
     """Read a catalogue that `write_parquet` wrote.
 
     Parameters
     ----------
     path : Path
-    body : Body
-        Must have the radius of the catalogue's.
+    body : Body or None
+        Must have the radius of the catalogue's; None for the catalogue's own, without gravity and spin.
 
     Raises
     ------
@@ -71,14 +64,8 @@ def read_parquet(path: Path, body: Body) -> Catalog:
         When it is no such file, of another body, or a value is out of range.
     """
     about = _about(path)
-    radius_m = float(about["radius_m"])
-    if abs(radius_m - body.radius_m) > _SAME_RADIUS * body.radius_m:
-        raise InputError(
-            path,
-            f"expected a catalogue on a sphere of {body.radius_m:.9g} m ({body.name or 'the given body'}), "
-            f"found one of {about['body'] or 'a body'} on {radius_m:.9g} m",
-            column="radius_m",
-        )
+    stated = StatedBody(str(about["body"]), float(about["radius_m"]), True, "its metadata say", "radius_m")
+    body, _ = settled(path, body, stated)
     try:
         table = pq.read_table(path, columns=[_ID, *_NUMBERS])
     except (pa.ArrowException, OSError) as error:

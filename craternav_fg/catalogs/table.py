@@ -17,6 +17,12 @@ from craternav_fg.errors import InputError
 IntArray = npt.NDArray[np.int64]
 
 _NONE = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "-", "--"]
+# So many lines may stand above the column names.
+_PREAMBLE = 60
+_PACKED = {
+    b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save it as CSV",
+    b"\x1f\x8b": "a compressed file: unpack it",
+}
 _CONVERSION = re.compile(r"In CSV column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'")
 
 
@@ -33,12 +39,15 @@ class ForeignTable:
         Lines with another number of cells than the header, each with that number.
     width : int
         Cells of the header.
+    header_line : int
+        1-based.
     """
 
     path: Path
     columns: Mapping[str, Any]
     broken: tuple[tuple[int, int], ...]
     width: int
+    header_line: int
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -46,7 +55,7 @@ class ForeignTable:
     def lines(self, rows: Sequence[int] | IntArray) -> list[int]:
         """1-based lines of the file in which rows stand."""
         broken = {line for line, _ in self.broken}
-        kept = [line for line in _filled_lines(self.path)[1:] if line not in broken]
+        kept = [line for line in _filled_lines(self.path, self.header_line)[1:] if line not in broken]
         return [kept[row] for row in rows]
 
     def fail(self, row: int, column: str, problem: str) -> NoReturn:
@@ -54,36 +63,70 @@ class ForeignTable:
         raise InputError(self.path, problem, line=self.lines([row])[0], column=column)
 
 
-def read_header(path: Path) -> tuple[list[str], str]:
-    """Give a table's column names, as they are written, and the sign that separates them.
+@dataclass(frozen=True)
+class Header:
+    """A line that may hold column names.
+
+    Attributes
+    ----------
+    names : list of str
+        As they are written.
+    separator : str
+    line : int
+        1-based, of the file.
+    """
+
+    names: list[str]
+    separator: str
+    line: int
+
+
+def read_headers(path: Path) -> list[Header]:
+    """Give the lines of a table that may hold its column names: the first that is not blank, then others.
 
     Raises
     ------
     InputError
-        When the file is missing, empty, or has a column twice.
+        When the file is missing, empty, or no text.
     """
     if not path.is_file():
-        raise InputError(path, "file is missing")
-    raw = path.open("rb")
-    with raw:
-        first = next((line for line in raw if line.strip()), b"")
-    text = _decoded(first).strip("\r\n")
-    if not text.strip() or "\0" in text:
+        raise InputError(path, "expected a file, found a folder" if path.is_dir() else "file is missing")
+    first: list[tuple[int, bytes]] = []
+    with path.open("rb") as raw:
+        for number, line in enumerate(raw, 1):
+            if line.strip():
+                first.append((number, line))
+            if len(first) > _PREAMBLE:
+                break
+    for sign, what in _PACKED.items():
+        if first and first[0][1].startswith(sign):
+            raise InputError(path, f"expected a table as text, found {what}")
+    if not first or b"\0" in first[0][1]:
         raise InputError(path, "expected a table with column names in its first line", line=1)
-    separator = max(",;\t", key=text.count)
-    names = [cell.strip().removeprefix("#").strip() for cell in next(csv.reader([text], delimiter=separator))]
-    for name in names:
-        if name and names.count(name) > 1:
-            raise InputError(path, "expected each column once, found this one twice", line=1, column=name)
-    return names, separator
+    headers = []
+    for number, line in first:
+        text = _decoded(line).strip("\r\n")
+        separator = max(",;\t", key=text.count)
+        cells = next(csv.reader([text], delimiter=separator))
+        headers.append(Header([cell.strip().removeprefix("#").strip() for cell in cells], separator, number))
+    return headers
 
 
-def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> ForeignTable:
+def refuse_doubled(path: Path, header: Header) -> None:
+    """Raise `InputError` when a column is there twice."""
+    for name in header.names:
+        if name and header.names.count(name) > 1:
+            problem = "expected each column once, found this one twice"
+            raise InputError(path, problem, line=header.line, column=name)
+
+
+def read_columns(path: Path, header: Header, numbers: Sequence[str], texts: Sequence[str]) -> ForeignTable:
     """Read some columns, which must be there.
 
     Parameters
     ----------
     path : Path
+    header : Header
     numbers, texts : sequence of str
         Their names in the header.
 
@@ -92,9 +135,8 @@ def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> Fo
     InputError
         When a cell of a column of numbers is none.
     """
-    names, separator = read_header(path)
     # A name of one's own for nameless ones: pyarrow wants them to differ.
-    unique = [name or f"#{k}" for k, name in enumerate(names)]
+    unique = [name or f"#{k}" for k, name in enumerate(header.names)]
     broken: list[tuple[int, int]] = []
 
     def skip(row: Any) -> str:
@@ -107,9 +149,9 @@ def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> Fo
             path,
             # One thread: only then pyarrow tells in which row something is wrong.
             read_options=pa_csv.ReadOptions(
-                column_names=unique, skip_rows=_filled_lines(path)[0], use_threads=False, encoding=encoding
+                column_names=unique, skip_rows=header.line, use_threads=False, encoding=encoding
             ),
-            parse_options=pa_csv.ParseOptions(delimiter=separator, invalid_row_handler=skip),
+            parse_options=pa_csv.ParseOptions(delimiter=header.separator, invalid_row_handler=skip),
             convert_options=pa_csv.ConvertOptions(
                 column_types={**dict.fromkeys(numbers, pa.float64()), **dict.fromkeys(texts, pa.string())},
                 include_columns=[*numbers, *texts],
@@ -119,34 +161,33 @@ def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> Fo
             ),
         )
     except pa.ArrowInvalid as error:
-        raise _cell_error(path, unique, str(error)) from None
+        raise _cell_error(path, header, unique, str(error)) from None
     data: dict[str, Any] = {}
     for name in numbers:
         data[name] = table[name].to_numpy().astype(np.float64)
     for name in texts:
         data[name] = [text and text.strip() for text in table[name].to_pylist()]
     if broken:
-        filled = _filled_lines(path)
+        filled = _filled_lines(path, header.line)
         # pyarrow counts the header's line and what it skips, but no blank lines below it.
-        skipped = filled[0] - 1
-        broken = [(filled[number - 1 - skipped], cells) for number, cells in broken]
-    return ForeignTable(path, data, tuple(broken), len(names))
+        broken = [(filled[number - header.line], cells) for number, cells in broken]
+    return ForeignTable(path, data, tuple(broken), len(header.names), header.line)
 
 
-def _cell_error(path: Path, names: Sequence[str], message: str) -> InputError:
+def _cell_error(path: Path, header: Header, names: Sequence[str], message: str) -> InputError:
     match = _CONVERSION.search(message)
     if match is None:
         return InputError(path, f"expected a table: {message}")
     column, row, found = match.groups()
-    filled = _filled_lines(path)
-    line = None if row is None else filled[min(int(row) - filled[0], len(filled) - 1)]
+    filled = _filled_lines(path, header.line)
+    line = None if row is None else filled[min(int(row) - header.line, len(filled) - 1)]
     return InputError(path, f"expected a number, found {found!r}", line=line, column=names[int(column)])
 
 
-def _filled_lines(path: Path) -> list[int]:
-    """1-based numbers of the lines that are not blank."""
+def _filled_lines(path: Path, first: int) -> list[int]:
+    """1-based numbers of the lines that are not blank, from some line on."""
     with path.open("rb") as stream:
-        return [number for number, line in enumerate(stream, 1) if line.strip()]
+        return [number for number, line in enumerate(stream, 1) if number >= first and line.strip()]
 
 
 def _decoded(raw: bytes) -> str:

@@ -23,7 +23,9 @@ def bench(
     ),
     full: Annotated[
         bool,
-        typer.Option("--full", help="Online over 10,000 frames, too: minutes. The default takes about one."),
+        typer.Option(
+            "--full", help="Online over 10,000 frames, too: minutes more than the two or three without."
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

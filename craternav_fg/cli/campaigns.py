@@ -38,7 +38,7 @@ def montecarlo(
     trials: Annotated[int, typer.Option("-n", help="Number of trials.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the campaign.")],
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine.  [default: one for each core]")
+        int | None, typer.Option(help="Processes on this machine.", show_default="one for each core")
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler, whose workers run the trials instead.")

@@ -35,7 +35,8 @@ EstimatorOption = Annotated[
     typer.Option(
         "--estimator",
         "-e",
-        help=f"One of {', '.join(ESTIMATORS)}; may be repeated.  [default: all but {', '.join(ON_REQUEST)}]",
+        help=f"One of {', '.join(ESTIMATORS)}; may be repeated.",
+        show_default=f"all but {', '.join(ON_REQUEST)}",
     ),
 ]
 
@@ -112,6 +113,8 @@ def reconstruct(
         estimator(name)
     if data.resolve().is_relative_to(output.resolve()):
         raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
+    if (data / MARKER).is_file() and (data / DEMO_DATASET).is_dir():
+        raise InputError(data, f"expected a data set, found a run: its data set is {data / DEMO_DATASET}")
     dataset = Dataset.open(data)
     every = overlay_every or int(overlays)
     if every and dataset.rims is not None:
@@ -146,7 +149,8 @@ def compare(
         table.add_column("off m", justify="right", no_wrap=True)
         for name in run.trajectories:
             cells = row_of_estimator(name, run.metrics["estimators"][name])
-            table.add_row(*cells, number(from_smoother(run, name)))
+            off_m = from_smoother(run, name)
+            table.add_row(*cells, number(None if off_m is None else round(off_m, 3)))
         say(f"{run.path}")
         out.print(table)
     say(f"{LEGEND}\noff: RMS distance from the smoother")

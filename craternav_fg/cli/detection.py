@@ -38,7 +38,8 @@ def detect(
         float | None,
         typer.Option(
             "--sun",
-            help="Where in the image the light comes from: 0 right, 90 below, 180 left.  [default: seen]",
+            help="Where in the image the light comes from: 0 right, 90 below, 180 left.",
+            show_default="seen",
         ),
     ] = None,
     method: Annotated[

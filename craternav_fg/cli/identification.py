@@ -12,16 +12,17 @@ import typer
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog_files import import_catalog
 from craternav_fg.cli.app import JsonOption, app, numbers_of
+from craternav_fg.cli.catalog_reading import CatalogBodyOption, read_any_catalog
 from craternav_fg.cli.terminal import err, out, say
-from craternav_fg.dataset.ellipses import read_ellipses
+from craternav_fg.dataset.ellipses import read_ellipses, write_matched
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.matching.identify import Identification, IdentifyOptions, KnownAttitude
 from craternav_fg.matching.identify import identify as identify_rims
 from craternav_fg.matching.identify_index import load_or_build
+from craternav_fg.recovery import index_path
 from craternav_fg.vision.detect import find_rims
 
 
@@ -31,7 +32,7 @@ def identify(
         Path, typer.Argument(help="CSV of ellipses as `craternav detect` writes it, or an image file.")
     ],
     camera: Annotated[Path, typer.Option(help="The camera's sensor.yaml.")],
-    catalog: Annotated[Path, typer.Option(help="Crater catalogue, with the columns of Robbins (2018).")],
+    catalog: Annotated[Path, typer.Option(help="Catalogue: .parquet, or a table that can be imported.")],
     attitude: Annotated[
         str | None, typer.Option(help="Attitude gRb of a star tracker, as a quaternion w,x,y,z.")
     ] = None,
@@ -39,30 +40,37 @@ def identify(
         float, typer.Option(min=1e-3, max=10.0, help="Its standard deviation per axis.")
     ] = 1.5,
     altitude_km: Annotated[
-        str | None, typer.Option(help="LEAST,LARGEST altitude that is possible.  [default: 1,2000]")
+        str | None, typer.Option(help="LEAST,LARGEST altitude that is possible.", show_default="1,2000")
     ] = None,
     index: Annotated[
         Path | None,
-        typer.Option(help="Where the catalogue's index is kept.  [default: beside it, FILE.index.npz]"),
+        typer.Option(help="Where the catalogue's index is kept.", show_default="beside it, FILE.index.npz"),
     ] = None,
-    body_radius_m: Annotated[
-        float, typer.Option(min=1.0, help="Of the catalogue's sphere; the Moon's by default.")
-    ] = 1737400.0,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Write the rims with their CRATER_ID, for `craternav pose`."),
+    ] = None,
+    body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find the crater of each rim and the lander's pose, from nowhere; with an image, its rims first."""
-    body = Body("", body_radius_m, 1.0, (0.0, 0.0, 0.0))
+    path = index_path(catalog) if index is None else index
+    if path.suffix != ".npz":
+        raise InputError(path, "expected a name that ends in .npz for the index")
+    if output is not None and output.resolve() in (file.resolve() for file in (rims, camera, catalog, path)):
+        raise InputError(output, "would be overwritten by the result: choose another --output")
     sensor = read_camera(camera)
     known = _attitude(attitude, attitude_sigma_deg)
     options = IdentifyOptions(altitudes_m=_altitudes(altitude_km))
     ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
-    craters, _ = import_catalog(catalog, body)
-    path = catalog.with_name(f"{catalog.name}.index.npz") if index is None else index
+    craters, _ = read_any_catalog(catalog, body_radius_m)
     ready, said = load_or_build(path, craters)
     if said:
         err.print(f"craternav: index: {said}", highlight=False, soft_wrap=True)
     found = identify_rims(ellipses, sensor, ready, known, options)
-    values = _plain(found, ellipses, body)
+    values = _plain(found, ellipses, craters.body)
+    if output is not None and found.identified:
+        write_matched(output, ellipses, found.craters)
     if as_json:
         out.print_json(json.dumps({**values, "index": said or f"{path}: loaded"}, allow_nan=False))
     else:
@@ -117,6 +125,8 @@ def _plain(found: Identification, ellipses: npt.NDArray[np.float64], body: Body)
             "latitude_deg": float(np.degrees(latitude)),
             "longitude_deg": float(np.degrees(longitude)),
             "altitude_m": float(body.altitude_m(gP)),
+            "body": body.name,
+            "body_radius_m": body.radius_m,
             "covariance": found.covariance.tolist(),
             "position_sigma_m": np.sqrt(np.diag(R @ found.covariance[3:, 3:] @ R.T)).tolist(),
             "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(found.covariance)[:3])).tolist(),
@@ -136,8 +146,9 @@ def _show(values: dict[str, Any]) -> None:
     pose = values["pose"]
     if pose is None:
         return
+    say("   centre x          y  px  crater")
     for rim in values["rims"]:
-        say(f"{rim['center_x_px']:10.3f} {rim['center_y_px']:10.3f}  {rim['crater'] or '-'}")
+        say(f"{rim['center_x_px']:10.3f} {rim['center_y_px']:10.3f}      {rim['crater'] or '-'}")
     matched = sum(rim["crater"] is not None for rim in values["rims"])
     gP, attitude, sigma_m, sigma_deg = (
         ", ".join(f"{number:{form}}" for number in pose[name])
@@ -155,7 +166,7 @@ def _show(values: dict[str, Any]) -> None:
     )
     say(
         f"latitude {pose['latitude_deg']:.5f}, longitude {pose['longitude_deg']:.5f} deg, altitude "
-        f"{pose['altitude_m']:.1f} m"
+        f"{pose['altitude_m']:.1f} m above the sphere of {1e-3 * pose['body_radius_m']:g} km"
     )
     say(f"  position in g {gP} m; sigma {sigma_m} m")
     say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")

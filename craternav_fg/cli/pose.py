@@ -8,6 +8,7 @@ import typer
 
 from craternav_fg.body import Body
 from craternav_fg.cli.app import JsonOption, app, numbers_of
+from craternav_fg.cli.catalog_reading import CatalogBodyOption
 from craternav_fg.cli.terminal import err, out, show_poses
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
@@ -21,7 +22,7 @@ from craternav_fg.static.robust import solve_robustly
 def pose(
     rims: Annotated[Path, typer.Argument(help="CSV of ellipses, each with its crater (see the README).")],
     camera: Annotated[Path, typer.Option(help="The camera's sensor.yaml.")],
-    catalog: Annotated[Path, typer.Option(help="Crater catalogue, with the columns of Robbins (2018).")],
+    catalog: Annotated[Path, typer.Option(help="Catalogue: .parquet, or a table that can be imported.")],
     attitude: Annotated[
         str | None, typer.Option(help="Known attitude gRb, as a quaternion w,x,y,z: the position is sought.")
     ] = None,
@@ -47,13 +48,11 @@ def pose(
     edge_points: Annotated[
         int, typer.Option(min=6, max=100_000, help="Edge points that an ellipse rests on.")
     ] = 60,
-    body_radius_m: Annotated[
-        float, typer.Option(min=1.0, help="Of the catalogue's sphere; the Moon's by default.")
-    ] = 1737400.0,
+    body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find the lander's pose from the matched rims of one image, without a start."""
-    body = Body("", body_radius_m, 1.0, (0.0, 0.0, 0.0))
+    body = None if body_radius_m is None else Body("", body_radius_m, 1.0, (0.0, 0.0, 0.0))
     sensor = read_camera(camera)
     if sensor.distorts:
         raise InputError(
@@ -69,7 +68,7 @@ def pose(
         sun=numbers_of("--sun", sun, 5),
     )
     result = solve_robustly(problem) if robust else solve(problem)
-    values = as_plain_data(problem, result, body)
+    values = as_plain_data(problem, result, craters.body)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))
     else:

@@ -23,7 +23,7 @@ REPORT = "report.html"
 def report(
     folder: Annotated[Path, typer.Argument(metavar="RUN|CAMPAIGN", help="Folder of a run or a campaign.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help=f"HTML file.  [default: {REPORT} in the folder]")
+        Path | None, typer.Option("--output", "-o", help="HTML file.", show_default=f"{REPORT} in the folder")
     ] = None,
     recording: Annotated[
         Path | None,

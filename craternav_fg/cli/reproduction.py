@@ -10,7 +10,7 @@ from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import bar, out, say
 from craternav_fg.files import replacing_folder
 from craternav_fg.reproduce import run as reproduction
-from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.options import SEMI_AXES_M, ReproduceOptions
 from craternav_fg.reproduce.terminal import tables
 
 
@@ -26,6 +26,9 @@ def reproduce(
     altitudes: Annotated[
         tuple[float, float], typer.Option(help="Lowest and highest altitude of figs. 11 to 14, km.")
     ] = (10.0, 100.0),
+    semi_axes: Annotated[
+        tuple[float, float], typer.Option(help="Least and largest semi-axis of rims, figs. 11 to 14, m.")
+    ] = SEMI_AXES_M,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of an edge point, px.")] = 1.0,
     arc: Annotated[float, typer.Option(help="Part of each rim that shows, of 1.")] = 1.0,
     trials: Annotated[int, typer.Option(help="Trials at each altitude and point.")] = 100,
@@ -40,8 +43,8 @@ def reproduce(
     """Reproduce the paper's figures and tables, each number with a verdict; and what the front end holds."""
     names = reproduction.chosen(figures)
     options = ReproduceOptions(
-        craters=craters, altitudes_km=altitudes, noise_px=noise, arc=arc, trials=trials, images=images,
-        descents=descents, seed=seed, workers=workers,
+        craters=craters, altitudes_km=altitudes, semi_axes_m=semi_axes, noise_px=noise, arc=arc,
+        trials=trials, images=images, descents=descents, seed=seed, workers=workers,
     )  # fmt: skip
     contents = reproduction.CONTENTS
     with replacing_folder(output, marker=reproduction.MARKER, ours=contents) as folder, bar() as report:

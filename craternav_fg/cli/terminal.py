@@ -28,6 +28,10 @@ from craternav_fg.reconstruction import Progress as Report
 err = Console(stderr=True)
 out = Console()
 
+# Share of rims that do not fit above which an estimator's trajectory is not to be believed; one uses none.
+MOST = 0.5
+UNAIDED = "dead_reckoning"
+
 LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
 
@@ -40,12 +44,13 @@ def number(value: float | None) -> str:
     """Write a number with three digits, a dash for none."""
     if value is None:
         return "-"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def table_of_estimators() -> Table:
     """Give an empty table with a column for each figure of `row`."""
-    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
+    # With padding that neighbours share, the longest name and every column fit into 80 characters.
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
     table.add_column("estimator", no_wrap=True)
     for heading in ("RMS m", "end m", "RMS m/s", "RMS deg", "end deg", "ANEES"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -89,6 +94,8 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     else:
         say("no ground truth: figures/sigmas.png shows what each estimator believes of its errors,")
         say(f"craternav compare {folder} how far they lie apart")
+    if summary["innovations"]:
+        say(innovations_line(summary["innovations"]))
     counts = summary["craters_per_frame"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
     say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
@@ -98,9 +105,29 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
         say(f"  {path}{'/: ' + ', '.join(what) if what else ''}")
 
 
+def innovations_line(found: dict[str, Any]) -> str:
+    """Write the NIS of each sensor with the interval in which it lies if the filter is consistent."""
+    parts = (
+        f"{sensor} {number(nis['mean'])} ({nis['low']:.2f}-{nis['high']:.2f})"
+        for sensor, nis in found["nis"].items()
+    )
+    return f"NIS per dimension of {found['filter']}, honest: 1: {', '.join(parts)}"
+
+
 def _warnings(summary: dict[str, Any]) -> list[str]:
     """Tell what a user of the run must know before believing it."""
     out = [f"no trajectory of {message}" for message in summary["failures"].values()]
+    shares = {name: values["rim_misfit_share"] for name, values in summary["estimators"].items()}
+    astray = [
+        f"{name} ({100.0 * share:.0f} %)"
+        for name, share in shares.items()
+        if share is not None and share > MOST and name != UNAIDED
+    ]
+    if astray:
+        out.append(
+            f"most rims lie beyond 7 sigma from where they are put by {', '.join(astray)}, not to be "
+            "believed; check the units and axes of IMU and catalogue, T_BS, the matches"
+        )
     if summary["initial_state"] == "replaced":
         out.append("the images contradict the initial state: one from identified craters took its place")
     if summary["resumed_at_frames"]:

@@ -1,11 +1,16 @@
 """Tables of ellipses fitted to the rims of an image, in the columns that `craternav detect` writes."""
 
+import csv
+import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.columns import ID
+from craternav_fg.files import write_whole
 from craternav_fg.tables import Column, Table, read_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -50,6 +55,25 @@ def read_ellipses(path: Path, camera: Camera) -> FloatArray:
     )
     check_inside(table, np.stack([x, y], axis=-1), half.T, camera)
     return np.column_stack([x, y, a, b, angle])
+
+
+def write_matched(path: Path, ellipses_px: FloatArray, craters: Sequence[str | None]) -> None:
+    """Write the ellipses whose crater is known, with it, as `craternav pose` reads them; whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    ellipses_px : ndarray, shape (n, 5)
+        See `read_ellipses`.
+    craters : sequence of str or None, length n
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*ELLIPSE, ID))
+    for (x, y, a, b, angle), crater in zip(ellipses_px, craters, strict=True):
+        if crater is not None:
+            writer.writerow([*(f"{value:.4f}" for value in (x, y, a, b, np.degrees(angle))), crater])
+    write_whole(path, text.getvalue().encode())
 
 
 def check_axes(table: Table, camera: Camera) -> None:

@@ -30,7 +30,8 @@ is known: the images must then show craters that can be identified::
 
 `craters.csv`: the catalogue, with the names of Robbins (2018), deg (longitude to the east, angle of the
 major axis from local east towards north) and km (diameters). RIM_HEIGHT_M, of the rim above the sphere,
-may be left out and is then 0. Other columns of the published file may be there and are not read::
+may be left out and is then 0. BODY and BODY_RADIUS_M, the same in all rows, may be there and must agree with
+dataset.toml then. Other columns of the published file may be there and are not read::
 
     CRATER_ID,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_ELLI_MAJOR_IMG,DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG,RIM_HEIGHT_M
     01-1-000002,60.81,183.047,27.32,26.98,81.36,12.5
@@ -94,7 +95,7 @@ over all frames, in steps of at most 0.1 s::
 `rims.parquet` (optional): measured rims; when it is there, no image is read. Columns: `timestamp` (int64,
 a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance` (25 doubles), see
 `craternav_fg.measurements.RimSet`; and, if known, the roots of what of it lasts: `persistent` (25 doubles),
-`shared` (90 doubles), row by row. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
+`shared` (35 doubles), row by row. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
 tilt, its standard deviation and the image point, normalised, at which it holds::
 
     #timestamp [ns],tilt [rad],sigma [rad],u,v

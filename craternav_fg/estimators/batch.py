@@ -1,32 +1,37 @@
 """The batch smoother: all states from all data."""
 
 import itertools
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from gtsam.symbol_shorthand import B, V, X
+from gtsam.symbol_shorthand import B, V, X, Y
 
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
 from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.ekf_measurement import weighed
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
     FactorGraph,
     GraphOptions,
+    ImuInterval,
     add_frame,
     add_imu,
     add_prior,
     bias_covariance_ours,
     bias_vector,
     pose_covariance_in_g,
+    push_interval,
     state_stamps,
 )
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
-from craternav_fg.estimators.optimise import bayes_tree, levenberg_marquardt
+from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
 from craternav_fg.estimators.rim_errors import RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -36,6 +41,8 @@ from factors.kernels.conic import project_rims
 FloatArray = npt.NDArray[np.float64]
 
 MAX_OPTIMISATIONS = 5
+# Ends within a few hundredths of a sigma of an optimum.
+ROUGH = LmOptions(relative_tolerance=1e-5)
 # An optimum is doubted when its sum of squares is above this many times its degrees of freedom, and these
 # standard deviations more.
 DOUBT, DOUBT_SIGMAS = 1.3, 6.0
@@ -73,17 +80,33 @@ class BatchSmoother:
         with suppress(EstimationError, np.linalg.LinAlgError):
             states = ekf().states(problem)[problem.start.frame :]
             guess, numbers = initial_values(problem, problem.start, states, self.options.keyframe_s)
-            found.append(optimum(problem, self.options, guess))
+            found.append(self._optimum(problem, guess, numbers))
             if self.options.rims == "centre" or not _doubtful(*found[0]):
                 return trajectory(problem, self.options, *found[0], numbers)
         session = OnlineSmoother(self.options).run(problem)
         try:
-            found.append(optimum(problem, self.options, session.smoothed_values()))
+            found.append(self._optimum(problem, session.smoothed_values(), session.frame_numbers))
         except EstimationError:
             if not found:
                 raise
         best = min(found, key=lambda one: one[0].error(one[1]))
         return trajectory(problem, self.options, *best, session.frame_numbers)
+
+    def _optimum(
+        self, problem: Problem, values: gtsam.Values, numbers: Sequence[int]
+    ) -> tuple[FactorGraph, gtsam.Values]:
+        """Optimise roughly, then with the rims weighed where that expects them."""
+        if self.options.rims == "centre":
+            return optimum(problem, self.options, values)
+        graph = build_graph(problem, self.options, values)
+        values = levenberg_marquardt(graph, values, ROUGH).values
+        letter = Y if self.options.calibration.of_exposure else X
+        poses = [values.atPose3(letter(number)).matrix() for number in numbers]
+        frames = [
+            weighed(f, gTb, problem.camera, problem.catalog)
+            for f, gTb in zip(problem.frames, poses, strict=True)
+        ]
+        return optimum(replace(problem, frames=frames), self.options, values, graph.intervals)
 
 
 def _doubtful(graph: FactorGraph, values: gtsam.Values) -> bool:
@@ -94,7 +117,7 @@ def _doubtful(graph: FactorGraph, values: gtsam.Values) -> bool:
 
 
 def optimum(
-    problem: Problem, options: GraphOptions, values: gtsam.Values
+    problem: Problem, options: GraphOptions, values: gtsam.Values, intervals: Sequence[ImuInterval] = ()
 ) -> tuple[FactorGraph, gtsam.Values]:
     """Optimise a whole descent, gravity's midpoints renewed until they stand.
 
@@ -104,6 +127,8 @@ def optimum(
     options : GraphOptions
     values : gtsam.Values
         Start: of all states, each frame's, and those between.
+    intervals : sequence of ImuInterval
+        Of an earlier graph of these states, which is then no longer used.
 
     Returns
     -------
@@ -116,7 +141,7 @@ def optimum(
     EstimationError
         When the optimisation does not converge.
     """
-    graph = build_graph(problem, options, values)
+    graph = build_graph(problem, options, values, intervals)
     for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
         result = levenberg_marquardt(graph, values)
         if not result.converged:
@@ -149,7 +174,9 @@ def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values)
     return lost, count
 
 
-def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -> FactorGraph:
+def build_graph(
+    problem: Problem, options: GraphOptions, values: gtsam.Values, intervals: Sequence[ImuInterval] = ()
+) -> FactorGraph:
     """Build the graph of a whole descent, gravity and biases linearised at given values.
 
     Parameters
@@ -159,6 +186,8 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     values : gtsam.Values
         Of all states: each frame's, and those between. Gets what is estimated along, where it is missing:
         errors of rims as zero.
+    intervals : sequence of ImuInterval
+        Of an earlier graph of these states, which is then no longer used: its rows need no integration.
 
     Returns
     -------
@@ -168,6 +197,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
     add_prior(graph, problem.initial)
     states = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
     added = gtsam.Values()
+    known: set[int] = set()
     add_calibration(graph, values, options.calibration)
 
     def add_image(number: int, frame: FrameMeasurement) -> None:
@@ -178,7 +208,7 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
         errors: list[ChartError] = []
         if options.rims == "chart":
             exposed = values.atPose3(key).matrix()
-            errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed)
+            errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed, known)
         add_frame(graph, problem, options, key, frame, states=states, values=added, map_errors=errors)
 
     add_image(0, problem.frames[0])
@@ -187,8 +217,12 @@ def build_graph(problem: Problem, options: GraphOptions, values: gtsam.Values) -
         stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, options.keyframe_s)]
         for begin_ns, end_ns in itertools.pairwise(stamps):
             ends = [values.atPose3(X(i)).translation() for i in (number, number + 1)]
-            bias = bias_vector(values.atConstantBias(B(number)))
-            add_imu(graph, problem, number, int(begin_ns), int(end_ns), 0.5 * (ends[0] + ends[1]), bias)
+            midpoint = 0.5 * (ends[0] + ends[1])
+            if intervals:
+                push_interval(graph, intervals[number].moved(problem.body, midpoint))
+            else:
+                bias = bias_vector(values.atConstantBias(B(number)))
+                add_imu(graph, problem, number, int(begin_ns), int(end_ns), midpoint, bias)
             number += 1
         add_image(number, frame)
     for key in added.keys():  # noqa: SIM118 (Values is no mapping)

@@ -131,6 +131,7 @@ def map_errors(
     options: Calibration,
     rims: RimSet,
     gTb: FloatArray,
+    known: set[int],
 ) -> list[ChartError]:
     """Give a frame's rims the errors that their craters have on the map: one vector for each crater.
 
@@ -145,6 +146,8 @@ def map_errors(
     rims : RimSet
     gTb : ndarray, shape (4, 4)
         Pose of the lander to a per cent of the range: what an error on the ground does to the image.
+    known : set of int
+        Craters whose priors the graph has; gets those that are new.
 
     Returns
     -------
@@ -162,6 +165,8 @@ def map_errors(
         key = int(M(crater))
         if not values.exists(key):
             values.insert(key, np.zeros(len(sigmas)))
+        if crater not in known:
+            known.add(crater)
             unit = gtsam.noiseModel.Unit.Create(len(sigmas))
             graph.push_back(gtsam.PriorFactorVector(key, np.zeros(len(sigmas)), unit))
         out.append(ChartError(key, [i], roots[i : i + 1]))

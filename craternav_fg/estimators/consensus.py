@@ -17,9 +17,10 @@ import numpy.typing as npt
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.ekf_fusion import Update, fuse_updates
-from craternav_fg.estimators.ekf_measurement import linearise_rims, linearise_sun
+from craternav_fg.estimators.ekf_measurement import linearise_rims, linearise_sun, weighed
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.rim_errors import SIGHTINGS
 from craternav_fg.estimators.start import find_start
 from craternav_fg.measurements import FrameMeasurement, RimSet
 
@@ -157,7 +158,9 @@ def _track(problem: Problem, start: Start, frames: Sequence[FrameMeasurement], l
 def _linearised(
     descent: Descent, frame: FrameMeasurement, gTb: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    return linearise_rims(gTb, frame.rims, descent.camera, descent.catalog, model="chart", noise="measured")
+    camera, catalog = descent.camera, descent.catalog
+    rims = weighed(frame, gTb, camera, catalog).rims.as_new(SIGHTINGS)
+    return linearise_rims(gTb, rims, camera, catalog, model="chart", noise="measured")
 
 
 def agreeing(

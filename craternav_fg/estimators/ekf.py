@@ -17,8 +17,10 @@ from craternav_fg.estimators.ekf_measurement import (
     linearise_arcs,
     linearise_rims,
     linearise_sun,
+    weighed,
 )
 from craternav_fg.estimators.filter_state import POSE, FilterState, right_jacobian
+from craternav_fg.estimators.rim_errors import SIGHTINGS
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 
@@ -35,7 +37,7 @@ class EkfOptions:
     measurement : {"chart", "implicit"}
         Ellipse chart, or eq. (19) as an implicit measurement, eq. (25).
     noise : {"measured", "fixed"}
-        Each rim's own covariance, or the paper's Qn for all of them.
+        Each rim's own covariance, taken where the prediction expects it, or the paper's Qn for all of them.
     fusion : {"exact", "paper", "paper-fed-back", "covariance-intersection"}
         "exact" counts the prior that sub-filters share once; "paper" lets them run on by themselves
         and publishes eq. (29); "paper-fed-back" writes eq. (29) back into them in every frame, which
@@ -48,6 +50,8 @@ class EkfOptions:
         None: never.
     gate_sigmas : float or None
         A rim beyond this is dropped, unless every rim of the frame is; None: never.
+    sightings : float
+        How often errors that outlast a frame are counted, as the filter takes them as new in each.
     """
 
     measurement: MeasurementModel = "chart"
@@ -56,6 +60,7 @@ class EkfOptions:
     iterations: int = 2
     limit_sigmas: float | None = 4.5
     gate_sigmas: float | None = 10.0
+    sightings: float = SIGHTINGS
 
 
 @dataclass(frozen=True)
@@ -131,9 +136,12 @@ class DistributedEkf:
         options = self.options
         if not len(frame.rims) and not len(frame.arcs) and frame.sun is None:
             return prior
+        frame = frame.as_new(options.sightings)
         delta = np.zeros(len(prior.covariance))
         covariance = prior.covariance
         rims = frame.rims
+        if options.noise == "measured":
+            rims = weighed(frame, prior.gTb, problem.camera, problem.catalog).rims
         factors: FloatArray | None = None
         for _ in range(options.iterations):
             point = prior if not delta.any() else prior.moved(delta, covariance)

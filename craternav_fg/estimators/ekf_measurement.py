@@ -1,5 +1,6 @@
 """The filter's measurements, linearised and whitened: rims (ellipse chart or eq. (19)) and sun tilt."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.estimators.ekf_fusion import Update
-from craternav_fg.measurements import ArcSet, RimSet, SunTilt
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet, SunTilt
 from factors.kernels import conic, rim, robust, shape, sun
 
 FloatArray = npt.NDArray[np.float64]
@@ -21,6 +22,18 @@ NoiseModel = Literal["measured", "fixed"]
 # 2e-3 to 3e-3 and F errors of 1e-5: A and C are then of order one and F of the order of a squared image
 # size, which also A + C = 1 would give (a factor of 1.4), but not F = 1.
 PAPER_NOISE = np.diag([2.5e-5, 1.5e-4, 2.5e-5, 1.5e-6, 1.5e-6, 1.5e-8])
+
+
+def weighed(frame: FrameMeasurement, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FrameMeasurement:
+    """Return a frame with its rims' covariances taken where a pose (4, 4) expects them.
+
+    The pose should rest on other frames: then the weights do not depend on the rims' own errors, see
+    `RimSet.expected_at`.
+    """
+    rows = frame.rims.craters
+    gTb = np.ascontiguousarray(gTb)
+    charts, _ = conic.project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    return replace(frame, rims=frame.rims.expected_at(charts))
 
 
 def linearise_rims(

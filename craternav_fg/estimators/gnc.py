@@ -18,10 +18,13 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
 from craternav_fg.estimators.consensus import Track, robust_track
+from craternav_fg.estimators.ekf_measurement import linearise_arcs, weighed
+from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.estimators.first_guess import initial_values
-from craternav_fg.estimators.graph import GraphOptions, add_frame
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
-from craternav_fg.measurements import ArcSet, FrameMeasurement
+from craternav_fg.estimators.rematch import NO_CRATER, rematched
+from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
 from factors.kernels.validity import UNSEEN
@@ -65,8 +68,32 @@ class GncOptions:
             raise EstimationError(f"growth: expected a number above 1, found {self.growth}")
 
 
+@dataclass(frozen=True)
+class _Decided:
+    """What the rounds found.
+
+    Attributes
+    ----------
+    weights : list of ndarray
+        Of each frame's matches: 1 right, 0 wrong.
+    values : gtsam.Values
+        Near the optimum with these.
+    poses : list of ndarray, shape (4, 4)
+        Of the body in g at each frame's exposure.
+    intervals : list of ImuInterval
+    """
+
+    weights: list[FloatArray]
+    values: gtsam.Values
+    poses: list[FloatArray]
+    intervals: list[ImuInterval]
+
+
 class GncSmoother:
-    """Batch smoother that decides of each rim whether it is used wholly or not at all.
+    """Batch smoother that decides of each rim whether its match is right.
+
+    One whose match is not is looked up in the catalogue again (`rematched`), and used for the crater it is
+    of, or not at all. An arc that does not fit its crater is left out.
 
     Parameters
     ----------
@@ -84,29 +111,62 @@ class GncSmoother:
         Returns
         -------
         Trajectory
-            With the weights of the rims: 1 kept, 0 rejected.
+            With the weights of the matches, 1 right and 0 wrong, and the craters that rims are taken for.
 
         Raises
         ------
         EstimationError
             When the optimisation does not converge.
         """
-        graph_options = self.options.graph
-        probability = self.options.inlier_probability
-        track = robust_track(problem, float(chi2.ppf(probability, COMPONENTS["chart"])), graph_options)
-        values, numbers = initial_values(problem, track.start, track.states, graph_options.keyframe_s)
-        kept, values = self._decide(problem, track, values, numbers)
-        graph, values = optimum(_with_weights(problem, kept), graph_options, values)
-        return replace(trajectory(problem, graph_options, graph, values, numbers), rim_weights=tuple(kept))
+        options = self.options.graph
+        track = robust_track(problem, self._limit2(COMPONENTS["chart"]), options)
+        values, numbers = initial_values(problem, track.start, track.states, options.keyframe_s)
+        decided = self._decide(problem, track, values, numbers)
+        frames, craters = [], []
+        predicted = [track.states[0]] * track.start.frame + track.states
+        for frame, weights, gTb, state in zip(
+            problem.frames, decided.weights, decided.poses, predicted, strict=True
+        ):
+            taken = rematched(
+                frame.rims, weights > 0.0, gTb, problem.camera, problem.catalog,
+                self._limit2(COMPONENTS["chart"]),
+            )  # fmt: skip
+            craters.append(taken)
+            rims = replace(frame.rims, craters=taken).take(taken != NO_CRATER)
+            arcs = self._fitting(problem, frame.arcs, gTb, state.covariance[POSE, POSE])
+            kept = replace(frame, rims=rims, arcs=arcs)
+            frames.append(weighed(kept, gTb, problem.camera, problem.catalog))
+        graph, values = optimum(replace(problem, frames=frames), options, decided.values, decided.intervals)
+        return replace(
+            trajectory(problem, options, graph, values, numbers),
+            rim_weights=tuple(decided.weights), rim_craters=tuple(craters),
+        )  # fmt: skip
+
+    def _limit2(self, freedom: int) -> float:
+        return float(chi2.ppf(self.options.inlier_probability, freedom))
+
+    def _fitting(self, problem: Problem, arcs: ArcSet, gTb: FloatArray, covariance: FloatArray) -> ArcSet:
+        """Arcs that fit their craters, seen from a pose that is known as well as a covariance (6, 6) says."""
+        fits = np.zeros(len(arcs), dtype=np.bool_)
+        alone = arcs.as_new(1.0)
+        for i in range(len(arcs)):
+            for one in linearise_arcs(gTb, alone.take(np.array([i])), problem.camera, problem.catalog):
+                S = one.A @ covariance @ one.A.T + np.eye(len(one.A))
+                squared = float(one.residual @ np.linalg.solve(S, one.residual))
+                fits[i] = squared <= self._limit2(len(one.residual))
+        return arcs.take(fits)
 
     def _decide(
         self, problem: Problem, track: Track, values: gtsam.Values, numbers: Sequence[int]
-    ) -> tuple[list[FloatArray], gtsam.Values]:
-        """Find each rim's weight, 0 or 1, and values near the optimum with these weights."""
-        options = replace(self.options.graph, loss=Loss())
-        limit2 = float(chi2.ppf(self.options.inlier_probability, COMPONENTS[options.rims]))
+    ) -> _Decided:
+        """Find out which matches are right."""
+        # Which rims are wrong shows without the errors that last as variables.
+        options = replace(self.options.graph, loss=Loss(), rim_errors=None)
+        limit2 = self._limit2(COMPONENTS[options.rims])
         rims = _Rims(problem, options, numbers)
-        others = build_graph(_with_weights(problem, rims.split(np.zeros(rims.count))), options, values)
+        # Arcs that are wrong could outweigh rims that are right.
+        blind = [replace(f, rims=RimSet.empty(), arcs=ArcSet.empty()) for f in problem.frames]
+        others = build_graph(replace(problem, frames=blind), options, values)
         squared = rims.squared(values)
         trusted = np.concatenate([np.zeros(0, dtype=np.bool_), *track.kept])
         largest = float(squared[len(squared) - len(trusted) :][trusted].max(initial=limit2))
@@ -122,7 +182,8 @@ class GncSmoother:
             values = levenberg_marquardt(graph, values, COARSE).values
             squared, previous = rims.squared(values), weights
             mu *= self.options.growth
-        return rims.split((squared <= limit2).astype(np.float64)), values
+        right = rims.split((squared <= limit2).astype(np.float64))
+        return _Decided(right, values, rims.poses(values), others.intervals)
 
 
 def truncated_weights(squared: FloatArray, mu: float, limit2: float) -> FloatArray:
@@ -133,18 +194,6 @@ def truncated_weights(squared: FloatArray, mu: float, limit2: float) -> FloatArr
     """
     between = np.sqrt(limit2 * mu * (mu + 1.0) / np.maximum(squared, np.finfo(np.float64).tiny)) - mu
     return np.asarray(np.clip(between, 0.0, 1.0))
-
-
-def _with_weights(problem: Problem, weights: Sequence[FloatArray]) -> Problem:
-    """Divide every rim's covariance by its weight, which scales its whitening by the root."""
-    frames = [_weighted(frame, w) for frame, w in zip(problem.frames, weights, strict=True)]
-    return replace(problem, frames=frames)
-
-
-def _weighted(frame: FrameMeasurement, weights: FloatArray) -> FrameMeasurement:
-    kept = weights > LEAST_WEIGHT
-    rims = frame.rims.take(kept)
-    return replace(frame, rims=replace(rims, covariance=rims.covariance / weights[kept, None, None]))
 
 
 class _Rims:
@@ -159,17 +208,37 @@ class _Rims:
         self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])
         self.count = int(self._ends[-1])
-        self._graph = gtsam.NonlinearFactorGraph()
-        self.add(self._graph, np.ones(self.count))
+        # Most weights stay as they are from round to round.
+        self._made: list[tuple[FloatArray, FactorGraph]] = [
+            (ones, self._factors(k, ones)) for k, ones in enumerate(self.split(np.ones(self.count)))
+        ]
+        self._graph = FactorGraph()
+        for _, part in self._made:
+            self._graph.push_back(part)
 
     def split(self, weights: FloatArray) -> list[FloatArray]:
         """Weights of all rims, frame by frame."""
         return np.split(weights, self._ends[:-1])
 
+    def poses(self, values: gtsam.Values) -> list[FloatArray]:
+        """Poses (4, 4) of the body in g at the exposures."""
+        return [np.ascontiguousarray(values.atPose3(key).matrix()) for key in self._keys]
+
     def add(self, graph: gtsam.NonlinearFactorGraph, weights: FloatArray) -> None:
-        """Add the factors of all rims, weighted."""
-        for key, frame, w in zip(self._keys, self._frames, self.split(weights), strict=True):
-            add_frame(graph, self._problem, self._options, key, _weighted(frame, w))
+        """Add the factors of all rims, weighted; they are kept until they are weighted anew."""
+        for k, w in enumerate(self.split(weights)):
+            if not np.array_equal(w, self._made[k][0]):
+                self._made[k] = (w, self._factors(k, w))
+            graph.push_back(self._made[k][1])
+
+    def _factors(self, k: int, weights: FloatArray) -> FactorGraph:
+        """Rims of a frame, their covariances divided by their weights."""
+        part = FactorGraph()
+        kept = weights > LEAST_WEIGHT
+        rims = self._frames[k].rims.take(kept)
+        rims = replace(rims, covariance=rims.covariance / weights[kept, None, None])
+        add_frame(part, self._problem, self._options, self._keys[k], replace(self._frames[k], rims=rims))
+        return part
 
     def squared(self, values: gtsam.Values) -> FloatArray:
         """Squared whitened norms of all rims; infinite where the pose cannot see the crater."""

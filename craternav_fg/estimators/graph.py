@@ -13,7 +13,7 @@ from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.calibration import Calibration
-from craternav_fg.estimators.rim_errors import RimErrorOptions, RimErrorStates
+from craternav_fg.estimators.rim_errors import SIGHTINGS, RimErrorOptions, RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.conic_shape import ChartError, conic_shape_factor
@@ -48,7 +48,9 @@ class GraphOptions:
         What the batch smoother estimates along.
     rim_errors : RimErrorOptions or None
         How errors of rims that outlast a frame are modelled, where the measurements have any. None takes
-        them as new in every frame, which promises too much.
+        them as new in every frame.
+    sightings : float
+        How often errors that outlast a frame count where they are taken as new: 1 for a single image.
     """
 
     rims: Literal["chart", "centre"] = "chart"
@@ -56,6 +58,7 @@ class GraphOptions:
     keyframe_s: float = 1.0
     calibration: Calibration = Calibration()
     rim_errors: RimErrorOptions | None = field(default_factory=RimErrorOptions)
+    sightings: float = SIGHTINGS
 
     def __post_init__(self) -> None:
         if self.rims not in ("chart", "centre"):
@@ -147,7 +150,8 @@ def add_frame(
     `RimErrorStates.enter`); without, they count as new in every frame. `map_errors` are further variables of
     the rims.
     """
-    rims = frame.rims
+    carried = states is not None and values is not None and options.rims == "chart"
+    rims = frame.rims if carried else frame.rims.as_new(options.sightings)
     bTc = descent.camera.bTc
     if len(rims):
         centres = descent.catalog.centres[rims.craters]
@@ -165,7 +169,7 @@ def add_frame(
             points = rims.centres()
             S = noise_scale**2 * points.covariance
             graph.push_back(crater_centre_factor(key, bTc, centres, points.points, S, options.loss))
-    arcs = frame.arcs
+    arcs = frame.arcs.as_new(options.sightings)
     if len(arcs) and options.rims == "chart":
         centres, axes = descent.catalog.centres[arcs.craters], descent.catalog.axes[arcs.craters]
         sigmas = [noise_scale * sigma for sigma in arcs.sigmas]
@@ -202,11 +206,16 @@ def add_imu(
     """
     params = parameters(descent.imu_noise, descent.body.spin_rad_s, descent.body.gravity(midpoint))
     pim = integrate(params, *descent.imu.between(begin_ns, end_ns), bias)
-    i, j = number, number + 1
-    graph.push_back(imu_factor([X(i), V(i), X(j), V(j), B(i), B(j)], pim))
     interval = ImuInterval(number, midpoint, pim, params)
-    graph.intervals.append(interval)
+    push_interval(graph, interval)
     return interval
+
+
+def push_interval(graph: FactorGraph, interval: ImuInterval) -> None:
+    """Add the IMU factor of an interval; that of another graph of the same states will do."""
+    i, j = interval.number, interval.number + 1
+    graph.push_back(imu_factor([X(i), V(i), X(j), V(j), B(i), B(j)], interval.pim))
+    graph.intervals.append(interval)
 
 
 def state_stamps(begin_ns: int, end_ns: int, longest_s: float) -> IntArray:

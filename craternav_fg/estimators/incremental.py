@@ -20,8 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 # Relinearise a variable that moved by more: pose (rad, m), velocity (m/s), bias (m/s^2, rad/s). What is left
 # out is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
 # measurement. Velocity and bias are linear in an IMU factor of a second, far beyond their priors.
+RELINEARISE_M = 5.0
 RELINEARISE = {
-    "x": np.array([5e-4, 5e-4, 5e-4, 5.0, 5.0, 5.0]),
+    "x": np.array([5e-4, 5e-4, 5e-4, RELINEARISE_M, RELINEARISE_M, RELINEARISE_M]),
     "v": np.full(3, 1.0),
     "r": np.full(5, 1e3),
     "s": np.full(SHARED_SIZE, 1e3),
@@ -37,7 +38,7 @@ LASTING = ("r", "s")
 WILDFIRE = 1.0
 
 
-def parameters() -> gtsam.ISAM2Params:
+def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
     """Parameters of iSAM2: QR, relinearisation by thresholds per kind of variable, checked from the root."""
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
@@ -45,6 +46,8 @@ def parameters() -> gtsam.ISAM2Params:
     params.enablePartialRelinearizationCheck = True
     thresholds = gtsam.ISAM2ThresholdMap()
     for letter, steps in RELINEARISE.items():
+        if letter == "x":
+            steps = np.concatenate([steps[:3], np.full(3, position_m)])
         thresholds.insert((letter, steps))
     params.setRelinearizeThreshold(thresholds)
     params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(WILDFIRE))
@@ -90,9 +93,15 @@ class Isam:
     A callback that raises leaves iSAM2 with half of an update. Then the solver is built anew from the
     factors of before at the present linearisation point; a copy ahead of every update would be safer still,
     but its cost grows with the tree.
+
+    Attributes
+    ----------
+    relinearise_m : float
+        Shift of a pose beyond which it is relinearised: of each tree from the next one on.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, relinearise_m: float = RELINEARISE_M) -> None:
+        self.relinearise_m = relinearise_m
         self._hold: gtsam.Values
         self._past = gtsam.Values()
         self._snapshot: _Snapshot | None = None
@@ -174,7 +183,7 @@ class Isam:
         """Begin again with these."""
         self._trees += 1
         self._snapshot = None
-        self._tree = gtsam.ISAM2(parameters())
+        self._tree = gtsam.ISAM2(parameters(self.relinearise_m))
         self._hold = self._tree.getLinearizationPoint()
         if graph.size():
             self._tree.update(graph, values)

@@ -13,6 +13,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
+from craternav_fg.estimators.ekf_measurement import weighed
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -25,7 +26,7 @@ from craternav_fg.estimators.graph import (
     insert_state,
     state_stamps,
 )
-from craternav_fg.estimators.incremental import FixedLagIsam, Isam
+from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.rim_errors import RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -38,8 +39,12 @@ MIDPOINT_TOLERANCE_M = 10.0
 # Nor does it matter while corrections since add up to less than this part of the position's sigma: a shift of
 # 100 m is 1e-4 m/s^2, half a metre in 100 s. Linearising all IMU factors again costs more than all else.
 LAZINESS = 0.3
-# A wide prior makes the first frames nonlinear: iterate until the newest position moves by less.
+# A wide prior makes the first frames nonlinear: iterate until the newest position moves by less than this, or
+# than this part of the altitude: what is left out is smaller by that part again.
 SETTLED_M = 5.0
+SETTLED = 1e-3
+# The same of the shift that relinearises a pose, with room for what a tree sees of the descent.
+RELINEARISE = 3e-4
 MAX_EXTRA_UPDATES = 5
 
 
@@ -76,7 +81,7 @@ class OnlineSession:
     ) -> None:
         self._descent = descent
         self._options = options
-        self._solver = Isam() if solver is None else solver
+        self._solver = Isam(self._relinearise_m(descent.initial.gTb)) if solver is None else solver
         self._last = 0
         self._errors = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
         self._frame_numbers: list[int] = []
@@ -140,6 +145,7 @@ class OnlineSession:
             When the frame is not later than the last one, or its factors cannot be evaluated; the
             session then goes on as if the frame had not been.
         """
+        self._solver.relinearise_m = self._relinearise_m(self.state.gTb)
         begin_ns = self._stamps_ns[-1]
         if frame.stamp_ns <= begin_ns:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
@@ -153,6 +159,8 @@ class OnlineSession:
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
+        # Of the prediction, and no later pose's: the rims' weights may not depend on what they measured.
+        frame = weighed(frame, state.gTb, self._descent.camera, self._descent.catalog)
         add_frame(
             graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
             holds=self._solver.tree.valueExists,
@@ -164,9 +172,10 @@ class OnlineSession:
         self._add(graph, values, stamp_ns)
         # What fails here is taken back: the frame is in, linearised less well.
         with suppress(EstimationError):
+            settled_m = max(SETTLED_M, SETTLED * float(self._descent.body.altitude_m(predicted)))
             for _ in range(MAX_EXTRA_UPDATES):
                 moved = self._solver.tree.calculateEstimatePose3(X(last)).translation()
-                if np.linalg.norm(moved - position) < SETTLED_M:
+                if np.linalg.norm(moved - position) < settled_m:
                     break
                 position = moved
                 self._solver.again()
@@ -217,6 +226,9 @@ class OnlineSession:
         self._intervals = kept
         if drop:
             self._add(graph, gtsam.Values(), stamp_ns, drop)
+
+    def _relinearise_m(self, gTb: FloatArray) -> float:
+        return max(RELINEARISE_M, RELINEARISE * float(self._descent.body.altitude_m(gTb[:3, 3])))
 
     def _position_sigma_m(self) -> float:
         """Tell how well the position was known at the last frame."""

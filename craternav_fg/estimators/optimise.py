@@ -109,18 +109,28 @@ def levenberg_marquardt(
         while True:
             candidate = _step(linear, values, ordering, damping)
             new_error = np.inf if candidate is None else graph.error(candidate)
+            if candidate is not None and new_error > error and damping == 0.0:
+                # Long turns and shifts together leave the stiff IMU factors to second order: a further step
+                # brings them back, where damping would creep along them (the Maratos effect).
+                candidate = _step(graph.linearize(candidate), candidate, ordering, 0.0)
+                new_error = np.inf if candidate is None else graph.error(candidate)
             if candidate is not None and new_error <= error:
                 break
-            damping = max(10.0 * damping, options.first_damping)
-            if damping > 1e12:
-                # At the optimum to the last digit: rounding decides whether a step goes down.
+            if new_error - error <= _gain_that_ends(error, options) or damping > 1e12:
+                # At the optimum: rounding decides whether a step goes down.
                 return LmResult(values, error, iteration, True)
+            damping = max(10.0 * damping, options.first_damping)
         gain = error - new_error
         values, error = candidate, new_error
         damping = 0.1 * damping if damping > options.first_damping else 0.0
-        if gain <= options.relative_tolerance * error + 1e-12:
+        if gain <= _gain_that_ends(error, options):
             return LmResult(values, error, iteration, True)
     return LmResult(values, error, options.max_iterations, False)
+
+
+def _gain_that_ends(error: float, options: LmOptions) -> float:
+    """Change of the error below which the optimum is reached."""
+    return options.relative_tolerance * error + 1e-12
 
 
 def gauss_newton(
@@ -148,7 +158,7 @@ def gauss_newton(
         if candidate is None:
             return LmResult(values, error, iteration, False)
         last, values, error = error, candidate, graph.error(candidate)
-        if abs(last - error) <= options.relative_tolerance * error + 1e-12:
+        if abs(last - error) <= _gain_that_ends(error, options):
             return LmResult(values, error, iteration, True)
     return LmResult(values, error, options.max_iterations, False)
 

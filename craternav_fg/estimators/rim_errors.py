@@ -4,7 +4,8 @@ A rim's image is wrong by what its ground differs from an ellipse, by what the m
 That is nearly the same in the next frame, and less and less so as the rim is seen in another size and from
 another side. A measurement says how large this part is; here it becomes a Gauss-Markov process of unit
 variance for each crater (`RimSet.persistent`) and one constant vector for what all rims of a descent share
-(`RimSet.shared`).
+(`RimSet.shared`). What has no such variable is taken as new in each frame, and counted as often: arcs, and
+all of it by estimators that have none.
 """
 
 from collections.abc import Callable
@@ -22,6 +23,9 @@ FloatArray = npt.NDArray[np.float64]
 
 LETTER, SIZE = "r", 5
 SHARED_KEY: int = gtsam.symbol("s", 0)
+# How often what lasts counts where it is taken as new in each frame: it does not average out over the frames
+# that show a crater, half of ten or so, as neighbouring rims do not all err alike.
+SIGHTINGS = 5.0
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,11 @@
 """Posterior Cramér-Rao bound of a descent: what no estimator can beat, online and in retrospect.
 
 The information recursion at the truth: prior, IMU noise, rims and sun tilts linearised at the true states.
+Errors of rims that outlast a frame are unknowns beside the state, as in the smoothers.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +13,9 @@ import numpy.typing as npt
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.rim_errors import SIGHTINGS, SIZE, RimErrorOptions, image_change
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 
@@ -56,7 +58,10 @@ def attitude_rms_deg(pose_covariance: FloatArray) -> FloatArray:
 
 
 def posterior_bound(
-    descent: Descent, frames: Sequence[FrameMeasurement], truth: Trajectory
+    descent: Descent,
+    frames: Sequence[FrameMeasurement],
+    truth: Trajectory,
+    lasting: RimErrorOptions | None = None,
 ) -> PosteriorBound:
     """Posterior Cramér-Rao bound of the pose at every frame.
 
@@ -65,10 +70,12 @@ def posterior_bound(
     descent : Descent
     frames : sequence of FrameMeasurement
         Of a measurement counts which crater it is of and how well, as its own covariance says, not what it
-        reads: it is linearised at the truth. Every match counts as right. Edge points of arcs count where
-        they were measured.
+        reads: linearisation and a rim's covariance are those at the truth. Every match counts as right.
+        Edge points of arcs count where they were measured.
     truth : Trajectory
         At the frames' stamps, with the true biases.
+    lasting : RimErrorOptions, optional
+        Of what outlasts a frame counts its decay; the steps in which smoothers take it do not.
 
     Returns
     -------
@@ -87,21 +94,26 @@ def posterior_bound(
     prior = filter_state.prior(descent).covariance
     # In units of the prior's sigmas: radians, metres and biases differ by ten orders of magnitude.
     sigmas = np.sqrt(np.diag(prior))[strapdown.WITHOUT_RATE]
-    gained = [_information(descent, frame, gTb, sigmas) for frame, gTb in zip(frames, truth.gTb, strict=True)]
-    steps = [_transition(descent, truth, k, sigmas) for k in range(len(frames) - 1)]
+    beside = _Beside(frames, lasting or RimErrorOptions())
+    gained, steps = [], []
+    for k, frame in enumerate(frames):
+        if k:
+            F, Q = _transition(descent, truth, k - 1, sigmas)
+            steps.append(beside.step(k, F, Q))
+        gained.append(_information(descent, frame, truth.gTb[k], sigmas, beside))
 
-    covariance = _updated(np.eye(_SIZE), gained[0])
+    covariance = _updated(np.eye(len(gained[0])), gained[0])
     filtered = [covariance]
     for (F, Q), information in zip(steps, gained[1:], strict=True):
         covariance = _updated(F @ covariance @ F.T + Q, information)
         filtered.append(covariance)
     # What later frames say of a state: their information, carried back.
-    later = np.zeros((_SIZE, _SIZE))
+    later = np.zeros_like(covariance)
     smoothed = [covariance]
     for k in range(len(frames) - 2, -1, -1):
         F, Q = steps[k]
         information = later + gained[k + 1]
-        later = F.T @ np.linalg.solve(np.eye(_SIZE) + information @ Q, information) @ F
+        later = F.T @ np.linalg.solve(np.eye(len(Q)) + information @ Q, information) @ F
         later = 0.5 * (later + later.T)
         smoothed.append(_updated(filtered[k], later))
     units = np.outer(sigmas[_POSE], sigmas[_POSE])
@@ -109,20 +121,87 @@ def posterior_bound(
     return PosteriorBound(stamps, *poses)
 
 
+class _Beside:
+    """Unknowns beside the state: what all rims share, then what each crater keeps, while it is in sight."""
+
+    def __init__(self, frames: Sequence[FrameMeasurement], lasting: RimErrorOptions) -> None:
+        self._lasting = lasting
+        self._seen = [_kept(frame) for frame in frames]
+        self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
+        self._shared = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
+        self._charts: dict[int, FloatArray] = {}
+        self.first: dict[int, int] = {}
+        self._enter(0)
+
+    @property
+    def size(self) -> int:
+        """Of the state and all that is beside it."""
+        return _SIZE + self._shared + SIZE * len(self.first)
+
+    def _enter(self, k: int) -> None:
+        """Begin with the craters of frame k, and keep those that will be seen again."""
+        charts = {**self._charts, **self._seen[k]}
+        self._charts = {crater: chart for crater, chart in charts.items() if self._last[crater] >= k}
+        begin = _SIZE + self._shared
+        self.first = {crater: begin + SIZE * i for i, crater in enumerate(self._charts)}
+
+    def step(self, k: int, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Go on to frame k; return the state's transition and noise with those of what is beside it."""
+        columns, before, size = self.first, self._charts, self.size
+        self._enter(k)
+        whole, noise = np.zeros((self.size, size)), np.zeros((self.size, self.size))
+        whole[:_SIZE, :_SIZE], noise[:_SIZE, :_SIZE] = F, Q
+        for j in range(_SIZE, _SIZE + self._shared):
+            whole[j, j] = 1.0
+        for crater, row in self.first.items():
+            correlation = 0.0
+            if crater in columns:
+                change = float(image_change(before[crater], self._charts[crater]))
+                correlation = np.exp(-change / self._lasting.decay)
+            for j in range(SIZE):
+                if crater in columns:
+                    whole[row + j, columns[crater] + j] = correlation
+                noise[row + j, row + j] = 1.0 - correlation * correlation
+        return whole, noise
+
+
+def _kept(frame: FrameMeasurement) -> dict[int, FloatArray]:
+    """Give the images (5,) of those craters whose errors outlast a frame."""
+    if frame.rims.persistent is None:
+        return {}
+    return dict(zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True))
+
+
 def _information(
-    descent: Descent, frame: FrameMeasurement, gTb: FloatArray, sigmas: FloatArray
+    descent: Descent, frame: FrameMeasurement, gTb: FloatArray, sigmas: FloatArray, beside: _Beside
 ) -> FloatArray:
-    """Give the information (15, 15) that a frame has of the state."""
+    """Give the information that a frame has of the state and what is beside it."""
     camera, catalog = descent.camera, descent.catalog
-    rims, _, usable = linearise_rims(gTb, frame.rims, camera, catalog, model="chart", noise="measured")
-    rows = [rims[usable].reshape(-1, 6), *(arc.A for arc in linearise_arcs(gTb, frame.arcs, camera, catalog))]
+    frame = weighed(frame, gTb, camera, catalog)
+    rims = frame.rims
+    white = replace(rims, covariance=rims.white)
+    A, _, usable = linearise_rims(gTb, white, camera, catalog, model="chart", noise="measured")
+    root = np.linalg.cholesky(white.covariance)
+    rows = []
+    for i in np.flatnonzero(usable):
+        J = np.zeros((5, beside.size))
+        J[:, _POSE] = A[i] * sigmas[_POSE]
+        if rims.persistent is not None:
+            first = beside.first[int(rims.craters[i])]
+            J[:, first : first + SIZE] = np.linalg.solve(root[i], rims.persistent[i])
+        if rims.shared is not None:
+            J[:, _SIZE : _SIZE + SHARED_SIZE] = np.linalg.solve(root[i], rims.shared[i])
+        rows.append(J)
+    others = linearise_arcs(gTb, frame.arcs.as_new(SIGHTINGS), camera, catalog)
     sun = linearise_sun(gTb, frame.sun, camera)
     if sun is not None:
-        rows.append(sun.A)
-    A = np.concatenate(rows) * sigmas[_POSE]
-    out = np.zeros((_SIZE, _SIZE))
-    out[_POSE, _POSE] = A.T @ A
-    return out
+        others.append(sun)
+    for one in others:
+        J = np.zeros((len(one.A), beside.size))
+        J[:, _POSE] = one.A * sigmas[_POSE]
+        rows.append(J)
+    J = np.concatenate([np.zeros((0, beside.size)), *rows])
+    return np.asarray(J.T @ J)
 
 
 def _transition(

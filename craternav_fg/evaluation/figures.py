@@ -165,7 +165,6 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
         x, y = ranges_km(P)
         below.plot(x, y, style, color=colour, label=label)
         above.plot(x, body.altitude_m(P) / 1e3, style, color=colour, label=label)
-    x, y = ranges_km(catalog.centres)
     altitude_km = float(body.altitude_m(trajectory.gP[0])) / 1e3
     left, right = below.get_xlim()
     if right - left < 0.5 * altitude_km:
@@ -173,16 +172,19 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
         left, right = middle - 0.25 * altitude_km, middle + 0.25 * altitude_km
     # Flat enough for the panel: equal scales leave its width, which it shares, as it is.
     reach = min(0.14 * (right - left), 0.5 * altitude_km)
+    farthest = 1e3 * (max(-left, right) + reach) / body.radius_m
+    craters = catalog.take(np.sort(catalog.index.near(first, farthest)))
+    x, y = ranges_km(craters.centres)
     near = (x > left) & (x < right) & (np.abs(y) < reach)
     # Downrange and crossrange components of the major axes.
     local = x[:, None] / (body.radius_m / 1e3)
     forward = np.cos(local) * ahead - np.sin(local) * first
-    major = catalog.gRl[:, :, 0]
+    major = craters.gRl[:, :, 0]
     angle = np.degrees(np.arctan2(major @ pole, np.einsum("ni,ni->n", major, forward)))
     below.add_collection(
         EllipseCollection(
-            2e-3 * catalog.semi_major_m[near],
-            2e-3 * catalog.semi_minor_m[near],
+            2e-3 * craters.semi_major_m[near],
+            2e-3 * craters.semi_minor_m[near],
             angle[near],
             units="xy",
             offsets=np.stack([x, y], axis=-1)[near],

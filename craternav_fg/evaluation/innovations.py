@@ -6,7 +6,7 @@ those of different frames are independent, so that their sum has a sharp chi-squ
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun
+from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.evaluation.consistency import mean_interval
 
@@ -52,6 +52,30 @@ class Innovations:
         rows = np.array([i for i, name in enumerate(self.sensor) if name == sensor], dtype=np.int64)
         return Innovations((sensor,) * len(rows), self.stamps_ns[rows], self.nis[rows], self.dimension[rows])
 
+    @classmethod
+    def joined(cls, parts: Iterable["Innovations"]) -> "Innovations":
+        """Put those of several runs, or of the parts of a descent, one behind the other."""
+        every = list(parts)
+        return cls(
+            tuple(itertools.chain.from_iterable(part.sensor for part in every)),
+            np.concatenate([part.stamps_ns for part in every]),
+            np.concatenate([part.nis for part in every]),
+            np.concatenate([part.dimension for part in every]),
+        )
+
+    def as_dict(self) -> dict[str, dict[str, float | int]]:
+        """Give mean, interval and total dimension of each sensor that was there, as metrics.json has them."""
+        parts = {sensor: self.of(sensor) for sensor in SENSORS if sensor in self.sensor}
+        return {
+            sensor: {
+                "mean": part.mean,
+                "low": part.interval[0],
+                "high": part.interval[1],
+                "dimension": int(part.dimension.sum()),
+            }
+            for sensor, part in parts.items()
+        }
+
     @property
     def mean(self) -> float:
         """Sum over the sum of dimensions: 1 when all is as predicted; NaN without any."""
@@ -87,13 +111,15 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
         states[first:], itertools.pairwise(problem.frames[first:]), strict=False
     ):
         predicted = filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
+        # One frame's errors, what outlasts it among them.
+        seen = frame.as_new(1.0)
         gTb, P = predicted.gTb, predicted.covariance[POSE, POSE]
         camera, catalog = problem.camera, problem.catalog
         A, residual, usable = linearise_rims(
-            gTb, frame.rims, camera, catalog, model="chart", noise="measured"
+            gTb, weighed(frame, gTb, camera, catalog).rims, camera, catalog, model="chart", noise="measured"
         )
         parts = [(RIMS, a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
-        parts += [(RIMS, one.A, one.residual) for one in linearise_arcs(gTb, frame.arcs, camera, catalog)]
+        parts += [(RIMS, one.A, one.residual) for one in linearise_arcs(gTb, seen.arcs, camera, catalog)]
         sun = linearise_sun(gTb, frame.sun, camera)
         if sun is not None:
             parts.append((SUN, sun.A, sun.residual))

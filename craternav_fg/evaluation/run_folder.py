@@ -1,12 +1,12 @@
 """A run on disk: what `reconstruct` writes and `compare`, notebooks and other tools read.
 
-metrics.json        errors of every estimator, what it calibrated, wall time
+metrics.json        of every estimator: errors, share of rims that do not fit, what it calibrated; wall times
 truth.tum, NAME.tum trajectories as evo reads them (s, m, quaternion x y z w, in g)
 states.parquet      every estimator's states with covariances, one row per frame
 residuals.parquet   every rim against every estimator's pose, one row per rim and estimator: as measured
-                    (`chart`), and what is left of it (`whitened`, `chi2`); `weight` is the one it had, 0 if
-                    rejected as a wrong match, null where the estimator does not choose; with
-                    `RimQuality` of rims measured in images
+                    (`chart`), and what is left of it (`whitened`, `chi2`); `weight` is the one its match had,
+                    0 if rejected as wrong, null where the estimator does not choose; `taken_for` the crater
+                    it was used for instead, if any; with `RimQuality` of rims measured in images
 figures/            PNG; of images, contact_sheet.png shows frames with their rims
 overlays/           PNG per frame, on request
 run.toml            what was run on what, with versions
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 import craternav_fg
@@ -30,6 +31,8 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
 from craternav_fg.errors import InputError
+from craternav_fg.estimators.ekf import ekf
+from craternav_fg.evaluation.innovations import Innovations, innovations
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import FrameMeasurement, RimQuality, RimSet
 from craternav_fg.reconstruction import Reconstruction
@@ -37,14 +40,19 @@ from craternav_fg.trajectory import Calibrated, Trajectory
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 MARKER = "run.toml"
 # All that a run's folder may hold: the demo's has its data set, too.
 CONTENTS = ("*.toml", "*.tum", "*.json", "*.parquet", "*.html", "figures", "overlays", "dataset")
 METRICS = "metrics.json"
+# The estimator whose innovations are looked at.
+FILTER = "ekf"
 STATES = "states.parquet"
 RESIDUALS = "residuals.parquet"
 TRUTH = "truth"
+# Squared whitened residual of a rim, of 5 components, beyond which no noise explains it: 7 sigma.
+MISFIT = 50.0
 
 
 @dataclass(frozen=True)
@@ -107,7 +115,9 @@ def write_run(
     estimators: dict[str, dict[str, Any]] = {
         name: dict(metrics(t, truth).as_dict()) for name, t in result.trajectories.items()
     }
+    residuals = _residuals(result.trajectories, result.frames, camera, catalog)
     for name, trajectory in result.trajectories.items():
+        estimators[name]["rim_misfit_share"] = _misfit_share(residuals, name)
         if trajectory.calibrated is not None:
             estimators[name]["calibrated"] = _calibrated(trajectory.calibrated, catalog)
     summary = {
@@ -118,6 +128,7 @@ def write_run(
         "initial_state": result.origin,
         "resumed_at_frames": list(result.resumed),
         "failures": dict(result.failures),
+        "innovations": _innovations(result),
         "estimators": estimators,
     }
     (folder / METRICS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
@@ -125,7 +136,7 @@ def write_run(
     for name, trajectory in every.items():
         write_tum(folder / f"{name}.tum", trajectory)
     pq.write_table(_states(every), folder / STATES)
-    pq.write_table(_residuals(result.trajectories, result.frames, camera, catalog), folder / RESIDUALS)
+    pq.write_table(residuals, folder / RESIDUALS)
     versions = {name: importlib.metadata.version(name) for name in ("gtsam", "numpy", "numba")}
     lines = [
         "# What was run, on what, and how.",
@@ -139,6 +150,14 @@ def write_run(
     ]
     (folder / MARKER).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return summary
+
+
+def _innovations(result: Reconstruction) -> dict[str, Any] | None:
+    """Whether the filter's predictions are as wrong as they claim, which no truth is needed for."""
+    if FILTER not in result.trajectories:
+        return None
+    found = Innovations.joined(innovations(problem, ekf().states(problem)) for problem in result.problems)
+    return {"filter": FILTER, "nis": found.as_dict()} if found.sensor else None
 
 
 def _tables(name: str, values: Mapping[str, Any]) -> list[str]:
@@ -278,9 +297,27 @@ def _required(array: FloatArray | None) -> FloatArray:
     return array
 
 
+def _misfit_share(residuals: pa.Table, name: str) -> float | None:
+    """Share of all rims that an estimator's poses do not explain, None without rims."""
+    squares = residuals.filter(pc.equal(residuals["estimator"], name))["chi2"].to_numpy()
+    # What is not finite fits least.
+    return float(np.mean(~(squares <= MISFIT))) if len(squares) else None
+
+
 def _quality(rims: RimSet, name: str) -> FloatArray:
     """One figure of all rims of a frame; NaN where they were not measured in an image."""
     return np.full(len(rims), np.nan) if rims.quality is None else np.asarray(getattr(rims.quality, name))
+
+
+def _others(trajectory: Trajectory, craters: IntArray, catalog: Catalog) -> list[str | None]:
+    """Names of the craters that rims were taken for, where those are not the matched ones (n,)."""
+    if trajectory.rim_craters is None:
+        return [None] * len(craters)
+    taken = np.concatenate(trajectory.rim_craters).tolist()
+    return [
+        None if row in (-1, matched) else catalog.identifiers[row]
+        for row, matched in zip(taken, craters.tolist(), strict=True)
+    ]
 
 
 def _residuals(
@@ -321,6 +358,7 @@ def _residuals(
                     "weight": pa.nulls(len(e), pa.float64())
                     if weights is None
                     else pa.array(np.concatenate(weights)),
+                    "taken_for": pa.array(_others(trajectory, craters, catalog), pa.string()),
                     **quality,
                 }
             )

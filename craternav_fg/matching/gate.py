@@ -51,6 +51,9 @@ class GateOptions:
         neither is then matched. So does a second pose that explains as many rims.
     chance : float
         Expected number of wrong poses, of those tried, that as many rims would bear out by chance.
+    floor_share : float
+        Standard deviation of a rim's centre and axes, over their size, beside its covariance: outlines and
+        light make errors that no scatter of edge points shows. A rim is that crater's all the same.
     seeds : int
         The largest rims, of which pairs make hypotheses.
     hypotheses : int
@@ -62,6 +65,7 @@ class GateOptions:
     probability: float = 0.9999
     ambiguity: float = 9.0
     chance: float = 1e-3
+    floor_share: float = 0.005
     seeds: int = 8
     hypotheses: int = 40_000
     grown: int = 6
@@ -168,7 +172,7 @@ class _Search:
         self.information = _inverse(pose_covariance)
         self.bTc = camera.bTc
         self.charts = np.ascontiguousarray(charts, dtype=np.float64)
-        self.noise = np.ascontiguousarray(covariances, dtype=np.float64)
+        self.noise = covariances + _floor(self.charts, options.floor_share)
         self.weights = np.ascontiguousarray(_inverse(self.noise))
         self.gate = float(chi2.ppf(options.probability, _COMPONENTS))
         self.sigmas = float(np.sqrt(chi2.ppf(options.probability, 2)))
@@ -387,6 +391,14 @@ class _Search:
         turn = np.eye(6)
         turn[3:, 3:] = gTb[:3, :3]
         return Matches(craters, ambiguous, gTb, turn @ covariance @ turn.T, cost)
+
+
+def _floor(charts: FloatArray, share: float) -> FloatArray:
+    """Covariances (n, 5, 5) of errors of ellipses by a share of their axes, all independent."""
+    a, b = np.exp(charts[:, 2]), np.exp(charts[:, 4])
+    # The chart's slope is a length over a: of both ends of the vertical axis.
+    scale = np.column_stack([a, np.hypot(b, charts[:, 3] * a), np.ones_like(a), b / a, np.ones_like(a)])
+    return np.asarray((share * scale[:, :, None]) ** 2 * np.eye(_COMPONENTS))
 
 
 def _assigned(distances2: FloatArray, gate: float) -> tuple[IntArray, IntArray]:

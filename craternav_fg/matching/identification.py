@@ -48,7 +48,10 @@ class IdentifyOptions:
     candidates : tuple of int
         Triples of craters to judge for each triple of rims, per level.
     judged : int
-        Hypotheses to judge at most, per level.
+        Hypotheses to judge at most, per level; a third of them for few rims.
+    tried : int
+        With the attitude known, craters to try for single rims at most: it bounds the time that a large
+        catalogue takes.
     log_chance : float
         Logarithm of the probability of chance that an answer may have.
     log_chance_attitude : float
@@ -61,6 +64,7 @@ class IdentifyOptions:
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
     judged: int = 30_000
+    tried: int = 3_000_000
     log_chance: float = float(np.log(1e-8))
     log_chance_attitude: float = float(np.log(1e-4))
     log_ambiguity: float = float(np.log(1e-3))

@@ -19,10 +19,19 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identification import Identification, IdentifyOptions, KnownAttitude, Status
 from craternav_fg.matching.identify_anchors import anchor_search
 from craternav_fg.matching.identify_evidence import log_by_chance, log_evidence
-from craternav_fg.matching.identify_grow import grow, settle
+from craternav_fg.matching.identify_grow import grow
 from craternav_fg.matching.identify_index import Index
 from craternav_fg.matching.identify_nadir import nadirs
-from craternav_fg.matching.identify_pose import HYPOTHESIS, SCORE
+from craternav_fg.matching.identify_pose import (
+    CRATERS,
+    HYPOTHESIS,
+    POSITION,
+    RIMS,
+    ROTATION,
+    SCORE,
+    SPHERE,
+)
+from craternav_fg.matching.identify_settle import settle
 from craternav_fg.matching.identify_triples import image_order, image_triples, search, seat_all
 from craternav_fg.matching.identify_view import View, view_of
 
@@ -33,8 +42,6 @@ IntArray = npt.NDArray[np.int64]
 
 
 _LEAST_RIMS = 3
-# With the attitude known, fewer are left to the search by single rims.
-_TRIPLE_RIMS = 6
 _ANCHORS = 8
 _SAME_PX = 0.05
 # What the model of the view may be turned by, rad.
@@ -42,6 +49,8 @@ _TURN_RAD = float(np.radians(20.0))
 # So many rims tell well which way is down; of fewer, ways around the likeliest are tried, too, rad away.
 _MANY = 15
 _RING = float(np.radians(9.0))
+# They have few triples, too: what these do not find among the first hypotheses they do not find later.
+_FEW_SHARE = 3
 
 
 @dataclass
@@ -72,27 +81,57 @@ class _Search:
             self.weight[:3, :3] = np.eye(3) / known.sigma_rad**2
             self.sigma_rad = known.sigma_rad
             self.least_cos = float(np.cos(_TURN_RAD + 5.0 * known.sigma_rad))
-        self.chance = log_by_chance(view)
+        self.chance, self.shape_chance = log_by_chance(view)
         self.order = image_order(view, 24)
 
     def grow(self, hypothesis: FloatArray, noise: float) -> _Grown | None:
-        """Grow a hypothesis and weigh it."""
+        """Grow a hypothesis and weigh it; what promises something but is not enough, in all ways."""
+        gTc = np.eye(4)
+        gTc[:3, :3] = hypothesis[ROTATION:POSITION].reshape(3, 3)
+        gTc[:3, 3] = hypothesis[POSITION:SPHERE]
+        match = np.full(self.n, -1)
+        rims = hypothesis[RIMS:CRATERS].astype(np.int64)
+        match[rims[rims >= 0]] = hypothesis[CRATERS:][rims >= 0]
+        grown = self._from(gTc, match, noise)
+        if grown is not None and 0.0 < grown.log_ratio < -self.options.log_chance:
+            return self.best_near(grown)
+        return grown
+
+    def best_near(self, grown: _Grown) -> _Grown:
+        """Grow anew from the pairs on each side of the image, and with all noises; the most probable.
+
+        Growth that began with some noise keeps pairs that suit it; and where it met wrong craters on one
+        side of the image, the other side knows better.
+        """
+        matched = grown.match >= 0
+        places = self.view.points_px[matched]
+        halves = []
+        for axis in range(2):
+            middle = np.median(places[:, axis])
+            for side in (self.view.points_px[:, axis] <= middle, self.view.points_px[:, axis] >= middle):
+                if np.sum(side & matched) >= _LEAST_RIMS:
+                    halves.append(np.where(side, grown.match, -1))
+        levels = np.array(self.options.noise_levels_px)
+        noise = float(levels[np.argmin(np.abs(np.log(levels / grown.sigma[0])))])
+        begun = [(grown.match, float(level)) for level in levels] + [(half, noise) for half in halves]
+        for match, level in begun:
+            other = self._from(grown.gTc.copy(), match.copy(), level)
+            if other is not None and other.log_ratio > grown.log_ratio:
+                grown = other
+        return grown
+
+    def _from(self, gTc: FloatArray, match: IntArray, noise: float) -> _Grown | None:
         index = self.index
-        gTc, match, N, sigma = (
-            np.empty((4, 4)),
-            np.empty(self.n, dtype=np.int64),
-            np.empty((6, 6)),
-            np.empty(2),
-        )
+        N, sigma = np.empty((6, 6)), np.empty(3)
         pairs = grow(
-            self.view, index.grid, index.centres, index.catalog.axes, hypothesis, noise, self.prior,
+            self.view, index.grid, index.centres, index.catalog.axes, noise, self.chance, self.prior,
             self.weight, gTc, match, N, sigma,
         )  # fmt: skip
-        if pairs < 3:
+        if pairs < _LEAST_RIMS:
             return None
         ratio, _ = log_evidence(
             self.view, index.grid, index.centres, index.catalog.axes, gTc, match, N, self.chance,
-            self._log_prior(gTc),
+            self.shape_chance, self._log_prior(gTc),
         )  # fmt: skip
         return _Grown(gTc, match, N, sigma, ratio) if np.isfinite(ratio) else None
 
@@ -151,12 +190,10 @@ def identify(
     searched = _Search(
         view, index, None if attitude is None else attitude.gRb @ camera.bTc[:3, :3], attitude, options
     )
-    found: list[_Grown] = []
-    if attitude is None or len(once) >= _TRIPLE_RIMS:
-        found = _by_triples(searched)
+    found = _by_triples(searched)
     threshold = -options.log_chance
     if attitude is not None:
-        found = found if found and found[0].log_ratio >= threshold else _by_anchors(searched)
+        found = found if found and found[0].log_ratio >= threshold else _by_anchors(searched, found)
         threshold = -options.log_chance_attitude
     if not found or found[0].log_ratio < threshold:
         best = found[0].log_ratio if found else 0.0
@@ -165,7 +202,7 @@ def identify(
     if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
         reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} as probable"
         return _nothing(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
-    return _answer(found[0], searched, once, n, camera, began)
+    return _answer(searched.best_near(found[0]), searched, once, n, camera, began)
 
 
 def _once(ellipses: FloatArray) -> IntArray:
@@ -187,7 +224,9 @@ def _by_triples(search_: _Search) -> list[_Grown]:
     largest = np.argsort(-view.radius_px)[:40]
     models, misfits = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= _MANY else 2)
     models = models[np.argsort(misfits)]
+    judged_most = options.judged
     if search_.n < _MANY:
+        judged_most //= _FEW_SHARE
         models = np.concatenate([models, _around(models[0])])
     least, most = options.altitudes_m
     enough = -options.log_chance
@@ -201,7 +240,7 @@ def _by_triples(search_: _Search) -> list[_Grown]:
             chunk = 24
             judged = 0
             for start in range(0, len(triples), chunk):
-                if judged > options.judged // len(models):
+                if judged > judged_most // len(models):
                     break
                 judged += search(
                     view, index.grid, index.centres, triples_of.neighbours, triples_of.points,
@@ -235,22 +274,23 @@ def _around(model: FloatArray) -> FloatArray:
     return np.column_stack([out, np.full(6, model[3])])
 
 
-def _by_anchors(search_: _Search) -> list[_Grown]:
-    """Grow the hypotheses from single rims; distinct ones, the best first."""
+def _by_anchors(search_: _Search, found: list[_Grown]) -> list[_Grown]:
+    """Grow the hypotheses from single rims; distinct ones and those found before, the best first."""
     view, index, options = search_.view, search_.index, search_.options
     anchors = np.argsort(-view.radius_px)[:_ANCHORS].astype(np.int32)
     least, most = options.altitudes_m
-    found: list[_Grown] = []
+    left = options.tried
     for noise in options.noise_levels_px:
         best = np.full((64, HYPOTHESIS), -np.inf)
-        for start in range(0, len(anchors), 2):
+        for start in range(len(anchors)):
+            left -= len(index.catalog)
             anchor_search(
-                view, index.grid, index.centres, index.catalog.axes, anchors[start : start + 2],
+                view, index.grid, index.centres, index.catalog.axes, anchors[start : start + 1],
                 search_.order, search_.attitude, search_.sigma_rad, noise, least, most, best,
             )  # fmt: skip
-            # Only where nothing else can be as good the other rims are not asked.
-            last = start + 2 >= len(anchors)
-            for row in np.argsort(-best[:, SCORE])[: len(best) if last else 4]:
+            # Only where nothing else can be as good the other rims are not asked; many rims tell the best.
+            last = start + 1 >= len(anchors) or left < len(index.catalog)
+            for row in np.argsort(-best[:, SCORE])[: len(best) if last and search_.n < _MANY else 4]:
                 if best[row, SCORE] == -np.inf:
                     break
                 grown = search_.grow(best[row], noise)
@@ -260,8 +300,11 @@ def _by_anchors(search_: _Search) -> list[_Grown]:
                 if grown.log_ratio >= -options.log_chance:
                     return [grown]
                 found.append(grown)
+            if last:
+                break
         found = _distinct(found)
-        if found and found[0].log_ratio >= -options.log_chance_attitude:
+        enough = bool(found) and found[0].log_ratio >= -options.log_chance_attitude
+        if enough or left < len(index.catalog):
             break
     return found
 

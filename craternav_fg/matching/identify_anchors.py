@@ -9,6 +9,7 @@ from numba import njit
 
 from craternav_fg.matching.identify_grid import Grid
 from craternav_fg.matching.identify_grow import errors
+from craternav_fg.matching.identify_noise import USUAL_SHARE, shape_scale
 from craternav_fg.matching.identify_pose import (
     CRATERS,
     HYPOTHESIS,
@@ -27,6 +28,8 @@ FloatArray = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
 
 _SHAPE_GATE2 = 16.0
+# Rims that may be asked in vain.
+_PATIENCE = 4
 _LEAST_COS = 0.15
 # Of a rim's shape, what a wrong attitude changes, per radian.
 _SHEAR = 1.0
@@ -64,12 +67,15 @@ def anchor_search(
     e = np.empty(5)
     pose = np.empty(HYPOTHESIS)
     judged = 0
+    # Of three pairs two are others': few rims leave little room for misses.
+    patience = min(max(order.shape[1] - 2, 1), _PATIENCE)
     for i in anchors:
         d = view.directions[i]
         for r in range(3):
             g[r] = attitude[r, 0] * d[0] + attitude[r, 1] * d[1] + attitude[r, 2] * d[2]
         lever = 3.0 * np.hypot(axis_share(view, i, sigma), attitude_sigma)
         slack2 = (_SHEAR * attitude_sigma) ** 2
+        scale = shape_scale(view, i, np.array([sigma, sigma, USUAL_SHARE]))
         for crater in range(centres.shape[0]):
             cos = 0.0
             for r in range(3):
@@ -91,7 +97,7 @@ def anchor_search(
                 continue
             shape2 = 0.0
             for r in range(2, 5):
-                shape2 += e[r] ** 2 / (sigma * sigma + slack2 * view.precision[i, r] ** 2)
+                shape2 += e[r] ** 2 / (scale * scale + slack2 * view.precision[i, r] ** 2)
             if shape2 > _SHAPE_GATE2:
                 continue
             for r in range(3):
@@ -103,7 +109,9 @@ def anchor_search(
                 pose[RIMS + k] = -1.0
             pose[RIMS], pose[CRATERS] = i, crater
             judged += 1
-            pose[SCORE] = support(view, grid, order[i], pose, np.inf, lever, sigma, 14) - 0.5 * shape2
+            pose[SCORE] = (
+                support(view, grid, order[i], pose, np.inf, lever, sigma, 14, patience) - 0.5 * shape2
+            )
             if pose[SCORE] > best[:, SCORE].min():
                 keep(pose, best)
     return judged

@@ -1,6 +1,8 @@
 """How much more likely an image is as the view of a pose than as rims by chance, over all poses sought.
 
-Rims by chance: uniform in the image, of sizes and shapes as they are in this image. Rims at a pose: each
+Rims by chance: uniform where the image shows ground, of sizes as they are in this image, half of them of
+shapes as they are in it, half as craters are that are seen from the pose (a wrong pose is sought where
+the foreshortening is right, and other craters are foreshortened alike). Rims at a pose: each
 visible crater is found with a probability that is not known (uniform), the rest is by chance. The ratio of
 the two, averaged over the poses that were possible before the image was seen (Laplace's approximation at
 the best), has the mean 1 over images by chance: it exceeds L with a probability of at most 1 / L.
@@ -13,7 +15,16 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.matching.identify_grid import Grid, within
-from craternav_fg.matching.identify_grow import errors
+from craternav_fg.matching.identify_grow import LOG_FALSE, errors
+from craternav_fg.matching.identify_noise import (
+    AXIS_LEVELS,
+    AXIS_SHARES,
+    MEDIAN2,
+    likely_shape,
+    log_alike,
+    median,
+    shape_scale,
+)
 from craternav_fg.matching.identify_view import View
 from factors.kernels.conic import chart, rim_in_camera
 
@@ -25,18 +36,85 @@ _SIGMAS = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 _LN2PI = float(np.log(2.0 * np.pi))
 _ROOM = 20_000
 _SIZE_SLOPE = 2.0
+# Least variance of shapes; samples a side of what an image shows.
+_ROUNDNESS2 = 0.05**2
+_SAMPLES = 12
 
 
-def log_by_chance(view: View) -> FloatArray:
-    """Logarithm (n,) of the density of each rim's chart among rims by chance."""
+def log_by_chance(view: View) -> tuple[FloatArray, FloatArray]:
+    """Logarithms (n,) of the density of rims' charts among rims by chance, and of that of shapes alone."""
     area = (view.corners[2] - view.corners[0]) * (view.corners[3] - view.corners[1])
     area /= view.fx_px * view.fy_px
     log_size = np.log(view.radius_px)
     q = view.charts[:, 4] - view.charts[:, 2]
     shape2 = q**2 + (view.charts[:, 3] * np.exp(-q)) ** 2
-    spread = 0.5 * shape2.mean() + 0.05**2
+    spread = 0.5 * shape2.mean() + _ROUNDNESS2
     by_size = np.log(_SIZE_SLOPE) - _SIZE_SLOPE * (log_size - log_size.min() + 0.05)
-    return np.asarray(by_size - np.log(area) - _LN2PI - np.log(spread) - 0.5 * shape2 / spread - q)
+    by_shape = -_LN2PI - np.log(spread) - 0.5 * shape2 / spread - q
+    return np.asarray(by_size + by_shape - np.log(area)), np.asarray(by_shape)
+
+
+@njit(cache=True, error_model="numpy")
+def chance_at(
+    view: View, R: FloatArray, P: FloatArray, sphere: float, chance: FloatArray, shape_chance: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Write the logarithms (n,) of the density of each rim's chart among rims by chance, seen from a pose.
+
+    Parameters
+    ----------
+    view : View
+    R, P : ndarray, shape (3, 3), (3,)
+        gRc and the camera's position, m.
+    sphere : float
+        Radius of the ground, m.
+    chance, shape_chance : ndarray, shape (n,)
+        From `log_by_chance`.
+    out : ndarray, shape (n,)
+        Written.
+    """
+    n = chance.shape[0]
+    range_m = np.sqrt(P[0] ** 2 + P[1] ** 2 + P[2] ** 2)
+    ground = np.empty(3)
+    shown = 0
+    for i in range(_SAMPLES):
+        for j in range(_SAMPLES):
+            x = view.corners[0] + (i + 0.5) / _SAMPLES * (view.corners[2] - view.corners[0])
+            y = view.corners[1] + (j + 0.5) / _SAMPLES * (view.corners[3] - view.corners[1])
+            shown += _ground(R, P, range_m, sphere, x, y, view, ground)
+    log_share = np.log(max(shown, 1) / _SAMPLES**2)
+    up, p, c, y5 = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty(5)
+    circle = np.empty((2, 3))
+    stretch, apart2, ordered = np.empty(n), np.full(n, np.inf), np.empty(n)
+    seen = 0
+    for i in range(n):
+        x, y = view.points_px[i, 0], view.points_px[i, 1]
+        if not _ground(R, P, range_m, sphere, x, y, view, up):
+            continue
+        # A small circle there: any two directions along the ground.
+        k = 0 if abs(up[0]) < 0.7 else 1
+        length2 = 1.0 - up[k] * up[k]
+        for r in range(3):
+            circle[0, r] = ((1.0 if r == k else 0.0) - up[k] * up[r]) / np.sqrt(length2)
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            circle[1, r] = up[s] * circle[0, t] - up[t] * circle[0, s]
+        for r in range(3):
+            up[r] *= sphere
+        rim_in_camera(R, P, up, circle, p, c)
+        if not chart(p, c, y5):
+            continue
+        stretch[i] = y5[4] - y5[2]
+        along = view.charts[i, 4] - view.charts[i, 2] - stretch[i]
+        lean = (view.charts[i, 3] - y5[3]) * np.exp(-stretch[i])
+        apart2[i] = ordered[seen] = along * along + lean * lean
+        seen += 1
+    spread = _ROUNDNESS2 + (median(ordered, seen) / MEDIAN2 if seen else 0.0)
+    for i in range(n):
+        out[i] = chance[i] - log_share
+        if apart2[i] < np.inf:
+            likewise = -_LN2PI - np.log(spread) - 0.5 * apart2[i] / spread - stretch[i]
+            out[i] += np.log(0.5 + 0.5 * np.exp(likewise - shape_chance[i]))
 
 
 @njit(cache=True, error_model="numpy")
@@ -128,7 +206,7 @@ def _ground(
 @njit(cache=True, error_model="numpy")
 def log_evidence(
     view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray,
-    N: FloatArray, chance: FloatArray, log_prior: float,
+    N: FloatArray, chance: FloatArray, shape_chance: FloatArray, log_prior: float,
 ) -> tuple[float, int]:  # fmt: skip
     """Logarithm of the ratio; pairs that chance explains better are undone, in place.
 
@@ -138,7 +216,7 @@ def log_evidence(
         Rims; craters.
     gTc, match, N
         From `grow`.
-    chance : ndarray, shape (n,)
+    chance, shape_chance : ndarray, shape (n,)
         From `log_by_chance`.
     log_prior : float
         Logarithm of the density of the pose before the image was seen, per rad^3 m^3.
@@ -157,6 +235,7 @@ def log_evidence(
             R[r, c] = gTc[r, c]
     e = np.empty(5)
     place, shape, rest = np.zeros(n), np.zeros(n), np.zeros(n)
+    known, radius = np.empty(n), np.empty(n)
     sphere = 0.0
     pairs = 0
     for i in range(n):
@@ -167,7 +246,7 @@ def log_evidence(
             continue
         place[i] = e[0] * e[0] + e[1] * e[1]
         shape[i] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
-        rest[i] = -2.5 * _LN2PI - np.log(n) - chance[i]
+        rest[i] = -2.5 * _LN2PI - np.log(n)
         for r in range(5):
             rest[i] += np.log(view.precision[i, r])
         c = match[i]
@@ -176,16 +255,31 @@ def log_evidence(
     if not pairs:
         return -np.inf, 0
     sphere /= pairs
-    # The noise is not known, either: each of these levels is as likely as the next.
-    s_place, s_shape = _level(place, match, 2.0), _level(shape, match, 3.0)
+    here = np.empty(n)
+    chance_at(view, R, P, sphere, chance, shape_chance, here)
+    for i in range(n):
+        rest[i] -= here[i]
+    # The noise is not known, either: each level for centres is as likely as the next, and so are shares.
+    s_place = _level(place, match)
+    sigma = np.empty(3)
+    count = 0
+    for i in range(n):
+        if match[i] >= 0:
+            known[count], radius[count] = shape[i], view.radius_px[i]
+            count += 1
+    likely_shape(known, radius, count, 1.0, s_place, sigma)
+    levels = 0.0
+    for size in AXIS_LEVELS:
+        levels += np.exp(log_alike(size, s_place))
+    total = log_alike(sigma[1], s_place) - np.log(_SIGMAS.shape[0] * levels * AXIS_SHARES.shape[0])
     smallest = np.inf
-    total = -2.0 * np.log(_SIGMAS.shape[0])
     for i in range(n):
         if match[i] < 0:
             continue
-        term = rest[i] - 0.5 * place[i] / s_place**2 - 0.5 * shape[i] / s_shape**2
-        term -= 2.0 * np.log(s_place) + 3.0 * np.log(s_shape)
-        if term < -1.0:
+        scale = shape_scale(view, i, sigma)
+        term = rest[i] - 0.5 * place[i] / s_place**2 - 0.5 * shape[i] / scale**2
+        term -= 2.0 * np.log(s_place) + 3.0 * np.log(scale)
+        if term < LOG_FALSE:
             match[i] = -1
             pairs -= 1
         else:
@@ -203,14 +297,14 @@ def log_evidence(
 
 
 @njit(cache=True, error_model="numpy")
-def _level(d2: FloatArray, match: IntArray, freedom: float) -> float:
-    """Give the noise level that explains squared errors best."""
+def _level(d2: FloatArray, match: IntArray) -> float:
+    """Give the noise of centres, px, that explains squared errors best."""
     best, value = _SIGMAS[0], -np.inf
     for s in _SIGMAS:
         total = 0.0
         for i in range(match.shape[0]):
             if match[i] >= 0:
-                total -= 0.5 * d2[i] / (s * s) + freedom * np.log(s)
+                total -= 0.5 * d2[i] / (s * s) + 2.0 * np.log(s)
         if total > value:
             best, value = s, total
     return best

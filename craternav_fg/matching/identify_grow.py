@@ -5,8 +5,16 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.matching.identify_grid import Grid, within
-from craternav_fg.matching.identify_pose import CRATERS, HYPOTHESIS, POSITION, RIMS, ROTATION, SPHERE, seat
-from craternav_fg.matching.identify_view import View
+from craternav_fg.matching.identify_noise import (
+    MEDIAN2,
+    SIGMA_RANGE,
+    USUAL_SHARE,
+    likely_shape,
+    median,
+    shape_scale,
+)
+from craternav_fg.matching.identify_pose import HYPOTHESIS, POSITION, ROTATION, SPHERE, seat
+from craternav_fg.matching.identify_view import AXIS_PX, View
 from factors.kernels import packed
 from factors.kernels.conic import chart, rim_in_camera
 from factors.kernels.gauss_newton import prior_terms, screw, solve
@@ -16,27 +24,24 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _ROUNDS = 12
-_STEPS = 3
+STEPS = 3
 _GATE = 3.5
 _SHAPE_GATE2 = 18.0
 _MOST_PX = 60.0
-_SIGMA_RANGE = (0.25, 8.0)
-# Medians of chi-squares of 2 and 3 degrees of freedom.
-_MEDIAN2, _MEDIAN3 = 1.386, 2.366
 _HUBER = 4.0
 _ROOM = 256
-_SETTLINGS = 3
-# Degrees of freedom that the noise of one kind of error takes from both.
-_BORROWED = 4.0
-# A noise that leaves an error no weight, px.
-_UNUSED = 1e6
+_LN2PI = float(np.log(2.0 * np.pi))
+# Of the rims of an image the share that is false, as logarithm: what competes with a crater for a rim.
+LOG_FALSE = -1.0
+# Degrees of freedom that the noise searched with has, against that which is seen.
+_HELD = 4.0
 
 
 @njit(cache=True, error_model="numpy")
 def frame_data(
     view: View, centres: FloatArray, axes: FloatArray, match: IntArray, sigma: FloatArray
 ) -> FloatArray:
-    """Pack the matched rims for the conic-shape kernel; `sigma` (2,) scales errors of centre and shape."""
+    """Pack the matched rims for the conic-shape kernel; `sigma` (3,) is the noise."""
     n = 0
     for i in range(match.shape[0]):
         n += match[i] >= 0
@@ -53,7 +58,7 @@ def frame_data(
                 A[k, a, r] = axes[match[i], a, r]
         for r in range(5):
             y[k, r] = view.charts[i, r]
-            W[k, r, r] = view.precision[i, r] / (sigma[0] if r < 2 else sigma[1])
+            W[k, r, r] = view.precision[i, r] / (sigma[0] if r < 2 else shape_scale(view, i, sigma))
     bTc = np.zeros((4, 4))
     for r in range(4):
         bTc[r, r] = 1.0
@@ -87,6 +92,21 @@ def information(
     for a in range(6):
         trace += N[a, a]
     return trace < np.inf
+
+
+@njit(cache=True, error_model="numpy")
+def _taken(gTc: FloatArray, data: FloatArray, covariance: FloatArray) -> float:
+    """Degrees of freedom that a pose of some covariance takes from the rims' centres."""
+    count = (data.shape[0] - packed.HEADER) // packed.CRATER
+    out = np.empty((7, 5 * count))
+    packed.shape_residuals(gTc, data, True, out)
+    total = 0.0
+    for k in range(5 * count):
+        if k % 5 < 2:
+            for a in range(6):
+                for b in range(6):
+                    total += out[a, k] * covariance[a, b] * out[b, k]
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -164,9 +184,28 @@ def errors(
 @njit(cache=True, error_model="numpy")
 def rematch(
     view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, sphere: float,
-    covariance: FloatArray, sigma: FloatArray, match: IntArray, d2: FloatArray,
+    covariance: FloatArray, sigma: FloatArray, chance: FloatArray, match: IntArray, weight: FloatArray,
 ) -> int:  # fmt: skip
-    """Write each rim's crater (n,), -1 of none, at a pose of some covariance; give the number of pairs."""
+    """Write each rim's crater (n,), -1 of none, at a pose of some covariance; give the number of pairs.
+
+    A rim has a crater when that is more probable than all others around, and than that the rim is false:
+    where the pose is so uncertain that any of several craters may be the rim's, none is.
+
+    Parameters
+    ----------
+    view, grid, centres, axes
+        Rims; craters.
+    gTc, sphere, covariance
+        Pose of the camera, radius of the ground there, covariance of the pose.
+    sigma : ndarray, shape (3,)
+        Noise, as `identify_noise` has it.
+    chance : ndarray, shape (n,)
+        Logarithm of each rim's density among rims by chance, from `identify_evidence.log_by_chance`.
+    match : ndarray of int, shape (n,)
+        Written.
+    weight : ndarray, shape (n,)
+        Written: logarithm of the density of each rim at its crater.
+    """
     n = match.shape[0]
     pose = np.empty(HYPOTHESIS)
     R, P = np.empty((3, 3)), np.empty(3)
@@ -181,7 +220,7 @@ def rematch(
     pairs = 0
     for i in range(n):
         match[i] = -1
-        d2[i] = np.inf
+        weight[i] = -np.inf
         seen, size, distance = seat(view, i, pose, X)
         if not seen:
             continue
@@ -189,49 +228,66 @@ def rematch(
         doubt_px = np.sqrt(sigma[0] ** 2 + (0.01 * view.radius_px[i]) ** 2 + place2)
         # An ellipse's centre is not the image of the crater's.
         gate_px = min(_GATE * doubt_px, _MOST_PX) + 0.05 * view.radius_px[i]
-        share2 = (0.5 * sigma[1] / view.radius_px[i]) ** 2 + 0.02**2 + size2
+        shape2 = shape_scale(view, i, sigma) ** 2
+        share2 = shape2 * (AXIS_PX / view.radius_px[i]) ** 2 + size2
         slack = min(_GATE * np.sqrt(share2) + 0.03, 0.6)
         angle = gate_px * distance / (view.focal_px * sphere)
         count = within(grid, X[0], X[1], X[2], min(angle, 0.5), size - slack, size + slack, found)
+        if count == _ROOM:
+            continue
+        place_var, size_var = sigma[0] ** 2 + place2, shape2 + size2 * view.radius_px[i] ** 2
+        density = -2.5 * _LN2PI - np.log(place_var) - 0.5 * np.log(size_var) - np.log(shape2)
+        for r in range(5):
+            density += np.log(view.precision[i, r])
+        # Relative to a rim that is false.
+        density -= np.log(n) + chance[i] + LOG_FALSE
+        rest = 1.0
         for k in range(count):
             if not errors(view, i, found[k], centres, axes, R, P, e):
                 continue
-            place = (e[0] * e[0] + e[1] * e[1]) / (sigma[0] ** 2 + place2)
-            shape = (e[2] * e[2] + e[3] * e[3] + e[4] * e[4]) / (
-                sigma[1] ** 2 + size2 * view.radius_px[i] ** 2
-            )
-            if place < _GATE * _GATE and shape < _SHAPE_GATE2 and place + shape < d2[i]:
-                d2[i] = place + shape
+            place = (e[0] * e[0] + e[1] * e[1]) / place_var
+            shape = (e[2] * e[2] + e[3] * e[3] + e[4] * e[4]) / size_var
+            if not (place < _GATE * _GATE and shape < _SHAPE_GATE2):
+                continue
+            value = density - 0.5 * (place + shape)
+            if value > weight[i]:
+                rest += np.exp(weight[i])
+                weight[i] = value
                 match[i] = found[k]
+            else:
+                rest += np.exp(value)
+        if match[i] >= 0 and weight[i] < np.log(rest):
+            match[i] = -1
     # Of two rims at one crater the better keeps it.
     for i in range(n):
         for j in range(i):
             if match[i] >= 0 and match[i] == match[j]:
-                match[i if d2[i] >= d2[j] else j] = -1
+                match[i if weight[i] <= weight[j] else j] = -1
     for i in range(n):
         pairs += match[i] >= 0
     return pairs
 
 
 @njit(cache=True, error_model="numpy")
-def _median(values: FloatArray, count: int) -> float:
-    """Give the median of the first `count` values, which are put in order: numpy's compiles for seconds."""
-    for i in range(1, count):
-        value = values[i]
-        j = i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
-    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
+def estimate_sigma(
+    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, noise: float,
+    places: float, shapes: float, sigma: FloatArray,
+) -> None:  # fmt: skip
+    """Write the noise (3,) that the pairs show: of centres by the median, of shapes as is most probable.
 
-
-@njit(cache=True, error_model="numpy")
-def squares(
-    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, place: FloatArray,
-    shape: FloatArray,
-) -> int:  # fmt: skip
-    """Write the squared errors of the pairs' centres and shapes, over those at 1 px; give their number."""
+    Parameters
+    ----------
+    view, centres, axes, gTc, match
+        Rims; craters; pose.
+    noise : float
+        What few pairs are held against, px.
+    places, shapes : float
+        Degrees of freedom that the pose takes from centres and from shapes.
+    sigma : ndarray, shape (3,)
+        Written, as `identify_noise` has it.
+    """
+    n = match.shape[0]
+    place, shape, radius = np.empty(n), np.empty(n), np.empty(n)
     R, P = np.empty((3, 3)), np.empty(3)
     for r in range(3):
         P[r] = gTc[r, 3]
@@ -239,127 +295,73 @@ def squares(
             R[r, c] = gTc[r, c]
     e = np.empty(5)
     count = 0
-    for i in range(match.shape[0]):
+    for i in range(n):
         if match[i] >= 0 and errors(view, i, match[i], centres, axes, R, P, e):
             place[count] = e[0] * e[0] + e[1] * e[1]
             shape[count] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
+            radius[count] = view.radius_px[i]
             count += 1
-    return count
-
-
-@njit(cache=True, error_model="numpy")
-def estimate_sigma(
-    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, sigma: FloatArray
-) -> None:
-    """Write the noise (2,) of centres and shapes, px, that the pairs show: from medians."""
-    n = match.shape[0]
-    place, shape = np.empty(n), np.empty(n)
-    count = squares(view, centres, axes, gTc, match, place, shape)
-    if count:
-        # What the pose has adapted to of the noise.
-        share = 5.0 * count / max(5.0 * count - 6.0, 1.0)
-        least, most = _SIGMA_RANGE
-        sigma[0] = min(max(np.sqrt(_median(place, count) / _MEDIAN2 * share), least), most)
-        sigma[1] = min(max(np.sqrt(_median(shape, count) / _MEDIAN3 * share), least), most)
-
-
-def settle(
-    view: View, centres: FloatArray, axes: FloatArray, prior: FloatArray, weight: FloatArray, gTc: FloatArray,
-    match: IntArray, sigma: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """Give the covariance (6, 6) of a pose, for its right twist; pose and noise come to agree, in place.
-
-    Of few rims' centres the pose takes up nearly all errors: each kind is held against the freedom that is
-    left to it, and borrows from the other where that is little. The noise being estimated, the pose is
-    distributed as Student's t.
-
-    Parameters
-    ----------
-    view, centres, axes
-        Rims; craters.
-    prior, weight, gTc, match, sigma
-        As in `grow`.
-    """
-    n = len(match)
-    place, shape = np.empty(n), np.empty(n)
-    N, part, g = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
-    freedom = 1.0
-    for _ in range(_SETTLINGS):
-        refine(gTc, frame_data(view, centres, axes, match, sigma), prior, weight, _STEPS, N)
-        alone = frame_data(view, centres, axes, match, np.array([sigma[0], _UNUSED]))
-        information(gTc, alone, prior, np.zeros((6, 6)), part, g)
-        taken = float(np.trace(np.linalg.solve(N, part)))
-        count = squares(view, centres, axes, gTc, match, place, shape)
-        left = max(2.0 * count - taken, 0.0), max(3.0 * count - max(6.0 - taken, 0.0), 1.0)
-        sums = place[:count].sum(), shape[:count].sum()
-        freedom = left[0] + left[1]
-        for k in range(2):
-            borrowed = _BORROWED * (sums[0] + sums[1]) / freedom
-            sigma[k] = np.clip(np.sqrt((sums[k] + borrowed) / (left[k] + _BORROWED)), *_SIGMA_RANGE)
-    refine(gTc, frame_data(view, centres, axes, match, sigma), prior, weight, _STEPS, N)
-    covariance = np.empty((6, 6))
-    covariance_of(N, covariance)
-    return covariance * freedom / max(freedom - 2.0, 1.0)
+    if not count:
+        return
+    least, most = SIGMA_RANGE
+    left = max(2.0 * count - places, 0.0)
+    square = 2.0 * count * median(place, count) / MEDIAN2 + _HELD * noise * noise
+    sigma[0] = min(max(np.sqrt(square / (left + _HELD)), least), most)
+    left = max(1.0 - shapes / (3.0 * count), 0.0)
+    likely_shape(shape, radius, count, left, sigma[0], sigma)
 
 
 @njit(cache=True, error_model="numpy")
 def grow(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, pose: FloatArray,
-    noise: float, prior: FloatArray, weight: FloatArray, gTc: FloatArray, match: IntArray, N: FloatArray,
-    sigma: FloatArray,
+    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, noise: float, chance: FloatArray,
+    prior: FloatArray, weight: FloatArray, gTc: FloatArray, match: IntArray, N: FloatArray, sigma: FloatArray,
 ) -> int:  # fmt: skip
-    """Grow a hypothesis until its pairs no longer change; give their number, 0 when it came to nothing.
+    """Grow a pose from some pairs until these no longer change; give their number, 0 when it came to nothing.
 
     Parameters
     ----------
     view, grid, centres, axes
         Rims; craters.
-    pose : ndarray, shape (HYPOTHESIS,)
-        Where to begin.
     noise : float
         First guess, px.
+    chance : ndarray, shape (n,)
+        Logarithm of each rim's density among rims by chance, from `identify_evidence.log_by_chance`.
     prior, weight : ndarray, shape (4, 4), (6, 6)
         Known attitude; without any, `weight` is zero.
-    gTc, match, N, sigma : ndarray, shape (4, 4), (n,), (6, 6), (2,)
-        Written: pose, each rim's crater, information, noise.
+    gTc, match : ndarray, shape (4, 4), (n,)
+        Where to begin, the pose and each rim's crater; written.
+    N, sigma : ndarray, shape (6, 6), (3,)
+        Written: information, noise as `identify_noise` has it.
     """
-    for r in range(3):
-        gTc[r, 3] = pose[POSITION + r]
-        gTc[3, r] = 0.0
-        for c in range(3):
-            gTc[r, c] = pose[ROTATION + 3 * r + c]
-    gTc[3, 3] = 1.0
     n = match.shape[0]
-    for i in range(n):
-        match[i] = -1
     used = 0
-    for k in range(3):
-        if pose[RIMS + k] >= 0.0:
-            match[int(pose[RIMS + k])] = int(pose[CRATERS + k])
-            used += 1
-    sigma[:] = noise
+    for i in range(n):
+        used += match[i] >= 0
+    sigma[0] = sigma[1] = noise
+    sigma[2] = USUAL_SHARE
     covariance = np.empty((6, 6))
     before = np.empty(n, dtype=np.int64)
-    d2 = np.empty(n)
+    likely = np.empty(n)
     pairs = used
     for turn in range(_ROUNDS):
         data = frame_data(view, centres, axes, match, sigma)
-        if not refine(gTc, data, prior, weight, _STEPS, N):
+        if not refine(gTc, data, prior, weight, STEPS, N):
             return 0
         covariance_of(N, covariance)
         for a in range(6):
             if not 0.0 < covariance[a, a] < np.inf:
                 return 0
         if turn > 1 and pairs > 3:
-            estimate_sigma(view, centres, axes, gTc, match, sigma)
+            places = _taken(gTc, data, covariance)
+            estimate_sigma(view, centres, axes, gTc, match, noise, places, 6.0 - places, sigma)
         sphere = 0.0
         for i in range(n):
             before[i] = match[i]
             if match[i] >= 0:
                 c = match[i]
                 sphere += np.sqrt(centres[c, 0] ** 2 + centres[c, 1] ** 2 + centres[c, 2] ** 2) / pairs
-        pairs = rematch(view, grid, centres, axes, gTc, sphere, covariance, sigma, match, d2)
-        if pairs < used or pairs < 2:
+        pairs = rematch(view, grid, centres, axes, gTc, sphere, covariance, sigma, chance, match, likely)
+        if pairs < min(used, 3) or pairs < 2:
             return 0
         same = True
         for i in range(n):
@@ -367,6 +369,6 @@ def grow(
         if same and turn > 2:
             break
     data = frame_data(view, centres, axes, match, sigma)
-    if not refine(gTc, data, prior, weight, _STEPS, N):
+    if not refine(gTc, data, prior, weight, STEPS, N):
         return 0
     return pairs

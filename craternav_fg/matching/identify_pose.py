@@ -18,8 +18,6 @@ SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14,
 # A rim without a crater: of its visible craters a catalogue lacks, or an image's rims are false.
 _MISS = 0.7
 _GATE = 3.0
-# Rims that may be asked in vain.
-_PATIENCE = 5
 _ROOM = 64
 
 
@@ -62,7 +60,7 @@ def seat(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, flo
 @njit(cache=True, error_model="numpy")
 def support(
     view: View, grid: Grid, order: npt.NDArray[np.int32], pose: FloatArray, extent_px: float, lever: float,
-    sigma: float, most: int,
+    sigma: float, most: int, patience: int,
 ) -> float:  # fmt: skip
     """Logarithm of how unlikely it is by chance that so many rims fall on craters of their size.
 
@@ -81,6 +79,8 @@ def support(
         Noise of the rims' centres, px.
     most : int
         Rims to ask at most.
+    patience : int
+        Rims that may be asked in vain.
     """
     X = np.empty(3)
     found = np.empty(_ROOM, dtype=np.int64)
@@ -119,7 +119,7 @@ def support(
                 score -= np.log(chance)
             else:
                 score -= _MISS * (1.0 - chance)
-        if asked == most or (asked >= _PATIENCE and score <= 0.0):
+        if asked == most or (asked >= patience and score <= 0.0):
             break
     return score if hits else -1.0
 

@@ -27,6 +27,8 @@ FloatArray = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
 
 _REACH2 = 12.0
+# Rims that may be asked in vain.
+_PATIENCE = 3
 
 
 @njit(cache=True, error_model="numpy")
@@ -254,9 +256,8 @@ def search(
             ) or not agrees(pose, attitude, least_cos, least_m, most_m):
                 continue
             judged += 1
-            pose[SCORE] = (
-                support(view, grid, order[rims[0]], pose, extent, lever, sigma, 14) - 0.5 * found_d2[h]
-            )
+            score = support(view, grid, order[rims[0]], pose, extent, lever, sigma, 14, _PATIENCE)
+            pose[SCORE] = score - 0.5 * found_d2[h]
             if pose[SCORE] > 0.0:
                 keep(pose, best)
     return judged

@@ -11,10 +11,10 @@ FloatArray = npt.NDArray[np.float64]
 
 # A distorted ellipse is followed at so many points.
 _POINTS = 32
-# Errors of a rim whose noise is `1 px`: of each coordinate of its centre and of its semi-axes, px; and those
-# which grow with the rim, as its map and its shape do.
+# Errors of a rim whose noise is `1 px`: of each coordinate of its centre and of its semi-axes, px; that of a
+# centre grows with the rim, as its map and its shape do.
 CENTRE_PX, AXIS_PX = 1.0, 0.5
-CENTRE_SHARE, AXIS_SHARE = 0.01, 0.02
+CENTRE_SHARE = 0.01
 
 
 class View(NamedTuple):
@@ -65,8 +65,7 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
     centre_px = np.hypot(CENTRE_PX, CENTRE_SHARE * radius_px)
     # Errors of L, the lower triangular root of S, relative to it: its own two sizes and, doubled in variance
     # as ever across the axes of a round rim, the element below.
-    axis_px = np.hypot(AXIS_PX, AXIS_SHARE * radius_px)
-    relative = [fx * l11 / axis_px, l11 / l22 * radius_px / (np.sqrt(2.0) * axis_px), fy * l22 / axis_px]
+    relative = [fx * l11 / AXIS_PX, l11 / l22 * radius_px / (np.sqrt(2.0) * AXIS_PX), fy * l22 / AXIS_PX]
     precision = np.stack([fx / centre_px, fy / centre_px, *relative], axis=-1)
     sides = np.linspace(0.0, 1.0, 9)
     x, y = sides * (camera.width_px - 1), sides * (camera.height_px - 1)

@@ -19,6 +19,7 @@ from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
 FloatArray = npt.NDArray[np.float64]
 
 BINS = 8
+SHOWN_ANEES = (1.0, 50.0)
 # An ANEES outside is called a cause of concern: the bins of a good campaign stay well inside.
 CONCERN_ANEES = (4.5, 7.5)
 COLUMNS = (
@@ -56,7 +57,7 @@ def campaign_page(campaign: Campaign) -> Page:
     if done:
         sections += [
             Section("errors", "Errors", [_errors(campaign, done)]),
-            Section("consistency", "Consistency", [_consistency(campaign, done)]),
+            Section("consistency", "Consistency", _consistency(campaign, done)),
             Section("final", "Last errors", [_final(campaign, done)]),
         ]
     sections.append(Section("made", "How it was made", [Text((campaign.path / MARKER).read_text("utf-8"))]))
@@ -113,25 +114,42 @@ def _errors(campaign: Campaign, names: list[str]) -> Drawing:
     return _drawing(figure, "errors", names, caption)
 
 
-def _consistency(campaign: Campaign, names: list[str]) -> Drawing:
-    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
+def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
+    """ANEES in bins of altitude, drawn and in numbers."""
+    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
+    # The bounds' rows are there for every trial.
+    altitude_m = of_estimator(campaign.table, FILTERED_BOUND, "altitude_m").mean(axis=0)
+    edges = np.geomspace(altitude_m.max() * 1.001, altitude_m.min() * 0.999, BINS + 1)
+    headings, rows = ["estimator"], []
+    most = 0
     for name in names:
         nees = of_estimator(campaign.table, name, "nees")
         if not np.isfinite(nees).all():
             continue
-        altitude_m = of_estimator(campaign.table, name, "altitude_m").mean(axis=0)
-        edges = np.geomspace(altitude_m.max() * 1.001, altitude_m.min() * 0.999, BINS + 1)
+        most = max(most, len(nees))
         bins = anees_by_altitude(nees, altitude_m, edges.tolist())
         middle_km = [1e-3 * np.sqrt(one.highest_m * one.lowest_m) for one in bins]
         axes.loglog(
             middle_km, [one.mean for one in bins], marker="o", ms=3, label=name, **figures.style(name)
         )
-        low, high = mean_interval(6, len(nees))
+        headings[1:] = [f"{1e-3 * one.highest_m:.3g} to {1e-3 * one.lowest_m:.3g} km" for one in bins]
+        cells = [number_cell(one.mean, concern=not one.consistent) for one in bins]
+        rows.append((name, [Cell(name, name), *cells]))
+    if not rows:
+        return [Text("No estimator tells its covariance.")]
+    low, high = mean_interval(6, most)
     axes.axhspan(low, high, color="k", alpha=0.1)
+    axes.set_ylim(*SHOWN_ANEES)
     axes.set_ylabel("ANEES of the pose")
-    caption = "Mean e' S⁻¹ e of the pose in bins of altitude; grey: where 95 % of an honest estimator's lie."
-    return _drawing(figure, "consistency", names, caption)
+    for which in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+        which(FuncFormatter(_plain))
+    caption = (
+        "Mean e' S⁻¹ e of the pose in bins of altitude, 6 when the covariances are honest; grey: where 95 % "
+        f"of an honest estimator's lie. What is above {SHOWN_ANEES[1]:g} is off the drawing."
+    )
+    told = f"In numbers; set off outside {low:.2f} to {high:.2f}, the 95 % interval of {most} trials."
+    return [_drawing(figure, "consistency", names, caption), Table(headings, rows, told)]
 
 
 def _final(campaign: Campaign, names: list[str]) -> Drawing:

@@ -100,9 +100,30 @@ def _summary(run: Run, missing: str) -> list[Block]:
         + "The ANEES of one run scatters: between 2 and 15 it is no verdict." * with_truth
     )
     blocks.append(Table(headings, rows, caption))
+    if run.metrics.get("innovations"):
+        blocks.append(_nis(run.metrics["innovations"]))
     if missing:
         blocks.append(Text(missing, warning=True))
     return blocks
+
+
+def _nis(found: dict[str, Any]) -> Table:
+    rows = []
+    for sensor, nis in found["nis"].items():
+        low, high = nis["low"], nis["high"]
+        cells = [
+            Cell(sensor, sensor),
+            number_cell(nis["mean"], concern=not low <= nis["mean"] <= high),
+            Cell(f"{low:.2f} to {high:.2f}", low),
+            number_cell(nis["dimension"]),
+        ]
+        rows.append(("", cells))
+    caption = (
+        f"Normalised innovations squared of {found['filter']}: how far each sensor lies from what was "
+        "predicted, by the claimed covariances. No truth is needed. Above the interval covariances are too "
+        "small; below it they are too large, or hold errors that are the same in every frame."
+    )
+    return Table(["sensor", "NIS per dimension", "honest, 95 %", "dimensions"], rows, caption)
 
 
 def _errors(run: Run) -> list[Block]:
@@ -123,6 +144,9 @@ def _bounds(run: Run) -> list[Block]:
         if trajectory.pose_covariance is None:
             continue
         figure = figures.draw_bounds(name, trajectory, run.truth)
+        for axes in figure.axes:
+            # What it is of, tab and axes say already.
+            axes.set_title("")
         drawings.append((name, _drawing(figure, f"bounds-{name}", run, 6.5, "")))
     return [
         Text("Position in east, north, up. With an honest covariance the line leaves the band once in 370."),

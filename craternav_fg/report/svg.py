@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 # Narrow, with the letters' size of the text: a telephone shows a drawing as it is.
-WIDTH_IN = 6.2
+WIDTH_IN = 5.0
 # matplotlib's names of parts are the same in every figure; in one page each may occur once.
 _NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
 

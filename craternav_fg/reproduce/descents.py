@@ -1,8 +1,10 @@
 """Trials of the paper's third case, 4.2.3: whole descents, each with a terrain of its own."""
 
 import functools
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -10,8 +12,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from craternav_fg.config import load_scenario
+from craternav_fg.config import Scenario, load_scenario
+from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError
+from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.trial import (
     FILTERED_BOUND,
     SMOOTHED_BOUND,
@@ -22,6 +27,8 @@ from craternav_fg.evaluation.trial import (
 )
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
+from craternav_fg.simulation.scenario import simulate as simulate_trial
+from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -51,6 +58,20 @@ def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.
     scenario = scenario.model_copy(update={"seed": scenario.seed + options.seed - ReproduceOptions.seed})
     tasks = [TrialTask(scenario, number, ESTIMATORS, versions) for number in range(options.descents)]
     return table(run_all(run_trial, tasks, options.workers, "descents", progress))
+
+
+def one_problem(scenario: Scenario, number: int) -> tuple[Problem, Trajectory]:
+    """Simulate a trial of a scenario with measured rims; its truth."""
+    with tempfile.TemporaryDirectory(prefix="craternav-") as folder:
+        dataset = Dataset.open(simulate_trial(scenario, Path(folder) / "dataset", trial=number))
+    assert dataset.truth is not None
+    assert dataset.rims is not None
+    assert dataset.initial is not None
+    descent = Descent(
+        dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
+    )
+    start = find_start(descent, dataset.rims)
+    return Problem(**vars(descent), start=start, frames=dataset.rims), dataset.truth
 
 
 def table(results: Sequence[TrialResult]) -> pa.Table:

@@ -22,7 +22,7 @@ from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.vision.detect import ellipse_parameters, find_rims
-from craternav_fg.vision.guided import GuidedOptions
+from craternav_fg.vision.guided import SINGLE_IMAGE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def fig10(options: ReproduceOptions) -> Reproduction:
     one = photograph(options.seed)
     true = one.ellipses_px
     blind = find_rims(one.image).ellipses_px
-    frame, _ = measure(one, GuidedOptions(sightings=1.0), NEAR, np.random.default_rng(options.seed))
+    frame, _ = measure(one, SINGLE_IMAGE, NEAR, np.random.default_rng(options.seed))
     fitted = [canny_rim(one, int(row)) for row in one.craters]
     by_canny = [chart for chart in fitted if chart is not None]
     found = {

@@ -18,7 +18,7 @@ from craternav_fg.reproduce.rim_images import draw_view, photograph
 from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.detect import ellipse_parameters, find_rims
-from craternav_fg.vision.guided import GuidedOptions
+from craternav_fg.vision.guided import SINGLE_IMAGE
 from factors.kernels.conic import chart_to_conic, project_rims
 
 FloatArray = npt.NDArray[np.float64]
@@ -32,7 +32,6 @@ _BATCH = 8
 # The crater's surroundings are small.
 _GROUND = TerrainOptions(cells=1024)
 # Each image is one of its kind.
-_SINGLE = GuidedOptions(sightings=1.0)
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def _blind(one: Scene, ellipse: FloatArray) -> FloatArray | None:
 
 
 def _guided(one: Scene, rng: np.random.Generator) -> FloatArray | None:
-    frame, _ = measure(one, _SINGLE, NEAR, rng)
+    frame, _ = measure(one, SINGLE_IMAGE, NEAR, rng)
     return pixel_chart(frame.rims.chart, one.camera)[0] if len(frame.rims) else None
 
 

@@ -105,7 +105,7 @@ def front_end(measured: sets.Sets, options: ReproduceOptions) -> Reproduction:
         "from 50 km, rims from 12 px semi-minor axis at a shading gain above 0.5. As printed: Canny edges, "
         "the paper's way; corrected: found without a prior; efficient: measured from a "
         "predicted pose, wrong by "
-        "1.5 px and 0.1 %, of single images (nothing counted for further sightings). What is judged is ours; "
+        "1.5 px and 0.1 %. What is judged is ours; "
         "the paper's own figures, of other images, stand beside the blind detector's. "
         + (f"Missed: {'; '.join(missed)}." if missed else "All hold.")
         + " The images have neither albedo nor a map's errors, and the ground's law of reflection is "

@@ -6,8 +6,10 @@ from craternav_fg.errors import CraternavError
 
 # No ellipse fit is of use on arcs shorter than about a third of the rim.
 LEAST_ARC = 0.35
-# From higher up the smallest rims, of 0.5 km, have semi-axes under 3 px, and ellipses of their points fail.
-HIGHEST_KM = 200.0
+# Range of the rims' semi-axes in cases one and two.
+SEMI_AXES_M = (500.0, 2500.0)
+# From higher up rims have semi-axes under 3 px, and ellipses of their points fail.
+HIGHEST_KM_OF_SEMI_AXIS_M = 0.4
 
 
 @dataclass(frozen=True)
@@ -19,9 +21,11 @@ class ReproduceOptions:
     craters : int
         Of figs. 11 and 12; figs. 13 and 14 are of two.
     altitudes_km : tuple of float
-        Lowest and highest altitude of figs. 11 to 14; at most `HIGHEST_KM`.
+        Lowest and highest altitude of figs. 11 to 14; at most 0.4 km for each metre of the least semi-axis.
     altitude_steps : int
         Altitudes from the one to the other.
+    semi_axes_m : tuple of float
+        Least and largest semi-axis of the rims of figs. 11 to 14.
     noise_px : float
         Standard deviation of each coordinate of an edge point.
     points : tuple of int
@@ -42,6 +46,7 @@ class ReproduceOptions:
     craters: int = 3
     altitudes_km: tuple[float, float] = (10.0, 100.0)
     altitude_steps: int = 10
+    semi_axes_m: tuple[float, float] = SEMI_AXES_M
     noise_px: float = 1.0
     points: tuple[int, int] = (10, 100)
     arc: float = 1.0
@@ -53,12 +58,18 @@ class ReproduceOptions:
 
     def __post_init__(self) -> None:
         low, high = self.altitudes_km
+        least_m, largest_m = self.semi_axes_m
+        highest = HIGHEST_KM_OF_SEMI_AXIS_M * least_m
         checks = (
             (self.craters >= 3, f"craters: expected 3 or more, found {self.craters}"),
             (
-                0.0 < low <= high <= HIGHEST_KM,
-                f"altitudes: expected 0 < low <= high <= {HIGHEST_KM:g} km, found {low:g} {high:g}: from "
-                "higher up the smallest rims have too few pixels",
+                0.0 < least_m <= largest_m,
+                f"semi-axes: expected 0 < least <= largest, found {least_m:g} {largest_m:g} m",
+            ),
+            (
+                0.0 < low <= high <= highest,
+                f"altitudes: expected 0 < low <= high <= {highest:g} km, found {low:g} {high:g}: from "
+                f"higher up the smallest rims, of {least_m:g} m, have too few pixels",
             ),
             (self.altitude_steps >= 1, f"altitude steps: expected 1 or more, found {self.altitude_steps}"),
             (

@@ -22,7 +22,7 @@ from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, WAYS
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims
-from craternav_fg.vision.guided import GuidedOptions
+from craternav_fg.vision.guided import SINGLE_IMAGE
 from factors.kernels.sun import sun_tilt, wrap
 
 FloatArray = npt.NDArray[np.float64]
@@ -62,7 +62,6 @@ KINDS = tuple(_SHARES)
 _FIRST_SEED = 40_000
 _ZOOM = 4
 _CREST_KM = (50.0, 30.0, 10.0)
-_SINGLE = GuidedOptions(sightings=1.0)
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def run_image(image: Image) -> tuple[list[dict[str, object]], list[dict[str, obj
             if k is not None:
                 errors[way][k] = (found[detected] - one.ellipses_px[true])[:4]
     for way, prior in PRIORS[image.kind].items():
-        frame, e = measure(one, _SINGLE, prior, rng)
+        frame, e = measure(one, SINGLE_IMAGE, prior, rng)
         measured = [k for row in frame.rims.craters if (k := place.get(int(row))) is not None]
         errors[way][measured] = np.hstack([e.centre_px, e.axes_px])
         chi2[way][measured] = e.chi2

@@ -13,7 +13,8 @@ from craternav_fg.bench.problems import MOON
 from craternav_fg.bench.scenes import Scene, taken
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
-from craternav_fg.reproduce.scenes import CAMERA, SEMI_AXES_M, tilted_camera
+from craternav_fg.reproduce.options import SEMI_AXES_M
+from craternav_fg.reproduce.scenes import CAMERA, tilted_camera
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, standing
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions

@@ -3,7 +3,7 @@
 reproduction.json   every number: a list of rows {figure, quantity, condition, unit, paper, as_printed,
                     corrected, efficient, bound, verdict}
 reproduction.md     the same to read: tables, drawings, and a paragraph on what cannot be had and why
-NAME.png            drawings: figNN, tableN, front_end, lag
+NAME.png            drawings: figNN, tableN, front_end, lag, ablation
 NAME.parquet        what they rest on, trial by trial
 """
 
@@ -27,6 +27,7 @@ from craternav_fg.reproduce import (
     rendered_sets,
     static_pose,
 )
+from craternav_fg.reproduce.ablation import ablation
 from craternav_fg.reproduce.coefficients import table2
 from craternav_fg.reproduce.edge_image import fig10
 from craternav_fg.reproduce.front_end import front_end
@@ -43,7 +44,7 @@ FIGURES = (
     "front_end",
 )  # fmt: skip
 # Not of the paper, and not part of "all".
-OTHERS = ("lag",)
+OTHERS = ("lag", "ablation")
 MARKER = "reproduction.json"
 CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in (*FIGURES, *OTHERS)))
 
@@ -106,6 +107,8 @@ def reproduce(
         out += [descent_figures.draw_up(name, trials) for name in DESCENTS if name in names]
     if "lag" in names:
         out.append(lag(options, progress))
+    if "ablation" in names:
+        out.append(ablation(options, progress))
     return sorted(out, key=lambda result: (*FIGURES, *OTHERS).index(result.name))
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.errors import CraternavError
+from craternav_fg.reproduce.options import SEMI_AXES_M
 from craternav_fg.static.edge_fit import fit_edges, rim_points
 from craternav_fg.static.problem import MatchedRims, StaticProblem
 from factors.kernels import conic, rim
@@ -21,8 +22,6 @@ IntArray = npt.NDArray[np.int64]
 _HALF_FIELD = float(np.tan(np.deg2rad(22.0)))
 _FOCAL_PX = 512.0 / _HALF_FIELD
 CAMERA = Camera(1024, 1024, _FOCAL_PX, _FOCAL_PX, 511.5, 511.5)
-# Range of the rims' semi-axes in cases one and two.
-SEMI_AXES_M = (500.0, 2500.0)
 _NADIR = np.diag([1.0, -1.0, -1.0])
 _TRIES = 200
 _RESTARTS = 300
@@ -84,12 +83,13 @@ def random_scene(
     rng: np.random.Generator,
     craters: int,
     altitude_m: float,
+    semi_axes_m: tuple[float, float] = SEMI_AXES_M,
     *,
     max_tilt_deg: float = 30.0,
 ) -> Scene:
     """Case one and two of the paper: craters apart from one another, wholly in the image.
 
-    Both semi-axes are of `SEMI_AXES_M`. At low altitude the image has no room for many large craters, and
+    At low altitude the image has no room for many large craters, and
     those that fit are smaller.
 
     Parameters
@@ -97,6 +97,8 @@ def random_scene(
     rng : numpy.random.Generator
     craters : int
     altitude_m : float
+    semi_axes_m : tuple of float
+        Each semi-axis is uniform between these; the longer of two is the major one.
     max_tilt_deg : float
         Of the optical axis from the craters' normal; uniform from 0.
 
@@ -113,7 +115,7 @@ def random_scene(
         charts: list[FloatArray] = []
         reach: list[float] = []
         for _ in range(_TRIES):
-            b, a = np.sort(rng.uniform(*SEMI_AXES_M, 2))
+            b, a = np.sort(rng.uniform(*semi_axes_m, 2))
             axis = flat_axes(a, b, rng.uniform(0.0, np.pi))
             centre = ground_point(gTc, rng.uniform(-_HALF_FIELD, _HALF_FIELD, 2))
             chart, visible = conic.project_rims(gTc, np.eye(4), centre[None], axis[None])
@@ -129,7 +131,7 @@ def random_scene(
             if len(centres) == craters:
                 return Scene(gTc, np.array(centres), np.array(axes), np.array(charts))
     raise CraternavError(
-        f"no room for {craters} craters with semi-axes of {SEMI_AXES_M[0]:g} m or more in the image from "
+        f"no room for {craters} craters with semi-axes of {semi_axes_m[0]:g} m or more in the image from "
         f"{altitude_m / 1e3:g} km: expected fewer craters or a higher altitude"
     )
 

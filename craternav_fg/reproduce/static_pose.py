@@ -56,6 +56,7 @@ class Batch:
     craters : int
     altitude_m, noise_px, arc : float
     points : tuple of int
+    semi_axes_m : tuple of float
     seed, first, last : int
         Trials first to last - 1.
     """
@@ -65,6 +66,7 @@ class Batch:
     noise_px: float
     arc: float
     points: tuple[int, int]
+    semi_axes_m: tuple[float, float]
     seed: int
     first: int
     last: int
@@ -80,7 +82,7 @@ def run_batch(batch: Batch) -> list[dict[str, float]]:
 
 def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
     rng = np.random.default_rng([batch.seed, 11, batch.craters, round(batch.altitude_m), trial])
-    scene = random_scene(rng, batch.craters, batch.altitude_m)
+    scene = random_scene(rng, batch.craters, batch.altitude_m, batch.semi_axes_m)
     counts = rng.integers(batch.points[0], batch.points[1] + 1, batch.craters)
     problem, bound = measure(scene, rng, counts, batch.arc, batch.noise_px)
     record = {
@@ -175,8 +177,8 @@ def simulate(
     conditions = [(1e3 * km, options.noise_px) for km in altitudes_km(options)] + list(extra)
     batches = [
         Batch(
-            craters, altitude, noise, options.arc, options.points, options.seed,
-            first, min(first + _BATCH, options.trials),
+            craters, altitude, noise, options.arc, options.points, options.semi_axes_m, options.seed, first,
+            min(first + _BATCH, options.trials),
         )
         for altitude, noise in conditions
         for first in range(0, options.trials, _BATCH)

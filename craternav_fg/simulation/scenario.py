@@ -219,7 +219,7 @@ def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief 
         coarsest_m=terrain.coarsest_m,
         seed=int(rng.integers(2**31)),
     )
-    dem = None if terrain.dem is None else read_dem(Path(terrain.dem), terrain.dem_unit_m)
+    dem = None if terrain.dem is None else read_dem(Path(terrain.dem), terrain.dem_unit_m, body.radius_m)
     return Relief(body, _site(scenario.trajectory)[:, 2], options, dem)
 
 

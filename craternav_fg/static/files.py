@@ -38,7 +38,7 @@ _SIGMA_RANGE_DEG = (1e-6, 360.0)
 
 
 def read_rims(
-    path: Path, camera: Camera, catalog_path: Path, body: Body, *, sigma_px: float, edge_points: int
+    path: Path, camera: Camera, catalog_path: Path, body: Body | None, *, sigma_px: float, edge_points: int
 ) -> tuple[MatchedRims, Catalog]:
     """Read fitted ellipses with the craters they are matched to.
 
@@ -51,8 +51,9 @@ def read_rims(
         Further columns are not read.
     camera : Camera
     catalog_path : Path
-        Catalogue with Robbins' columns.
-    body : Body
+        Catalogue of any origin.
+    body : Body or None
+        Which it must be of; None for the one that it tells.
     sigma_px : float
         For files without that column.
     edge_points : int
@@ -188,7 +189,7 @@ def _pose(problem: StaticProblem, pose: StaticPose, body: Body) -> dict[str, Any
     }
 
 
-def _craters(table: Table, path: Path, body: Body) -> Catalog:
+def _craters(table: Table, path: Path, body: Body | None) -> Catalog:
     """Look up the craters of the rims."""
     catalog, report = import_catalog(path, body)
     known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}

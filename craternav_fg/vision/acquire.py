@@ -25,6 +25,9 @@ from factors.kernels import conic
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+# A prior position may be wrong, but not by so much that a crater is nearer than this part of its range.
+_LEAST_RANGE = 0.2
+
 
 @dataclass(frozen=True)
 class AcquireOptions:
@@ -188,20 +191,22 @@ def _candidates(
 ) -> tuple[IntArray, FloatArray]:
     """Craters that may be seen, lit and large enough, from about the prior position; their gains (n, 3)."""
     gPc = camera.gTc(prior.gTb)[:3, 3]
-    view = gPc - catalog.centres
+    # All that is above the horizon and, at the least part of its range below, large enough.
+    reach = camera.focal_px / (_LEAST_RANGE * options.detect.min_radius_px)
+    rows = np.sort(catalog.index.in_view(gPc, -gPc / np.linalg.norm(gPc), -1.0, reach))
+    view = gPc - catalog.centres[rows]
     range_m = np.linalg.norm(view, axis=-1)
     view /= range_m[:, None]
-    _, gain = photometry.level_ground(catalog.normals, sun_g, view)
+    _, gain = photometry.level_ground(catalog.normals[rows], sun_g, view)
     slack_m = 3.0 * float(np.sqrt(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
-    nearest_m = np.maximum(range_m - slack_m, 0.2 * range_m)
-    size_px = camera.focal_px * catalog.semi_major_m / nearest_m
+    nearest_m = np.maximum(range_m - slack_m, _LEAST_RANGE * range_m)
+    size_px = camera.focal_px * catalog.semi_major_m[rows] / nearest_m
     keep = (
-        (np.sum(view * catalog.normals, axis=-1) > 0.15)
+        (np.sum(view * catalog.normals[rows], axis=-1) > 0.15)
         & (size_px > options.detect.min_radius_px)
         & (np.linalg.norm(gain, axis=-1) > 0.1)
     )
-    rows = np.flatnonzero(keep)
-    return rows, np.ascontiguousarray(gain[rows])
+    return rows[keep], np.ascontiguousarray(gain[keep])
 
 
 class _Search:

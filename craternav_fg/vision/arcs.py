@@ -32,8 +32,8 @@ class ArcOptions:
         Least share of the searched normals with an edge.
     max_rms_px, max_rms_share : float
         Largest scatter of the points about a smooth line along the rim: max_rms_px + max_rms_share b.
-    level_sigma : float
-        Relative standard deviation of the level ground's brightness, an error that an arc's points share.
+    shared_px : float
+        Standard deviation of an error that an arc's points share in one frame.
     gate : float
         Largest distance of an arc from its prediction, in standard deviations of both.
     margin_px : float
@@ -44,7 +44,7 @@ class ArcOptions:
     min_found_share: float = 0.7
     max_rms_px: float = 0.4
     max_rms_share: float = 0.03
-    level_sigma: float = 0.01
+    shared_px: float = 0.06
     gate: float = 3.5
     margin_px: float = 400.0
 
@@ -52,7 +52,6 @@ class ArcOptions:
 def judge(
     points_px: FloatArray,
     ratio: FloatArray,
-    lever: FloatArray,
     chart_px: FloatArray,
     minor_px: float,
     lasting_px: float,
@@ -64,14 +63,14 @@ def judge(
     Parameters
     ----------
     points_px : ndarray, shape (n, 2)
-    ratio, lever : ndarray, shapes (n,), (n, 2)
-        As `edges.trace_rim` gives them.
+    ratio : ndarray, shape (n,)
+        As `edges.trace_rim` gives it.
     chart_px : ndarray, shape (5,)
         Predicted rim.
     minor_px : float
         Its semi-minor axis.
     lasting_px : float
-        Standard deviation of an error that all points of the arc share.
+        Standard deviation of an error that all points of the arc share and that lasts.
     predicted_px : float
         Standard deviation of the prediction there.
     options : ArcOptions
@@ -80,17 +79,16 @@ def judge(
     -------
     points_px : ndarray, shape (m, 2)
     sigma_px : ndarray, shape (m,)
-        As if the points' errors were independent: their mean is as uncertain as it is in truth.
+        Without what lasts, as if the points' errors were independent: their mean is as uncertain as it is.
     None
         When they are no arc of that rim.
     """
     if len(points_px) < options.min_points:
         return None
-    distance, along, moves = np.empty(len(points_px)), np.empty(len(points_px)), np.empty(len(points_px))
+    distance, along = np.empty(len(points_px)), np.empty(len(points_px))
     normal, derivative = np.empty(2), np.empty(5)
     for i, (x, y) in enumerate(points_px):
         distance[i] = ellipse_kernel.signed_distance(x, y, chart_px, normal, derivative)
-        moves[i] = normal @ lever[i]
         along[i] = np.arctan2(normal[1], normal[0])
     # Angles along the arc, from its middle.
     along = np.angle(np.exp(1j * (along - np.angle(np.mean(np.exp(1j * along))))))
@@ -108,10 +106,9 @@ def judge(
     own = scatter * ratio[kept]
     if np.sqrt(np.mean(own**2)) > options.max_rms_px + options.max_rms_share * minor_px:
         return None
-    shared = np.hypot(lasting_px, options.level_sigma * np.sqrt(np.mean(moves[kept] ** 2)))
     count = int(np.count_nonzero(kept))
     # Curvature and slope of the misfit are as telling as its mean.
     misfit = np.sqrt(np.mean(smooth[kept] ** 2))
-    if misfit > options.gate * np.sqrt(shared**2 + predicted_px**2 + np.mean(own**2) / count):
+    if misfit > options.gate * np.sqrt(lasting_px**2 + predicted_px**2 + np.mean(own**2) / count):
         return None
-    return points_px[kept], np.sqrt(own**2 + count * shared**2)
+    return points_px[kept], np.sqrt(own**2 + count * options.shared_px**2)

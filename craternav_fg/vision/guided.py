@@ -19,6 +19,7 @@ from craternav_fg.vision import crest, edges, photometry
 from craternav_fg.vision.arcs import ArcOptions, judge
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, refine_rim
 from craternav_fg.vision.grey import on_8_bit_scale
+from craternav_fg.vision.lasting import LastingOptions, lasting_roots
 from craternav_fg.vision.photometry import LevelMap
 from craternav_fg.vision.pose_correction import corrected_pose, squared_distance, variance_factor
 from craternav_fg.vision.sun import SunOptions, measure_sun_tilt
@@ -70,11 +71,8 @@ class GuidedOptions:
         pixels, and share of the semi-minor axis.
     gate_probability : float
         A true rim passes the chi-square gate with this probability.
-    sightings : float
-        Frames that show a crater, about. The systematic part of its rim's error is nearly the same in
-        all of them and does not average out, which those who fuse the frames cannot know: in the
-        covariance that is given away it counts this many times. 1 is honest for a single image.
-        The part from a rim's outline counts as systematic, too.
+    lasting : LastingOptions
+        What of the rims' errors outlasts a frame.
     fit : FitOptions
         Of the ellipse fit, with the systematic floor and the deviation of outlines that is expected before
         they are seen.
@@ -101,12 +99,19 @@ class GuidedOptions:
     first_reach: tuple[float, float] = (2.5, 0.12)
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
-    sightings: float = 10.0
+    lasting: LastingOptions = field(default_factory=LastingOptions)
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
     arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)
 
 
+# For images that nobody fuses: what all rims share matters where it does not average out over frames; of one
+# image a fit's own covariance is honest.
+SINGLE_IMAGE = GuidedOptions(
+    lasting=LastingOptions(
+        rough_share=0.0, toward_px=0.0, lit_px=0.0, along_px=0.0, along_share=0.0, size_px=0.0, size_share=0.0
+    )
+)
 # Darker level ground, of 255, has no contrast to offer.
 _DARK = 6.0
 # The common shift needs no more rims than these.
@@ -246,21 +251,29 @@ class GuidedFrontEnd:
         found: list[int] = []
         points: list[FloatArray] = []
         sigmas: list[FloatArray] = []
+        lasting: list[float] = []
         for i in range(len(scene)):
             minor_px = _minor_px(scene, i)
-            traced, ratio, lever, tried = self._trace(image, scene, i, opt.second_reach)
+            traced, ratio, _, tried = self._trace(image, scene, i, opt.second_reach)
             if len(traced) < opt.arcs.min_found_share * tried:
                 continue
-            lasting_px = np.hypot(opt.fit.floor_px + opt.fit.floor_share * minor_px, outline * minor_px)
+            lasting_px = opt.lasting.arc_px + np.hypot(opt.lasting.arc_share, outline) * minor_px
             arc = judge(
-                traced, ratio, lever, scene.charts_px[i], minor_px, np.sqrt(opt.sightings) * lasting_px,
-                float(predicted_px[i]), opt.arcs,
-            )  # fmt: skip
+                traced,
+                ratio,
+                scene.charts_px[i],
+                minor_px,
+                float(lasting_px),
+                float(predicted_px[i]),
+                opt.arcs,
+            )
             if arc is not None:
                 found.append(i)
                 points.append(self.camera.pinhole.normalised(arc[0]))
                 sigmas.append(arc[1] / self.camera.focal_px)
-        return ArcSet(scene.rows[np.array(found, dtype=np.int64)], tuple(points), tuple(sigmas))
+                lasting.append(lasting_px / self.camera.focal_px)
+        rows = scene.rows[np.array(found, dtype=np.int64)]
+        return ArcSet(rows, tuple(points), tuple(sigmas), np.array(lasting))
 
     def _attempt(
         self, image: ImageArray, gTb: FloatArray, prior: FloatArray, sun_g: FloatArray, levels: LevelMap
@@ -288,7 +301,7 @@ class GuidedFrontEnd:
         fitted = self._fit_all(image, scene, opt.second_reach)
         if len(fitted) == 0:
             return _Result(RimSet.empty(), gTb, prior, expected)
-        return self._judged(gTb, prior, pose, fitted, expected)
+        return self._judged(gTb, prior, pose, sun_g, fitted, expected)
 
     def _aligned(
         self,
@@ -316,6 +329,7 @@ class GuidedFrontEnd:
         gTb: FloatArray,
         prior: FloatArray,
         pose: FloatArray,
+        sun_g: FloatArray,
         fitted: "_Fitted",
         expected: int,
     ) -> "_Result":
@@ -323,21 +337,30 @@ class GuidedFrontEnd:
         scene, chart, covariance = fitted.scene, fitted.chart, fitted.covariance
         centres, axes = self.catalog.centres[scene.rows], self.catalog.axes[scene.rows]
         residual, H = chart - scene.charts, scene.jacobians
+        factor = 1.0
         for scaled in (False, True):
             pose, spread = corrected_pose(gTb, prior, pose, H, residual, covariance)
-            best, H, _ = conic.chart_jacobian(pose, self.camera.bTc, centres, axes)
+            best, H, visible = conic.chart_jacobian(pose, self.camera.bTc, centres, axes)
             residual = chart - best
             common2 = squared_distance(residual, covariance + H @ spread @ np.swapaxes(H, 1, 2))
             if not scaled:
-                covariance = covariance * variance_factor(common2, 5)
+                factor = variance_factor(common2, 5)
+                covariance = covariance * factor
         first, H, seen = conic.chart_jacobian(gTb, self.camera.bTc, centres, axes)
         first[~seen] = np.inf
         prior2 = squared_distance(chart - first, covariance + H @ prior @ np.swapaxes(H, 1, 2))
         limit = chi2.ppf(self.options.gate_probability, 5)
-        keep = (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
-        covariance = covariance + (self.options.sightings - 1.0) * fitted.systematic
-        rims = RimSet(scene.rows, chart, covariance, fitted.quality)
-        return _Result(rims.take(keep), pose, spread, expected)
+        keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
+        rows, systematic = scene.rows[keep], factor * fitted.systematic[keep]
+        lasting = self.options.lasting
+        persistent, shared = lasting_roots(systematic, rows, pose, sun_g, self.camera, self.catalog, lasting)
+        # What a crater keeps is part of it already.
+        covariance = covariance[keep] + shared @ np.swapaxes(shared, 1, 2)
+        covariance = covariance + lasting.rough_share * (factor - 1.0) * systematic
+        quality = fitted.quality.take(keep)
+        return _Result(
+            RimSet(rows, chart[keep], covariance, quality, persistent, shared), pose, spread, expected
+        )
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
         least = self.options.min_semi_minor_px

@@ -65,3 +65,36 @@ def sun_tilt(
 def wrap(angle_rad: float) -> float:
     """Wrap an angle into (-pi, pi]."""
     return np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
+
+
+@njit(cache=True, error_model="numpy")
+def tilt_residual(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
+    """Sun tilt: zero when the predicted one is the measured one; in units of its sigma.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+    data : ndarray, shape (23,)
+        Mounting bTc row by row, direction in g, image point, tilt and its sigma (rad).
+    linearise : bool
+        Whether the Jacobian is written.
+    out : ndarray, shape (7, 1)
+        Written: the Jacobian's columns for the body's right twist [w, rho], then the residual. Where the
+        tilt is undefined the residual is the largest there is, and has no slope.
+
+    Returns
+    -------
+    float
+        A sum that is finite only where all that was written is.
+    """
+    J = np.empty((1, 6))
+    predicted, strength = sun_tilt(gTb, data[:16].reshape(4, 4), data[16:19], data[19], data[20], J)
+    sigma_rad = data[22]
+    e = (wrap(predicted - data[21]) if strength > 0.0 else np.pi) / sigma_rad
+    out[6, 0] = e
+    total = e * e
+    if linearise:
+        for j in range(6):
+            out[j, 0] = J[0, j] / sigma_rad
+            total += out[j, 0]
+    return total

@@ -60,7 +60,7 @@ def test_info_and_near(imported):
     near = json.loads(done.stdout)
     assert [crater["identifier"] for crater in near["craters"]] == ["2", "242"]
     assert near["craters"][1]["distance_km"] == pytest.approx(0.0343, abs=1e-3)
-    shown = craternav("catalog", "near", folder / "craters.parquet", "--", "-60", "0")
+    shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "0")
     assert "242" in shown.stdout
 
 
@@ -72,6 +72,43 @@ def test_plot(imported, place, tmp_path):
     picture = matplotlib.image.imread(tmp_path / "a.png")
     assert min(picture.shape[:2]) > 300
     assert np.ptp(picture[..., :3]) > 0.5
+
+
+def test_pairs_that_meet(imported, tmp_path):
+    folder, found = imported
+    pairs = tmp_path / "pairs.csv"
+    done = craternav("catalog", "info", folder / "craters.parquet", "--pairs", pairs)
+    assert done.returncode == 0, done.stderr
+    rows = [line.split(",") for line in pairs.read_text().splitlines()]
+    assert rows[0][:3] == ["kind", "crater_id", "other_id"]
+    assert [sorted(row[1:3]) for row in rows if row[0] == "twin"] == [["2", "242"]]
+    assert float(rows[1][5]) == pytest.approx(0.0343, abs=1e-3)
+    crossed = {name for row in rows if row[0] == "crossing" for name in row[1:3]}
+    assert len(crossed) == found["crossed_rims"]
+
+
+def test_negative_places_need_no_dashes(imported):
+    folder, _ = imported
+    shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "-360", "--distance-km", "1")
+    assert shown.returncode == 2  # out of range, but understood
+    shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "-0.001", "--distance-km", "1")
+    assert "2 craters within 1 km" in shown.stdout
+
+
+def test_what_was_taken_for_granted_is_said(imported, tmp_path):
+    folder, _ = imported
+    done = craternav("catalog", "import", folder / "table.csv", "-o", tmp_path / "a.parquet")
+    assert "read: latitude LAT_DEG, longitude LON_DEG (east), size DIAM_KM (km)" in done.stdout
+    assert "1 row left out: LAT_DEG: expected -90 to 90 deg, line 243: found 99" in done.stdout
+    assert "taken for the Moon's (--body)" in done.stderr
+    done = craternav(
+        "catalog", "import", folder / "table.csv", "-o", tmp_path / "b.parquet", "--body", "Mercury", "--json"
+    )
+    assert json.loads(done.stdout)["body_radius_m"] == 2439400.0
+    both = (tmp_path / "a.parquet", tmp_path / "b.parquet")
+    done = craternav("catalog", "import", *both, "-o", tmp_path / "c.parquet")
+    assert done.returncode == 2
+    assert "expected Moon of 1737400 m, as in" in done.stderr
 
 
 def test_known_errors_are_one_line_and_leave_nothing(imported, tmp_path):

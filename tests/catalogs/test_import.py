@@ -73,6 +73,67 @@ def test_circles_under_the_names_that_others_give(tmp_path, text, radius_m):
     assert report.numbered == (catalog.identifiers != ("X",))
 
 
+def test_a_table_below_its_description(tmp_path):
+    # As LU1319373 (Wang, Wu 2021) has it, in metres.
+    about = "The catalogue, with Longitude and Latitude\n" + "of craters, in degrees, east\n" * 14
+    columns = "ID\tLongitude(degree)\tLatitude(degree)\tDiameter(m)\tDepth(m)\tSource"
+    path = written(tmp_path, f"{about}{columns}\nA\t200\t20\t12000\t1\t0\n\nB\t200\t99\t1\t1\t0\nC\t1\n")
+    catalog, report = import_catalog(path, MOON)
+    assert catalog.identifiers == ("A",)
+    assert np.degrees(catalog.latitude_rad[0]) == pytest.approx(20.0)
+    assert catalog.semi_major_m[0] == 6000.0
+    assert report.columns == (
+        "latitude Latitude(degree), longitude Longitude(degree) (east), size Diameter(m) (m)"
+    )
+    assert [row.line for row in report.skipped] == [19, 20]
+    refused(written(tmp_path, path.read_text() + "D\t1\t2\t3x\t4\t5\n"), r"craters\.csv:21: Diameter\(m\)")
+
+
+def test_longitudes_to_the_west(tmp_path):
+    # A mirror image of the body: nothing would ever be identified on it.
+    path = written(tmp_path, "id,lat,Lon_W,diam_km\nA,20,200,12\n")
+    refused(path, r"craters\.csv:1: Lon_W: expected longitudes to the east", longitude="Lon_W")
+
+
+def test_columns_of_robbins_in_small_letters(tmp_path):
+    path = written(tmp_path, f"{ROBBINS.lower()}\nA,10,200,10.1,200.1,5,6,4.5,30,0.9\n")
+    catalog, _ = import_catalog(path, MOON)
+    assert (catalog.identifiers, catalog.semi_minor_m[0]) == (("A",), 2250.0)
+
+
+def test_sizes_that_are_radii(tmp_path):
+    path = written(tmp_path, "id,lat,lon,Radius_km\nA,20,200,6\n")
+    catalog, report = import_catalog(path, MOON)
+    assert catalog.semi_major_m[0] == 6000.0
+    assert report.columns.endswith("size Radius_km (km of radius)")
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (b"PK\x03\x04...", r"craters\.csv: .* a zip archive or a spreadsheet: unpack it"),
+        (b"\x1f\x8b...", r"craters\.csv: .* a compressed file"),
+        (
+            b"1,2,3\n4,5,6\n",
+            r"craters\.csv:1: expected column names in the first line, found numbers: 1, 2, 3",
+        ),
+    ],
+)
+def test_what_is_no_table_with_names(tmp_path, content, match):
+    path = tmp_path / "craters.csv"
+    path.write_bytes(content)
+    refused(path, match)
+    refused(tmp_path, "expected a file, found a folder")
+
+
+def test_major_and_minor_diameters_swapped(tmp_path):
+    rows = "".join(f"{k},10,200,10,200,5,4,6,30,1\n" for k in range(30))
+    refused(
+        written(tmp_path, f"{ROBBINS}\n{rows}"),
+        r"craters\.csv:2: DIAM_ELLI_MINOR_IMG: .* of 30 rows: major and minor diameters are swapped",
+    )
+
+
 def test_columns_that_are_named(tmp_path):
     path = written(tmp_path, "NAME,PHI,LAMBDA,SIZE,LAT\nX,20,200,12000,7\n")
     refused(path, r"craters\.csv:1: no column of a longitude .* NAME, PHI, LAMBDA, SIZE, LAT: name it")
@@ -123,6 +184,13 @@ def test_metres_taken_for_kilometres(tmp_path):
     refused(small, r"craters\.csv: diam: .* cover a body .* times over.* wrong unit")
 
 
+def test_radians_taken_for_degrees(tmp_path):
+    rows = globe(np.random.default_rng(4), 12000)
+    rows[:, :2] = np.radians(rows[:, :2])
+    path = written(tmp_path, table("lat,lon,diam", rows))
+    refused(path, r"craters\.csv: diam: .* times over where they lie.* wrong unit .*deg, rad")
+
+
 def test_kilometres_taken_for_metres(tmp_path):
     path = written(tmp_path, table("lat,lon,diam_m", globe(np.random.default_rng(3))))
     refused(path, r"craters\.csv: diam_m: craters all over a body .* wrong unit")
@@ -144,6 +212,10 @@ def test_the_catalogue_of_another_body(tmp_path):
         ("", r"craters\.csv:1: expected a table with column names"),
         ("lat,lon,diam_km,lat\n1,2,3,4\n", r"craters\.csv:1: lat: expected each column once"),
         ("lat,lon,diam_km\n", r"craters\.csv: expected at least one crater, found none in 0 rows"),
+        (
+            "lat,lon,diam_km\n1,2,12000\n",
+            r"none in 1 rows, .* line 2: diam_km: .*wrong unit \(km, m\)",
+        ),
         (
             ROBBINS.replace("DIAM_ELLI_MINOR_IMG,", "") + "\n",
             r"craters\.csv:1: DIAM_ELLI_MINOR_IMG: expected",

@@ -64,6 +64,20 @@ def test_visible_craters_are_those_found_one_by_one(seed):
         np.testing.assert_allclose(charts, again, rtol=0.0, atol=1e-6)
 
 
+def test_centres_axes_and_normals_are_those_of_the_frames():
+    craters = catalog(np.random.default_rng(8))
+    x, y, z = np.moveaxis(craters.gRl, 2, 0)
+    np.testing.assert_allclose(np.cross(x, y), z, atol=1e-14)
+    np.testing.assert_allclose(craters.normals, z, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(craters.axes[:, 0], craters.semi_major_m[:, None] * x, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(craters.axes[:, 1], craters.semi_minor_m[:, None] * y, rtol=0.0, atol=1e-9)
+    # Height and place of the centre, as they were given.
+    height_m = np.linalg.norm(craters.centres, axis=1) - BODY.radius_m
+    np.testing.assert_allclose(height_m, craters.height_m, rtol=0.0, atol=1e-8)
+    latitude = np.arcsin(craters.centres[:, 2] / (BODY.radius_m + craters.height_m))
+    np.testing.assert_allclose(latitude, craters.latitude_rad, rtol=0.0, atol=1e-7)
+
+
 def test_craters_in_the_dark_are_not_seen():
     rng = np.random.default_rng(3)
     craters, lens = catalog(rng), camera(rng)
@@ -107,7 +121,7 @@ def test_crossing_rims_and_twins_are_those_found_pair_by_pair():
         1.04 * moved.semi_major_m, moved.semi_minor_m, moved.angle_rad, moved.height_m, BODY,
     )  # fmt: skip
     craters = Catalog.joined([craters, part])
-    crossed, twins = craters.index.overlaps(0.1)
+    crossings, twins = craters.index.overlaps(0.1)
     assert {tuple(sorted(pair)) for pair in twins.tolist()} >= {
         (row, 800 + k) for k, row in enumerate(copies.tolist())
     }
@@ -116,7 +130,10 @@ def test_crossing_rims_and_twins_are_those_found_pair_by_pair():
     away = BODY.radius_m * np.linalg.norm(craters.normals[:, None] - craters.normals[None], axis=-1)
     meets = (away < a[:, None] + a) & (away > np.abs(a[:, None] - a))
     meets[twins[:, 0], twins[:, 1]] = meets[twins[:, 1], twins[:, 0]] = False
-    np.testing.assert_array_equal(crossed, meets.any(axis=1))
+    np.testing.assert_array_equal(a[crossings[:, 0]] >= a[crossings[:, 1]], True)
+    found = {tuple(sorted(pair)) for pair in crossings.tolist()}
+    assert len(found) == len(crossings)
+    assert found == set(map(tuple, np.argwhere(np.triu(meets)).tolist()))
 
 
 def test_a_catalogue_in_order_is_not_moved():

@@ -7,8 +7,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.catalog import Catalog
 from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
-from craternav_fg.catalogs.heights import with_rim_heights
-from craternav_fg.catalogs.store import read_body
+from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
 from craternav_fg.dataset import Dataset
 from craternav_fg.dem import read_dem
 from craternav_fg.errors import InputError
@@ -38,7 +37,7 @@ def test_numbers_read_back_exactly_in_the_order_of_the_index(tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(catalog, name)[order])
     np.testing.assert_array_equal(again.index.order, np.arange(3000))
     assert import_catalog(path, BODY)[0].identifiers == again.identifiers
-    assert read_body(path) == BODY
+    assert import_catalog(path)[0].body == BODY
 
 
 def test_another_body(stored):
@@ -107,6 +106,22 @@ def test_a_data_set_with_a_large_catalogue(folder):  # noqa: F811
     (folder.path / "craters.parquet").unlink()
     with pytest.raises(InputError, match=r"craters\.csv: file is missing"):
         Dataset.open(folder.path)
+
+
+def test_an_elevation_model_of_another_body_or_unit(tmp_path):
+    heights = np.full((360, 720), 3000.0, dtype=np.float32)
+    # Coordinates of the Moon; the Earth's are on many rasters of other bodies, and tell nothing.
+    path = write(tmp_path / "a.tif", heights, GLOBE)
+    assert read_dem(path, radius_m=1738000.0).heights_m(np.eye(3)) == pytest.approx(3000.0)
+    with pytest.raises(
+        InputError, match=r"a\.tif: expected an elevation model of a body of 561400 m, .* 1737400"
+    ):
+        read_dem(path, radius_m=561400.0)
+    earth = write(tmp_path / "b.tif", heights, GLOBE, crs="EPSG:4326")
+    catalog = power_law_population(np.random.default_rng(1), BODY, 20, (400.0, 60e3))
+    assert implausible_heights(with_rim_heights(catalog, read_dem(earth, radius_m=BODY.radius_m))) is None
+    wrong = with_rim_heights(catalog, read_dem(earth, 1000.0, BODY.radius_m))
+    assert "wrong unit" in implausible_heights(wrong)
 
 
 def test_rims_have_the_mean_height_along_them(tmp_path):

@@ -289,6 +289,20 @@ def test_bad_rims_are_named(case, rims_folder):
         assert part in text
 
 
+def covariance_with(cross, mirrored):
+    covariance = np.diag([1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
+    covariance[0, 1], covariance[1, 0] = cross, mirrored
+    return set_cell(1, "covariance", covariance.ravel().tolist())
+
+
+def test_covariances_may_differ_from_symmetric_ones_by_rounding(rims_folder):
+    covariance_with(3e-21, -2e-21)(rims_folder)
+    assert Dataset.open(rims_folder.path).rims is not None
+    covariance_with(3e-7, 2e-7)(rims_folder)
+    with pytest.raises(InputError, match="symmetric"):
+        Dataset.open(rims_folder.path)
+
+
 def test_a_data_set_that_is_none():
     with pytest.raises(InputError, match=r"nowhere: expected a data set's folder"):
         Dataset.open("nowhere")

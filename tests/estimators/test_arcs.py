@@ -63,3 +63,17 @@ def test_arcs_inform_and_are_weighed_honestly(
     assert chi2.ppf(0.001, 6 * n) / n < np.mean(ends) < chi2.ppf(0.999, 6 * n) / n
     # Per direction, the standard deviation falls to less than three quarters.
     assert np.median(gains) ** (1 / 12) < 0.75
+
+
+def test_an_arc_of_another_crater_is_left_out(
+    trials: list[tuple[Problem, Problem, Trajectory]],
+) -> None:
+    without, with_arcs, truth = trials[0]
+    wrong = [replace(f, arcs=replace(f.arcs, craters=np.roll(f.arcs.craters, 1))) for f in with_arcs.frames]
+    assert all(len(frame.arcs) > 1 for frame in wrong)
+    robust = GncSmoother().estimate(replace(with_arcs, frames=wrong))
+    bare = GncSmoother().estimate(without)
+    np.testing.assert_allclose(robust.gP, bare.gP, atol=0.01)
+    assert robust.pose_covariance is not None
+    np.testing.assert_allclose(robust.pose_covariance, bare.pose_covariance, rtol=0.01, atol=1e-6)
+    assert nees(errors(robust, truth).pose, robust.pose_covariance).mean() < 12.0

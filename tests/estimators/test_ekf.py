@@ -13,7 +13,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf import DistributedEkf, EkfOptions, ekf, ekf_paper
 from craternav_fg.estimators.ekf_fusion import Update, fuse_updates
-from craternav_fg.estimators.ekf_measurement import inflation, linearise_rims, linearise_sun
+from craternav_fg.estimators.ekf_measurement import inflation, linearise_rims, linearise_sun, weighed
 from craternav_fg.measurements import RimSet, SunTilt
 from factors.kernels import conic, sun
 from tests.estimators.small_descent import (
@@ -45,6 +45,7 @@ def problem(world):
 def central_update(state, frame, problem):
     """Stack all measurements and apply Joseph's form, in states scaled by their sigmas."""
     T, camera, catalog = state.gTb, problem.camera, problem.catalog
+    frame = weighed(frame, T, camera, catalog)
     rows = frame.rims.craters
     y, J, _ = conic.chart_jacobian(T, camera.bTc, catalog.centres[rows], catalog.axes[rows])
     n = len(rows)
@@ -352,7 +353,8 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
     )
     scale = np.sqrt(np.diag(prior.covariance))
     root = np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
-    white = np.linalg.inv(np.linalg.cholesky(frame.rims.covariance))
+    rims = weighed(frame, prior.gTb, problem.camera, problem.catalog).rims
+    white = np.linalg.inv(np.linalg.cholesky(rims.covariance))
     rows = frame.rims.craters
 
     def residuals(x):

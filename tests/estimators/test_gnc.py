@@ -21,6 +21,7 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.consensus import agreeing, robust_track
 from craternav_fg.estimators.gnc import GncSmoother, truncated_weights
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.rematch import NO_CRATER, rematched
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.evaluation.run_folder import write_run
@@ -93,10 +94,6 @@ def with_wrong_matches(
     return out, right
 
 
-def only(measured: list[FrameMeasurement], rows: Right) -> list[FrameMeasurement]:
-    return [dataclasses.replace(f, rims=f.rims.take(r)) for f, r in zip(measured, rows, strict=True)]
-
-
 def rms_m(estimate: Trajectory, truth: Trajectory) -> float:
     return float(np.sqrt(np.mean(np.sum(errors(estimate, truth).position_m ** 2, axis=1))))
 
@@ -107,30 +104,37 @@ def used(estimate: Trajectory) -> np.ndarray:
 
 
 def check(data: Dataset, share: float, seed: int, kind: str) -> tuple[float, float]:
-    """Errors of the smoother with the outliers and without them."""
+    """Errors of the smoother with wrong matches, and with none."""
     measured, right = with_wrong_matches(data, share, np.random.default_rng(seed), kind)
     robust = GncSmoother().estimate(problem(data, measured))
-    without = BatchSmoother().estimate(problem(data, only(measured, right)))
     assert data.truth is not None
+    assert data.rims is not None
+    clean = BatchSmoother().estimate(problem(data, list(data.rims)))
     expected = np.concatenate(right)
     assert not (used(robust) & ~expected).any()
     # The limit loses one right rim in a thousand.
     assert (~used(robust) & expected).sum() <= 5
-    return rms_m(robust, data.truth), rms_m(without, data.truth)
+    assert robust.rim_craters is not None
+    taken = np.concatenate(robust.rim_craters)
+    true = np.concatenate([frame.rims.craters for frame in data.rims])
+    assert (taken[taken >= 0] == true[taken >= 0]).all()
+    assert (taken >= 0).mean() > 0.99
+    return rms_m(robust, data.truth), rms_m(clean, data.truth)
 
 
-def test_two_of_five_matches_wrong_and_no_worse_than_without_them(demo: Dataset) -> None:
+def test_two_of_five_matches_wrong_and_no_worse_than_with_none(demo: Dataset) -> None:
     for seed, kind in enumerate(("in view", "nearest", "persistent")):
-        robust, without = check(first(demo, 25), 0.4, seed, kind)
-        assert robust < 1.1 * without
+        robust, clean = check(first(demo, 25), 0.4, seed, kind)
+        assert robust < 1.1 * clean
 
 
 def test_the_plain_smoother_needs_it(demo: Dataset) -> None:
     data = first(demo, 12)
-    measured, right = with_wrong_matches(data, 0.4, np.random.default_rng(0), "in view")
-    without = BatchSmoother().estimate(problem(data, only(measured, right)))
+    measured, _ = with_wrong_matches(data, 0.4, np.random.default_rng(0), "in view")
+    assert data.rims is not None
+    clean = BatchSmoother().estimate(problem(data, list(data.rims)))
     p = problem(data, measured)
-    robust, plain = (rms_m(e.estimate(p), without) for e in (GncSmoother(), BatchSmoother()))
+    robust, plain = (rms_m(e.estimate(p), clean) for e in (GncSmoother(), BatchSmoother()))
     assert robust < 1.0
     assert plain > 30.0
 
@@ -211,6 +215,32 @@ def test_rims_that_agree_with_one_another_are_kept() -> None:
     assert cost == pytest.approx(5 * LIMIT2)
 
 
+def test_a_rim_is_of_one_crater_that_is_free_and_fits(demo: Dataset) -> None:
+    assert demo.rims is not None
+    assert demo.truth is not None
+    rims, gTb = demo.rims[5].rims, np.ascontiguousarray(demo.truth.gTb[5])
+    n = len(rims)
+    assert n >= 4
+
+    def found(given: RimSet, used_rows: list[int], catalog: Catalog = demo.catalog) -> np.ndarray:
+        used_mask = np.isin(np.arange(len(given)), used_rows)
+        return rematched(given, used_mask, gTb, demo.camera, catalog, LIMIT2)
+
+    wrong = dataclasses.replace(rims, craters=np.roll(rims.craters, 1))
+    assert_array_equal(found(wrong, []), rims.craters)
+    # What a rim that is used is of, no other can be.
+    assert_array_equal(found(dataclasses.replace(rims, craters=rims.craters[[1, *range(1, n)]]), [1])[:2],
+                       [rims.craters[0], rims.craters[1]])  # fmt: skip
+    claimed = dataclasses.replace(rims, craters=np.r_[rims.craters[1], rims.craters[1:]])
+    assert found(claimed, [0])[1] == NO_CRATER
+    # Two rims that look like one crater are of neither.
+    twice = rims.take(np.array([0, 0, 1]))
+    assert_array_equal(found(twice, []), [NO_CRATER, NO_CRATER, rims.craters[1]])
+    # A rim of a crater that the catalogue lacks.
+    moved = dataclasses.replace(rims, chart=rims.chart + np.array([0.02, 0.0, 0.0, 0.0, 0.0]))
+    assert (found(moved, []) == NO_CRATER).all()
+
+
 @pytest.mark.parametrize("mu", [0.05, 1.0, 20.0])
 @pytest.mark.parametrize("squared", [0.5, 4.0, 9.0, 16.0, 80.0])
 def test_weight_minimises_the_surrogate(mu: float, squared: float) -> None:
@@ -233,8 +263,12 @@ def test_rejected_matches_are_named_in_the_run(tmp_path: Path, demo: Dataset) ->
         camera=data.camera, catalog=data.catalog, truth=None, times_s={}, wall_s=0.0,
     )  # fmt: skip
     table = pq.read_table(tmp_path / "residuals.parquet").to_pylist()
-    weights = [row["weight"] for row in table if row["estimator"] == "gnc_smoother"]
-    assert_array_equal(weights, np.concatenate(right).astype(float))
+    own = [row for row in table if row["estimator"] == "gnc_smoother"]
+    assert_array_equal([row["weight"] for row in own], np.concatenate(right).astype(float))
+    assert data.rims is not None
+    true = [data.catalog.identifiers[row] for frame in data.rims for row in frame.rims.craters]
+    assert [row["taken_for"] or row["crater_id"] for row in own] == true
+    assert [row["taken_for"] is None for row in own] == np.concatenate(right).tolist()
     assert all(row["weight"] is None for row in table if row["estimator"] == "dead_reckoning")
 
 
@@ -243,5 +277,5 @@ def test_rejected_matches_are_named_in_the_run(tmp_path: Path, demo: Dataset) ->
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.5])
 def test_many_draws_of_wrong_matches(demo: Dataset, share: float, kind: str) -> None:
     for seed in range(10):
-        robust, without = check(demo, share, 100 + seed, kind)
-        assert robust < 1.1 * without
+        robust, clean = check(demo, share, 100 + seed, kind)
+        assert robust < 1.1 * clean

@@ -16,8 +16,9 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.rim_errors import RimErrorOptions, image_change
 from craternav_fg.estimators.start import find_start
+from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import SHARED_SIZE
+from craternav_fg.measurements import SHARED_SIZE, ArcSet
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 
@@ -86,6 +87,39 @@ def test_too_sure_without(trials: list[tuple[Problem, Trajectory]]) -> None:
     """As if the same errors were new in every frame, and as if there were none beside the white ones."""
     high = chi2.ppf(0.999, 6 * TRIALS) / TRIALS
     assert mean_nees(BatchSmoother(GraphOptions(rim_errors=None)), trials) > high
+
+
+def test_the_bound_is_that_of_the_same_model(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """The smoothers' covariances, where they know of the errors; below those who do not."""
+    p, truth = trials[0]
+    bound = posterior_bound(p, p.frames, truth, RimErrorOptions(decay=DECAY))
+    finely = GraphOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.0))
+    for estimator, least in (
+        (BatchSmoother(finely), bound.smoothed),
+        (OnlineSmoother(finely), bound.filtered),
+    ):
+        estimate = estimator.estimate(p)
+        assert estimate.pose_covariance is not None
+        ratio = position_rms_m(estimate.pose_covariance) / position_rms_m(least)
+        np.testing.assert_allclose(ratio[2:], 1.0, atol=0.05)
+    bare = [replace(f, rims=replace(f.rims, persistent=None, shared=None)) for f in p.frames]
+    without = posterior_bound(p, bare, truth)
+    assert np.all(position_rms_m(without.smoothed) < 0.9 * position_rms_m(bound.smoothed))
+
+
+def test_what_lasts_counts_as_often_where_it_is_taken_as_new(
+    trials: list[tuple[Problem, Trajectory]],
+) -> None:
+    rims = trials[0][0].frames[0].rims
+    assert rims.persistent is not None
+    new = rims.as_new(3.0)
+    assert new.persistent is None
+    assert new.shared is None
+    once = rims.covariance - rims.white
+    np.testing.assert_allclose(new.covariance - rims.white, 3.0 * once, rtol=1e-6, atol=1e-14)
+    arcs = ArcSet(np.array([4]), (np.zeros((9, 2)),), (np.full(9, 3.0),), np.array([2.0]))
+    # The mean of nine: 9 / 9 of their own, 2^2 twice over of what they share.
+    assert np.mean(arcs.as_new(2.0).sigmas[0] ** 2) / 9 == pytest.approx(1.0 + 2.0 * 4.0)
 
 
 def test_errors_leave_the_lag_with_their_states(trials: list[tuple[Problem, Trajectory]]) -> None:

@@ -115,19 +115,21 @@ def test_a_blind_stretch_is_bridged_by_the_imu(descent: tuple[Problem, Trajector
 
 
 def test_what_was_read_does_not_matter(descent: tuple[Problem, Trajectory]) -> None:
-    """Only how well: the same covariances about other readings give the same bound."""
+    """Only how well: other readings, with the covariances that a fit has there, give the same bound."""
     p, truth = descent
     other = [
         dataclasses.replace(
             frame,
-            rims=RimSet(frame.rims.craters, frame.rims.chart + 0.01, frame.rims.covariance),
+            rims=dataclasses.replace(
+                frame.rims.expected_at(frame.rims.chart + 0.003), chart=frame.rims.chart + 0.003
+            ),
             sun=None if frame.sun is None else dataclasses.replace(frame.sun, tilt_rad=1.0),
         )
         for frame in p.frames
     ]
     here, there = posterior_bound(p, p.frames, truth), posterior_bound(p, other, truth)
-    assert_allclose(there.filtered, here.filtered, rtol=1e-12)
-    assert_allclose(there.smoothed, here.smoothed, rtol=1e-12)
+    assert_allclose(there.filtered, here.filtered, rtol=1e-9)
+    assert_allclose(there.smoothed, here.smoothed, rtol=1e-9)
 
 
 def test_units() -> None:

@@ -21,13 +21,7 @@ def world() -> World:
 
 
 def pooled(problems: list[Problem]) -> Innovations:
-    runs = [innovations(p, ekf().states(p)) for p in problems]
-    return Innovations(
-        sum((run.sensor for run in runs), ()),
-        np.concatenate([run.stamps_ns for run in runs]),
-        np.concatenate([run.nis for run in runs]),
-        np.concatenate([run.dimension for run in runs]),
-    )
+    return Innovations.joined(innovations(p, ekf().states(p)) for p in problems)
 
 
 def problems(world: World) -> list[Problem]:

@@ -120,6 +120,23 @@ def test_what_two_craters_claim_is_given_to_neither():
     np.testing.assert_array_equal(np.delete(found.craters, 3), np.delete(alone.craters, 3))
 
 
+def test_a_rim_that_is_off_by_a_percent_of_its_size_is_its_craters_all_the_same():
+    rng = np.random.default_rng(5)
+    catalog = field(rng)
+    gTb = view(rng)
+    truth, charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=20.0)
+    covariances = noise_of(charts, 0.05)
+    largest = int(np.argmax(charts[:, 4]))
+    charts[largest, 2] += 0.012
+    charts[largest, 4] -= 0.012
+    prior, covariance = wrong_prior(rng, gTb, np.radians(0.5), 200.0)
+    found = match_rims(charts, covariances, CAMERA, catalog, prior, covariance)
+    np.testing.assert_array_equal(found.craters, truth)
+    # Ten times the scatter of its points: by that alone it would be nobody's.
+    strict = match_rims(charts, covariances, CAMERA, catalog, prior, covariance, GateOptions(floor_share=0.0))
+    assert strict.craters[largest] == -1
+
+
 def test_two_rims_of_one_crater_are_given_to_neither():
     rng = np.random.default_rng(13)
     catalog = field(rng)

@@ -92,6 +92,34 @@ def test_craters_and_pose(case, identify) -> None:
     assert all(name in output for name, _ in named)
 
 
+def test_identified_rims_are_what_pose_reads(case, identify, tmp_path, monkeypatch, capsys) -> None:
+    folder, _, scene = case
+    code, output, _ = identify(folder / "rims.csv", "-o", tmp_path / "matched.csv", "--json")
+    assert code == 0
+    assert len((tmp_path / "matched.csv").read_text().splitlines()) == 1 + sum(
+        rim["crater"] is not None for rim in json.loads(output)["rims"]
+    )
+    command = ["craternav", "pose", str(tmp_path / "matched.csv"), "--json"]
+    command += ["--camera", str(folder / "sensor.yaml"), "--catalog", str(folder / "craters.csv")]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code in (0, None)
+    found = json.loads(capsys.readouterr().out)
+    error = np.array(found["poses"][0]["position_m"]) - scene.gTb[:3, 3]
+    assert found["status"] == "solved"
+    assert (np.abs(error) < 6.0 * np.array(found["poses"][0]["position_sigma_m"])).all()
+
+
+def test_results_never_overwrite_what_they_are_from(case, identify) -> None:
+    folder, _, _ = case
+    before = (folder / "rims.csv").read_bytes()
+    code, _, errors = identify(folder / "rims.csv", "-o", folder / "rims.csv")
+    assert code == 2
+    assert "choose another --output" in errors
+    assert (folder / "rims.csv").read_bytes() == before
+
+
 def test_no_answer(case, identify) -> None:
     code, output, errors = identify(case[0] / "mirrored.csv", "--json")
     assert code == 2
@@ -120,9 +148,16 @@ def test_bad_input(case, identify, tmp_path) -> None:
         ((folder / "rims.csv", "--attitude", "1,2,3"), "--attitude: expected 4 numbers"),
         ((folder / "rims.csv", "--attitude", "0,0,0,0"), "--attitude: expected a quaternion, found zero"),
         ((folder / "rims.csv", "--altitude-km", "50,10"), "--altitude-km: expected 0 < LEAST < LARGEST"),
+        (
+            (folder / "rims.csv", "--body-radius-m", "561400"),
+            "found one of Moon on 1737400 m, as BODY_RADIUS",
+        ),
+        ((folder / "rims.csv", "--index", few), "few.csv: expected a name that ends in .npz"),
     ):
         code, output, errors = identify(*arguments)
         assert code == 2
         assert output == ""
         assert said in errors
         assert "Traceback" not in errors
+    # An index never takes the place of another file.
+    assert few.read_text().startswith(COLUMNS[0])

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from craternav_fg import cli
 from craternav_fg.errors import InputError
+from craternav_fg.evaluation.consistency import mean_interval
 from craternav_fg.evaluation.run_folder import read_run
 from craternav_fg.report.page import write_page
 from craternav_fg.report.run_page import run_page
@@ -105,8 +106,18 @@ def test_the_summary_holds_the_metrics_of_every_estimator(page: Reader, made_run
         assert float(row[1].replace(",", "")) == pytest.approx(estimators[row[0]]["position_rms_m"], rel=6e-3)
 
 
+def test_innovations_of_a_consistent_run_are_of_no_concern(page: Reader, made_run: Path) -> None:
+    """The rims of this run have the noise that they claim, and no truth is needed to see it."""
+    table = next(rows for rows in page.tables if "NIS per dimension" in rows[0])
+    found = read_run(made_run).metrics["innovations"]["nis"]
+    assert [row[0] for row in table[1:]] == list(found) == ["imu", "rims", "sun"]
+    low, high = mean_interval(1, found["rims"]["dimension"], 0.9999)
+    assert low < found["rims"]["mean"] < high
+    assert float(table[2][1]) == pytest.approx(found["rims"]["mean"], rel=5e-3)
+
+
 def test_the_residual_table_has_every_crater_with_its_mean(page: Reader, made_run: Path) -> None:
-    rows = {row[0]: row for row in page.tables[1][1:]}
+    rows = {row[0]: row for row in page.tables[2][1:]}
     table = pq.read_table(made_run / "residuals.parquet").to_pylist()
     own = [r for r in table if r["estimator"] == "smoother"]
     assert set(rows) == {r["crater_id"] for r in own}

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from craternav_fg.config import load_scenario
 from craternav_fg.evaluation.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
+from craternav_fg.reproduce import ablation as ablation_module
 from craternav_fg.reproduce import descent_figures, descents, run
 from craternav_fg.reproduce import lag as lag_module
 from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
@@ -102,7 +103,7 @@ def test_an_estimator_that_gave_up_counts_where_it_did_not() -> None:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials of 20 s in place of the paper's descent."""
-    for module in (descents, lag_module):
+    for module in (descents, lag_module, ablation_module):
         monkeypatch.setattr(module, "load_scenario", lambda name: scenario(duration_s=20.0))
 
 
@@ -118,8 +119,15 @@ def test_figures_of_simulated_descents(tmp_path: Path, monkeypatch: pytest.Monke
         assert all(row.verdict for row in result.rows)
         assert (tmp_path / f"{result.name}.png").read_bytes().startswith(b"\x89PNG")
     # The state one lag old knows of more frames than the newest.
-    table = results[-1].data
+    table = results[names.index("lag")].data
     assert np.mean(table["oldest_m"].to_numpy() ** 2) < np.mean(table["newest_m"].to_numpy() ** 2)
+    table = results[names.index("ablation")].data
+    ends = dict(zip(table["estimator"].to_pylist(), table["end_m"].to_pylist(), strict=True))
+    # All three choices put right are the chart EKF, but for its second linearisation.
+    best = ends["EKF: ellipse chart, own noise, prior counted once"]
+    assert best < 0.2 * ends["EKF: eq. (19), one Qn, eq. (29)"]
+    assert ends[ablation_module.RIMS] <= 1.5 * best
+    assert ends[ablation_module.MIDDLES] < ends[ablation_module.CENTRES]
     again, other = (descents.simulate(ReproduceOptions(descents=2, workers=1, seed=seed)) for seed in (1, 2))
     assert again.equals(results[2].data)
     assert not other.equals(results[2].data)

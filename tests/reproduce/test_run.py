@@ -191,6 +191,8 @@ def test_processes_change_nothing() -> None:
         ({"craters": 2}, "craters"),
         ({"altitudes_km": (50.0, 10.0)}, "altitudes"),
         ({"altitudes_km": (100.0, 500.0)}, "altitudes"),
+        ({"altitudes_km": (10.0, 100.0), "semi_axes_m": (200.0, 2500.0)}, "altitudes"),
+        ({"semi_axes_m": (2500.0, 500.0)}, "semi-axes"),
         ({"noise_px": 0.0}, "noise"),
         ({"noise_px": float("nan")}, "noise"),
         ({"arc": 0.2}, "arc"),

@@ -218,6 +218,10 @@ def test_craters_from_a_file(tmp_path):
     data = Dataset.open(simulate(scenario, tmp_path / "data"))
     assert data.catalog.identifiers == ("near",)
     assert len(data.rims[0].rims) == 1
+    (tmp_path / "craters.csv").write_text("id,lat,lon,diam_km,Target\nnear,0.67,23.47,4.0,Dione\n")
+    with pytest.raises(InputError, match=r"\(Moon\), found one of Dione on 561400 m, as Target says"):
+        simulate(scenario, tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 def test_flight_into_the_ground_is_a_clear_error(tmp_path):

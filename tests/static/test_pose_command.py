@@ -329,11 +329,15 @@ def test_a_file_without_rims(files: Files) -> None:
         ),
         (("--sun", "1,1,0,0,0"), "craternav: sun: expected a direction, found zero"),
         (("--attitude", "0,0,0,0"), "craternav: attitude: expected a quaternion, found zero"),
+        (
+            ("--body-radius-m", "561400"),
+            "FOLDER/craters.csv: BODY_RADIUS_M: expected a catalogue on a sphere",
+        ),
     ],
 )
-def test_a_bad_option_is_one_line(run: Run, options: tuple[str, str], says: str) -> None:
+def test_a_bad_option_is_one_line(files: Files, run: Run, options: tuple[str, str], says: str) -> None:
     done = run(*options)
     assert done.code == 2
-    assert done.err.startswith(says)
+    assert done.err.startswith(says.replace("FOLDER", f"craternav: {files.folder}"))
     assert done.err.count("\n") == 1
     assert done.out == ""

@@ -5,11 +5,10 @@ import pytest
 
 from craternav_fg.catalog import Catalog
 from craternav_fg.vision.ellipse_fit import FitOptions
-from craternav_fg.vision.guided import GuidedFrontEnd, GuidedOptions
+from craternav_fg.vision.guided import SINGLE_IMAGE, GuidedFrontEnd, GuidedOptions
+from craternav_fg.vision.lasting import LastingOptions, lasting_roots
+from factors.kernels.conic import project_rims
 from tests.vision import scene
-
-# Each image stands for itself here: the covariance is that of a single frame.
-SINGLE = GuidedOptions(sightings=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,7 @@ def visible(catalog, gTb):
 
 def test_a_good_prediction(view):
     catalog, gTb, sun_g, image = view
-    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(image, 7, gTb, scene.covariance(0.5), sun_g)
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(image, 7, gTb, scene.covariance(0.5), sun_g)
     assert out.stamp_ns == 7
     assert len(out.rims) >= 0.95 * len(visible(catalog, gTb)) >= 15
     check(out.rims, catalog, gTb)
@@ -56,7 +55,7 @@ def test_low_sun_high_sun_and_an_oblique_view(elevation_deg, tilt_deg):
     catalog = scene.craters(rng, half=0.28)
     gTb, sun_g = scene.pose(1.2, tilt_deg), scene.sun(elevation_deg, 200.0)
     image = scene.render(catalog, gTb, sun_g, rng)
-    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(
         image, 0, scene.moved(gTb, [0.002, -0.001, 0.001]), scene.covariance(1.5), sun_g
     )
     assert len(out.rims) >= 0.9 * len(visible(catalog, gTb)) >= 9
@@ -69,16 +68,14 @@ def test_a_prediction_thirty_pixels_off(view, right_px, down_px, sigma_px):
     catalog, gTb, sun_g, image = view
     focal = scene.camera().focal_px
     wrong = scene.moved(gTb, [down_px / focal, right_px / focal, 0.005], [15.0, -10.0, 60.0])
-    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(
-        image, 0, wrong, scene.covariance(sigma_px), sun_g
-    )
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(image, 0, wrong, scene.covariance(sigma_px), sun_g)
     assert len(out.rims) >= 0.95 * len(visible(catalog, gTb))
     check(out.rims, catalog, gTb)
 
 
 def test_the_result_does_not_follow_the_prediction(view):
     catalog, gTb, sun_g, image = view
-    front_end = GuidedFrontEnd(scene.camera(), catalog, SINGLE)
+    front_end = GuidedFrontEnd(scene.camera(), catalog)
     poses = [scene.moved(gTb, [1.5e-3, 0.0, 0.0]), scene.moved(gTb, [-1.5e-3, 0.0, 0.0], [0.0, 40.0, 0.0])]
     a, b = (front_end.measure(image, 0, p, scene.covariance(2.0), sun_g).rims for p in poses)
     both, i, j = np.intersect1d(a.craters, b.craters, return_indices=True)
@@ -103,7 +100,7 @@ def test_what_is_not_there_is_not_measured(view):
         np.concatenate([catalog.height_m, absent.height_m]),
         catalog.body,
     )
-    front_end = GuidedFrontEnd(scene.camera(), both, SINGLE)
+    front_end = GuidedFrontEnd(scene.camera(), both)
     rims = front_end.measure(image, 0, gTb, scene.covariance(1.0), sun_g).rims
     assert np.count_nonzero(rims.craters >= 24) <= 1
     present = visible(catalog, gTb)
@@ -116,11 +113,7 @@ def test_what_is_not_there_is_not_measured(view):
         catalog.identifiers, catalog.latitude_rad, longitude, catalog.semi_major_m, catalog.semi_minor_m,
         catalog.angle_rad, catalog.height_m, catalog.body,
     )  # fmt: skip
-    rims = (
-        GuidedFrontEnd(scene.camera(), shifted, SINGLE)
-        .measure(image, 0, gTb, scene.covariance(4.0), sun_g)
-        .rims
-    )
+    rims = GuidedFrontEnd(scene.camera(), shifted).measure(image, 0, gTb, scene.covariance(4.0), sun_g).rims
     assert row not in rims.craters
     assert len(rims) >= 0.9 * len(present) - 1
 
@@ -140,7 +133,7 @@ def test_position_covariance_is_in_g(view):
     east = scene.SITE[:, 0]
     cov = scene.covariance(0.3, 1.0)
     cov[3:, 3:] += 300.0**2 * np.outer(east, east)
-    front_end = GuidedFrontEnd(scene.camera(), pair, SINGLE)
+    front_end = GuidedFrontEnd(scene.camera(), pair)
     rims = front_end.measure(image, 0, scene.moved(gTb, [0.0] * 3, 450.0 * east), cov, sun_g).rims
     assert len(rims) == 2
     assert np.all(np.abs(rims.chart - scene.true_charts(pair, gTb, rims.craters)) < 0.03)
@@ -153,7 +146,7 @@ def test_position_covariance_is_in_g(view):
 def test_a_single_rim_must_lie_where_the_covariance_allows(view):
     catalog, gTb, sun_g, image = view
     one = subset(catalog, visible(catalog, gTb)[:1])
-    front_end = GuidedFrontEnd(scene.camera(), one, SINGLE)
+    front_end = GuidedFrontEnd(scene.camera(), one)
     beside = scene.moved(gTb, [2.0 / scene.camera().focal_px, 0.0, 0.0])
     assert len(front_end.measure(image, 0, beside, scene.covariance(2.0, 1.0), sun_g).rims) == 1
     assert len(front_end.measure(image, 0, beside, scene.covariance(0.2, 1.0), sun_g).rims) == 0
@@ -167,11 +160,7 @@ def test_bright_ground_about_a_crater_does_not_move_its_rim(view):
     v, u = np.mgrid[0 : scene.SIZE_PX, 0 : scene.SIZE_PX]
     near = np.exp(-0.5 * (np.hypot(u - centre[row, 0], v - centre[row, 1]) / (3.0 * major[row])) ** 2)
     albedo = np.clip(np.round(image * (1.0 + 0.06 * near)), 0, 255).astype(np.uint8)
-    rims = (
-        GuidedFrontEnd(scene.camera(), catalog, SINGLE)
-        .measure(albedo, 0, gTb, scene.covariance(1.0), sun_g)
-        .rims
-    )
+    rims = GuidedFrontEnd(scene.camera(), catalog).measure(albedo, 0, gTb, scene.covariance(1.0), sun_g).rims
     found = np.flatnonzero(rims.craters == rows[row])
     assert len(found) == 1
     measured, _, _ = scene.semi_axes_px(rims.chart[found])
@@ -182,7 +171,7 @@ def test_rough_ground_enlarges_the_covariance():
     rng = np.random.default_rng(6)
     catalog = scene.craters(rng)
     gTb, sun_g = scene.pose(), scene.sun()
-    front_end = GuidedFrontEnd(scene.camera(), catalog, SINGLE)
+    front_end = GuidedFrontEnd(scene.camera(), catalog)
     size = []
     for roughness in (0.0, 0.05):
         image = scene.render(catalog, gTb, sun_g, rng, roughness=roughness)
@@ -208,7 +197,7 @@ def test_an_image_without_craters_has_no_rims(view, kind):
         "night": lambda: rng.normal(20.0, 1.0, size),
     }[kind]()
     light = -sun_g if kind == "night" else sun_g
-    out = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(
+    out = GuidedFrontEnd(scene.camera(), catalog).measure(
         np.clip(image, 0, 255).astype(np.uint8), 3, gTb, scene.covariance(2.0), light
     )
     assert len(out.rims) == 0
@@ -227,23 +216,48 @@ def test_no_catalogue_crater_in_view(view):
     assert out.sun is not None
 
 
-def test_a_systematic_error_that_repeats_counts_as_often(view):
-    """Fusing n frames of equal covariance S divides it by n: what repeats must survive that."""
+def test_what_lasts_is_the_systematic_part_on_the_ground(view):
+    """The floor of the centre and its share, and no more than the whole."""
     catalog, gTb, sun_g, image = view
-    once, often = (
-        GuidedFrontEnd(
-            scene.camera(), catalog, GuidedOptions(sightings=n, level_slope_px=0.0, fit=FitOptions())
-        ).measure(image, 0, gTb, scene.covariance(0.5), sun_g)
-        for n in (1.0, 9.0)
+    options = GuidedOptions(
+        level_slope_px=0.0, fit=FitOptions(), lasting=replace(LastingOptions(), own_share=0.64)
     )
-    assert np.array_equal(once.rims.chart, often.rims.chart)
-    floor_px = np.sqrt(
-        np.diagonal(often.rims.covariance - once.rims.covariance, axis1=1, axis2=2)[:, 0] / 8.0
+    rims = (
+        GuidedFrontEnd(scene.camera(), catalog, options)
+        .measure(image, 0, gTb, scene.covariance(0.5), sun_g)
+        .rims
     )
-    floor_px *= scene.camera().fx_px
-    _, _, minor = scene.semi_axes_px(once.rims.chart)
+    kept_px = np.linalg.norm(rims.persistent[:, 0], axis=1) * scene.camera().fx_px
+    _, _, minor = scene.semi_axes_px(rims.chart)
     fit = FitOptions()
-    np.testing.assert_allclose(floor_px, fit.floor_px + fit.floor_share * minor, rtol=0.02)
+    # The frame's rims scatter a little more than they say.
+    more = kept_px / (0.8 * (fit.floor_px + fit.floor_share * minor))
+    assert 1.0 <= np.median(more) < 1.2
+    np.testing.assert_allclose(more, np.median(more), rtol=0.02)
+    assert np.linalg.eigvalsh(rims.white)[:, 0].min() > 0.0
+
+
+def test_what_all_rims_share_follows_camera_and_light():
+    """Looking straight down rims move towards the light, from aside towards the camera, too."""
+    rng = np.random.default_rng(6)
+    catalog = scene.craters(rng)
+    options = LastingOptions(lit_px=0.3, toward_px=0.0, along_px=0.0, along_share=0.0, size_share=0.01)
+    rows = np.arange(len(catalog))
+    none = np.tile(1e-9 * np.eye(5), (len(rows), 1, 1))
+    gTb, sun_g = scene.pose(0.0, 0.0), scene.sun(20.0, 50.0)
+    shared = lasting_roots(none, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
+    # A step on the ground towards the light, as the camera sees it.
+    ahead = project_rims(gTb, np.eye(4), catalog.centres + 10.0 * sun_g, catalog.axes)[0][:, :2]
+    step = ahead - project_rims(gTb, np.eye(4), catalog.centres, catalog.axes)[0][:, :2]
+    moved = shared[:, :2, 2]
+    across = step[:, 0] * moved[:, 1] - step[:, 1] * moved[:, 0]
+    lengths = np.linalg.norm(step, axis=1) * np.linalg.norm(moved, axis=1)
+    assert np.max(np.abs(across) / lengths) < 0.2
+    assert np.all(np.sum(step * moved, axis=1) > 0.0)
+    length_px = np.linalg.norm(moved, axis=1) * scene.camera().focal_px
+    np.testing.assert_allclose(length_px, 0.3 * np.cos(np.radians(20.0)), rtol=0.1)
+    # 1 % larger is 0.01 in the logarithms of both axes.
+    np.testing.assert_allclose(shared[:, [2, 4], 6], 0.01, rtol=1e-6)
 
 
 # EuRoC's cam0, and a lens that bends the other way.
@@ -256,7 +270,8 @@ def test_a_lens_that_distorts_costs_no_accuracy(distortion):
     gTb, sun_g = scene.pose(0.8, 10.0), scene.sun(30.0, 100.0)
     image = scene.render(catalog, gTb, sun_g, rng, cam=camera)
     wrong = scene.moved(gTb, [20.0 / camera.focal_px, -22.0 / camera.focal_px, 0.005])
-    out = GuidedFrontEnd(camera, catalog, SINGLE).measure(image, 0, wrong, scene.covariance(15.0), sun_g)
+    front_end = GuidedFrontEnd(camera, catalog, SINGLE_IMAGE)
+    out = front_end.measure(image, 0, wrong, scene.covariance(15.0), sun_g)
     seen = catalog.visible(camera, gTb, min_semi_minor_px=12.0, margin_px=3.0)[0]
     assert len(out.rims) >= 0.95 * len(seen) >= 15
     e = check(out.rims, catalog, gTb)
@@ -270,9 +285,9 @@ def test_grey_levels_of_twelve_bits(view):
     catalog, gTb, sun_g, image = view
     fine = replace(scene.camera(), bit_depth=12)
     args = (0, gTb, scene.covariance(1.0), sun_g)
-    coarse = GuidedFrontEnd(scene.camera(), catalog, SINGLE).measure(image, *args)
+    coarse = GuidedFrontEnd(scene.camera(), catalog).measure(image, *args)
     levels = np.round(image * (4095.0 / 255.0)).astype(np.uint16)
-    out = GuidedFrontEnd(fine, catalog, SINGLE).measure(levels, *args)
+    out = GuidedFrontEnd(fine, catalog).measure(levels, *args)
     np.testing.assert_array_equal(out.rims.craters, coarse.rims.craters)
     sigma = np.sqrt(np.diagonal(coarse.rims.covariance, axis1=1, axis2=2))
     assert np.mean(np.abs(out.rims.chart - coarse.rims.chart) / sigma) < 0.05
@@ -287,9 +302,7 @@ def test_a_soft_lens_is_corrected_by_the_width_it_is_said_to_have():
     bias = {}
     for said_px in (0.7, 1.8):
         camera = replace(scene.camera(), psf_sigma_px=said_px)
-        rims = (
-            GuidedFrontEnd(camera, catalog, SINGLE).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
-        )
+        rims = GuidedFrontEnd(camera, catalog).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
         _, _, minor = scene.semi_axes_px(rims.chart)
         bias[said_px] = np.mean(minor - scene.semi_axes_px(scene.true_charts(catalog, gTb, rims.craters))[2])
     assert abs(bias[1.8]) < 0.6 * abs(bias[0.7])
@@ -300,7 +313,7 @@ def test_a_soft_lens_is_corrected_by_the_width_it_is_said_to_have():
 def test_small_images_have_a_level_of_their_own(view, half_px):
     catalog, gTb, sun_g, image = view
     whole = scene.camera()
-    rims = GuidedFrontEnd(whole, catalog, SINGLE).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
+    rims = GuidedFrontEnd(whole, catalog).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
     centre_px = rims.chart[:, :2] * whole.fx_px + [whole.cx_px, whole.cy_px]
     inside = np.all((centre_px > half_px) & (centre_px < len(image) - half_px), axis=1)
     _, major, _ = scene.semi_axes_px(rims.chart)
@@ -310,7 +323,7 @@ def test_small_images_have_a_level_of_their_own(view, half_px):
     camera = replace(
         whole, width_px=2 * half_px, height_px=2 * half_px, cx_px=whole.cx_px - x, cy_px=whole.cy_px - y
     )
-    part = GuidedFrontEnd(camera, catalog, SINGLE).measure(window, 0, gTb, scene.covariance(0.5), sun_g).rims
+    part = GuidedFrontEnd(camera, catalog).measure(window, 0, gTb, scene.covariance(0.5), sun_g).rims
     found = np.flatnonzero(part.craters == rims.craters[k])
     assert len(found) == 1
     np.testing.assert_allclose(part.chart[found[0], :2], rims.chart[k, :2], atol=0.3 / whole.fx_px)

@@ -1,0 +1,177 @@
+"""Which body a catalogue is of: what the file says about it, and whether it is used on that one."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from craternav_fg.body import Body
+from craternav_fg.errors import InputError
+
+BODY = "BODY"
+BODY_RADIUS = "BODY_RADIUS_M"
+# Names of a column that names the body, without case and signs: ours, the USGS Gazetteer's, that of EPN-TAP.
+BODY_NAMES = ("body", "target", "targetname")
+# Spheres that catalogues refer to: the IAU's mean radii, m (Archinal et al. 2018). Bodies on whose sphere
+# catalogues do not agree, as Mars and Ceres, are left out.
+SPHERES_M = {
+    "Moon": 1737400.0,
+    "Mercury": 2439400.0,
+    "Europa": 1560800.0,
+    "Ganymede": 2631200.0,
+    "Callisto": 2410300.0,
+    "Mimas": 198200.0,
+    "Enceladus": 252100.0,
+    "Tethys": 531000.0,
+    "Dione": 561400.0,
+    "Rhea": 763500.0,
+    "Iapetus": 734300.0,
+}
+_ALSO_CALLED = {"lunar": "Moon", "luna": "Moon"}
+_BY_NAME = {**{name.lower(): name for name in SPHERES_M}, **_ALSO_CALLED}
+# Craters of Robbins (2018), of the Moon, have such identifiers.
+_ROBBINS = re.compile(r"\d\d-\d-\d{6}")
+_ASKED = 200
+# Spheres closer than this, relative, are the same one; catalogues of one body may differ by so much.
+_SAME_SPHERE, _SAME_BODY = 1e-6, 0.01
+
+
+@dataclass(frozen=True)
+class StatedBody:
+    """What a file says about its body.
+
+    Attributes
+    ----------
+    name : str
+        Empty when only the radius is told.
+    radius_m : float or None
+        Of the catalogue's sphere; None when it is not known.
+    exact : bool
+        Whether the file itself tells the radius.
+    by : str
+        What tells it, for people.
+    column : str or None
+        The column that does, if any.
+    """
+
+    name: str
+    radius_m: float | None
+    exact: bool
+    by: str
+    column: str | None = None
+
+
+def named_body(name: str, radius_m: float | None = None) -> Body:
+    """Give a body of which only catalogues are read: without gravity and spin.
+
+    Raises
+    ------
+    InputError
+        When the radius is not given and the sphere is not one of those known by name.
+    """
+    known = _BY_NAME.get(name.strip().lower())
+    if radius_m is None:
+        if known is None:
+            spheres = ", ".join(SPHERES_M)
+            raise InputError(
+                "--body",
+                f"expected --body-radius-m beside {name!r}: of the spheres only of {spheres} is known",
+            )
+        radius_m = SPHERES_M[known]
+    return Body(known or name.strip(), radius_m, 1.0, (0.0, 0.0, 0.0))
+
+
+def stated_body(
+    path: Path, columns: Mapping[str, Any], identifiers: Sequence[str | None]
+) -> StatedBody | None:
+    """Find out what a table says about its body: in columns, by its identifiers, or by its name.
+
+    Parameters
+    ----------
+    path : Path
+    columns : mapping of str to sequence
+        Its columns that were read; of these, `BODY_RADIUS_M` and one that names the body are looked at.
+    identifiers : sequence of str or None
+        The craters'.
+
+    Raises
+    ------
+    InputError
+        When it names several bodies.
+    """
+    column = next((name for name in columns if is_body_column(name)), None)
+    name = "" if column is None else _only(path, column, columns[column])
+    if BODY_RADIUS in columns:
+        radius_m = _only(path, BODY_RADIUS, np.asarray(columns[BODY_RADIUS]).tolist())
+        if not (radius_m and radius_m > 0.0):
+            raise InputError(path, f"expected a radius, found {radius_m}", column=BODY_RADIUS)
+        return StatedBody(name or "", radius_m, True, f"{BODY_RADIUS} says", BODY_RADIUS)
+    if name:
+        known = _BY_NAME.get(name.lower())
+        radius = SPHERES_M[known] if known else None
+        return StatedBody(known or name, radius, False, f"{column} says", column)
+    asked = identifiers[:: max(1, len(identifiers) // _ASKED)]
+    if asked and all(one is not None and _ROBBINS.fullmatch(one) for one in asked):
+        return StatedBody("Moon", SPHERES_M["Moon"], False, "its identifiers, those of Robbins (2018), say")
+    called = {_BY_NAME[word] for word in re.split(r"[^a-z]+", path.stem.lower()) if word in _BY_NAME}
+    if len(called) == 1:
+        (known,) = called
+        return StatedBody(known, SPHERES_M[known], False, "its name says")
+    return None
+
+
+def is_body_column(name: str) -> bool:
+    """Whether a column names the body."""
+    return re.sub(r"[^a-z]", "", name.lower()) in BODY_NAMES
+
+
+def settled(path: Path, body: Body | None, stated: StatedBody | None) -> tuple[Body, str]:
+    """Give the body of a catalogue, and what says so: empty when nothing does, and it is the Moon by default.
+
+    Parameters
+    ----------
+    path : Path
+    body : Body or None
+        On which it is used; None when the file must tell.
+    stated : StatedBody or None
+        What the file says.
+
+    Raises
+    ------
+    InputError
+        When it is a catalogue of another body, or its body's radius is not known.
+    """
+    if stated is None:
+        return (named_body("Moon"), "") if body is None else (body, "given")
+    if body is None:
+        if stated.radius_m is None:
+            problem = f"is of {stated.name}, as {stated.by}, whose radius is not known: give --body-radius-m"
+            raise InputError(path, problem, column=stated.column)
+        return named_body(stated.name, stated.radius_m), stated.by
+    if stated.radius_m is None:
+        other = body.name != "" and body.name.strip().lower() != stated.name.lower()
+    else:
+        limit = _SAME_SPHERE if stated.exact else _SAME_BODY
+        other = abs(stated.radius_m - body.radius_m) > limit * body.radius_m
+    if other:
+        on = "" if stated.radius_m is None else f" on {stated.radius_m:.9g} m"
+        raise InputError(
+            path,
+            f"expected a catalogue on a sphere of {body.radius_m:.9g} m ({body.name or 'the given body'}), "
+            f"found one of {stated.name or 'a body'}{on}, as {stated.by}",
+            column=stated.column,
+        )
+    return body, "given"
+
+
+def _only(path: Path, column: str, values: Sequence[Any]) -> Any:
+    """Give the one value that a column has."""
+    found = set(values)
+    if len(found) > 1:
+        one, other = sorted(map(str, found))[:2]
+        raise InputError(path, f"expected one body, found {one} and {other}", column=column)
+    value = next(iter(found), None)
+    return value.strip() if isinstance(value, str) else value

@@ -1,0 +1,62 @@
+"""What the commands on catalogues show of one: where, how large, what meets what."""
+
+from typing import Any
+
+import numpy as np
+
+from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.checks import Overlaps
+from craternav_fg.cli.terminal import number, say
+
+# Of what is left out or doubled, so many are listed.
+LISTED = 20
+_SHOWN = 5
+_SHARES = (0.0, 0.05, 0.5, 0.95, 1.0)
+
+
+def about(catalog: Catalog, meets: Overlaps, body_by: str) -> dict[str, Any]:
+    """Give what there is to say about a catalogue: numbers and texts, as JSON can carry them."""
+    diameter_km = 2e-3 * catalog.semi_major_m
+    first = meets.twins[:LISTED]
+    apart_km = 1e-3 * catalog.distance_m(first[:, 0], first[:, 1])
+    return {
+        "craters": len(catalog),
+        "body": catalog.body.name,
+        "body_radius_m": catalog.body.radius_m,
+        "body_by": body_by or "assumed",
+        "diameter_km_quantiles": dict(
+            zip((str(share) for share in _SHARES), np.quantile(diameter_km, _SHARES).tolist(), strict=True)
+        ),
+        "latitude_deg": np.degrees([catalog.latitude_rad.min(), catalog.latitude_rad.max()]).tolist(),
+        "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
+        "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
+        "crossed_rims": len(np.unique(meets.crossings)),
+        "twins": len(meets.twins),
+        "first_twins": [[catalog.identifiers[row] for row in pair] for pair in first.tolist()],
+        "first_twins_km": np.column_stack([2e-3 * catalog.semi_major_m[first], apart_km]).tolist(),
+    }
+
+
+def show(values: dict[str, Any]) -> None:
+    """Print what `about` gives."""
+    name = {"": "a body", "Moon": "the Moon"}.get(values["body"], values["body"])
+    by = {"given": "as given", "assumed": "by default"}.get(values["body_by"], f"as {values['body_by']}")
+    say(f"{values['craters']:,} craters of {name}, sphere of {1e-3 * values['body_radius_m']:g} km {by}")
+    least, low, median, high, largest = (number(v) for v in values["diameter_km_quantiles"].values())
+    say(f"  diameters   {least} to {largest} km; median {median}, 90 % from {low} to {high}")
+    ellipses = values["craters"] - values["circles"]
+    say(f"  shapes      {ellipses:,} ellipses, {values['circles']:,} circles")
+    (south, north), (bottom, top) = values["latitude_deg"], values["height_m"]
+    say(f"  latitudes   {south:.2f} to {north:.2f} deg")
+    heights = f"{bottom:.0f} to {top:.0f} m above the sphere" if bottom or top else "none: all on the sphere"
+    say(f"  rim heights {heights}")
+    say(f"  crossings   {values['crossed_rims']:,} craters whose rim crosses another's")
+    if not values["twins"]:
+        say("  twins       no pairs that are probably one crater entered twice")
+        return
+    say(f"  twins       {values['twins']:,} pairs that are probably one crater entered twice")
+    pairs = zip(values["first_twins"], values["first_twins_km"], strict=True)
+    for (one, other), (large, small, apart) in list(pairs)[:_SHOWN]:
+        say(f"              {one} and {other}: {large:.3g} and {small:.3g} km, {apart:.2g} km apart")
+    if values["twins"] > _SHOWN:
+        say(f"              and {values['twins'] - _SHOWN:,} more (--pairs FILE.csv writes them all)")

@@ -1,0 +1,55 @@
+"""Rims as measured."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from craternav_fg.config import load_scenario
+from craternav_fg.measurements import ArcSet, RimSet
+from craternav_fg.simulation.sensors import chart_covariance
+
+
+def test_weights_do_not_favour_rims_measured_too_large() -> None:
+    camera = load_scenario("paper_case3").camera.camera()
+    f = camera.focal_px
+    true = np.array([0.1, 0.05, np.log(7.0 / f), 0.1, np.log(5.0 / f)])
+    root = np.linalg.cholesky(chart_covariance(true[None], camera, 1.0, 60)[0])
+    z = np.random.default_rng(1).standard_normal((50_000, 5))
+    errors = np.concatenate([z, -z]) @ root.T
+    charts = true + errors
+    rims = RimSet(np.zeros(len(charts), np.int64), charts, chart_covariance(charts, camera, 1.0, 60))
+    expected = rims.expected_at(np.broadcast_to(true, charts.shape))
+
+    def pull(S: np.ndarray) -> float:
+        """Mean of the weighted errors, in sigmas of one rim: what a weighted mean of many is wrong by."""
+        return float(np.linalg.norm(np.mean(np.linalg.solve(S, errors[..., None])[..., 0] @ root, axis=0)))
+
+    assert pull(rims.covariance) > 0.1
+    assert pull(expected.covariance) < 0.04
+
+
+def test_what_a_measured_shape_contradicts_is_not_expected() -> None:
+    camera = load_scenario("paper_case3").camera.camera()
+    chart = np.array([[0.1, 0.05, -5.0, 0.1, -5.2]] * 3)
+    rims = RimSet(np.arange(3), chart, chart_covariance(chart, camera, 1.0, 60))
+    sigma = np.sqrt(rims.covariance[0, 2, 2])
+    elsewhere = chart.copy()
+    elsewhere[0, :2] += 1.0
+    elsewhere[1, 2] += 20.0 * sigma
+    elsewhere[2] = np.nan
+    assert_allclose(rims.expected_at(elsewhere).covariance, rims.covariance, rtol=1e-12)
+    elsewhere[1, 2] = chart[1, 2] + 2.0 * sigma
+    size = np.exp(-2.0 * sigma)
+    assert_allclose(rims.expected_at(elsewhere).covariance[1, 2, 2], (size * sigma) ** 2, rtol=1e-12)
+
+
+def test_arcs_keep_what_lasts_when_some_are_taken() -> None:
+    """Without it the rest would count as far better than they are."""
+    points = tuple(np.full((n, 2), 0.1 * n) for n in (3, 4, 5))
+    sigmas = tuple(np.full(n, 1e-4) for n in (3, 4, 5))
+    arcs = ArcSet(np.array([7, 8, 9]), points, sigmas, np.array([1e-3, 2e-3, 3e-3]))
+    some = arcs.take(np.array([True, False, True]))
+    assert some.lasting is not None
+    assert_allclose(some.lasting, [1e-3, 3e-3])
+    every = arcs.as_new(2.0).sigmas
+    for one, whole in zip(some.as_new(2.0).sigmas, (every[0], every[2]), strict=True):
+        assert_allclose(one, whole)
