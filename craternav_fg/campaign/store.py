@@ -39,6 +39,11 @@ TIMES = "times.jsonl"
 SUMMARY = "summary.json"
 SCRATCH = ".scratch"
 _NAME = re.compile(r"trial_(\d{6,})\.parquet")
+# Temporary names of `write_whole`, beside what they become.
+_HALF_WRITTEN = (
+    *(f".{Path(name).stem}.*{Path(name).suffix}" for name in (MARKER, TIMES, SUMMARY)),
+    f"{TRIALS}/.trial_*.parquet",
+)
 _HEAD = (
     "# What every trial of this folder is of. Trial i draws from numpy's SeedSequence(scenario.seed, "
     "spawn_key=(i,)).\n"
@@ -134,21 +139,21 @@ class CampaignFolder:
     def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
         self.path = path
         self._text = _HEAD + tomli_w.dumps(dict(identity))
-        self._check(tomllib.loads(self._text))
+        self._check()
         self._began = 0.0
         self._session = 0
 
-    def _check(self, here: dict[str, Any]) -> None:
+    def _check(self) -> None:
         if self.path.exists() and not self.path.is_dir():
             raise InputError(self.path, "expected a folder to write, found a file")
         if not self.path.is_dir():
             return
         if not (self.path / MARKER).is_file():
-            # A run that was killed at once leaves hidden names of ours.
+            # A run that was killed at once leaves hidden names of ours; others' are in nobody's way.
             if any(not entry.name.startswith(".") for entry in self.path.iterdir()):
                 raise InputError(self.path, f"is not empty and holds no {MARKER}: it is not overwritten")
             return
-        there = _read_identity(self.path)
+        here, there = tomllib.loads(self._text), _read_identity(self.path)
         key = _difference(there, here)
         if key is not None:
             found, wanted = (_shown(tree, key) for tree in (there, here))
@@ -177,11 +182,35 @@ class CampaignFolder:
         Raises
         ------
         InputError
-            When another process is writing the campaign, or the folder cannot be written.
+            When another process is writing the campaign, the folder has become another's since it was looked
+            at, or cannot be written.
         """
         scratch = self.path / SCRATCH
+        with self._locked():
+            self._check()
+            shutil.rmtree(scratch, ignore_errors=True)
+            for remains in _HALF_WRITTEN:
+                for entry in self.path.glob(remains):
+                    entry.unlink(missing_ok=True)
+            # Before anything else is there: whoever finds the folder must see whose it is.
+            if not (self.path / MARKER).exists():
+                write_whole(self.path / MARKER, self._text.encode())
+            self._begin_times()
+            try:
+                (self.path / TRIALS).mkdir(exist_ok=True)
+                scratch.mkdir()
+            except OSError as error:
+                raise InputError(self.path, f"cannot be written: {error.strerror}") from error
+            try:
+                yield scratch
+            finally:
+                shutil.rmtree(scratch, ignore_errors=True)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Make the folder and hold its lock."""
         try:
-            (self.path / TRIALS).mkdir(parents=True, exist_ok=True)
+            self.path.mkdir(parents=True, exist_ok=True)
             handle = os.open(self.path, os.O_RDONLY)
         except OSError as error:
             raise InputError(self.path, f"cannot be written: {error.strerror}") from error
@@ -190,19 +219,8 @@ class CampaignFolder:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise InputError(self.path, "another process is running this campaign") from None
-            for folder in (self.path, self.path / TRIALS):
-                for entry in folder.glob(".*"):
-                    if entry.is_dir():
-                        shutil.rmtree(entry, ignore_errors=True)
-                    else:
-                        entry.unlink(missing_ok=True)
-            if not (self.path / MARKER).exists():
-                write_whole(self.path / MARKER, self._text.encode())
-            self._begin_times()
-            scratch.mkdir()
-            yield scratch
+            yield
         finally:
-            shutil.rmtree(scratch, ignore_errors=True)
             os.close(handle)
 
     def add(self, result: TrialResult) -> None:

@@ -156,13 +156,49 @@ def test_somebody_else_s_folder_and_a_file_are_refused(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "thesis").iterdir()] == ["chapter1.tex"]
 
 
+def test_hidden_files_of_others_stay(tmp_path: Path) -> None:
+    here = identity(small_scenario(), ESTIMATORS)
+    theirs = [tmp_path / "c" / name for name in (".git/HEAD", ".notes.txt")]
+    for path in theirs:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("precious")
+    for _ in range(2):
+        with CampaignFolder(tmp_path / "c", here).open():
+            assert all(path.is_file() for path in theirs)
+
+
 def test_two_processes_do_not_run_one_campaign(tmp_path: Path) -> None:
     here = identity(small_scenario(), ESTIMATORS)
-    with (
-        CampaignFolder(tmp_path / "c", here).open(),
-        pytest.raises(InputError, match="another process is running"),
-    ):
-        montecarlo(small_scenario(), tmp_path / "c", options(1))
+    with CampaignFolder(tmp_path / "c", here).open() as scratch:
+        with pytest.raises(InputError, match="another process is running"):
+            montecarlo(small_scenario(), tmp_path / "c", options(1))
+        # The one that runs still has its temporary files.
+        assert scratch.is_dir()
+
+
+def test_a_folder_that_became_another_campaigns_meanwhile_is_refused(tmp_path: Path) -> None:
+    mine, theirs = (identity(small_scenario(), names) for names in (ESTIMATORS, ("ekf",)))
+    late = CampaignFolder(tmp_path / "c", mine)
+    with CampaignFolder(tmp_path / "c", theirs).open():
+        pass
+    with pytest.raises(InputError, match="another campaign's"), late.open():
+        pass
+
+
+def test_a_run_killed_before_it_wrote_anything_leaves_a_folder_that_can_be_used(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Killed(BaseException):
+        """Nothing is done after it, as after kill -9."""
+
+    def killed(path: Path, content: bytes) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store, "write_whole", killed)
+        with pytest.raises(Killed):
+            montecarlo(small_scenario(), tmp_path / "c", options(1))
+    assert montecarlo(small_scenario(), tmp_path / "c", options(1))["trials"] == 1
 
 
 def test_a_failed_trial_is_recorded_and_the_rest_go_on(
