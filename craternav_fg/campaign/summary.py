@@ -8,13 +8,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from craternav_fg.campaign.store import Campaign
+from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import over_altitude, rms
 from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
 
 FloatArray = npt.NDArray[np.float64]
 
-# Whose estimates use the data after a frame, too: they are held against the smoothed bound.
-RETROSPECTIVE = ("smoother", "gnc_smoother", "centre_smoother")
 # A trial has converged when its last estimate is within what Tian et al. (2019) ask for at 10 km, section
 # 4.2.3: 200 m, which is taken as a part of the altitude, and 1 deg.
 CONVERGED_OF_ALTITUDE = 0.02

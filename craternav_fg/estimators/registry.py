@@ -47,6 +47,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 # A freedom that is not needed costs accuracy: these are run when they are asked for.
 ON_REQUEST = ("calibrating_smoother", "mapping_smoother")
 DEFAULT = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
+# Their estimate at a frame uses the data after it, too; those of the others only what came before.
+RETROSPECTIVE = ("smoother", "gnc_smoother", "calibrating_smoother", "mapping_smoother", "centre_smoother")
 
 
 def estimator(name: str) -> Estimator:

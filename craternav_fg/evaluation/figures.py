@@ -23,17 +23,22 @@ from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-# Okabe and Ito's colours, told apart by most eyes; the same estimator has the same colour everywhere.
+# Okabe and Ito's colours, and two of Tol's for what is run on request, told apart by most eyes; the same
+# estimator has the same colour everywhere.
 COLOURS = {
     "smoother": "#0072B2",
     "gnc_smoother": "#F0E442",
+    "calibrating_smoother": "#332288",
+    "mapping_smoother": "#882255",
     "online": "#56B4E9",
+    "fixed_lag": "#CC79A7",
     "ekf": "#009E73",
     "ekf_paper": "#E69F00",
     "centre_smoother": "#D55E00",
     "dead_reckoning": "#7F7F7F",
 }
-OTHER = "#CC79A7"
+# Of what is no estimator of ours.
+OTHER = "#8C510A"
 # Well started, the one equals the EKF, without wrong matches the other the smoother: dashed and above, both
 # are seen.
 DASHED = {"online", "gnc_smoother"}

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from craternav_fg.campaign.store import MARKER, Campaign
-from craternav_fg.campaign.summary import RETROSPECTIVE, of_estimator
+from craternav_fg.campaign.summary import of_estimator
+from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation import figures
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
 from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
@@ -79,9 +80,10 @@ def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
             doubtful = doubtful and not CONCERN_ANEES[0] <= value <= CONCERN_ANEES[1]
             cells.append(number_cell(value, concern=doubtful))
         rows.append((name, cells))
+    smoothed = ", ".join(name for name in summary["estimators"] if name in RETROSPECTIVE)
     caption = (
         "Converged: the last error is below 2 % of the altitude and 1 deg. The bound is the posterior "
-        f"Cramér-Rao bound, smoothed for {', '.join(RETROSPECTIVE)}."
+        f"Cramér-Rao bound, smoothed for {smoothed or 'none'}."
     )
     blocks: list[Block] = [Table(["estimator", *(h for _, h in COLUMNS)], rows, caption)]
     problems = [f"trial {number} failed: {why}" for number, why in campaign.failed.items()]

@@ -16,6 +16,7 @@ from craternav_fg.config import Scenario, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.trial import (
     FILTERED_BOUND,
@@ -35,7 +36,6 @@ FloatArray = npt.NDArray[np.float64]
 SCENARIO = "paper_case3"
 PAPERS, FILTER, ONLINE, SMOOTHER, CENTRES = "ekf_paper", "ekf", "online", "smoother", "centre_smoother"
 ESTIMATORS = (SMOOTHER, ONLINE, FILTER, PAPERS, CENTRES)
-RETROSPECTIVE = (SMOOTHER, CENTRES)
 # What the paper asks for at 10 km: a trial that ends within has converged.
 CONVERGED_M, CONVERGED_DEG = 200.0, 1.0
 

@@ -71,6 +71,16 @@ def test_figures_of_known_errors() -> None:
     assert none["anees"] is None
 
 
+def test_smoothers_run_on_request_are_held_against_the_smoothed_bound_too() -> None:
+    table = []
+    for name in ("calibrating_smoother", "mapping_smoother"):
+        table += estimate(0, name, 3.0, 0.1, 6.0)
+    for name, sigma_m in ((FILTERED_BOUND, 30.0), (SMOOTHED_BOUND, np.sqrt(3.0))):
+        table += rows(0, name, pose_sigma=[9.0] * 3 + [sigma_m] * 3)
+    found = summarise(campaign(table, ["calibrating_smoother", "mapping_smoother"]))["estimators"]
+    assert [values["rms_over_pcrb"] for values in found.values()] == pytest.approx([1.0, 1.0])
+
+
 def test_an_estimator_that_failed_is_held_against_its_own_trials() -> None:
     table = estimate(1, "online", 3.0, 2.0, 6.0)
     for trial, sigma_m in ((0, 100.0), (1, np.sqrt(3.0))):

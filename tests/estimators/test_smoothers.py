@@ -22,7 +22,7 @@ from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.graph import GraphOptions, state_stamps
 from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, gauss_newton, levenberg_marquardt
-from craternav_fg.estimators.registry import ESTIMATORS, estimator
+from craternav_fg.estimators.registry import ESTIMATORS, RETROSPECTIVE, estimator
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -278,6 +278,16 @@ def test_registry_names_what_there_is() -> None:
         assert estimator(name).name == name
     with pytest.raises(EstimationError, match=r"unknown estimator 'nobody'.*smoother"):
         estimator("nobody")
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_who_looks_back_uses_later_frames(name: str, trials: list[tuple[Problem, Trajectory]]) -> None:
+    """The bound that an estimator is held against depends on it."""
+    p, _ = trials[0]
+    whole, part = (
+        estimator(name).estimate(dataclasses.replace(p, frames=p.frames[:count])).gTb for count in (7, 5)
+    )
+    assert (not np.array_equal(whole[:5], part)) == (name in RETROSPECTIVE)
 
 
 def test_a_start_without_rims_waits_for_the_first_that_has_some(

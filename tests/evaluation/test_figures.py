@@ -8,6 +8,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.catalog import Catalog
+from craternav_fg.estimators.registry import ESTIMATORS
 from craternav_fg.evaluation import figures
 from craternav_fg.trajectory import Trajectory
 
@@ -26,6 +27,11 @@ def straight_down(frames_count: int, off: float = 0.0) -> Trajectory:
     S = np.tile(np.eye(6), (frames_count, 1, 1))
     V = np.full((frames_count, 3), off)
     return Trajectory(stamps, gTb, V, np.zeros((frames_count, 6)), S, S[:, :3, :3], S)
+
+
+def test_each_estimator_has_a_colour_of_its_own() -> None:
+    colours = [figures.style(name)["color"] for name in (*ESTIMATORS, "somebody_else_s")]
+    assert len(set(colours)) == len(colours)
 
 
 @pytest.mark.parametrize("frames_count", [1, 2, 9])
