@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from craternav_fg.config import Scenario, load_scenario
+from craternav_fg.config import Scenario
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
@@ -18,7 +18,7 @@ from craternav_fg.estimators.ekf_measurement import MeasurementModel, NoiseModel
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.reproduce.descents import SCENARIO, one_problem
+from craternav_fg.reproduce.descents import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rows import Reproduction, Row, number
@@ -56,7 +56,7 @@ def filters() -> dict[str, Estimator]:
 
 def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
     """Errors at the end of the descents of figs. 17 and 18 with one choice changed at a time."""
-    scenario = load_scenario(SCENARIO)
+    scenario = scenario_of(options)
     tasks = [AblationTask(scenario, n) for n in range(min(options.descents, MOST_TRIALS))]
     data = pa.concat_tables(run_all(_trial, tasks, options.workers, "ablations", progress))
     error_m = {name: _errors(data, name) for name in dict.fromkeys(data["estimator"].to_pylist())}
@@ -65,12 +65,15 @@ def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Rep
     rows = []
     for name, values in error_m.items():
         printed = name.startswith("EKF: eq. (19)")
-        for quantity, value in (("median", median[name]), ("largest", float(values.max()))):
+        lost = int(np.count_nonzero(np.isinf(values)))
+        verdict = "the paper varies none of it" + (f"; no trajectory in {lost}" if lost else "")
+        for quantity, of in (("median", median[name]), ("largest", float(values.max()))):
+            value = of if np.isfinite(of) else None
             rows.append(
                 Row(
                     "ablation", f"position error, {quantity}", f"{name}; {last}", "m",
                     as_printed=value if printed else None, corrected=None if printed else value,
-                    verdict="the paper varies none of it", headline=quantity == "median",
+                    verdict=verdict, headline=quantity == "median",
                 )
             )  # fmt: skip
     return Reproduction(

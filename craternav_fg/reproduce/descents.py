@@ -53,11 +53,18 @@ def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.
     CraternavError
         When a trial cannot be simulated.
     """
-    scenario, versions = load_scenario(SCENARIO), software()
-    # The default seed is the scenario's own: its campaigns have the same trials.
-    scenario = scenario.model_copy(update={"seed": scenario.seed + options.seed - ReproduceOptions.seed})
+    scenario, versions = scenario_of(options), software()
     tasks = [TrialTask(scenario, number, ESTIMATORS, versions) for number in range(options.descents)]
     return table(run_all(run_trial, tasks, options.workers, "descents", progress))
+
+
+def scenario_of(options: ReproduceOptions) -> Scenario:
+    """Give the paper's third case with the seed of the options; the default one is the scenario's own.
+
+    Its campaigns have the same trials then.
+    """
+    scenario = load_scenario(SCENARIO)
+    return scenario.model_copy(update={"seed": scenario.seed + options.seed - ReproduceOptions.seed})
 
 
 def one_problem(scenario: Scenario, number: int) -> tuple[Problem, Trajectory]:

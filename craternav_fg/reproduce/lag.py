@@ -9,12 +9,12 @@ import pyarrow as pa
 from gtsam.symbol_shorthand import X
 from matplotlib.figure import Figure
 
-from craternav_fg.config import Scenario, load_scenario
+from craternav_fg.config import Scenario
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.incremental import FixedLagIsam
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
-from craternav_fg.reproduce.descents import SCENARIO, one_problem
+from craternav_fg.reproduce.descents import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rows import Reproduction, Row, number
@@ -40,7 +40,7 @@ class LagTask:
 
 def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
     """Error of the newest state and of the one that leaves the lag, and time of a frame, over the lag."""
-    scenario = load_scenario(SCENARIO)
+    scenario = scenario_of(options)
     tasks = [LagTask(scenario, n) for n in range(min(options.descents, MOST_TRIALS))]
     data = pa.concat_tables(run_all(_trial, tasks, options.workers, "lags", progress))
     columns = {name: data[name].to_numpy() for name in data.column_names}

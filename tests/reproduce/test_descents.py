@@ -1,6 +1,8 @@
 """Figs. 15 to 18 and the lag: whole descents."""
 
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -100,11 +102,59 @@ def test_an_estimator_that_gave_up_counts_where_it_did_not() -> None:
     assert_allclose(every.of(FILTER).mean, np.mean(ERRORS[FILTER], axis=0))
 
 
+def test_what_the_note_says_of_the_paper_follows_from_the_trials() -> None:
+    good, poor = dict(ERRORS), {**ERRORS, FILTER: [[600.0, 300.0, 250.0], [800.0, 500.0, 350.0]]}
+    for errors_m, word in ((good, "below 200 m, holds"), (poor, "below 200 m, does not hold")):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(ERRORS, FILTER, errors_m[FILTER])
+            assert word in descent_figures.draw_up("fig17", known()).note
+    assert "below 1 deg, holds" in descent_figures.draw_up("fig18", known()).note
+
+
+def test_an_ablated_filter_that_gave_up_has_no_number_and_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [
+        *ablation_module.filters(),
+        ablation_module.CENTRES,
+        ablation_module.MIDDLES,
+        ablation_module.RIMS,
+    ]
+
+    def trial(task: ablation_module.AblationTask) -> pa.Table:
+        end_m = [np.inf if k == 0 and task.number else 10.0 + k for k in range(len(names))]
+        return pa.table({"trial": [task.number] * len(names), "estimator": names, "end_m": end_m})
+
+    monkeypatch.setattr(ablation_module, "_trial", trial)
+    result = ablation_module.ablation(ReproduceOptions(descents=3, workers=1))
+    rows = [row for row in result.rows if row.condition.startswith(names[0])]
+    assert [(row.as_printed, row.corrected) for row in rows] == [(None, None)] * 2
+    assert all(row.verdict.endswith("no trajectory in 2") for row in rows)
+    (other, _) = (row for row in result.rows if row.condition.startswith(names[1]))
+    assert (other.as_printed, other.verdict) == (11.0, "the paper varies none of it")
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("module", [lag_module, ablation_module])
+def test_the_seed_is_that_of_the_figures_trials(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds = []
+
+    class EnoughError(Exception):
+        """No trial is run."""
+
+    def noted(task: Any) -> pa.Table:
+        seeds.append(task.scenario.seed)
+        raise EnoughError
+
+    monkeypatch.setattr(module, "_trial", noted)
+    for seed in (1, 5):
+        with pytest.raises(EnoughError):
+            run.reproduce([module.__name__.rpartition(".")[2]], ReproduceOptions(workers=1, seed=seed))
+    assert seeds == [scenario().seed, scenario().seed + 4]
+
+
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials of 20 s in place of the paper's descent."""
-    for module in (descents, lag_module, ablation_module):
-        monkeypatch.setattr(module, "load_scenario", lambda name: scenario(duration_s=20.0))
+    monkeypatch.setattr(descents, "load_scenario", lambda name: scenario(duration_s=20.0))
 
 
 @pytest.mark.usefixtures("short")
