@@ -46,6 +46,8 @@ def draw_residuals(residuals: pa.Table, first_stamp_ns: int) -> Figure:
 def crater_table(residuals: pa.Table) -> Table:
     """Sum up an estimator's residuals crater by crater, the worst first.
 
+    Rims whose match was rejected are counted, and are in no mean: they are another crater's.
+
     Parameters
     ----------
     residuals : pyarrow.Table
@@ -64,15 +66,19 @@ def crater_table(residuals: pa.Table) -> Table:
     rows = []
     for crater in np.unique(identifiers):
         own = identifiers == crater
-        bias = whitened[own].mean(axis=0)
-        mean = float(chi2[own].mean()) / DOF
+        kept = own & ~rejected
         cells = [
             Cell(str(crater), str(crater)),
             Cell(str(int(own.sum())), int(own.sum())),
-            Cell(str(int(rejected[own].sum())), int(rejected[own].sum())),
-            Cell(f"{mean:.3g}", mean, concern=mean > SUSPECT_CHI2_PER_DOF),
-            *(Cell(f"{value:+.2f}", float(abs(value))) for value in bias),
+            Cell(str(int((own & rejected).sum())), int((own & rejected).sum())),
         ]
+        if kept.any():
+            mean = float(chi2[kept].mean()) / DOF
+            cells.append(Cell(f"{mean:.3g}", mean, concern=mean > SUSPECT_CHI2_PER_DOF))
+            bias = whitened[kept].mean(axis=0)
+            cells += [Cell(f"{value:+.2f}", float(abs(value))) for value in bias]
+        else:
+            cells += [Cell("–", -1.0)] * (1 + DOF)
         rows.append(("", cells))
     rows.sort(key=lambda row: -float(row[1][3].key))
     headings = (

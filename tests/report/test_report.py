@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
@@ -17,6 +18,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.evaluation.consistency import mean_interval
 from craternav_fg.evaluation.run_folder import read_run
 from craternav_fg.report.page import write_page
+from craternav_fg.report.residuals import crater_table
 from craternav_fg.report.run_page import run_page
 from craternav_fg.report.svg import inline_svg
 
@@ -125,6 +127,25 @@ def test_the_residual_table_has_every_crater_with_its_mean(page: Reader, made_ru
     chi2 = [r["chi2"] for r in own if r["crater_id"] == crater]
     assert int(rows[crater][1]) == len(chi2)
     assert float(rows[crater][3]) == pytest.approx(np.mean(chi2) / 5, rel=6e-3)
+
+
+def test_rejected_matches_do_not_count_against_a_crater() -> None:
+    rims = [("A", 5.0, 1.0), ("A", 7.0, None), ("A", 900.0, 0.0), ("B", 800.0, 0.0)]
+    table = pa.table(
+        {
+            "crater_id": [name for name, _, _ in rims],
+            "whitened": pa.array(
+                [[np.sqrt(chi2), 0, 0, 0, 0] for _, chi2, _ in rims], pa.list_(pa.float64(), 5)
+            ),
+            "chi2": [chi2 for _, chi2, _ in rims],
+            "weight": pa.array([weight for _, _, weight in rims], pa.float64()),
+        }
+    )
+    (_, first), (_, second) = crater_table(table).rows
+    assert [cell.text for cell in first[:4]] == ["A", "3", "1", "1.2"]
+    assert [cell.text for cell in second[:4]] == ["B", "1", "1", "–"]
+    assert not any(cell.concern for cell in (*first, *second))
+    assert first[4].text == "+2.44"
 
 
 def test_the_same_drawing_gives_the_same_text() -> None:
