@@ -1,9 +1,14 @@
 """Trials over processes, the same whatever their number."""
 
+import tempfile
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from pathlib import Path
 from typing import TypeVar
+
+from craternav_fg.campaign.workers import processes
+from craternav_fg.errors import CraternavError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -34,18 +39,36 @@ def run_all(
     -------
     list
         In the order of the tasks.
+
+    Raises
+    ------
+    CraternavError
+        When a process died, as for want of memory.
     """
+    results: dict[int, Result] = {}
+
+    def keep(number: int, result: Result) -> None:
+        results[number] = result
+        if progress is not None:
+            progress(what, len(results), len(tasks))
+
     if workers == 1 or len(tasks) == 1:
-        out = []
-        for done, task in enumerate(tasks, 1):
-            out.append(work(task))
-            if progress is not None:
-                progress(what, done, len(tasks))
-        return out
-    # A fresh interpreter each: forking one that has threads (a progress bar's) can hang.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures: list[Future[Result]] = [pool.submit(work, task) for task in tasks]
-        for done, _ in enumerate(as_completed(futures), 1):
-            if progress is not None:
-                progress(what, done, len(tasks))
-        return [future.result() for future in futures]
+        for number, task in enumerate(tasks):
+            keep(number, work(task))
+    else:
+        with (
+            tempfile.TemporaryDirectory(prefix="craternav-") as scratch,
+            processes(min(workers, len(tasks)), Path(scratch)) as pool,
+        ):
+            waiting = deque(enumerate(tasks))
+            running: dict[Future[Result], int] = {}
+            while waiting or running:
+                while waiting and len(running) < workers:
+                    number, task = waiting.popleft()
+                    running[pool.executor.submit(work, task)] = number
+                for future in wait(running, return_when=FIRST_COMPLETED)[0]:
+                    try:
+                        keep(running.pop(future), future.result())
+                    except BrokenExecutor:
+                        raise CraternavError(f"{what}: a worker process died") from None
+    return [results[number] for number in range(len(tasks))]
