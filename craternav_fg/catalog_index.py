@@ -309,7 +309,9 @@ def _overlaps(
         for i in range(starts[firsts[t]], starts[firsts[t + 1]]):
             # Each pair once: with the smaller octaves, and within its own those not larger.
             for s in range(t + 1):
-                angle = min((size[i] + limits[s, 0]) / range_m[i], np.pi)
+                # The distance is a chord; the arc above it is longer.
+                chord = (size[i] + limits[s, 0]) / range_m[i]
+                angle = 2.0 * np.arcsin(min(0.5 * chord, 1.0))
                 m = _runs(directions[i], np.cos(angle), firsts[s], firsts[s + 1], longitude, starts, runs)
                 for r in range(m):
                     for k in range(runs[r, 0], runs[r, 1]):

@@ -136,6 +136,19 @@ def test_crossing_rims_and_twins_are_those_found_pair_by_pair():
     assert found == set(map(tuple, np.argwhere(np.triu(meets)).tolist()))
 
 
+def test_craters_as_large_as_their_body_meet_along_chords():
+    """With centres almost as far apart as their radii reach, the arc between is longer than the chord."""
+    ball = Body("boulder", 250.0, 1.0, (0.0, 0.0, 0.0))
+    angle = 2.0 * np.arcsin(0.499)
+    two = Catalog(
+        ("A", "B"), np.zeros(2), np.array([0.0, angle]), np.full(2, 125.0), np.full(2, 125.0), np.zeros(2),
+        np.zeros(2), ball,
+    )  # fmt: skip
+    crossings, twins = two.index.overlaps(0.1)
+    assert crossings.tolist() == [[0, 1]]
+    assert not len(twins)
+
+
 def test_a_catalogue_in_order_is_not_moved():
     rng = np.random.default_rng(9)
     craters = catalog(rng)
