@@ -130,7 +130,7 @@ def reconstruct(
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
         try:
-            trajectories[one.name] = _joined([one.estimate(problem) for problem in problems])
+            trajectories[one.name] = _sound(_joined([one.estimate(problem) for problem in problems]))
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
@@ -189,6 +189,27 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
         else:
             values[one.name] = np.concatenate(every)
     return Trajectory(**values)
+
+
+def _sound(trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory that is one.
+
+    Raises
+    ------
+    EstimationError
+        When a state is not finite or a variance not positive: such an estimator has failed, whatever it says.
+    """
+    for name in ("gTb", "gV", "bias", "pose_covariance", "velocity_covariance", "bias_covariance"):
+        values = getattr(trajectory, name)
+        if values is None:
+            continue
+        good, what = np.isfinite(values).reshape(len(values), -1).all(axis=1), "finite numbers"
+        if good.all() and name.endswith("covariance"):
+            good, what = (np.diagonal(values, axis1=1, axis2=2) > 0.0).all(axis=1), "positive variances"
+        if not good.all():
+            frame = int(np.argmin(good))
+            raise EstimationError(f"{name.replace('_', ' ')} of frame {frame}: expected {what}")
+    return trajectory
 
 
 def _one_line(error: Exception) -> str:

@@ -41,6 +41,34 @@ def test_one_estimator_that_fails_does_not_take_the_others_along(
         reconstruct(data, ["failing"])
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("gV", np.nan, "gV of frame 2: expected finite numbers"),
+        ("gTb", np.inf, "gTb of frame 2: expected finite numbers"),
+        ("pose_covariance", -1e-9, "pose covariance of frame 2: expected positive variances"),
+    ],
+)
+def test_numbers_that_are_none_are_a_failure(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch, field: str, value: float, expected: str
+) -> None:
+    known = module.estimator
+
+    class Odd:
+        name = "odd"
+
+        def estimate(self, problem: Problem) -> Trajectory:
+            right = known("ekf").estimate(problem)
+            values = getattr(right, field).copy()
+            values[2].flat[0] = value
+            return dataclasses.replace(right, **{field: values})
+
+    monkeypatch.setattr(module, "estimator", lambda name: Odd() if name == "odd" else known(name))
+    result = reconstruct(data, ["odd", "dead_reckoning"])
+    assert list(result.trajectories) == ["dead_reckoning"]
+    assert result.failures == {"odd": f"odd: {expected}"}
+
+
 def test_reconstruction_does_not_look_at_the_truth(data: Dataset) -> None:
     blind = reconstruct(dataclasses.replace(data, truth=None), ["smoother"])
     seeing = reconstruct(data, ["smoother"])
