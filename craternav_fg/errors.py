@@ -1,6 +1,7 @@
 """The exceptions of this package: every known error derives from `CraternavError`."""
 
 from pathlib import Path
+from typing import Any
 
 
 class CraternavError(Exception):
@@ -32,6 +33,10 @@ class InputError(CraternavError):
         self.path = Path(path)
         self.line = line
         self.column = column
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Come back from another process as it was: made of its text, which has all that it was made of."""
+        return self.__class__.__new__, (self.__class__, *self.args), self.__dict__
 
 
 class EstimationError(CraternavError):

@@ -2,10 +2,12 @@
 
 import os
 import time
+from pathlib import Path
 
 import pytest
 
-from craternav_fg.errors import CraternavError
+from craternav_fg.dataset.foreign_images import read_foreign_image
+from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.reproduce.pool import run_all
 
 NAP_S = 8.0
@@ -31,6 +33,12 @@ def test_who_interrupts_does_not_wait_for_what_is_left() -> None:
 
 def test_linear_algebra_of_each_process_has_one_thread() -> None:
     assert run_all(os.getenv, ["OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"], 2, "threads", None) == ["1", "1"]
+
+
+def test_an_error_of_a_file_comes_back_from_a_process_as_it_was() -> None:
+    with pytest.raises(InputError, match=r"no\.png: expected an image file") as caught:
+        run_all(read_foreign_image, [Path("no.png"), Path("no.png")], 2, "images", None)
+    assert (caught.value.path, caught.value.line) == (Path("no.png"), None)
 
 
 def test_a_process_that_dies_is_an_error_of_one_line() -> None:
