@@ -1,5 +1,6 @@
 """One trial: simulate, reconstruct with every estimator, keep the errors beside what they could have been."""
 
+import errno
 import importlib.metadata
 import json
 import tempfile
@@ -31,6 +32,7 @@ FILTERED_BOUND, SMOOTHED_BOUND = "pcrb_filtered", "pcrb_smoothed"
 # Whose numbers the results depend on.
 PACKAGES = ("gtsam", "numpy", "numba", "scipy", "opencv-python-headless")
 METADATA = b"craternav"
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
 
 SCHEMA = pa.schema(
     [
@@ -107,7 +109,8 @@ def run_trial(task: TrialTask) -> TrialResult:
     Raises
     ------
     CraternavError
-        When the software here is not that of the campaign.
+        When the software here is not that of the campaign, or the machine lacks room: another time the trial
+        may go well.
     """
     here = software()
     for name, version in task.versions.items():
@@ -120,7 +123,18 @@ def run_trial(task: TrialTask) -> TrialResult:
             # The folder's name is another every time.
             said = " ".join(str(error).replace(folder, "trial").split())
             known = isinstance(error, CraternavError)
+            if _lacks_room(error):
+                raise CraternavError(f"trial {task.number}: {said}") from error
             return failed(task.number, said if known else f"{type(error).__name__}: {said}")
+
+
+def _lacks_room(error: BaseException | None) -> bool:
+    """Whether an error comes of a full disk or memory."""
+    while error is not None:
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_ROOM):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def failed(number: int, error: str) -> TrialResult:

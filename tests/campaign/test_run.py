@@ -13,7 +13,7 @@ import pytest
 from craternav_fg.campaign import run, store, workers
 from craternav_fg.campaign.run import CampaignOptions, as_measured, each_result, montecarlo
 from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
-from craternav_fg.config import CraterTrials, load_scenario
+from craternav_fg.config import CraterTrials, Scenario, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.evaluation.trial import TrialTask, run_trial, software
@@ -268,6 +268,28 @@ def test_a_full_disk_leaves_what_is_written_valid(
     assert len(pq.read_table(folder / "trials" / "trial_000000.parquet")) == 4 * 6
     monkeypatch.setattr(os, "fsync", sync)
     assert montecarlo(small_scenario(), folder, options(3))["trials"] == 3
+
+
+def test_a_disk_that_is_full_in_a_trial_is_no_fault_of_the_trial(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "c"
+
+    def full(scenario: Scenario, path: Path, *, trial: int) -> Path:
+        if trial == 0:
+            return simulate(scenario, path, trial=trial)
+        try:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise InputError(path, f"cannot be written: {error.strerror}") from error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("craternav_fg.evaluation.trial.simulate", full)
+        with pytest.raises(CraternavError, match=r"trial 1: trial/dataset: cannot be written: No space left"):
+            montecarlo(small_scenario(), folder, options(3))
+    assert list(read_campaign(folder).failures) == [0]
+    summary = montecarlo(small_scenario(), folder, options(3))
+    assert (summary["trials"], summary["failed"]) == (3, 0)
 
 
 def test_remains_of_a_killed_run_are_cleared_away(undisturbed: Path) -> None:
