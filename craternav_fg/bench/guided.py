@@ -11,7 +11,8 @@ from craternav_fg.bench.scenes import IRREGULAR, Ground, Scene, scene
 from craternav_fg.camera import pixel_chart
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.vision.detect import ellipse_parameters
-from craternav_fg.vision.guided import SINGLE_IMAGE, GuidedFrontEnd, GuidedOptions
+from craternav_fg.vision.guided import GuidedFrontEnd
+from craternav_fg.vision.guided_options import SINGLE_IMAGE, GuidedOptions
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]

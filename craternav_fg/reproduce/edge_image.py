@@ -22,7 +22,7 @@ from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.vision.detect import ellipse_parameters, find_rims
-from craternav_fg.vision.guided import SINGLE_IMAGE
+from craternav_fg.vision.guided_options import SINGLE_IMAGE
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from craternav_fg.reproduce.rim_images import draw_view, photograph
 from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.detect import ellipse_parameters, find_rims
-from craternav_fg.vision.guided import SINGLE_IMAGE
+from craternav_fg.vision.guided_options import SINGLE_IMAGE
 from factors.kernels.conic import chart_to_conic, project_rims
 
 FloatArray = npt.NDArray[np.float64]

@@ -22,7 +22,7 @@ from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, WAYS
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims
-from craternav_fg.vision.guided import SINGLE_IMAGE
+from craternav_fg.vision.guided_options import SINGLE_IMAGE
 from factors.kernels.sun import sun_tilt, wrap
 
 FloatArray = npt.NDArray[np.float64]

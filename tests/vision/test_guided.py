@@ -5,7 +5,8 @@ import pytest
 
 from craternav_fg.catalog import Catalog
 from craternav_fg.vision.ellipse_fit import FitOptions
-from craternav_fg.vision.guided import SINGLE_IMAGE, GuidedFrontEnd, GuidedOptions
+from craternav_fg.vision.guided import GuidedFrontEnd
+from craternav_fg.vision.guided_options import SINGLE_IMAGE, GuidedOptions
 from craternav_fg.vision.lasting import LastingOptions, lasting_roots
 from factors.kernels.conic import project_rims
 from tests.vision import scene
