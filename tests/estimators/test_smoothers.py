@@ -27,6 +27,7 @@ from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
+from factors.custom import pose_factor
 from tests.descents import problem, scenario
 
 TRIALS = 12
@@ -150,6 +151,21 @@ def test_covariance_is_the_inverse_of_the_dense_information(trials: list[tuple[P
             return
         offset += size
     pytest.fail("no state 1")
+
+
+def test_steps_that_shrink_before_a_wall_have_not_converged() -> None:
+    def kernel(gTb: np.ndarray, bTc: np.ndarray, linearise: bool, e: np.ndarray, J: np.ndarray) -> None:
+        e[:] = 10.0 + gTb[0, 3] if gTb[0, 3] > -0.1 else 1e3
+        J[:] = [[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]]
+
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(pose_factor(X(0), 1, kernel, np.eye(4)))
+    graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e3)))
+    values = gtsam.Values()
+    values.insert(X(0), gtsam.Pose3())
+    result = levenberg_marquardt(graph, values)
+    assert_allclose(result.values.atPose3(X(0)).x(), -0.1, atol=1e-6)
+    assert not result.converged
 
 
 def test_gauss_newton_reaches_what_levenberg_marquardt_does(trials: list[tuple[Problem, Trajectory]]) -> None:
