@@ -18,6 +18,7 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalog import Catalog
+from craternav_fg.matching.gate_geometry import inverse, outline_covariances, raised_above_ground, triads
 from factors.kernels import conic, rim_poses
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,6 +31,8 @@ _CENTRE_RAD, _LOG_SIZE = 0.01, 0.15
 # The scatter of fewer rims about one pose says little about their covariances.
 _MIN_SCATTER = 6
 _REFINEMENTS = 4
+# Lines of sight and ranges depend on each other: from a poor prediction, so often until they agree.
+_STARTS = 3
 # So many hypotheses are tried at a time.
 _CHUNK = 1000
 # Share of craters of about a rim's size whose size and shape agree with it.
@@ -130,7 +133,7 @@ def match_rims(
         Predicted pose of the lander.
     pose_covariance : ndarray, shape (6, 6)
         Of the prediction, positive definite: attitude error (rotation vector in b, rad), position error in
-        g, m. The position must be known to a part of the altitude.
+        g, m. The position must be known to about half the altitude, or better.
     options : GateOptions
 
     Returns
@@ -167,18 +170,19 @@ class _Search:
     ) -> None:  # fmt: skip
         self.options = options
         self.tried = self.allowed = np.empty((0, 4), dtype=np.int64)
+        self.possible = len(charts)
         self.prior = np.ascontiguousarray(gTb, dtype=np.float64)
         self.covariance = pose_covariance
-        self.information = _inverse(pose_covariance)
+        self.information = inverse(pose_covariance)
         self.bTc = camera.bTc
         self.charts = np.ascontiguousarray(charts, dtype=np.float64)
-        self.noise = covariances + _floor(self.charts, options.floor_share)
-        self.weights = np.ascontiguousarray(_inverse(self.noise))
+        self.noise = covariances + outline_covariances(self.charts, options.floor_share)
+        self.weights = np.ascontiguousarray(inverse(self.noise))
         self.gate = float(chi2.ppf(options.probability, _COMPONENTS))
         self.sigmas = float(np.sqrt(chi2.ppf(options.probability, 2)))
         corner = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
         self.reach = 1.05 * np.abs(camera.normalised(corner)).max(axis=0)
-        self.gTc = camera.gTc(self.prior)
+        self.gTc = raised_above_ground(camera.gTc(self.prior), pose_covariance, catalog.body)
         self.rows, self.turn_rad, self.position_m = self._allowed(catalog)
         part = catalog.take(self.rows)
         self.centres, self.axes = np.ascontiguousarray(part.centres), part.axes
@@ -186,8 +190,9 @@ class _Search:
         self.range_m = np.linalg.norm(line, axis=1)
         self.line = line / self.range_m[:, None]
         # An ellipse's area shows the range, foreshortened by the slant.
-        slant = np.abs(np.sum(self.line * part.normals, axis=1))
-        self.log_area = np.log(slant * part.semi_major_m * part.semi_minor_m) - 2.0 * np.log(self.range_m)
+        self.normals, self.product_m2 = part.normals, part.semi_major_m * part.semi_minor_m
+        slant = np.abs(np.sum(self.line * self.normals, axis=1))
+        self.log_area = np.log(slant * self.product_m2) - 2.0 * np.log(self.range_m)
         ray = np.column_stack([self.charts[:, :2], np.ones(len(charts))])
         self.ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
         self.log_solid = self.charts[:, 2] + self.charts[:, 4] + 3.0 * np.log(self.ray[:, 2])
@@ -214,11 +219,14 @@ class _Search:
         for begin in range(0, len(pairs), _CHUNK):
             some = pairs[begin : begin + _CHUNK]
             gTb, information, cost = self._solve(starts[begin : begin + _CHUNK], some[:, 1::2], some[:, ::2])
+            # From far off the first steps only lead near.
+            on = np.flatnonzero(np.isfinite(cost) & (cost >= limit))
+            gTb[on], information[on], cost[on] = self._solve(gTb[on], some[on, 1::2], some[on, ::2])
             keep = np.flatnonzero(cost < limit)
             if not len(keep):
                 continue
             self.tried = np.concatenate([self.tried, some[keep]])
-            gTb, covariance = gTb[keep], np.ascontiguousarray(_inverse(information[keep]))
+            gTb, covariance = gTb[keep], np.ascontiguousarray(inverse(information[keep]))
             explained = rim_poses.support(
                 gTb, covariance, self.bTc, self.centres, self.axes, self.charts, self.noise, self.reach
             )
@@ -242,6 +250,7 @@ class _Search:
         chord = np.linalg.norm(toward[:, None] - self.line, axis=2)
         aside = self.turn_rad + self.position_m / self.range_m + _CENTRE_RAD
         allowed = (size_off < size_limit) & (2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) < aside)
+        self.possible = int(np.count_nonzero(allowed.any(axis=1)))
         seeds = np.argsort(-(self.charts[:, 2] + self.charts[:, 4]), kind="stable")
         seeds = seeds[allowed[seeds].any(axis=1)][: self.options.seeds]
         pairs, starts, costs = [], [], []
@@ -256,10 +265,25 @@ class _Search:
             return np.empty((0, 4), dtype=np.int64), np.empty((0, 4, 4))
         pair, gRc, cost = np.concatenate(pairs), np.concatenate(starts), np.concatenate(costs)
         order = np.argsort(cost, kind="stable")[: self.options.hypotheses]
-        start = np.tile(np.eye(4), (len(order), 1, 1))
-        start[:, :3, :3] = gRc[order] @ self.bTc[:3, :3].T
-        start[:, :3, 3] = self.gTc[:3, 3] - start[:, :3, :3] @ self.bTc[:3, 3]
-        return pair[order], start
+        return pair[order], self._starts(pair[order], gRc[order])
+
+    def _starts(self, pairs: IntArray, gRc: FloatArray) -> FloatArray:
+        """Poses (h, 4, 4) of b at which the pairs' sizes show their ranges, from attitudes (h, 3, 3) of c."""
+        rims, craters = pairs[:, ::2], pairs[:, 1::2]
+        centres, toward = self.centres[craters], self.ray[rims]
+        gPc = np.tile(self.gTc[:3, 3], (len(pairs), 1))
+        for _ in range(_STARTS):
+            line = centres - gPc[:, None]
+            line /= np.linalg.norm(line, axis=2, keepdims=True)
+            if len(pairs) and pairs[0, 0] != pairs[0, 2]:
+                gRc = triads(line[:, 0], line[:, 1]) @ np.swapaxes(triads(toward[:, 0], toward[:, 1]), 1, 2)
+            slant = np.abs(np.sum(line * self.normals[craters], axis=2))
+            range_m = np.sqrt(slant * self.product_m2[craters] / np.exp(self.log_solid[rims]))
+            gPc = np.mean(centres - range_m[:, :, None] * np.einsum("hij,hkj->hki", gRc, toward), axis=1)
+        start = np.tile(np.eye(4), (len(pairs), 1, 1))
+        start[:, :3, :3] = gRc @ self.bTc[:3, :3].T
+        start[:, :3, 3] = gPc - start[:, :3, :3] @ self.bTc[:3, 3]
+        return start
 
     def _pair_poses(
         self, i: int, j: int, first: IntArray, second: IntArray
@@ -285,7 +309,7 @@ class _Search:
                 (m != k) & (np.abs(between - seen) < limit + 2.0 * _CENTRE_RAD) & (np.abs(off) < size_limit)
             )
             m, k = m[keep], k[keep]
-            gRc = _triads(self.line[m], self.line[k]) @ _triads(self.ray[i][None], self.ray[j][None])[0].T
+            gRc = triads(self.line[m], self.line[k]) @ triads(self.ray[i][None], self.ray[j][None])[0].T
         gRb = gRc @ self.bTc[:3, :3].T
         turn = frames.rotation_log(self.prior[:3, :3].T @ gRb).reshape(-1, 3)
         slack = position2 / np.minimum(self.range_m[m], self.range_m[k]) ** 2 + _CENTRE_RAD**2
@@ -333,7 +357,7 @@ class _Search:
             poses, information, cost = self._solve(gTb[None], craters[None], rims[None])
             if not np.isfinite(cost[0]):
                 return None
-            gTb, covariance = poses[0], np.ascontiguousarray(_inverse(information[0]))
+            gTb, covariance = poses[0], np.ascontiguousarray(inverse(information[0]))
         score = float(np.sum(self.gate - distances2[rims, craters]))
         return _Grown(gTb, covariance, distances2, rims, craters, score)
 
@@ -356,7 +380,8 @@ class _Search:
         confirming = len(best.rims) - 2
         if confirming < 1:
             return float(rivals)
-        return float(rivals * comb(len(self.charts) - 2, confirming) * share**confirming)
+        # Rims of sizes that no crater has here, from nowhere that is predicted, confirm no pose.
+        return float(rivals * comb(max(self.possible - 2, confirming), confirming) * share**confirming)
 
     def judged(self, best: _Grown) -> Matches:
         """Drop what two could claim, then what the others contradict."""
@@ -375,7 +400,7 @@ class _Search:
         gTb, covariance, cost = best.gTb, best.covariance, 0.0
         while rims:
             poses, information, costs = self._solve(gTb[None], np.array([chosen]), np.array([rims]))
-            gTb, covariance, cost = poses[0], np.ascontiguousarray(_inverse(information[0])), float(costs[0])
+            gTb, covariance, cost = poses[0], np.ascontiguousarray(inverse(information[0])), float(costs[0])
             limit = float(chi2.ppf(self.options.probability, _COMPONENTS * len(rims)))
             at_pose = self._distances2(gTb, covariance)[rims, chosen]
             factor = 1.0
@@ -391,14 +416,6 @@ class _Search:
         turn = np.eye(6)
         turn[3:, 3:] = gTb[:3, :3]
         return Matches(craters, ambiguous, gTb, turn @ covariance @ turn.T, cost)
-
-
-def _floor(charts: FloatArray, share: float) -> FloatArray:
-    """Covariances (n, 5, 5) of errors of ellipses by a share of their axes, all independent."""
-    a, b = np.exp(charts[:, 2]), np.exp(charts[:, 4])
-    # The chart's slope is a length over a: of both ends of the vertical axis.
-    scale = np.column_stack([a, np.hypot(b, charts[:, 3] * a), np.ones_like(a), b / a, np.ones_like(a)])
-    return np.asarray((share * scale[:, :, None]) ** 2 * np.eye(_COMPONENTS))
 
 
 def _assigned(distances2: FloatArray, gate: float) -> tuple[IntArray, IntArray]:
@@ -417,19 +434,3 @@ def _agree(one: _Grown, other: _Grown) -> bool:
         mine.get(rim, crater) == crater
         for rim, crater in zip(other.rims.tolist(), other.craters.tolist(), strict=True)
     )
-
-
-def _triads(along: FloatArray, aside: FloatArray) -> FloatArray:
-    """Rotations (n, 3, 3) with a column midway between unit vectors, one along their difference."""
-    middle = along + aside
-    middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
-    across = along - aside
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    return np.stack([middle, across, np.cross(middle, across)], axis=-1)
-
-
-def _inverse(N: FloatArray) -> FloatArray:
-    """Inverse of positive definite matrices (..., n, n) whose unknowns differ by orders of magnitude."""
-    s = 1.0 / np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
-    scale = s[..., :, None] * s[..., None, :]
-    return np.asarray(np.linalg.inv(N * scale) * scale)

@@ -15,24 +15,24 @@ CAMERA = Camera(1024, 1024, 1267.0, 1267.0, 511.5, 511.5, bTc)
 ALTITUDE_M = 50e3
 
 
-def field(rng, count=150):
+def field(rng, count=150, half_rad=0.03, smallest_m=900.0):
     """Craters around 0, 0, larger ones fewer."""
-    major = 900.0 * (1.0 - 0.95 * rng.random(count)) ** -0.5
+    major = smallest_m * (1.0 - 0.95 * rng.random(count)) ** -0.5
     return Catalog(
         tuple(f"C{k}" for k in range(count)),
-        rng.uniform(-0.03, 0.03, count), rng.uniform(-0.03, 0.03, count), major,
+        rng.uniform(-half_rad, half_rad, count), rng.uniform(-half_rad, half_rad, count), major,
         major * rng.uniform(0.75, 1.0, count), rng.uniform(0.0, np.pi, count),
         200.0 * rng.standard_normal(count), MOON,
     )  # fmt: skip
 
 
-def view(rng):
+def view(rng, altitude_m=ALTITUDE_M):
     """Pose of b that looks at the field, a little aslant."""
     z = frames.rotation_exp(0.2 * rng.standard_normal(3)) @ np.array([-1.0, 0.0, 0.0])
     x = np.cross(z, rng.standard_normal(3))
     x /= np.linalg.norm(x)
     gTc = frames.pose(
-        np.stack([x, np.cross(z, x), z], axis=-1), np.array([MOON.radius_m + ALTITUDE_M, 0.0, 0.0])
+        np.stack([x, np.cross(z, x), z], axis=-1), np.array([MOON.radius_m + altitude_m, 0.0, 0.0])
     )
     return gTc @ frames.inverse(CAMERA.bTc)
 
@@ -48,9 +48,9 @@ def noise_of(charts, sigma_px=0.5):
     return scale[:, :, None] ** 2 * np.eye(5)
 
 
-def scene(rng, catalog, false_share=0.2, missing_share=0.25):
+def scene(rng, catalog, false_share=0.2, missing_share=0.25, altitude_m=ALTITUDE_M):
     """Give a pose, its rims in some order, and the crater of each, -1 for false ones."""
-    gTb = view(rng)
+    gTb = view(rng, altitude_m)
     rows, charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=10.0)
     keep = rng.random(len(rows)) > missing_share
     rows, charts = rows[keep], charts[keep]
@@ -99,6 +99,42 @@ def test_priors_wrong_by_three_sigma(sigma_deg, sigma_m, scenes):
     assert real > 8 * scenes
     assert right / real >= 0.98
     assert wrong / (right + wrong) <= 0.002
+
+
+@pytest.mark.parametrize("up_m", [-11.5e3, -7e3, 11.5e3])
+def test_an_altitude_known_to_half_of_itself(up_m):
+    """Predicted below the ground, at an eighth of the altitude, or at more than twice it."""
+    rng = np.random.default_rng(17)
+    catalog = field(rng, 120, 0.006, 250.0)
+    for _ in range(3):
+        gTb, charts, covariances, truth = scene(rng, catalog, altitude_m=8e3)
+        prior, covariance = wrong_prior(rng, gTb, np.radians(15.0), 0.0)
+        covariance[3:, 3:] = 4e3**2 * np.eye(3)
+        prior[0, 3] += up_m
+        found = match_rims(charts, covariances, CAMERA, catalog, prior, covariance)
+        np.testing.assert_array_equal(found.craters, truth)
+
+
+def test_rims_smaller_than_any_crater_confirm_nothing_and_hinder_nothing():
+    """Rough ground seen from near: what is found there is mostly smaller than what the catalogue knows."""
+    rng = np.random.default_rng(18)
+    catalog = field(rng)
+    matched = 0
+    for _ in range(10):
+        gTb, charts, covariances, truth = scene(rng, catalog, 0.0, 0.0)
+        few = rng.permutation(len(charts))[:3]
+        small = np.column_stack(
+            [rng.uniform(-0.35, 0.35, (300, 2)), np.full(300, -6.2), np.zeros(300), np.full(300, -6.2)]
+        )
+        every = np.concatenate([charts[few], small])
+        prior, covariance = wrong_prior(rng, gTb, np.radians(5.0), 3000.0)
+        found = match_rims(
+            every, np.concatenate([covariances[few], noise_of(small)]), CAMERA, catalog, prior, covariance
+        )
+        assert np.all((found.craters[:3] == truth[few]) | (found.craters[:3] == -1))
+        assert np.all(found.craters[3:] == -1)
+        matched += np.count_nonzero(found.craters >= 0)
+    assert matched >= 24
 
 
 def test_what_two_craters_claim_is_given_to_neither():

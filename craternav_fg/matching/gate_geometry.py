@@ -1,0 +1,41 @@
+"""What matching with a prior computes of rims and poses, by itself."""
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.body import Body
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def raised_above_ground(gTc: FloatArray, pose_covariance: FloatArray, body: Body) -> FloatArray:
+    """Pose of the camera, raised to its altitude's standard deviation when it is predicted below that."""
+    up = gTc[:3, 3] / np.linalg.norm(gTc[:3, 3])
+    sigma_m = float(np.sqrt(up @ pose_covariance[3:, 3:] @ up))
+    raised = gTc.copy()
+    raised[:3, 3] += max(sigma_m - float(body.altitude_m(gTc[:3, 3])), 0.0) * up
+    return raised
+
+
+def outline_covariances(charts: FloatArray, share: float) -> FloatArray:
+    """Covariances (n, 5, 5) of errors of ellipses by a share of their axes, all independent."""
+    a, b = np.exp(charts[:, 2]), np.exp(charts[:, 4])
+    # The chart's slope is a length over a: of both ends of the vertical axis.
+    scale = np.column_stack([a, np.hypot(b, charts[:, 3] * a), np.ones_like(a), b / a, np.ones_like(a)])
+    return np.asarray((share * scale[:, :, None]) ** 2 * np.eye(5))
+
+
+def triads(along: FloatArray, aside: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) with a column midway between unit vectors, one along their difference."""
+    middle = along + aside
+    middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
+    across = along - aside
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return np.stack([middle, across, np.cross(middle, across)], axis=-1)
+
+
+def inverse(N: FloatArray) -> FloatArray:
+    """Inverse of positive definite matrices (..., n, n) whose unknowns differ by orders of magnitude."""
+    s = 1.0 / np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
+    scale = s[..., :, None] * s[..., None, :]
+    return np.asarray(np.linalg.inv(N * scale) * scale)
