@@ -23,6 +23,7 @@ from craternav_fg.catalogs.columns import (
 from craternav_fg.catalogs.importing import ImportReport, import_table
 from craternav_fg.catalogs.store import SUFFIX, read_parquet, write_parquet
 from craternav_fg.errors import InputError
+from craternav_fg.files import replacing
 from craternav_fg.tables import Column, read_table, write_table
 
 # The other columns of the published file: allowed, not used.
@@ -129,7 +130,13 @@ def import_catalog(
 
 
 def write_catalog(path: Path, catalog: Catalog) -> None:
-    """Write a catalogue that `read_catalog` reads: a table, or under a name in `.parquet` our own store."""
+    """Write a catalogue that `read_catalog` reads: a table, or under a name in `.parquet` our own store.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written; a file of that name stays what it was.
+    """
     if path.suffix == SUFFIX:
         write_parquet(path, catalog)
         return
@@ -146,4 +153,5 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
         BODY_RADIUS: np.full(n, catalog.body.radius_m),
     }
     written = [column for column in _COLUMNS if column.name != BODY or catalog.body.name.strip()]
-    write_table(path, written, [data[column.name] for column in written])
+    with replacing(path) as temporary:
+        write_table(temporary, written, [data[column.name] for column in written])

@@ -1,5 +1,6 @@
 """Files and folders that are whole or absent: written under a temporary name, then renamed."""
 
+import errno
 import os
 import shutil
 import tempfile
@@ -8,6 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from craternav_fg.errors import InputError
+
+# What a disk without room says.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
@@ -27,7 +31,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     InputError
-        When `path` is a folder or cannot be written.
+        When `path` is a folder or cannot be written, as on a full disk.
     """
     if path.is_dir():
         raise InputError(path, "expected a file to write, found a folder")
@@ -35,13 +39,15 @@ def replacing(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     except OSError as error:
-        raise InputError(path, f"cannot be written: {error.strerror}") from error
+        raise _unwritten(path, error) from error
     os.close(handle)
     temporary = Path(name)
     try:
         temporary.chmod(0o644)
         yield temporary
         temporary.replace(path)
+    except OSError as error:
+        raise _unwritten(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -69,7 +75,7 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
     ------
     InputError
         When `path` is a file, the current folder, or a folder that holds something of somebody else's,
-        or when it cannot be written. All but the last is noticed before anything is done.
+        or when it cannot be written, as on a full disk. All but the last is noticed before anything is done.
     """
     final = path.resolve()
     _check(path, final, marker, ours)
@@ -77,7 +83,7 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
         final.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{final.name}.", dir=final.parent))
     except OSError as error:
-        raise InputError(path, f"cannot be written: {error.strerror}") from error
+        raise _unwritten(path, error) from error
     try:
         temporary.chmod(0o755)
         yield temporary
@@ -86,8 +92,24 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
             final.replace(old)
         temporary.replace(final)
         shutil.rmtree(old, ignore_errors=True)
+    except InputError as error:
+        # The file that could not be written has a name that soon nobody knows.
+        if isinstance(error.__cause__, OSError) and error.path.is_relative_to(temporary):
+            raise _unwritten(path, error.__cause__) from error
+        raise
+    except OSError as error:
+        # Of others it is not known that they are of this folder: what is read there may be at fault.
+        if error.errno in _FULL:
+            raise _unwritten(path, error) from error
+        raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _unwritten(path: Path, error: OSError) -> InputError:
+    """Say that a file or folder cannot be written; some libraries make texts of their own of the reason."""
+    reason = error.strerror if error.errno is None else os.strerror(error.errno)
+    return InputError(path, f"cannot be written: {reason or error}")
 
 
 def _check(path: Path, final: Path, marker: str, ours: Sequence[str]) -> None:
@@ -130,4 +152,4 @@ def write_whole(path: Path, content: bytes) -> None:
         finally:
             os.close(folder)
     except OSError as error:
-        raise InputError(path, f"cannot be written: {error.strerror}") from error
+        raise _unwritten(path, error) from error

@@ -157,11 +157,13 @@ def settled(path: Path, body: Body | None, stated: StatedBody | None) -> tuple[B
         limit = _SAME_SPHERE if stated.exact else _SAME_BODY
         other = abs(stated.radius_m - body.radius_m) > limit * body.radius_m
     if other:
+        ratio = 0.0 if stated.radius_m is None else stated.radius_m / body.radius_m
+        hint = ": the radius given is in km" if abs(ratio - 1000.0) < 10.0 else ""
         on = "" if stated.radius_m is None else f" on {stated.radius_m:.9g} m"
         raise InputError(
             path,
             f"expected a catalogue on a sphere of {body.radius_m:.9g} m ({body.name or 'the given body'}), "
-            f"found one of {stated.name or 'a body'}{on}, as {stated.by}",
+            f"found one of {stated.name or 'a body'}{on}, as {stated.by}{hint}",
             column=stated.column,
         )
     return body, "given"

@@ -156,9 +156,14 @@ def implausible_sizes(
     if octants.min() > 0.02 * len(diameter_m):
         return (
             f"craters all over a body of radius {radius_m:g} m, and the largest of {largest:g} m: "
-            "wrong unit (km, m), or another body"
+            f"{wrong_unit(radius_m)}"
         )
     return None
+
+
+def wrong_unit(radius_m: float) -> str:
+    """Say what can be wrong with sizes that make no sense on a body."""
+    return f"wrong unit (km, m) of the sizes or of the body's radius, {radius_m:.9g} m, or another body"
 
 
 def _cover(

@@ -97,7 +97,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         identifiers = [str(line) for line in table.lines(range(len(table)))]
     else:
         faults = {**checks.identifier_faults(identifiers, found.identifier), **faults}
-    _refuse_common_fault(table, faults, used[2:4])
+    _refuse_common_fault(table, faults, used[2:4], body.radius_m)
     keep = np.ones(len(table), dtype=np.bool_)
     keep[list(faults)] = False
     if not keep.any():
@@ -105,7 +105,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         if faults:
             row = min(faults)
             column, fault = faults[row]
-            hint = ": wrong unit (km, m), or another body" if column in used[2:4] else ""
+            hint = f": {checks.wrong_unit(body.radius_m)}" if column in used[2:4] else ""
             none_left += f", the first left out is line {table.lines([row])[0]}: {column}: {fault}{hint}"
         raise InputError(path, none_left)
     latitude, longitude, major, minor, angle, height = (column[keep] for column in values)
@@ -177,7 +177,9 @@ def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...]
     return (*ellipse, np.nan_to_num(height)), is_circle
 
 
-def _refuse_common_fault(table: ForeignTable, faults: checks.Faults, diameters: Sequence[str]) -> None:
+def _refuse_common_fault(
+    table: ForeignTable, faults: checks.Faults, diameters: Sequence[str], radius_m: float
+) -> None:
     """Refuse a table of which half the rows have the same fault."""
     if len(table) < _FEW:
         return
@@ -191,5 +193,5 @@ def _refuse_common_fault(table: ForeignTable, faults: checks.Faults, diameters: 
             if "at most the major" in problem:
                 problem += ": major and minor diameters are swapped"
             elif column in diameters:
-                problem += ": wrong unit (km, m), or another body"
+                problem += f": {checks.wrong_unit(radius_m)}"
             table.fail(row, column, problem)

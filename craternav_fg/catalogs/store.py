@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -46,7 +45,10 @@ def write_parquet(path: Path, catalog: Catalog) -> None:
         metadata={_KEY: json.dumps(about).encode()},
     )
     with replacing(path) as temporary:
-        pq.write_table(pa.Table.from_arrays(arrays, schema=schema), temporary, use_dictionary=False)
+        pq.write_table(
+            pa.Table.from_arrays(arrays, schema=schema), temporary, use_dictionary=False,
+            write_page_checksum=True,
+        )  # fmt: skip
 
 
 def read_parquet(path: Path, body: Body | None) -> Catalog:
@@ -63,13 +65,14 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     InputError
         When it is no such file, of another body, or a value is out of range.
     """
-    about = _about(path)
-    stated = StatedBody(str(about["body"]), float(about["radius_m"]), True, "its metadata say", "radius_m")
-    body, _ = settled(path, body, stated)
+    body, _ = settled(path, body, _stated(path))
     try:
-        table = pq.read_table(path, columns=[_ID, *_NUMBERS])
-    except (pa.ArrowException, OSError) as error:
+        table = pq.read_table(path, columns=[_ID, *_NUMBERS], page_checksum_verification=True)
+        whole = _is_whole(pq.read_metadata(path))
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(path, f"cannot be read: {' '.join(str(error).split())}") from None
+    if not whole:
+        raise InputError(path, "is damaged: expected a value per row in each column, found another number")
     for name in (_ID, *_NUMBERS):
         if name not in table.column_names:
             found = ", ".join(pq.read_schema(path).names)
@@ -86,22 +89,34 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     return Catalog(identifiers=tuple(table[_ID].to_pylist()), body=body, **values)
 
 
-def _about(path: Path) -> dict[str, Any]:
+def _stated(path: Path) -> StatedBody:
+    """Give the body that the metadata name."""
     if not path.is_file():
         raise InputError(path, "file is missing")
     try:
         metadata = pq.read_schema(path).metadata or {}
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
     try:
         about = json.loads(metadata[_KEY])
-    except (KeyError, ValueError):
+        stated = StatedBody(
+            str(about["body"]), float(about["radius_m"]), True, "its metadata say", "radius_m"
+        )
+    except (KeyError, TypeError, ValueError):
         raise InputError(
             path, "expected a catalogue that `craternav catalog import` wrote: body and format are missing"
         ) from None
     if about.get("format") != FORMAT:
         raise InputError(path, f"expected format {FORMAT}, found {about.get('format')}: import it again")
-    return dict(about)
+    return stated
+
+
+def _is_whole(about: pq.FileMetaData) -> bool:
+    """Whether each column has as many values as there are rows: pages have checksums, their numbers none."""
+    groups = [about.row_group(k) for k in range(about.num_row_groups)]
+    return sum(group.num_rows for group in groups) == about.num_rows and all(
+        group.column(k).num_values == group.num_rows for group in groups for k in range(group.num_columns)
+    )
 
 
 def _check(path: Path, values: dict[str, FloatArray], body: Body) -> None:

@@ -19,10 +19,14 @@ IntArray = npt.NDArray[np.int64]
 _NONE = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "-", "--"]
 # So many lines may stand above the column names.
 _PREAMBLE = 60
-_PACKED = {
+_NO_TEXT = {
     b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save it as CSV",
     b"\x1f\x8b": "a compressed file: unpack it",
+    b"\xff\xfe": "one in UTF-16: save it in UTF-8",
+    b"\xfe\xff": "one in UTF-16: save it in UTF-8",
+    b"PAR1": "a Parquet file: its name must end in .parquet",
 }
+_CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _CONVERSION = re.compile(r"In CSV column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'")
 
 
@@ -87,7 +91,7 @@ def read_headers(path: Path) -> list[Header]:
     Raises
     ------
     InputError
-        When the file is missing, empty, or no text.
+        When the file is missing, empty, or no text with lines.
     """
     if not path.is_file():
         raise InputError(path, "expected a file, found a folder" if path.is_dir() else "file is missing")
@@ -98,11 +102,17 @@ def read_headers(path: Path) -> list[Header]:
                 first.append((number, line))
             if len(first) > _PREAMBLE:
                 break
-    for sign, what in _PACKED.items():
+    for sign, what in _NO_TEXT.items():
         if first and first[0][1].startswith(sign):
             raise InputError(path, f"expected a table as text, found {what}")
-    if not first or b"\0" in first[0][1]:
-        raise InputError(path, "expected a table with column names in its first line", line=1)
+    if not first:
+        raise InputError(path, "expected a table with column names in its first line, found nothing", line=1)
+    for number, line in first:
+        if _CONTROLS.search(line):
+            raise InputError(path, "expected a table as text, found bytes that are none", line=number)
+        if b"\r" in line.rstrip(b"\r\n"):
+            problem = "expected lines that end in a line feed, found a carriage return alone"
+            raise InputError(path, problem, line=number)
     headers = []
     for number, line in first:
         text = _decoded(line).strip("\r\n")

@@ -11,6 +11,8 @@ from craternav_fg.cli.terminal import number, say
 # Of what is left out or doubled, so many are listed.
 LISTED = 20
 _SHOWN = 5
+# Craters that leave no wider gap of longitudes lie all around a body.
+_GAP_DEG = 20.0
 _SHARES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
@@ -28,6 +30,7 @@ def about(catalog: Catalog, meets: Overlaps, body_by: str) -> dict[str, Any]:
             zip((str(share) for share in _SHARES), np.quantile(diameter_km, _SHARES).tolist(), strict=True)
         ),
         "latitude_deg": np.degrees([catalog.latitude_rad.min(), catalog.latitude_rad.max()]).tolist(),
+        "longitude_deg": _longitudes_deg(catalog),
         "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
         "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
         "crossed_rims": len(np.unique(meets.crossings)),
@@ -46,8 +49,11 @@ def show(values: dict[str, Any]) -> None:
     say(f"  diameters   {least} to {largest} km; median {median}, 90 % from {low} to {high}")
     ellipses = values["craters"] - values["circles"]
     say(f"  shapes      {ellipses:,} ellipses, {values['circles']:,} circles")
+    west, east = values["longitude_deg"]
     (south, north), (bottom, top) = values["latitude_deg"], values["height_m"]
     say(f"  latitudes   {south:.2f} to {north:.2f} deg")
+    around = east - west == 360.0
+    say("  longitudes  all around" if around else f"  longitudes  {west:.2f} to {east:.2f} deg, eastwards")
     heights = f"{bottom:.0f} to {top:.0f} m above the sphere" if bottom or top else "none: all on the sphere"
     say(f"  rim heights {heights}")
     say(f"  crossings   {values['crossed_rims']:,} craters whose rim crosses another's")
@@ -60,3 +66,13 @@ def show(values: dict[str, Any]) -> None:
         say(f"              {one} and {other}: {large:.3g} and {small:.3g} km, {apart:.2g} km apart")
     if values["twins"] > _SHOWN:
         say(f"              and {values['twins'] - _SHOWN:,} more (--pairs FILE.csv writes them all)")
+
+
+def _longitudes_deg(catalog: Catalog) -> list[float]:
+    """Where the longitudes begin and, eastwards, end, 0 to 360; 0 and 360 when they leave no gap."""
+    sorted_deg = np.sort(np.mod(np.degrees(catalog.longitude_rad), 360.0))
+    gaps_deg = np.diff(np.append(sorted_deg, sorted_deg[0] + 360.0))
+    widest = int(np.argmax(gaps_deg))
+    if gaps_deg[widest] < _GAP_DEG:
+        return [0.0, 360.0]
+    return [float(sorted_deg[(widest + 1) % len(sorted_deg)]), float(sorted_deg[widest])]

@@ -27,11 +27,16 @@ def read_any_catalog(path: Path, body_radius_m: float | None) -> tuple[Catalog, 
     """Read a catalogue of any origin, with a warning about what was left out or taken for granted."""
     body = None if body_radius_m is None else Body("", body_radius_m, 1.0, (0.0, 0.0, 0.0))
     catalog, report = import_catalog(path, body)
+    warn_of(path, report)
+    return catalog, report
+
+
+def warn_of(path: Path, report: ImportReport) -> None:
+    """Warn about what was left out of a catalogue, or taken for granted."""
     if report.skipped:
         warn(f"{path}: {'; '.join(skipped_lines(report))}")
     if not report.body_by:
         warn(assumed_body(path, "--body-radius-m"))
-    return catalog, report
 
 
 def assumed_body(path: Path, option: str) -> str:

@@ -116,13 +116,15 @@ def import_(
         problem = implausible_heights(catalog)
         if problem is not None:
             raise InputError(dem, problem)
-    with replacing(output) as temporary:
-        write_catalog(temporary, catalog)
+    write_catalog(output, catalog)
     values = {
         "catalog": str(output),
         "files": [_file(*one) for one in zip(tables, parts, reports, strict=True)],
         **about(catalog, overlaps(catalog), reports[0].body_by),
     }
+    for path, report in zip(tables, reports, strict=True):
+        if not report.body_by:
+            warn(assumed_body(path, "--body"))
     if as_json:
         out.print_json(json.dumps(values))
         return
@@ -136,8 +138,6 @@ def import_(
             say("  no identifiers: craters are called by their line's number")
         for line in skipped_lines(report):
             say(f"  {line}")
-        if not report.body_by:
-            warn(assumed_body(path, "--body"))
     show(values)
     say(f"{output}")
 
@@ -197,8 +197,9 @@ def near(
     if not found:
         say(f"no crater within {distance_km:g} km")
         return
-    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
-    table.add_column("crater", no_wrap=True)
+    # An identifier is to be copied whole: where the line is too short for one, it goes on in the next.
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
+    table.add_column("crater", overflow="fold")
     for heading in ("away km", "lat deg", "lon deg", "2a km", "2b km", "turn deg", "height m"):
         table.add_column(heading, justify="right", no_wrap=True)
     for crater in found:

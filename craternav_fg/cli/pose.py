@@ -8,8 +8,8 @@ import typer
 
 from craternav_fg.body import Body
 from craternav_fg.cli.app import JsonOption, app, numbers_of
-from craternav_fg.cli.catalog_reading import CatalogBodyOption
-from craternav_fg.cli.terminal import err, out, show_poses
+from craternav_fg.cli.catalog_reading import CatalogBodyOption, warn, warn_of
+from craternav_fg.cli.terminal import out, show_poses
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.static.efficient import solve
@@ -58,7 +58,10 @@ def pose(
         raise InputError(
             camera, "expected a lens without distortion: an ellipse in its image is no ellipse of a rim"
         )
-    matched, craters = read_rims(rims, sensor, catalog, body, sigma_px=sigma_px, edge_points=edge_points)
+    matched, craters, report = read_rims(
+        rims, sensor, catalog, body, sigma_px=sigma_px, edge_points=edge_points
+    )
+    warn_of(catalog, report)
     problem = static_problem(
         matched,
         craters,
@@ -76,4 +79,4 @@ def pose(
     if result.status not in (Status.SOLVED, Status.AMBIGUOUS):
         raise EstimationError(f"{result.status.value}: {result.reason}")
     for warning in result.warnings:
-        err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
+        warn(warning)

@@ -5,7 +5,9 @@ seen from above. Its numbers are two sides and the three sizes, over the perimet
 """
 
 import hashlib
+import tokenize
 import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +27,11 @@ FloatArray = npt.NDArray[np.float64]
 
 VERSION = 1
 SMALLEST = 0.9
+# What numpy and zipfile raise for a file that is none of ours, or has a byte that is wrong.
+_NO_INDEX = (
+    OSError, EOFError, ValueError, KeyError, TypeError, RuntimeError, MemoryError, zipfile.BadZipFile,
+    zlib.error, tokenize.TokenError,
+)  # fmt: skip
 # Of the sides over the perimeter, 0 to 1/2, and of the logarithms of sizes over the perimeter.
 SIDE_UNIT = 0.5 / 65535
 SIZE_UNIT = 9.0 / 65535
@@ -133,7 +140,7 @@ class Index:
                     data["neighbours"], data["points"], data["codes"], data["dims"], data["splits"],
                     int(data["levels"]),
                 )  # fmt: skip
-        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        except _NO_INDEX:
             raise InputError(path, "expected an index written by craternav, found something else") from None
         return cls(catalog, triples)
 
@@ -160,7 +167,7 @@ def load_or_build(path: Path, catalog: Catalog) -> tuple[Index, str]:
     index = Index.build(catalog)
     try:
         index.save(path)
-    except (InputError, OSError) as error:
+    except InputError as error:
         said += f", not stored ({error})"
     return index, said
 

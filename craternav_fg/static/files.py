@@ -13,6 +13,7 @@ from craternav_fg.camera import Camera, ellipse_chart, normalised_chart
 from craternav_fg.catalog import Catalog, chart_to_pixels
 from craternav_fg.catalog_files import import_catalog
 from craternav_fg.catalogs.columns import ID
+from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.dataset.ellipses import ELLIPSE, check_axes, check_inside, check_range
 from craternav_fg.dataset.rims import ground_sun_direction
 from craternav_fg.errors import InputError
@@ -39,7 +40,7 @@ _SIGMA_RANGE_DEG = (1e-6, 360.0)
 
 def read_rims(
     path: Path, camera: Camera, catalog_path: Path, body: Body | None, *, sigma_px: float, edge_points: int
-) -> tuple[MatchedRims, Catalog]:
+) -> tuple[MatchedRims, Catalog, ImportReport]:
     """Read fitted ellipses with the craters they are matched to.
 
     Parameters
@@ -64,6 +65,8 @@ def read_rims(
     rims : MatchedRims
     catalog : Catalog
         The craters of the rims, in their order.
+    report : ImportReport
+        What was left out of the whole catalogue, or taken for granted.
 
     Raises
     ------
@@ -81,7 +84,7 @@ def read_rims(
     check_axes(table, camera)
     if SIGMA in table.columns:
         check_range(table, SIGMA, SIGMA_RANGE_PX)
-    catalog = _craters(table, catalog_path, body)
+    catalog, report = _craters(table, catalog_path, body)
     n = len(table)
     sigmas = table.columns[SIGMA] if SIGMA in table.columns else np.full(n, sigma_px)
     charts = np.array(
@@ -98,7 +101,8 @@ def read_rims(
             for chart, sigma in zip(charts, sigmas, strict=True)
         ]
     )
-    return MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances), catalog
+    rims = MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances)
+    return rims, catalog, report
 
 
 def static_problem(
@@ -189,7 +193,7 @@ def _pose(problem: StaticProblem, pose: StaticPose, body: Body) -> dict[str, Any
     }
 
 
-def _craters(table: Table, path: Path, body: Body | None) -> Catalog:
+def _craters(table: Table, path: Path, body: Body | None) -> tuple[Catalog, ImportReport]:
     """Look up the craters of the rims."""
     catalog, report = import_catalog(path, body)
     known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
@@ -205,4 +209,4 @@ def _craters(table: Table, path: Path, body: Body | None) -> Catalog:
             why = f" ({reasons[identifier]})" if identifier in reasons else ""
             table.fail(k, ID, f"expected a crater of {path}, found {identifier!r}{why}")
         rows.append(known[identifier])
-    return catalog.take(np.array(rows))
+    return catalog.take(np.array(rows)), report

@@ -1,6 +1,7 @@
 import contextlib
 import io
 import json
+import resource
 from types import SimpleNamespace
 from unittest import mock
 
@@ -62,6 +63,20 @@ def test_info_and_near(imported):
     assert near["craters"][1]["distance_km"] == pytest.approx(0.0343, abs=1e-3)
     shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "0")
     assert "242" in shown.stdout
+    assert about["longitude_deg"] == [0.0, 360.0]
+
+
+def test_a_region_and_its_longest_identifier_are_shown_whole(tmp_path):
+    """Latitudes and longitudes of a region that are swapped show only here."""
+    name = "-".join(["a_very_long_name"] * 6)
+    rows = f"id,lat,lon,diam_km,target\n{name},-2,350,5,Moon\nB,3,-20,6,Moon\nC,1,12,6,Moon\n"
+    (tmp_path / "region.csv").write_text(rows)
+    shown = craternav("catalog", "info", tmp_path / "region.csv").stdout
+    assert "longitudes  340.00 to 12.00 deg, eastwards" in shown
+    shown = craternav("catalog", "near", tmp_path / "region.csv", "-2", "350", "--distance-km", "9").stdout
+    begin, end = (shown.index(text) for text in ("a_very", "1 craters within"))
+    first = "".join(line.split()[0] for line in shown[begin:end].splitlines() if line.strip())
+    assert first == name
 
 
 @pytest.mark.parametrize("place", [(), ("--latitude-deg", "-30", "--longitude-deg", "290")])
@@ -111,6 +126,28 @@ def test_what_was_taken_for_granted_is_said(imported, tmp_path):
     assert "expected Moon of 1737400 m, as in" in done.stderr
 
 
+@pytest.mark.parametrize("name", ["craters.parquet", "craters.csv", "figure.png", "pairs.csv"])
+def test_a_full_disk_is_one_line_and_leaves_what_was_there(imported, tmp_path, name):
+    folder, _ = imported
+    output = tmp_path / name
+    output.write_text("before")
+    arguments = {
+        "craters": ("import", folder / "table.csv", "-o", output),
+        "figure": ("plot", folder / "craters.parquet", "-o", output),
+        "pairs": ("info", folder / "craters.parquet", "--pairs", output),
+    }[output.stem]
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
+    try:
+        done = craternav("catalog", *arguments)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert done.returncode == 2
+    assert done.stderr.endswith(f"{name}: cannot be written: File too large\n")
+    assert list(tmp_path.iterdir()) == [output]
+    assert output.read_text() == "before"
+
+
 def test_known_errors_are_one_line_and_leave_nothing(imported, tmp_path):
     folder, _ = imported
     cases = [
@@ -122,6 +159,14 @@ def test_known_errors_are_one_line_and_leave_nothing(imported, tmp_path):
         ),
         (("info", folder / "craters.parquet", "--body-radius-m", "561400"), "found one of Moon on 1737400 m"),
         (("plot", folder / "craters.parquet", "--latitude-deg", "3"), "expected both"),
+        (
+            ("near", folder / "craters.parquet", 0, 0, "--body-radius-m", "1737.4"),
+            "as its metadata say: the radius given is in km",
+        ),
+        (
+            ("info", folder / "table.csv", "--body-radius-m", "1737.4"),
+            "wrong unit (km, m) of the sizes or of the body's radius, 1737.4 m",
+        ),
     ]
     for arguments, match in cases:
         done = craternav("catalog", *arguments)

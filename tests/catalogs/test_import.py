@@ -114,6 +114,14 @@ def test_sizes_that_are_radii(tmp_path):
         (b"PK\x03\x04...", r"craters\.csv: .* a zip archive or a spreadsheet: unpack it"),
         (b"\x1f\x8b...", r"craters\.csv: .* a compressed file"),
         (
+            "\ufeffid,lat\n".encode("utf-16-le"),
+            r"craters\.csv: .* text, found one in UTF-16: save it in UTF-8",
+        ),
+        (b"PAR1\x15", r"craters\.csv: .* a Parquet file: its name must end in \.parquet"),
+        (b"\x89PNG\r\n\x1a\n\0\0", r"craters\.csv:2: expected a table as text, found bytes that are none"),
+        (b"id,lat,lon,diam\rA,1,2,3\r", r"craters\.csv:1: .* line feed, found a carriage return alone"),
+        (b"\n \n", r"craters\.csv:1: .* column names in its first line, found nothing"),
+        (
             b"1,2,3\n4,5,6\n",
             r"craters\.csv:1: expected column names in the first line, found numbers: 1, 2, 3",
         ),

@@ -95,6 +95,31 @@ def test_files_of_another_kind(tmp_path):
         read_catalog(tmp_path / "none.parquet", BODY)
 
 
+def test_a_damaged_file_is_refused_wherever_the_damage_is(stored):
+    whole = stored.read_bytes()
+    right = read_catalog(stored, BODY)
+    rng = np.random.default_rng(2)
+    refused = 0
+    # Most of the file are numbers, in which a wrong bit is another number.
+    for place in [*rng.integers(0, len(whole), 150), *range(len(whole) - 1200, len(whole), 8)]:
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(0, 8))
+        stored.write_bytes(damaged)
+        try:
+            found = read_catalog(stored, BODY)
+        except InputError:
+            refused += 1
+            continue
+        assert found.identifiers == right.identifiers
+        for name in NUMBERS:
+            np.testing.assert_array_equal(getattr(found, name), getattr(right, name))
+    assert refused > 150
+    for size in rng.integers(0, len(whole), 30):
+        stored.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=r"craters\.parquet: "):
+            read_catalog(stored, BODY)
+
+
 def test_a_data_set_with_a_large_catalogue(folder):  # noqa: F811
     small = Dataset.open(folder.path)
     write_catalog(folder.path / "craters.parquet", small.catalog)

@@ -103,6 +103,27 @@ def test_a_file_that_is_no_index(index, tmp_path, content) -> None:
         Index.load(path, index.catalog)
 
 
+def test_a_damaged_index_is_refused_or_right(index, tmp_path) -> None:
+    path = tmp_path / "index.npz"
+    index.save(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(4)
+    refused = 0
+    # At the end is the archive's table of contents, in which a wrong byte is an unknown way of packing.
+    for place in [*rng.integers(0, len(whole), 60), *range(len(whole) - 700, len(whole), 5)]:
+        damaged = bytearray(whole)
+        damaged[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            found = Index.load(path, index.catalog).triples
+        except InputError:
+            refused += 1
+            continue
+        for name in ("neighbours", "points", "codes", "dims", "splits"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(index.triples, name))
+    assert refused > 100
+
+
 def test_an_index_that_cannot_be_stored_is_used_all_the_same(index, tmp_path) -> None:
     folder = tmp_path / "index.npz"
     folder.mkdir()

@@ -54,7 +54,8 @@ class Files:
         return ["pose", *map(str, paths), "--catalog", str(self.folder / "craters.csv")]
 
     def read(self, rims: Path) -> tuple[MatchedRims, Catalog]:
-        return read_rims(rims, CAMERA, self.folder / "craters.csv", MOON, sigma_px=1.0, edge_points=60)
+        path = self.folder / "craters.csv"
+        return read_rims(rims, CAMERA, path, MOON, sigma_px=1.0, edge_points=60)[:2]
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,27 @@ def test_as_a_process(files: Files) -> None:
     assert json.loads(done.stdout)["status"] == "solved"
 
 
+def test_what_is_taken_for_granted_of_a_catalogue_is_said(files: Files, run: Run) -> None:
+    path = files.folder / "anonymous.csv"
+    rows = [
+        f"{name},{lat:.9f},{lon:.9f},{2e-3 * a:.9f}"
+        for name, lat, lon, a in zip(
+            files.catalog.identifiers, np.degrees(files.catalog.latitude_rad),
+            np.degrees(files.catalog.longitude_rad), files.catalog.semi_major_m, strict=True,
+        )
+    ]  # fmt: skip
+    path.write_text("\n".join(["id,lat,lon,diam_km", *rows, "none,95,0,1", ""]))
+    told = run("--catalog", str(path)).err
+    assert f"warning: {path}: 1 row left out: lat: expected -90 to 90 deg, line" in told
+    assert (
+        f"warning: {path}: nothing tells of which body it is: taken for the Moon's (--body-radius-m)" in told
+    )
+    assert "taken for the Moon" not in run("--catalog", str(path), "--body-radius-m", "1737400").err
+    done = run("--catalog", str(path), "--body-radius-m", "1737.4")
+    assert done.code == 2
+    assert "of the body's radius, 1737.4 m" in done.err
+
+
 def test_one_rim_with_an_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
     done = run("--attitude", quaternion, "--json", rims=files.rims(files.rows[0]))
@@ -219,8 +241,8 @@ def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: 
 
 def test_sigma_scales_the_covariance(files: Files) -> None:
     with_sigma = files.rims(*(f"{row},0.2" for row in files.rows), header=f"{HEADER},sigma_px")
-    rims, _ = read_rims(with_sigma, CAMERA, files.folder / "craters.csv", MOON, sigma_px=0.1, edge_points=60)
-    plain, _ = read_rims(
+    rims, *_ = read_rims(with_sigma, CAMERA, files.folder / "craters.csv", MOON, sigma_px=0.1, edge_points=60)
+    plain, *_ = read_rims(
         files.rims(), CAMERA, files.folder / "craters.csv", MOON, sigma_px=0.1, edge_points=60
     )
     np.testing.assert_allclose(rims.covariance, 4.0 * plain.covariance, rtol=1e-3, atol=1e-15)
