@@ -53,6 +53,8 @@ class Reconstruction:
         Options of the front end and of each estimator that has any, resolved.
     failures : mapping of str to str
         Estimators that gave no trajectory, and why.
+    index_said : str
+        Why the catalogue's index for identification was built although one could be stored; empty otherwise.
     expected_rims : tuple of int, or None
         For each frame, how many catalogue craters should be seen whole and large enough from the first
         trajectory's poses; None when no images were looked at.
@@ -68,6 +70,7 @@ class Reconstruction:
     times_s: Mapping[str, float]
     options: Mapping[str, dict[str, Any]]
     failures: Mapping[str, str]
+    index_said: str
     expected_rims: tuple[int, ...] | None
     predicted: FloatArray | None
 
@@ -156,7 +159,7 @@ def reconstruct(
         origin = "replaced"
     return Reconstruction(
         frames, tuple(problems), origin, tuple(first for first, _ in arcs[1:]), trajectories, times_s,
-        options, failures, expected, predicted,
+        options, failures, finder.index_said, expected, predicted,
     )  # fmt: skip
 
 

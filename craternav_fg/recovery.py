@@ -74,10 +74,16 @@ class Finder:
     Parameters
     ----------
     dataset : Dataset
+
+    Attributes
+    ----------
+    index_said : str
+        Why an index was built although one could be stored, and what became of it; empty otherwise.
     """
 
     def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
+        self.index_said = ""
         self._found: tuple[int, FoundRims] | None = None
 
     def prepare(self) -> None:
@@ -89,7 +95,8 @@ class Finder:
     def _index(self) -> Index:
         large = self._dataset.path / layout.LARGE_CRATERS
         if large.is_file():
-            return load_or_build(index_path(large), self._dataset.catalog)[0]
+            index, self.index_said = load_or_build(index_path(large), self._dataset.catalog)
+            return index
         return Index.build(self._dataset.catalog)
 
     def locate(self, number: int) -> Located | None:

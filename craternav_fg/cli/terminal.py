@@ -80,6 +80,8 @@ def from_smoother(run: Run, name: str) -> float | None:
 
 def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     """Print a run's warnings, and its figures or the JSON of its summary."""
+    if summary["index"]:
+        err.print(f"craternav: index: {summary['index']}", highlight=False, markup=False, soft_wrap=True)
     for warning in _warnings(summary):
         err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
     if as_json:

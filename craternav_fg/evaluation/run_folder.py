@@ -128,6 +128,7 @@ def write_run(
         "initial_state": result.origin,
         "resumed_at_frames": list(result.resumed),
         "failures": dict(result.failures),
+        "index": result.index_said,
         "innovations": _innovations(result),
         "estimators": estimators,
     }
