@@ -30,12 +30,13 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
     Returns
     -------
     dict
-        What summary.json holds. Of each estimator: `converged`, trials whose last error is below 2 % of the
-        altitude and 1 deg; mean and RMS of the last position error; mean of the last attitude error;
-        `rms_over_pcrb`, the ratio of the position's RMS over the trials to that of the posterior Cramér-Rao
-        bound (the smoothed one for those that look back), averaged over the altitude; `anees` of the pose, 6
-        when the covariances are honest; median wall time of a trial. All but `converged` are over the trials
-        of which the estimator gave a trajectory; null without any.
+        What summary.json holds. Of each estimator: `trajectories`, trials in which it gave one; `converged`,
+        trials whose last error is below 2 % of the altitude and 1 deg; mean and RMS of the last position
+        error; mean of the last attitude error; `rms_over_pcrb`, the ratio of the position's RMS over the
+        trials to that of the posterior Cramér-Rao bound (the smoothed one for those that look back),
+        averaged over the altitude; `anees` of the pose, 6 when the covariances are honest; median wall time
+        of a trial. All but the two counts are over the trials with a trajectory, which may be the easier
+        ones; null without any.
     """
     names = campaign.identity["estimators"]
     return {
@@ -76,6 +77,7 @@ def _estimator(campaign: Campaign, name: str) -> dict[str, Any]:
     position_m = np.linalg.norm(of_estimator(table, name, "position_error_m"), axis=-1)
     times = [parts[name] for parts in campaign.times_s.values() if name in parts]
     out: dict[str, Any] = {
+        "trajectories": len(position_m),
         "converged": 0,
         "position_final_mean_m": None,
         "position_final_rms_m": None,

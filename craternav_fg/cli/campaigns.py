@@ -86,13 +86,19 @@ def _show(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
         out.print_json(json.dumps(summary))
         return
-    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
+    # With padding that neighbours share, the longest name and every column fit into 80 characters.
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
     table.add_column("estimator", no_wrap=True)
     for heading in COLUMNS.values():
         table.add_column(heading, justify="right", no_wrap=True)
     for name, values in summary["estimators"].items():
         table.add_row(name, *(number(values[column]) for column in COLUMNS))
     out.print(table)
+    trials = summary["trials"]
+    for name, values in summary["estimators"].items():
+        given = values["trajectories"]
+        if given != trials:
+            say(f"{name}: a trajectory in {given} of {trials} trials, its figures are of these")
     say(
         "conv.: trials whose last error is below 2 % of the altitude and 1 deg; end: mean and RMS of the\n"
         "last errors; /PCRB: RMS of the position over its bound, all frames; ANEES of the pose, honest: 6"

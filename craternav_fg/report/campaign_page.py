@@ -72,8 +72,13 @@ def campaign_page(campaign: Campaign) -> Page:
 
 def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
     rows = []
+    given = {name: len(of_estimator(campaign.table, name, "altitude_m")) for name in summary["estimators"]}
+    trials = summary["trials"]
+    fewer = any(count != trials for count in given.values())
     for name, values in summary["estimators"].items():
         cells = [Cell(name, name)]
+        if fewer:
+            cells.append(Cell(f"{given[name]} of {trials}", given[name], given[name] != trials))
         for field, _ in COLUMNS:
             value = values[field]
             doubtful = field == "anees" and value is not None
@@ -85,7 +90,10 @@ def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
         "Converged: the last error is below 2 % of the altitude and 1 deg. The bound is the posterior "
         f"Cramér-Rao bound, smoothed for {smoothed or 'none'}."
     )
-    blocks: list[Block] = [Table(["estimator", *(h for _, h in COLUMNS)], rows, caption)]
+    if fewer:
+        caption += " The figures are over the trials in which the estimator gave a trajectory."
+    headings = ["estimator", *(["trajectories"] if fewer else []), *(h for _, h in COLUMNS)]
+    blocks: list[Block] = [Table(headings, rows, caption)]
     problems = [f"trial {number} failed: {why}" for number, why in campaign.failed.items()]
     problems += [
         f"trial {number}: {why}" for number, each in campaign.failures.items() for why in each.values()

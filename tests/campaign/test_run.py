@@ -18,9 +18,12 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.evaluation.trial import TrialTask, run_trial, software
 from craternav_fg.reconstruction import Reconstruction, reconstruct
+from craternav_fg.report.campaign_page import campaign_page
+from craternav_fg.report.page import write_page
 from craternav_fg.simulation.scenario import simulate
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
+from tests.report.test_report import Reader, cli_main
 from tests.test_command_line import craternav
 
 
@@ -225,6 +228,38 @@ def test_a_failed_trial_is_recorded_and_the_rest_go_on(
     assert len(calls) == 3
     assert montecarlo(small_scenario(), folder, options(3, retry=True))["failed"] == 0
     assert len(calls) == 5
+
+
+def test_an_estimator_without_a_trajectory_in_some_trials_is_told_of(
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls = []
+
+    def sometimes(dataset: Dataset, names: tuple[str, ...]) -> Reconstruction:
+        calls.append(dataset.path)
+        result = reconstruct(dataset, names)
+        if len(calls) == 2:
+            del result.trajectories["ekf"]
+            result.failures["ekf"] = "ekf: lost"
+        return result
+
+    monkeypatch.setattr("craternav_fg.evaluation.trial.reconstruct", sometimes)
+    case = write_scenario(tmp_path / "small.toml", small_scenario())
+    arguments = ("montecarlo", case, "-o", tmp_path / "c", "--workers", 1, "-e", "ekf", "-e", "online")
+    assert cli_main(*arguments, "-n", 1) == 0
+    assert "a trajectory in" not in capsys.readouterr().out
+    assert cli_main(*arguments, "-n", 3) == 0
+    shown = capsys.readouterr().out
+    assert "ekf: a trajectory in 2 of 3 trials, its figures are of these\n" in shown
+    assert "online: a trajectory" not in shown
+    reader = Reader()
+    write_page(campaign_page(read_campaign(tmp_path / "c")), tmp_path / "r.html")
+    reader.feed((tmp_path / "r.html").read_text("utf-8"))
+    assert [row[:3] for row in reader.tables[0]] == [
+        ["estimator", "trajectories", "converged"],
+        ["ekf", "2 of 3", "2"],
+        ["online", "3 of 3", "3"],
+    ]
 
 
 def test_a_worker_that_dies_takes_its_own_trial_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,6 +57,7 @@ def test_figures_of_known_errors() -> None:
     summary = summarise(campaign(table, ["online", "smoother", "ekf"]))
     assert (summary["trials"], summary["failed"], summary["wall_s"]) == (3, 1, 12.0)
     online, smoother, none = (summary["estimators"][name] for name in ("online", "smoother", "ekf"))
+    assert [values["trajectories"] for values in summary["estimators"].values()] == [2, 2, 0]
     # 2 % of 175 m are 3.5 m.
     assert online["converged"] == 1
     assert online["position_final_mean_m"] == pytest.approx(3.5)
@@ -86,6 +87,7 @@ def test_an_estimator_that_failed_is_held_against_its_own_trials() -> None:
     for trial, sigma_m in ((0, 100.0), (1, np.sqrt(3.0))):
         table += rows(trial, FILTERED_BOUND, pose_sigma=[9.0] * 3 + [sigma_m] * 3)
     values = summarise(campaign(table, ["online"]))["estimators"]["online"]
+    assert values["trajectories"] == 1
     assert values["rms_over_pcrb"] == pytest.approx(1.0)
     # Near, and turned by more than a degree.
     assert values["converged"] == 0
