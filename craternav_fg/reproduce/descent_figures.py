@@ -4,12 +4,12 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from craternav_fg.evaluation.consistency import anees_by_altitude, over_altitude
+from craternav_fg.evaluation.consistency import Anees, anees_by_altitude, over_altitude
 from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.reproduce import descents, drawing
-from craternav_fg.reproduce.descent_notes import one_trial_note, trials_note
-from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
-from craternav_fg.reproduce.rows import Reproduction, Row, number
+from craternav_fg.reproduce.descent_notes import one_trial_note, trials_note, without
+from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents, rms_ratio
+from craternav_fg.reproduce.rows import NO_NUMBER, Reproduction, Row, known, number
 
 # What the paper prints: of one trial at 26 km; of thirty at 10 km, "less than".
 ONE_TRIAL_KM, LAST_KM = 26.0, 10.0
@@ -62,7 +62,7 @@ def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
     rows = []
     for km in ALTITUDES_KM:
         k = trials.at(km)
-        value = {one: float(getattr(found[one], kind)[k]) for one in found}
+        value = {one: known(getattr(found[one], kind)[k]) for one in found}
         bounded = kind == "rms" or len(trials.numbers) == 1
         where = f"{km:g} km, {trials.craters[:, k].mean():.2g} craters in view"
         printed = None
@@ -71,64 +71,79 @@ def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
         rows.append(
             Row(
                 name, quantity, where, trials.unit, printed, value[PAPERS], value[FILTER], value[ONLINE],
-                float(found[ONLINE].bound[k]) if bounded else None,
-                _verdict(printed, value, trials) if printed is not None else "the paper prints no number",
+                known(found[ONLINE].bound[k]) if bounded else None,
+                _told(
+                    NO_NUMBER if printed is None else _verdict(printed, value, trials.unit),
+                    trials, PAPERS, FILTER, ONLINE,
+                ),
             )
         )  # fmt: skip
         rows.append(
             Row(
                 name, f"{quantity}, in retrospect", where, trials.unit, efficient=value[SMOOTHER],
-                bound=float(found[SMOOTHER].bound[k]) if bounded else None,
-                verdict="the paper has no smoother", headline=kind == "mean",
+                bound=known(found[SMOOTHER].bound[k]) if bounded else None,
+                verdict=_told("the paper has no smoother", trials, SMOOTHER), headline=kind == "mean",
             )
         )  # fmt: skip
         rows.append(
             Row(
                 name, f"{quantity}, in retrospect by centres", where, trials.unit, corrected=value[CENTRES],
-                verdict="the baseline", headline=False,
+                verdict=_told("the baseline", trials, CENTRES), headline=False,
             )
         )  # fmt: skip
     return rows
 
 
-def _verdict(printed: float, value: dict[str, float], trials: Descents) -> str:
+def _verdict(printed: float, value: dict[str, float | None], unit: str) -> str:
     """Whether the paper's number is met, by its own filter and by those put right."""
-    unit = trials.unit
     words = []
     for name, who in ((PAPERS, "the paper's filter"), (FILTER, "the chart EKF")):
-        met = "met" if value[name] <= printed else "not met"
-        words.append(f"{met} by {who}: {number(value[name])} {unit}")
+        found = value[name]
+        if found is not None:
+            met = "met" if found <= printed else "not met"
+            words.append(f"{met} by {who}: {number(found)} {unit}")
     return "; ".join(words)
+
+
+def _told(verdict: str, trials: Descents, *names: str) -> str:
+    """Give a verdict with what is missing of the estimators on which its row rests."""
+    return "; ".join(part for part in (verdict, without(trials, names)) if part)
 
 
 def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
     """Row by row what the estimators are worth to each other and to the bound."""
     found = {one: trials.of(one) for one in descents.ESTIMATORS}
     count = f"{len(trials.numbers)} trials"
-    ratio = {one: over_altitude(found[one].rms / found[one].bound, trials.altitude_km) for one in found}
+    ratio = {
+        one: known(over_altitude(found[one].rms / found[one].bound, trials.altitude_km)) for one in found
+    }
     middle = (trials.altitude_km <= 50.0) & (trials.altitude_km >= 30.0)
-    gain = (found[SMOOTHER].rms / found[FILTER].rms)[middle]
-    last = {one: float(found[one].rms[-1]) for one in found}
+    gain = rms_ratio(found[SMOOTHER], found[FILTER])[middle]
+    last = {one: known(rms_ratio(found[one], found[SMOOTHER])[-1]) for one in found}
     over = f"{quantity} RMS over the bound, mean over the altitude"
     rows = [
-        Row(name, over, count, "1", None, ratio[PAPERS], ratio[FILTER], ratio[ONLINE], 1.0, "1 is the best"),
+        Row(
+            name, over, count, "1", None, ratio[PAPERS], ratio[FILTER], ratio[ONLINE], 1.0,
+            _told("1 is the best", trials, PAPERS, FILTER, ONLINE),
+        ),
         Row(
             name, f"{over}, in retrospect", count, "1", None, None, ratio[CENTRES], ratio[SMOOTHER], 1.0,
-            "corrected: by centres",
+            _told("corrected: by centres", trials, CENTRES, SMOOTHER),
         ),
         Row(
             name, f"{quantity} RMS, smoother in retrospect over chart EKF", "50 to 30 km", "1",
-            efficient=float(gain.mean()) if len(gain) else None,
-            verdict="later frames correct earlier ones",
+            efficient=known(gain.mean()) if len(gain) else None,
+            verdict=_told("later frames correct earlier ones", trials, SMOOTHER, FILTER),
         ),
         Row(
             name, f"{quantity} RMS over that of the smoother", f"end, {count}", "1",
-            as_printed=last[PAPERS] / last[SMOOTHER], corrected=last[FILTER] / last[SMOOTHER],
-            efficient=last[ONLINE] / last[SMOOTHER], verdict="online a filter of charts is as good",
+            as_printed=last[PAPERS], corrected=last[FILTER], efficient=last[ONLINE],
+            verdict=_told("online a filter of charts is as good", trials, PAPERS, FILTER, ONLINE, SMOOTHER),
         ),
         Row(
             name, f"{quantity} RMS by centres over that of the smoother", f"end, {count}", "1",
-            corrected=last[CENTRES] / last[SMOOTHER], verdict="a centre's image is not the ellipse's centre",
+            corrected=last[CENTRES],
+            verdict=_told("a centre's image is not the ellipse's centre", trials, CENTRES, SMOOTHER),
         ),
     ]  # fmt: skip
     if quantity == "position":
@@ -137,7 +152,7 @@ def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
             Row(
                 name, "trials that end within 200 m and 1 deg", count, "1", None,
                 ended[PAPERS], ended[FILTER], ended[ONLINE], None,
-                f"smoother {ended[SMOOTHER]}, by centres {ended[CENTRES]}",
+                _told(f"smoother {ended[SMOOTHER]}, by centres {ended[CENTRES]}", trials, *found),
             )
         )  # fmt: skip
     return rows
@@ -148,37 +163,52 @@ def _consistency(name: str, trials: Descents) -> list[Row]:
     found = {one: trials.of(one) for one in descents.ESTIMATORS}
     edges = [1e3 * km for km in BINS_KM]
     altitude_m = 1e3 * trials.altitude_km
-    bins = {one: anees_by_altitude(found[one].nees, altitude_m, edges) for one in found}
+    bins = {
+        one: anees_by_altitude(each.nees, altitude_m, edges)
+        for one, each in found.items()
+        if len(each.trials)
+    }
+    if not bins:
+        return []
     rows = []
     for kind, (own, right, best) in {
         "": (PAPERS, FILTER, ONLINE), ", in retrospect": (None, CENTRES, SMOOTHER)
     }.items():  # fmt: skip
+        honest = "6 is honest" if own is not None else "6 is honest; corrected: by centres"
+        names = [of for of in (own, right, best) if of is not None]
         rows.append(
             Row(
                 name, f"pose ANEES{kind}", "all altitudes", "1", None,
-                None if own is None else float(found[own].nees.mean()),
-                float(found[right].nees.mean()), float(found[best].nees.mean()), 6.0,
-                "6 is honest" if own is not None else "6 is honest; corrected: by centres",
+                None if own is None else known(found[own].anees),
+                known(found[right].anees), known(found[best].anees), 6.0,
+                _told(honest, trials, *names),
             )
         )  # fmt: skip
-        for k, one in enumerate(bins[best]):
-            inside = "inside" if one.consistent else "outside"
+        for k, one in enumerate(next(iter(bins.values()))):
+            mean = {of: bins[of][k].mean if of in bins else None for of in names}
+            verdict = _interval(bins[best][k]) if best in bins else ""
             where = f"{one.highest_m / 1e3:.3g} to {one.lowest_m / 1e3:.3g} km"
             rows.append(
                 Row(
                     name, f"pose ANEES{kind}", where, "1",
-                    None, None if own is None else bins[own][k].mean, bins[right][k].mean, one.mean, 6.0,
-                    f"{inside} its 95 % interval of {one.trials} trials, {one.low:.2f} to {one.high:.2f}",
-                    headline=False,
+                    None, None if own is None else mean[own], mean[right], mean[best], 6.0,
+                    _told(verdict, trials, *names), headline=False,
                 )
             )  # fmt: skip
     return rows
 
 
+def _interval(one: Anees) -> str:
+    inside = "inside" if one.consistent else "outside"
+    return f"{inside} its 95 % interval of {one.trials} trials, {one.low:.2f} to {one.high:.2f}"
+
+
 def _draw(name: str, trials: Descents, quantity: str) -> Figure:
     lines = {}
     for one, (label, colour, style) in STYLE.items():
-        lines[label] = drawing.Line(colour, style, trials.of(one).rms)
+        found = trials.of(one)
+        if len(found.trials):
+            lines[label] = drawing.Line(colour, style, found.rms)
     lines["bound (PCRB), online"] = drawing.Line("k", "--", trials.bound(FILTERED_BOUND))
     lines["bound (PCRB), in retrospect"] = drawing.Line("k", ":", trials.bound(SMOOTHED_BOUND))
     single = len(trials.numbers) == 1

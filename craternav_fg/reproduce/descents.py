@@ -100,8 +100,12 @@ def table(results: Sequence[TrialResult]) -> pa.Table:
 class Errors:
     """An estimator's errors in one quantity, of the trials in which it gave a trajectory.
 
+    Means over no trial are NaN.
+
     Attributes
     ----------
+    trials : ndarray, shape (trials,)
+        Their numbers.
     error : ndarray, shape (trials, k)
         Norms: position, m, or attitude, deg.
     nees : ndarray, shape (trials, k)
@@ -110,6 +114,7 @@ class Errors:
         RMS of the posterior Cramér-Rao bound over these trials: smoothed for those that look back.
     """
 
+    trials: npt.NDArray[np.int64]
     error: FloatArray
     nees: FloatArray
     bound: FloatArray
@@ -117,12 +122,31 @@ class Errors:
     @property
     def mean(self) -> FloatArray:
         """Over the trials (k,)."""
-        return np.asarray(self.error.mean(axis=0))
+        return _mean(self.error)
 
     @property
     def rms(self) -> FloatArray:
         """Over the trials (k,)."""
-        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
+        return np.asarray(np.sqrt(_mean(self.error**2)))
+
+    @property
+    def anees(self) -> float:
+        """Over the trials and frames."""
+        return float(_mean(self.nees).mean())
+
+
+def rms_ratio(one: Errors, other: Errors) -> FloatArray:
+    """Ratio (k,) of two RMS over the trials of both: those of one alone may be the easier or the harder ones.
+
+    NaN when they have no trial in common.
+    """
+    mine, theirs = (a.error[np.isin(a.trials, b.trials)] for a, b in ((one, other), (other, one)))
+    return np.asarray(np.sqrt(_mean(mine**2) / _mean(theirs**2)))
+
+
+def _mean(values: FloatArray) -> FloatArray:
+    """Over the trials (k,)."""
+    return np.asarray(values.mean(axis=0)) if len(values) else np.full(values.shape[1:], np.nan)
 
 
 class Descents:
@@ -146,6 +170,7 @@ class Descents:
         self.unit = unit
         bound = data.filter(pc.equal(data["estimator"], FILTERED_BOUND))
         self.numbers = np.array(pc.unique(bound["trial"]).to_pylist(), dtype=np.int64)
+        self._frames = len(bound) // len(self.numbers)
         self.altitude_km = 1e-3 * self._array(bound, "altitude_m").mean(axis=0)
         self.craters = self._array(bound, "rims").astype(np.float64)
 
@@ -161,9 +186,10 @@ class Descents:
         """Errors of an estimator."""
         rows = self.data.filter(pc.equal(self.data["estimator"], name))
         trials = pc.unique(rows["trial"])
+        numbers = np.array(trials.to_pylist(), dtype=np.int64)
         error = self._scale * np.linalg.norm(self._array(rows, self._column), axis=-1)
         bound = self.bound(SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND, trials)
-        return Errors(error, self._array(rows, "nees"), bound)
+        return Errors(numbers, error, self._array(rows, "nees"), bound)
 
     def bound(self, name: str, trials: pa.Array | None = None) -> FloatArray:
         """RMS (k,) of one of the bounds over the trials."""
@@ -171,7 +197,12 @@ class Descents:
         if trials is not None:
             rows = rows.filter(pc.is_in(rows["trial"], value_set=trials))
         sigmas = self._array(rows, "pose_sigma")[..., self._part]
-        return np.asarray(self._scale * np.sqrt(np.mean(np.sum(sigmas**2, axis=-1), axis=0)))
+        return np.asarray(self._scale * np.sqrt(_mean(np.sum(sigmas**2, axis=-1))))
+
+    @functools.cached_property
+    def lost(self) -> dict[str, int]:
+        """In how many trials each estimator gave no trajectory."""
+        return {name: len(self.numbers) - len(self.of(name).trials) for name in ESTIMATORS}
 
     @functools.cached_property
     def converged(self) -> dict[str, int]:
@@ -187,11 +218,9 @@ class Descents:
             out[name] = int(np.count_nonzero(near))
         return out
 
-    @staticmethod
-    def _array(rows: pa.Table, name: str) -> FloatArray:
-        trials = len(pc.unique(rows["trial"]))
+    def _array(self, rows: pa.Table, name: str) -> FloatArray:
         values = rows[name].combine_chunks()
-        shape: tuple[int, ...] = (trials, len(rows) // max(trials, 1))
+        shape: tuple[int, ...] = (len(pc.unique(rows["trial"])), self._frames)
         if pa.types.is_fixed_size_list(values.type):
             shape = (*shape, values.type.list_size)
             values = values.flatten()

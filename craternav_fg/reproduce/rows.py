@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
@@ -120,6 +121,11 @@ def verdict(
     if bound is not None and paper < bound - max(_MET * paper, _STANDARD_ERRORS * bound_error):
         parts.append(f"out of reach: the bound is {bound / paper:.2g} times the paper's")
     return "; ".join(parts)
+
+
+def known(value: float) -> float | None:
+    """Give a number as a row holds it: None for NaN."""
+    return None if np.isnan(value) else float(value)
 
 
 def number(value: float | None) -> str:

@@ -1,5 +1,6 @@
 """Figs. 15 to 18 and the lag: whole descents."""
 
+import json
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -93,13 +94,62 @@ def test_one_trial_is_the_first() -> None:
     assert angle.corrected == pytest.approx(np.degrees(0.01))
 
 
-def test_an_estimator_that_gave_up_counts_where_it_did_not() -> None:
+def without(name: str, *trials: int) -> pa.Table:
+    """Leave an estimator out of some of the known trials."""
     data = known()
-    lost = np.array([name == PAPERS and trial == 1 for name, trial in
-                     zip(data["estimator"].to_pylist(), data["trial"].to_pylist(), strict=True)])  # fmt: skip
-    every = Descents(data.filter(pa.array(~lost)), "m")
+    pairs = zip(data["estimator"].to_pylist(), data["trial"].to_pylist(), strict=True)
+    return data.filter(pa.array([not (one == name and trial in trials) for one, trial in pairs]))
+
+
+def test_an_estimator_that_gave_up_counts_where_it_did_not() -> None:
+    every = Descents(without(PAPERS, 1), "m")
     assert_allclose(every.of(PAPERS).mean, ERRORS[PAPERS][0])
     assert_allclose(every.of(FILTER).mean, np.mean(ERRORS[FILTER], axis=0))
+
+
+def test_estimators_are_compared_over_the_trials_of_both() -> None:
+    result = descent_figures.draw_up("fig17", without(PAPERS, 1))
+    row = find(list(result.rows), "position RMS over that of the smoother", "end")
+    # Of the first trial alone: 150 m over 5 m.
+    assert row.as_printed == pytest.approx(30.0)
+    assert row.corrected == pytest.approx(np.sqrt((6.0**2 + 8.0**2) / (5.0**2 + 9.0**2)))
+    assert row.verdict.endswith("; no trajectory of ekf_paper in 1 of 2 trials")
+    assert "The paper's EKF ends with 30.0 times the smoother's RMS" in result.note
+    assert "0 of its 1 trials end beyond" in result.note
+    assert "No trajectory of ekf_paper in 1 of 2 trials: " in result.note
+    rows = list(descent_figures.draw_up("fig17", without(SMOOTHER, 0)).rows)
+    # Of the second trial alone, in the one frame from 50 to 30 km: 40 m over 80 m.
+    gain = find(rows, "position RMS, smoother in retrospect over chart EKF", "50 to 30 km")
+    assert gain.efficient == pytest.approx(0.5)
+
+
+def nulls(row: dict[str, Any]) -> int:
+    return list(row.values()).count(None)
+
+
+COLUMN = {PAPERS: "as_printed", FILTER: "corrected", ONLINE: "efficient"}
+
+
+@pytest.mark.parametrize("name", ERRORS)
+@pytest.mark.parametrize("figure", ["fig15", "fig16", "fig17", "fig18"])
+def test_a_figure_is_drawn_without_an_estimator_that_gave_nothing(figure: str, name: str) -> None:
+    every = descent_figures.draw_up(figure, known())
+    lacking = descent_figures.draw_up(figure, without(name, 0, 1))
+    label = descent_figures.STYLE[name][0]
+    labels = [[line.get_label() for line in one.drawing.axes[0].lines] for one in (every, lacking)]
+    assert labels[1] == [one for one in labels[0] if one != label]
+    rows, whole = ([row.as_dict() for row in one.rows] for one in (lacking, every))
+    json.dumps(rows, allow_nan=False)
+    assert [row["condition"] for row in rows] == [row["condition"] for row in whole]
+    told = f"no trajectory of {name}" + ("" if figure in ("fig15", "fig16") else " in 2 of 2 trials")
+    pairs = zip(rows, whole, strict=True)
+    verdicts = [str(row["verdict"]) for row, other in pairs if nulls(row) > nulls(other)]
+    assert verdicts
+    assert all(verdict.endswith(told) for verdict in verdicts)
+    assert f"N{told[1:]}" in lacking.note
+    if name in COLUMN:
+        at_26_km = find(list(lacking.rows), every.rows[0].quantity, "26 km").as_dict()
+        assert [key for key in COLUMN.values() if at_26_km[key] is None] == [COLUMN[name]]
 
 
 def test_what_the_note_says_of_the_paper_follows_from_the_trials() -> None:
