@@ -44,6 +44,43 @@ def test_every_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
     check(name, tmp_path, 5)
 
 
+# What answers a fault, and its scenario; clean data are those of the scenario on which they all rest.
+ANSWERS = {"hard_wrong_matches": "gnc_smoother", "hard_mounting": "calibrating_smoother"}
+CLEAN = "measured_descent"
+
+
+def rms(scenario: str, estimator: str, folder: Path, trial: int) -> np.ndarray:
+    """Of the position, m, and of the attitude, deg."""
+    data = Dataset.open(simulate(load_scenario(scenario), folder / f"{scenario}_{trial}", trial=trial))
+    found = metrics(reconstruct(data, [estimator]).trajectories[estimator], data.truth)
+    return np.array([found.position_rms_m, found.attitude_rms_deg])
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_fault_costs_an_estimator_that_answers_it_little(name: str, tmp_path: Path) -> None:
+    # A trial with the fault differs from the clean one in nothing else, so few of them tell.
+    for trial in range(2):
+        faulty, clean = (rms(case, ANSWERS[name], tmp_path, trial) for case in (name, CLEAN))
+        assert (faulty <= 1.3 * clean).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_fault_that_is_answered_costs_little_beside_a_smoother_without_it(
+    name: str, tmp_path: Path
+) -> None:
+    # What a freedom costs, be there a fault or not, varies from trial to trial: it takes many to tell 1.3.
+    pairs = [
+        [
+            rms(case, estimator, tmp_path / str(trial), trial)[0]
+            for case, estimator in ((name, ANSWERS[name]), (CLEAN, "smoother"))
+        ]
+        for trial in range(40)
+    ]
+    answered, clean = np.mean(pairs, axis=0)
+    assert answered <= 1.3 * clean
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.2, 0.3, 0.4])
 def test_wrong_matches_cost_the_robust_smoother_nothing(share: float, tmp_path: Path) -> None:
