@@ -99,7 +99,10 @@ class Campaign:
 
 
 def identity(scenario: Scenario, estimators: tuple[str, ...]) -> dict[str, Any]:
-    """Give what makes trials of the same number the same: software, estimators, scenario, its files."""
+    """Give what makes trials of the same number the same: software, estimators, scenario, its files.
+
+    What a scenario expects of the estimators is not among it: it judges trials and changes none.
+    """
     paths = [scenario.craters.path] if isinstance(scenario.craters, CraterFile) else []
     if scenario.terrain is not None and scenario.terrain.dem is not None:
         paths.append(scenario.terrain.dem)
@@ -108,7 +111,7 @@ def identity(scenario: Scenario, estimators: tuple[str, ...]) -> dict[str, Any]:
         "estimators": list(estimators),
         "software": software(),
         "files_sha256": {path: _digest(Path(path)) for path in paths},
-        "scenario": scenario.model_dump(mode="json", exclude_none=True),
+        "scenario": scenario.model_dump(mode="json", exclude_none=True, exclude={"expected"}),
     }
 
 

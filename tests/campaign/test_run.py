@@ -13,7 +13,7 @@ import pytest
 from craternav_fg.campaign import run, store, workers
 from craternav_fg.campaign.run import CampaignOptions, as_measured, each_result, montecarlo
 from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
-from craternav_fg.config import CraterTrials, Scenario, load_scenario
+from craternav_fg.config import CraterTrials, ExpectedSection, Scenario, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.evaluation.trial import TrialTask, run_trial, software
@@ -132,6 +132,15 @@ def test_another_campaigns_folder_is_refused(
     assert message in str(caught.value)
     assert "not overwritten" in str(caught.value)
     assert {path: path.stat().st_mtime_ns for path in undisturbed.rglob("*")} == before
+
+
+def test_another_expectation_is_no_other_campaign() -> None:
+    case = load_scenario("hard_mounting")
+    wider = ExpectedSection(position_rms_m=(0.0, 9.0))
+    other = case.model_copy(update={"expected": {**case.expected, "smoother": wider}})
+    assert other.expected != case.expected
+    assert identity(other, ESTIMATORS) == identity(case, ESTIMATORS)
+    assert identity(case, ESTIMATORS)["scenario"]["faults"]["mounting_deg"] == 0.2
 
 
 def test_a_changed_crater_file_is_another_campaign(tmp_path: Path) -> None:
