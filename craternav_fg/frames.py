@@ -45,6 +45,17 @@ def rotation_log(R: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
+def turn_position(covariance: FloatArray, aRb: FloatArray) -> FloatArray:
+    """Turn the position part of a pose covariance (6, 6) from axes b into a; the attitude's stays in b.
+
+    With `gRb` from a right twist's, both parts in b, to (rotation vector in b, position in g); with its
+    transpose back.
+    """
+    turn = np.eye(6)
+    turn[3:, 3:] = aRb
+    return np.asarray(turn @ covariance @ turn.T)
+
+
 def up(lat_rad: FloatArray, lon_rad: FloatArray) -> FloatArray:
     """Outward unit normals of the sphere in g, shape (..., 3), at latitude and east longitude."""
     return np.stack(

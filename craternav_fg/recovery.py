@@ -19,6 +19,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.frames import turn_position
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.matching.identify import identify
 from craternav_fg.matching.identify_index import Index, load_or_build
@@ -113,7 +114,7 @@ class Finder:
         located = self._static(RimSet(answer.rows[matched], charts[matched], covariances[matched]))
         if located is not None:
             return located
-        return Located(answer.gTb, _in_g(answer.covariance, answer.gTb), len(matched))
+        return Located(answer.gTb, turn_position(answer.covariance, answer.gTb[:3, :3]), len(matched))
 
     def match(self, number: int, gTb: FloatArray, pose_covariance: FloatArray) -> Located | None:
         """Give the pose of a frame from its image and a poor prediction; None when too few rims agree."""
@@ -131,7 +132,9 @@ class Finder:
         if result.status is not Status.SOLVED:
             return None
         pose = result.poses[0]
-        return Located(pose.gTb, _in_g(pose.covariance, pose.gTb), len(rims) - len(result.wrong))
+        return Located(
+            pose.gTb, turn_position(pose.covariance, pose.gTb[:3, :3]), len(rims) - len(result.wrong)
+        )
 
     def _rims(self, number: int) -> FoundRims:
         if self._found is None or self._found[0] != number:
@@ -234,10 +237,3 @@ def earlier(descent: Descent, state: InitialState, stamp_ns: int) -> InitialStat
         gV=gV,
         position_sigma_m=float(np.hypot(state.position_sigma_m, interval_s * state.velocity_sigma_m_s)),
     )
-
-
-def _in_g(covariance: FloatArray, gTb: FloatArray) -> FloatArray:
-    """Covariance of (attitude in b, position in g) from that of the right twist."""
-    turn = np.eye(6)
-    turn[3:, 3:] = gTb[:3, :3]
-    return turn @ covariance @ turn.T

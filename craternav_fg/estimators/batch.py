@@ -26,13 +26,13 @@ from craternav_fg.estimators.graph import (
     add_prior,
     bias_covariance_ours,
     bias_vector,
-    pose_covariance_in_g,
     push_interval,
     state_stamps,
 )
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
 from craternav_fg.estimators.rim_errors import RimErrorStates
+from craternav_fg.frames import turn_position
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.conic_shape import ChartError
@@ -275,7 +275,7 @@ def trajectory(
         bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in numbers]),
         pose_covariance=np.array(
             [
-                pose_covariance_in_g(tree.marginalCovariance(X(n)), T[:3, :3])
+                turn_position(tree.marginalCovariance(X(n)), T[:3, :3])
                 for n, T in zip(numbers, gTb, strict=True)
             ]
         ),

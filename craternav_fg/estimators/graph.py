@@ -236,13 +236,6 @@ def bias_vector(bias: gtsam.imuBias.ConstantBias) -> FloatArray:
     return np.concatenate([bias.gyroscope(), bias.accelerometer()])
 
 
-def pose_covariance_in_g(covariance: FloatArray, gRb: FloatArray) -> FloatArray:
-    """Turn the position part of a pose covariance (6, 6) from GTSAM's body axes into g."""
-    J = np.eye(6)
-    J[3:, 3:] = gRb
-    return J @ covariance @ J.T
-
-
 def bias_covariance_ours(covariance: FloatArray) -> FloatArray:
     """Reorder a bias covariance (6, 6) from GTSAM's (accelerometer, gyro) to ours."""
     order = [3, 4, 5, 0, 1, 2]

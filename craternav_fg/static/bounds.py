@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.frames import turn_position
 from craternav_fg.static.problem import StaticProblem
 from craternav_fg.static.solve_kernel import invert, normal_equations
 
@@ -133,9 +134,8 @@ def range_to(problem: StaticProblem, gTb: FloatArray) -> float:
 def prior_arrays(problem: StaticProblem) -> tuple[FloatArray, FloatArray]:
     """Give pose (4, 4) and weight (6, 6) of what is known before, as the kernels take them; or (0, 0)."""
     if problem.prior is not None:
-        turn = np.eye(6)
-        turn[3:, 3:] = problem.prior.gTb[:3, :3]
-        return problem.prior.gTb, np.asarray(np.linalg.inv(turn @ problem.prior.covariance @ turn.T))
+        covariance = turn_position(problem.prior.covariance, problem.prior.gTb[:3, :3])
+        return problem.prior.gTb, np.asarray(np.linalg.inv(covariance))
     if problem.attitude is not None and problem.attitude.sigma_rad > 0.0:
         expected = np.eye(4)
         expected[:3, :3] = problem.attitude.gRb

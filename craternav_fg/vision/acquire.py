@@ -15,6 +15,7 @@ from scipy.special import gammaln
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.dataset.images import ImageArray
+from craternav_fg.frames import turn_position
 from craternav_fg.vision import acquire_match as match
 from craternav_fg.vision import photometry
 from craternav_fg.vision.acquire_detect import COARSE, Detections, detect_rims
@@ -245,9 +246,7 @@ class _Search:
             )
             score = self._score(pose)
             if score >= opt.min_score and (best is None or score > best.score):
-                turn = np.eye(6)
-                turn[3:, 3:] = pose[:3, :3]
-                covariance = opt.covariance_factor * turn @ covariance @ turn.T
+                covariance = opt.covariance_factor * turn_position(covariance, pose[:3, :3])
                 best = Acquisition(pose, covariance, score, self.rows[crater[crater >= 0]])
                 if score >= opt.good_score:
                     break

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from craternav_fg.camera import Camera, pixel_chart
 from craternav_fg.catalog import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
+from craternav_fg.frames import turn_position
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.vision import crest, edges, photometry
 from craternav_fg.vision.arcs import judge
@@ -137,9 +138,7 @@ class GuidedFrontEnd:
         FrameMeasurement
             Its rim set is empty, its sun None, when the image shows neither.
         """
-        turn = np.eye(6)
-        turn[3:, 3:] = gTb[:3, :3].T
-        prior = turn @ pose_covariance @ turn.T
+        prior = turn_position(pose_covariance, gTb[:3, :3].T)
         grey = on_8_bit_scale(image, self.camera)
         pixels = np.ascontiguousarray(grey, dtype=np.float32)
         levels = LevelMap(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
