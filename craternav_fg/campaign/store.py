@@ -284,7 +284,7 @@ def read_campaign(folder: Path | str) -> Campaign:
             failed[number] = metadata["error"]
             continue
         failures[number] = metadata["failures"]
-        tables.append(pq.read_table(file).replace_schema_metadata(None))
+        tables.append(_table(file))
     lines = _read_times(path / TIMES)
     wall_s: dict[int, float] = {}
     for line in lines:
@@ -310,7 +310,20 @@ def _metadata(path: Path) -> dict[str, Any]:
     try:
         return dict(json.loads(pq.read_schema(path).metadata[METADATA]))
     except (pa.ArrowInvalid, OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError(path, f"is damaged: {error}; remove it, and the next run does it again") from None
+        raise _damaged(path, error) from None
+
+
+def _table(path: Path) -> pa.Table:
+    try:
+        table = pq.read_table(path, page_checksum_verification=True)
+    except (pa.ArrowException, OSError) as error:
+        raise _damaged(path, error) from None
+    return table.replace_schema_metadata(None)
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    said = " ".join(str(error).split())
+    return InputError(path, f"is damaged: {said}; remove it, and the next run does it again")
 
 
 def _read_times(path: Path) -> list[dict[str, Any]]:

@@ -204,6 +204,8 @@ def _rows(number: int, name: str, values: Mapping[str, npt.NDArray[Any]]) -> pa.
 
 def _parquet(table: pa.Table, number: int, error: str | None, failures: Mapping[str, str]) -> bytes:
     told = {"trial": number, "error": error, "failures": dict(failures)}
+    told_table = table.replace_schema_metadata({METADATA: json.dumps(told)})
     sink = pa.BufferOutputStream()
-    pq.write_table(table.replace_schema_metadata({METADATA: json.dumps(told)}), sink, compression="zstd")
+    # Without checksums most damage to a page would be read as other numbers.
+    pq.write_table(told_table, sink, compression="zstd", write_page_checksum=True)
     return bytes(sink.getvalue())

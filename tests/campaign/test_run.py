@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import time
 from pathlib import Path
 
@@ -349,8 +350,33 @@ def test_remains_of_a_killed_run_are_cleared_away(undisturbed: Path) -> None:
 
 
 def test_a_damaged_trial_is_named(tmp_path: Path, here: None) -> None:
-    montecarlo(small_scenario(), tmp_path / "c", options(1))
-    (tmp_path / "c" / "trials" / "trial_000000.parquet").write_bytes(b"nonsense")
+    summary = montecarlo(small_scenario(), tmp_path / "c", options(1))
+    table = read_campaign(tmp_path / "c").table
+    trial = tmp_path / "c" / "trials" / "trial_000000.parquet"
+    whole = trial.read_bytes()
+    pages = range(4, len(whole) - 8 - int.from_bytes(whole[-8:-4], "little"))
+    said = []
+    for place in pages[::23]:
+        trial.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
+        try:
+            found = read_campaign(tmp_path / "c").table
+        except InputError as error:
+            said.append(str(error))
+        else:
+            # In the statistics of a page, which nobody reads.
+            assert found.equals(table)
+    assert len(said) > 0.5 * len(pages[::23])
+    # On one line, as no dot is a line break.
+    one_line = re.compile(r".*trial_000000\.parquet: is damaged: .+; remove it, .+")
+    assert all(one_line.fullmatch(each) for each in said)
+    middle = pages[len(pages) // 2]
+    trial.write_bytes(whole[:middle] + bytes(20) + whole[middle + 20 :])
+    with pytest.raises(InputError, match=r"trial_000000\.parquet: is damaged: .* remove it"):
+        montecarlo(small_scenario(), tmp_path / "c", options(1))
+    trial.unlink()
+    assert without_times(montecarlo(small_scenario(), tmp_path / "c", options(1))) == without_times(summary)
+    assert trial.read_bytes() == whole
+    trial.write_bytes(b"nonsense")
     with pytest.raises(InputError, match=r"trial_000000\.parquet: is damaged"):
         read_campaign(tmp_path / "c")
     with pytest.raises(InputError, match="expected a campaign's folder"):
