@@ -1,5 +1,6 @@
 """Where trials run: processes on this machine, or a Dask cluster."""
 
+import asyncio
 import logging
 import multiprocessing
 import os
@@ -176,7 +177,7 @@ def cluster(address: str) -> Iterator[Workers]:
     """
     try:
         from distributed import Client, KilledWorker
-        from distributed.comm import get_address_host_port
+        from distributed.comm import connect, get_address_host_port
     except ImportError:
         raise CraternavError("--scheduler needs Dask: pip install 'craternav_fg[cluster]'") from None
     try:
@@ -185,10 +186,22 @@ def cluster(address: str) -> Iterator[Workers]:
         raise CraternavError(
             f"scheduler {address}: expected an address as tcp://host:port: {error}"
         ) from None
+
+    async def answers() -> None:
+        comm = await connect(address, timeout=PATIENCE_S)
+        await comm.close()
+
     try:
+        # A client that fails half-way leaves threads and messages behind.
+        asyncio.run(answers())
         client = Client(address, timeout=PATIENCE_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise CraternavError(f"scheduler {address}: not reached within {PATIENCE_S:g} s: {error}") from None
+    except Exception as error:
+        # Another server's words, read as lengths and messages, end in any error: on the scheduler's port for
+        # its web page, in one of memory.
+        problem = f"what answers there is no Dask scheduler ({type(error).__name__})"
+        raise CraternavError(f"scheduler {address}: {problem}") from None
     with _silent("distributed.client"), client:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)

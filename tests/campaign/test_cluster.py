@@ -1,5 +1,6 @@
 """Campaigns on a Dask cluster: a real scheduler, two worker processes."""
 
+import socketserver
 import subprocess
 import sys
 import threading
@@ -114,4 +115,26 @@ def test_a_scheduler_without_workers(
     monkeypatch.setattr(workers, "PATIENCE_S", 2.0)
     with pytest.raises(CraternavError, match=f"scheduler {cluster.address}: no worker within 2 s"):
         montecarlo(small_scenario(), tmp_path / "c", options(1, scheduler=cluster.address))
+    assert not (tmp_path / "c").exists()
+
+
+class _WebServer(socketserver.BaseRequestHandler):
+    """Says what a web server says to what it does not understand."""
+
+    def handle(self) -> None:
+        self.request.recv(8)
+        self.request.sendall(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n")
+
+
+def test_another_server_at_the_address(tmp_path: Path) -> None:
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), _WebServer) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.server_address[1]}"
+        try:
+            with pytest.raises(CraternavError, match=f"scheduler {address}: what answers there is no Dask"):
+                montecarlo(small_scenario(), tmp_path / "c", options(1, scheduler=address))
+        finally:
+            server.shutdown()
+            thread.join()
     assert not (tmp_path / "c").exists()
