@@ -11,7 +11,28 @@ IntArray = npt.NDArray[np.int64]
 # In sigmas of what was measured: a shape expected further away is a worse guess than the measured one.
 EXPECTED_SIGMAS = 5.0
 # Components of the error that all rims of a descent share.
-SHARED_SIZE = 7
+SHARED_SIZE = 8
+
+
+def image_change(before: FloatArray, after: FloatArray) -> FloatArray:
+    """By how much the shapes of ellipses differ: the largest logarithm of a stretch, of any direction.
+
+    An image that is larger by 10 % has changed by 0.1, whatever its shape; one seen at another slant by the
+    logarithm of its foreshortening. Neither its place in the image nor the image's axes matter.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (..., 5)
+        Charts.
+    """
+    # S = L L', L lower triangular: singular values of inv(L1) L2.
+    a = np.exp(after[..., 2] - before[..., 2])
+    d = np.exp(after[..., 4] - before[..., 4])
+    b = (after[..., 3] - before[..., 3]) * np.exp(after[..., 2] - before[..., 4])
+    half = 0.5 * np.log(a * d)
+    # Half the sum of squares over the product is cosh of the difference of the logarithms.
+    spread = 0.5 * np.arccosh(np.maximum(0.5 * (a * a + b * b + d * d) / (a * d), 1.0))
+    return np.asarray(np.abs(half) + spread)
 
 
 @dataclass(frozen=True)
@@ -62,7 +83,7 @@ class RimSet:
         Root A of the part A A' of the covariance that a rim keeps from frame to frame: its error is A z with
         z nearly the same in the next frame, so the columns belong to directions that are fixed to the
         ground. None where no part is known to be kept.
-    shared : ndarray, shape (n, 5, 7), optional
+    shared : ndarray, shape (n, 5, 8), optional
         Root of the part that all rims of a descent share: its error is A z with one z for all.
     """
 

@@ -19,6 +19,7 @@ from craternav_fg.recovery import Finder, Located, earlier, initial_at
 from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.acquire import acquire, image_spread_px
 from craternav_fg.vision.guided import GuidedFrontEnd
+from craternav_fg.vision.usual import UsualErrors
 from factors.kernels import strapdown
 
 FloatArray = npt.NDArray[np.float64]
@@ -69,6 +70,7 @@ class Tracker:
         self.descent = descent
         self.front_end = front_end
         self.finder = finder
+        self._usual = UsualErrors(dataset.camera, dataset.catalog)
         self._session = OnlineSession(descent)
         self._measured: list[FrameMeasurement] = []
         self._arcs = [(0, descent.initial)]
@@ -87,11 +89,14 @@ class Tracker:
             guide = self._guide
             found = self._searched(k, predicted, frame)
             if found is not None:
-                frame, guide = self._resumed(k, predicted, *found), found[0].gTb
+                located, again = found
+                guide = located.gTb
+                frame = self._resumed(k, predicted, located, self._settled(again, guide))
             elif k == 0:
                 frame, guide = self._begin(frame), self._guide
             else:
                 frame = replace(frame, sun=repeated(frame.sun, len(stamps) - 1))
+                frame = self._settled(frame, guide)
                 self._session.update(frame)
             self._measured.append(frame)
             guides.append(guide)
@@ -103,9 +108,13 @@ class Tracker:
         if len(frame.rims):
             # Once more from the start: rims that only it predicts.
             frame = self._measure(0, start.gTb, start.pose_covariance)
+            frame = self._settled(frame, self._guide)
             start = find_start(self.descent, [frame])
         self._session.begin(frame, start)
         return frame
+
+    def _settled(self, frame: FrameMeasurement, gTb: FloatArray) -> FrameMeasurement:
+        return replace(frame, rims=self._usual.settled(frame.rims, gTb))
 
     def _measure(self, number: int, gTb: FloatArray, covariance: FloatArray) -> FrameMeasurement:
         """Measure an image from a predicted pose and its covariance.

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.measurements import SHARED_SIZE, RimSet
+from craternav_fg.measurements import SHARED_SIZE, RimSet, image_change
 from factors.conic_shape import ChartError
 
 FloatArray = npt.NDArray[np.float64]
@@ -35,7 +35,8 @@ class RimErrorOptions:
     Attributes
     ----------
     decay : float
-        Change of a rim's image, see `image_change`, over which the correlation of its error falls to 1/e.
+        Change of a rim's image, see `measurements.image_change`, over which the correlation of its error
+        falls to 1/e.
     step : float
         Change below which the error is taken to be the same variable: 0 makes one for every rim of every
         frame.
@@ -49,27 +50,6 @@ class RimErrorOptions:
             raise EstimationError(f"decay: expected a positive number, found {self.decay}")
         if not 0.0 <= self.step < np.inf:
             raise EstimationError(f"step: expected 0 or more, found {self.step}")
-
-
-def image_change(before: FloatArray, after: FloatArray) -> FloatArray:
-    """By how much the shapes of ellipses differ: the largest logarithm of a stretch, of any direction.
-
-    An image that is larger by 10 % has changed by 0.1, whatever its shape; one seen at another slant by the
-    logarithm of its foreshortening. Neither its place in the image nor the image's axes matter.
-
-    Parameters
-    ----------
-    before, after : ndarray, shape (..., 5)
-        Charts.
-    """
-    # S = L L', L lower triangular: singular values of inv(L1) L2.
-    a = np.exp(after[..., 2] - before[..., 2])
-    d = np.exp(after[..., 4] - before[..., 4])
-    b = (after[..., 3] - before[..., 3]) * np.exp(after[..., 2] - before[..., 4])
-    half = 0.5 * np.log(a * d)
-    # Half the sum of squares over the product is cosh of the difference of the logarithms.
-    spread = 0.5 * np.arccosh(np.maximum(0.5 * (a * a + b * b + d * d) / (a * d), 1.0))
-    return np.asarray(np.abs(half) + spread)
 
 
 @dataclass(frozen=True)

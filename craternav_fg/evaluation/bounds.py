@@ -14,8 +14,8 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
-from craternav_fg.estimators.rim_errors import SIGHTINGS, SIZE, RimErrorOptions, image_change
-from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
+from craternav_fg.estimators.rim_errors import SIGHTINGS, SIZE, RimErrorOptions
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, image_change
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 

@@ -17,7 +17,7 @@ rim, such as clicked ones, lie outside it by sigma^2 / 2R more, which their dist
 Real outlines are no ellipses, and where the points leave gaps an ellipse fitted as if they were goes astray
 by far more than their scatter. So harmonics of the outline may be estimated beside the ellipse, as unknowns
 whose variance the points' misfit tells: what is not seen of the rim is then as uncertain as what is seen
-deviates.
+deviates. What the points tell of the unknown that moves them all, in their differences, is believed the less.
 """
 
 from dataclasses import dataclass
@@ -80,7 +80,9 @@ class RimFit:
         Of the chart: the points' scatter, what moves them together, the outline's deviation from an ellipse
         and the systematic floor.
     systematic : ndarray, shape (5, 5)
-        The last two of these and the lever's slope: about the same error in every image of the rim.
+        The last two of these, the lever's slope and `level`: about the same error in every image of the rim.
+    level : ndarray, shape (5,)
+        Root of the part that is from the lever's unknown, as far as the points are not believed about it.
     chart_px : ndarray, shape (5,)
         The same ellipse's chart in pixel coordinates.
     rms_px : float
@@ -97,6 +99,7 @@ class RimFit:
     chart: FloatArray
     covariance: FloatArray
     systematic: FloatArray
+    level: FloatArray
     chart_px: FloatArray
     rms_px: float
     point_count: int
@@ -182,7 +185,7 @@ def refine_rim(
     if len(points) < options.min_points:
         return FitFailure.TOO_FEW_POINTS
     still = np.zeros_like(points)
-    ok, y, cov, of_outline, rms, kept, arc, outline = ellipse_kernel.fit(
+    ok, y, cov, of_outline, level, rms, kept, arc, outline = ellipse_kernel.fit(
         points, sigma_ratio, still if lever is None else lever, lever_sigma, lever_slope,
         np.zeros(2) if toward is None else toward, start_px, options.min_scatter_px, options.max_gap_rad,
         options.outline_share,
@@ -195,9 +198,10 @@ def refine_rim(
         return FitFailure.SHORT_ARC
     chart, scale = normalised_chart(y, camera)
     units = np.outer(scale, scale)
-    systematic = of_outline * units + systematic_covariance(chart, camera, options)
+    level = level * scale
+    systematic = of_outline * units + systematic_covariance(chart, camera, options) + np.outer(level, level)
     covariance = (cov - of_outline) * units + systematic
-    return RimFit(chart, covariance, systematic, y, rms, kept, arc, outline)
+    return RimFit(chart, covariance, systematic, level, y, rms, kept, arc, outline)
 
 
 def systematic_covariance(chart: FloatArray, camera: Camera, options: FitOptions) -> FloatArray:

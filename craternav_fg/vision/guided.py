@@ -33,7 +33,6 @@ ImageArray = npt.NDArray[np.float32]
 # The first results of `edges.trace_rim`.
 _Trace = tuple[FloatArray, FloatArray, FloatArray, int]
 
-
 # Darker level ground, of 255, has no contrast to offer.
 _DARK = 6.0
 # The common shift needs no more rims than these.
@@ -72,12 +71,13 @@ class _Scene:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Rims of a scene whose edges bear a fit: charts (n, 5), covariances and their lasting part (n, 5, 5)."""
+    """Rims of a scene whose edges bear a fit: charts (n, 5), covariances and lasting parts as in `RimFit`."""
 
     scene: _Scene
     chart: FloatArray
     covariance: FloatArray
     systematic: FloatArray
+    level: FloatArray
     quality: RimQuality
 
     def __len__(self) -> int:
@@ -272,10 +272,14 @@ class GuidedFrontEnd:
         limit = chi2.ppf(self.options.gate_probability, 5)
         keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
         rows, systematic = scene.rows[keep], factor * fitted.systematic[keep]
+        covariance, level = covariance[keep], np.sqrt(factor) * fitted.level[keep]
         lasting = self.options.lasting
-        persistent, shared = lasting_roots(systematic, rows, pose, sun_g, self.camera, self.catalog, lasting)
-        # What a crater keeps is part of it already.
-        covariance = covariance[keep] + shared @ np.swapaxes(shared, 1, 2)
+        persistent, shared = lasting_roots(
+            systematic, level, rows, pose, sun_g, self.camera, self.catalog, lasting
+        )
+        # What a crater keeps is part of it already, and the level that it shares.
+        covariance = covariance + shared @ np.swapaxes(shared, 1, 2)
+        covariance -= lasting.level_share * level[:, :, None] * level[:, None, :]
         covariance = covariance + lasting.rough_share * (factor - 1.0) * systematic
         quality = fitted.quality.take(keep)
         return _Result(
@@ -417,6 +421,7 @@ class GuidedFrontEnd:
             np.array([f.chart for f in fits]).reshape(-1, 5),
             np.array([f.covariance for f in fits]).reshape(-1, 5, 5),
             np.array([f.systematic for f in fits]).reshape(-1, 5, 5),
+            np.array([f.level for f in fits]).reshape(-1, 5),
             quality,
         )
 

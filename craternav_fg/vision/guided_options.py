@@ -85,6 +85,13 @@ class GuidedOptions:
 # image a fit's own covariance is honest.
 SINGLE_IMAGE = GuidedOptions(
     lasting=LastingOptions(
-        rough_share=0.0, toward_px=0.0, lit_px=0.0, along_px=0.0, along_share=0.0, size_px=0.0, size_share=0.0
+        rough_share=0.0,
+        toward_px=0.0,
+        lit_px=0.0,
+        along_px=0.0,
+        along_share=0.0,
+        size_px=0.0,
+        size_share=0.0,
+        level_share=0.0,
     )
 )

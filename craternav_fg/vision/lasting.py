@@ -5,7 +5,8 @@ is the same in the next frame, up to what the view does to it: it is fixed to th
 the rim's plane. Beside that all rims of a descent err alike. A crest is not seen as sharp as it is and hides
 the ground behind it, which shifts blurred rims towards the camera and stretches them along the line of sight,
 by pixels and by parts of the radius; what is not known of the ground's brightness shifts them along the
-light; other crests than the canonical one make all rims larger or smaller.
+light, those of irregular outlines by parts of the radius, as the ground about the landing site has a slope of
+its own; other crests than the canonical one make all rims larger or smaller.
 """
 
 from dataclasses import dataclass
@@ -49,6 +50,8 @@ class LastingOptions:
         horizon: px, and radii. Grows with the sine's square.
     size_px, size_share : float
         Common growth of the radius: px, and radii.
+    level_share : float
+        Part of the variance of `RimFit.level` that all rims have in common.
     arc_px, arc_share : float
         Error of an arc's edge points that they share and keep: px, and radii.
     """
@@ -61,12 +64,34 @@ class LastingOptions:
     along_share: float = 0.004
     size_px: float = 0.05
     size_share: float = 0.002
+    level_share: float = 0.4
     arc_px: float = 0.2
     arc_share: float = 0.004
 
 
+def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
+    """Differentiate charts for errors of rims in their own planes.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (n,)
+        The rims' craters in the catalogue.
+    gTb : ndarray, shape (4, 4)
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    ndarray, shape (n, 5, 5)
+        Columns in units of the rim's mean radius: shift along l1 and l2, growth along l1, shear, growth
+        along l2.
+    """
+    return ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])[:, :, _IN_PLANE]
+
+
 def lasting_roots(
     systematic: FloatArray,
+    level: FloatArray,
     rows: IntArray,
     gTb: FloatArray,
     sun_g: FloatArray,
@@ -80,6 +105,8 @@ def lasting_roots(
     ----------
     systematic : ndarray, shape (n, 5, 5)
         Systematic part of the charts' covariances.
+    level : ndarray, shape (n, 5)
+        Root of the part of it that is from the level of the ground's brightness.
     rows : ndarray of int, shape (n,)
         The rims' craters in the catalogue.
     gTb : ndarray, shape (4, 4)
@@ -92,13 +119,14 @@ def lasting_roots(
 
     Returns
     -------
-    persistent, shared : ndarray, shapes (n, 5, 5), (n, 5, 7)
+    persistent, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
         As in `RimSet`.
     """
     centres, axes = catalog.centres[rows], catalog.axes[rows]
-    slopes = ground_slopes(gTb, camera.bTc, centres, axes)[:, :, _IN_PLANE]
+    slopes = in_plane_slopes(rows, gTb, camera, catalog)
     inverse = np.linalg.inv(slopes)
-    on_ground = options.own_share * inverse @ systematic @ np.swapaxes(inverse, 1, 2)
+    own = systematic - options.level_share * level[:, :, None] * level[:, None, :]
+    on_ground = options.own_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
     persistent = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
     length_m = np.linalg.norm(axes, axis=-1)
     view = camera.gTc(gTb)[:3, 3] - centres
@@ -121,4 +149,6 @@ def lasting_roots(
     errors[:, 2:, 4] = options.along_share * stretch
     errors[:, [2, 4], 5] = options.size_px * px
     errors[:, [2, 4], 6] = options.size_share
-    return persistent, slopes @ errors
+    shared = slopes @ errors
+    shared[:, :, 7] = np.sqrt(options.level_share) * level
+    return persistent, shared

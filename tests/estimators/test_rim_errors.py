@@ -14,11 +14,11 @@ from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
-from craternav_fg.estimators.rim_errors import RimErrorOptions, image_change
+from craternav_fg.estimators.rim_errors import RimErrorOptions
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import SHARED_SIZE, ArcSet
+from craternav_fg.measurements import SHARED_SIZE, ArcSet, image_change
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 

@@ -320,3 +320,37 @@ def test_chart_conversion_is_that_of_the_points():
         chart_px = chart_of(33.0, 21.0, 1.0, pixels)
         np.testing.assert_allclose(normalised_chart(chart_px, camera)[0], y, atol=1e-9)
         np.testing.assert_allclose(pixel_chart(y, camera), chart_px, atol=1e-7)
+
+
+def level_fits(rms, share):
+    """Charts, covariances and level roots of rims whose points a wrong level moves, too; their true chart."""
+    light = np.array([0.6, 0.8])
+    truth = chart_of(30.0, 24.0, 0.4, CAMERA)
+    options = FitOptions(floor_px=0.0, floor_share=0.0, outline_share=share)
+    rng = np.random.default_rng(14)
+    _, normals = rim(30.0, 24.0, 0.4, 90)
+    side = normals @ light
+    keep = np.abs(side) > 0.15
+    lever = 20.0 * (normals / side[:, None])[keep]
+    fits = []
+    for _ in range(150):
+        points = outlined(rng, rms, FULL)[keep] + 0.015 * rng.normal() * lever
+        start = pixel_chart(truth, CAMERA)
+        fits.append(refine_rim(points, start, CAMERA, options, np.abs(1.0 / side[keep]), lever, 0.02))
+    good = [f for f in fits if isinstance(f, RimFit)]
+    assert len(good) >= 148
+    return *(np.array([getattr(f, name) for f in good]) for name in ("chart", "covariance", "level")), truth
+
+
+def test_an_irregular_outline_leaves_the_level_uncertain():
+    """As much as it deviates, along the light, within all that is uncertain and lasts."""
+    light = np.array([0.6, 0.8])
+    _, covariances, levels, _ = level_fits(0.02, 0.003)
+    along = np.abs(levels[:, :2] @ light)
+    assert np.all(np.abs(levels[:, :2] @ [-light[1], light[0]]) < 0.3 * along)
+    # A relative error of 0.01 moves the points by 0.2 px and more, the less the light falls across the rim.
+    assert 0.2 < np.median(along) * CAMERA.fx_px < 0.4
+    rest = covariances - levels[:, :, None] * levels[:, None, :]
+    assert np.linalg.eigvalsh(rest)[:, 0].min() > 0.0
+    _, _, none, _ = level_fits(0.0, 0.0003)
+    assert np.median(np.abs(none[:, :2] @ light)) < 0.1 * np.median(along)

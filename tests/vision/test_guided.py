@@ -246,7 +246,8 @@ def test_what_all_rims_share_follows_camera_and_light():
     rows = np.arange(len(catalog))
     none = np.tile(1e-9 * np.eye(5), (len(rows), 1, 1))
     gTb, sun_g = scene.pose(0.0, 0.0), scene.sun(20.0, 50.0)
-    shared = lasting_roots(none, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
+    level = rng.normal(size=(len(rows), 5))
+    shared = lasting_roots(none, 0.0 * level, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
     # A step on the ground towards the light, as the camera sees it.
     ahead = project_rims(gTb, np.eye(4), catalog.centres + 10.0 * sun_g, catalog.axes)[0][:, :2]
     step = ahead - project_rims(gTb, np.eye(4), catalog.centres, catalog.axes)[0][:, :2]
@@ -259,6 +260,22 @@ def test_what_all_rims_share_follows_camera_and_light():
     np.testing.assert_allclose(length_px, 0.3 * np.cos(np.radians(20.0)), rtol=0.1)
     # 1 % larger is 0.01 in the logarithms of both axes.
     np.testing.assert_allclose(shared[:, [2, 4], 6], 0.01, rtol=1e-6)
+
+
+def test_the_level_of_the_ground_errs_in_part_for_all_rims_alike():
+    """What they share and what each keeps of it make up the whole that lasts."""
+    rng = np.random.default_rng(7)
+    catalog = scene.craters(rng)
+    rows = np.arange(len(catalog))
+    options = LastingOptions(own_share=1.0, level_share=0.3)
+    level = 1e-3 * rng.normal(size=(len(rows), 5))
+    of_level = level[:, :, None] * level[:, None, :]
+    systematic = np.tile(1e-8 * np.eye(5), (len(rows), 1, 1)) + of_level
+    view = scene.pose(0.0, 10.0), scene.sun(20.0, 50.0), scene.camera(), catalog, options
+    own, shared = lasting_roots(systematic, level, rows, *view)
+    column = shared[:, :, 7]
+    np.testing.assert_allclose(column[:, :, None] * column[:, None, :], 0.3 * of_level, atol=1e-15)
+    np.testing.assert_allclose(own @ np.swapaxes(own, 1, 2), systematic - 0.3 * of_level, atol=1e-13)
 
 
 # EuRoC's cam0, and a lens that bends the other way.
