@@ -1,5 +1,6 @@
 """The page of a campaign."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from craternav_fg.campaign.run import montecarlo
 from craternav_fg.campaign.store import read_campaign
 from craternav_fg.errors import InputError
 from craternav_fg.report.campaign_page import campaign_page
-from craternav_fg.report.page import write_page
+from craternav_fg.report.page import Table, write_page
 from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
 from tests.report.test_report import Reader, cli_main
@@ -55,3 +56,20 @@ def test_an_unfinished_campaign_is_refused(campaign: Path, tmp_path: Path) -> No
             campaign_page(read_campaign(campaign))
     finally:
         summary.write_text(text)
+
+
+@pytest.mark.parametrize(("trials", "set_off"), [(3, False), (300, True)])
+def test_an_anees_that_few_trials_explain_is_not_set_off(campaign: Path, trials: int, set_off: bool) -> None:
+    file = campaign / "summary.json"
+    text = file.read_text()
+    summary = json.loads(text)
+    summary["trials"] = trials
+    for values in summary["estimators"].values():
+        values["anees"] = 8.0
+    file.write_text(json.dumps(summary))
+    try:
+        table = campaign_page(read_campaign(campaign)).sections[0].blocks[0]
+    finally:
+        file.write_text(text)
+    assert isinstance(table, Table)
+    assert {cells[6].concern for _, cells in table.rows} == {set_off}
