@@ -47,8 +47,8 @@ class IdentifyOptions:
         Noise of the rims' centres to search with, one after the other.
     candidates : tuple of int
         Triples of craters to judge for each triple of rims, per level.
-    judged : int
-        Hypotheses to judge at most, per level; a third of them for few rims.
+    triples : int
+        Triples of rims to look up at most, per level and guess of the vertical; fewer around the best guess.
     tried : int
         With the attitude known, craters to try for single rims at most: it bounds the time that a large
         catalogue takes.
@@ -63,9 +63,9 @@ class IdentifyOptions:
     altitudes_m: tuple[float, float] = (1e3, 2e6)
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
-    judged: int = 30_000
+    triples: int = 96
     tried: int = 3_000_000
-    log_chance: float = float(np.log(1e-8))
+    log_chance: float = float(np.log(1e-6))
     log_chance_attitude: float = float(np.log(1e-4))
     log_ambiguity: float = float(np.log(1e-3))
 

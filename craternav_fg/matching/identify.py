@@ -46,11 +46,16 @@ _ANCHORS = 8
 _SAME_PX = 0.05
 # What the model of the view may be turned by, rad.
 _TURN_RAD = float(np.radians(20.0))
-# So many rims tell well which way is down; of fewer, ways around the likeliest are tried, too, rad away.
+# So many rims tell well which way is down; of fewer, another guess is made. Ways around the likeliest, rad
+# away, are tried, too, with so small a part of the triples, by many rims only when all else was in vain.
 _MANY = 15
 _RING = float(np.radians(9.0))
-# They have few triples, too: what these do not find among the first hypotheses they do not find later.
-_FEW_SHARE = 3
+_ASIDE = 4
+# Triples that are looked up before the best of their hypotheses grow, how many, and of what score: with much
+# noise right ones say little more than chance, and growing costs less than looking up.
+_CHUNK = 12
+_BEST = 4
+_PROMISING = 4.0
 
 
 @dataclass
@@ -224,43 +229,39 @@ def _by_triples(search_: _Search) -> list[_Grown]:
     largest = np.argsort(-view.radius_px)[:40]
     models, misfits = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= _MANY else 2)
     models = models[np.argsort(misfits)]
-    judged_most = options.judged
-    if search_.n < _MANY:
-        judged_most //= _FEW_SHARE
-        models = np.concatenate([models, _around(models[0])])
+    tried = [(model, options.triples) for model in models]
+    tried += [(model, options.triples // _ASIDE) for model in _around(models[0])]
+    levels = list(zip(options.noise_levels_px, options.candidates, strict=True))
+    if search_.n >= _MANY:
+        stages = [(*model, *level) for model in tried for level in levels]
+    else:
+        stages = [(*model, *level) for level in levels for model in tried]
     least, most = options.altitudes_m
     enough = -options.log_chance
     found: list[_Grown] = []
-    for noise, candidates in zip(options.noise_levels_px, options.candidates, strict=True):
-        for model in models:
-            down, height = np.ascontiguousarray(model[:3]), float(model[3] * radius)
-            X, log_sizes, scale = seat_all(view, down, height, radius)
-            triples = image_triples(X, log_sizes, scale, view, 6, noise)
-            best = np.full((24, HYPOTHESIS), -np.inf)
-            chunk = 24
-            judged = 0
-            for start in range(0, len(triples), chunk):
-                if judged > judged_most // len(models):
+    for model, count, noise, candidates in stages:
+        down, height = np.ascontiguousarray(model[:3]), float(model[3] * radius)
+        X, log_sizes, scale = seat_all(view, down, height, radius)
+        triples = image_triples(X, log_sizes, scale, view, 6, noise)[:count]
+        best = np.full((24, HYPOTHESIS), -np.inf)
+        for start in range(0, len(triples), _CHUNK):
+            search(
+                view, index.grid, index.centres, triples_of.neighbours, triples_of.points,
+                triples_of.codes, triples_of.dims, triples_of.splits, triples_of.levels, X, log_sizes,
+                scale, triples[start : start + _CHUNK], search_.order, down, height, radius, noise, 0.02,
+                0.05, candidates, search_.attitude, search_.least_cos, least, most, best,
+            )  # fmt: skip
+            for row in np.argsort(-best[:, SCORE])[:_BEST]:
+                if best[row, SCORE] < _PROMISING:
                     break
-                judged += search(
-                    view, index.grid, index.centres, triples_of.neighbours, triples_of.points,
-                    triples_of.codes, triples_of.dims, triples_of.splits, triples_of.levels, X, log_sizes,
-                    scale, triples[start : start + chunk], search_.order, down, height, radius, noise, 0.02,
-                    0.05, candidates, search_.attitude, search_.least_cos, least, most,
-                    best,
-                )  # fmt: skip
-                rows = np.argsort(-best[:, SCORE])[:4]
-                for row in rows:
-                    # Grown once: kept in place, so that it is not taken up again.
-                    if not 6.0 < best[row, SCORE] < 1e6:
-                        continue
-                    grown = search_.grow(best[row], noise)
-                    best[row, SCORE] = -np.inf
-                    if grown is None:
-                        continue
-                    if grown.log_ratio >= enough:
-                        return [grown]
-                    found.append(grown)
+                grown = search_.grow(best[row], noise)
+                # It makes room for others.
+                best[row, SCORE] = -np.inf
+                if grown is None:
+                    continue
+                if grown.log_ratio >= enough:
+                    return [grown]
+                found.append(grown)
     return sorted(found, key=lambda g: -g.log_ratio)
 
 
@@ -290,7 +291,7 @@ def _by_anchors(search_: _Search, found: list[_Grown]) -> list[_Grown]:
             )  # fmt: skip
             # Only where nothing else can be as good the other rims are not asked; many rims tell the best.
             last = start + 1 >= len(anchors) or left < len(index.catalog)
-            for row in np.argsort(-best[:, SCORE])[: len(best) if last and search_.n < _MANY else 4]:
+            for row in np.argsort(-best[:, SCORE])[: len(best) if last and search_.n < _MANY else _BEST]:
                 if best[row, SCORE] == -np.inf:
                     break
                 grown = search_.grow(best[row], noise)

@@ -34,7 +34,7 @@ IntArray = npt.NDArray[np.int64]
 _FALSE_SHARES = np.array([0.1, 0.3, 0.6, 0.9])
 _SIGMAS = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 _LN2PI = float(np.log(2.0 * np.pi))
-_ROOM = 20_000
+_ROOM = 4096
 _SIZE_SLOPE = 2.0
 # Least variance of shapes; samples a side of what an image shows.
 _ROUNDNESS2 = 0.05**2
@@ -140,7 +140,7 @@ def visible(
     # The middle of the rims and the farthest corner bound what is seen.
     middle = np.empty(3)
     corner = np.empty(3)
-    reach = 0.0
+    reach, stretch = 0.0, 0.0
     if not _ground(R, P, range_m, sphere, 0.5 * (view.corners[0] + view.corners[2]),
                    0.5 * (view.corners[1] + view.corners[3]), view, middle):  # fmt: skip
         for r in range(3):
@@ -148,17 +148,35 @@ def visible(
         reach = horizon
     for k in range(4):
         x, y = view.corners[0 if k % 2 == 0 else 2], view.corners[1 if k < 2 else 3]
+        u, v = (x - view.middle_px[0]) / view.fx_px, (y - view.middle_px[1]) / view.fy_px
+        stretch = max(stretch, 0.75 * np.log(1.0 + u * u + v * v))
         if _ground(R, P, range_m, sphere, x, y, view, corner):
             cos = middle[0] * corner[0] + middle[1] * corner[1] + middle[2] * corner[2]
             reach = max(reach, np.arccos(min(max(cos, -1.0), 1.0)))
         else:
-            reach = max(reach, 2.0 * horizon)
-    least = np.log(max(0.8 * least_px * (range_m - sphere) / view.focal_px, 1.0))
+            reach = 2.0 * horizon
+    if reach > horizon:
+        # Around the point below, less can be seen than around another.
+        reach = horizon
+        for r in range(3):
+            middle[r] = P[r] / range_m
+    reach = min(1.02 * reach, 1.5)
+    least_angle = np.log(least_px / view.focal_px) - stretch - 0.05
+    least = np.log(max(range_m - sphere, 1.0)) + least_angle
     found = np.empty(_ROOM, dtype=np.int64)
-    count = within(grid, middle[0], middle[1], middle[2], min(1.02 * reach, 1.5), least, 30.0, found)
+    count = within(grid, middle[0], middle[1], middle[2], reach, least, 30.0, found)
+    while count == found.shape[0]:
+        found = np.empty(4 * count, dtype=np.int64)
+        count = within(grid, middle[0], middle[1], middle[2], reach, least, 30.0, found)
     p, axes_c, y5 = np.empty(3), np.empty((2, 3)), np.empty(5)
     total = 0
     for k in range(count):
+        # Of the far ones most are too small, however they lie.
+        distance2 = 0.0
+        for r in range(3):
+            distance2 += (centres[found[k], r] - P[r]) ** 2
+        if grid.log_size[found[k]] - 0.5 * np.log(distance2) < least_angle:
+            continue
         rim_in_camera(R, P, centres[found[k]], axes[found[k]], p, axes_c)
         if not chart(p, axes_c, y5):
             continue

@@ -36,6 +36,8 @@ class Grid(NamedTuple):
     """First crater of each cell in `order` (cells + 1,)."""
     order: Int32Array
     """Craters, cell by cell (n,)."""
+    placed: FloatArray
+    """Direction and logarithm of the size of the craters in this order (n, 4): read one after the other."""
     larger: FloatArray
     """Craters per steradian larger than `first_size` + k `_BIN`."""
 
@@ -70,7 +72,8 @@ def build_grid(units: FloatArray, log_size: FloatArray) -> Grid:
     larger = (n - np.searchsorted(np.sort(log_size), edges)) / (4.0 * np.pi)
     return Grid(
         np.ascontiguousarray(units), np.ascontiguousarray(log_size), first, tier_rows.astype(np.int32),
-        row_cells.astype(np.int32), starts.astype(np.int32), order.astype(np.int32), larger,
+        row_cells.astype(np.int32), starts.astype(np.int32), order.astype(np.int32),
+        np.column_stack([units, log_size])[order], larger,
     )  # fmt: skip
 
 
@@ -139,17 +142,16 @@ def within(
             for column in range(west, east + 1):
                 cell = cell0 + column % columns
                 for k in range(grid.starts[cell], grid.starts[cell + 1]):
-                    crater = grid.order[k]
-                    size = grid.log_size[crater]
+                    size = grid.placed[k, 3]
                     if size < least or size > most:
                         continue
-                    dx = grid.units[crater, 0] - x
-                    dy = grid.units[crater, 1] - y
-                    dz = grid.units[crater, 2] - z
+                    dx = grid.placed[k, 0] - x
+                    dy = grid.placed[k, 1] - y
+                    dz = grid.placed[k, 2] - z
                     if dx * dx + dy * dy + dz * dz > reach2:
                         continue
+                    out[count] = grid.order[k]
+                    count += 1
                     if count == out.shape[0]:
                         return count
-                    out[count] = crater
-                    count += 1
     return count

@@ -18,7 +18,6 @@ SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14,
 # A rim without a crater: of its visible craters a catalogue lacks, or an image's rims are false.
 _MISS = 0.7
 _GATE = 3.0
-_ROOM = 64
 
 
 @njit(cache=True, error_model="numpy")
@@ -83,7 +82,8 @@ def support(
         Rims that may be asked in vain.
     """
     X = np.empty(3)
-    found = np.empty(_ROOM, dtype=np.int64)
+    # Whether there is one, not how many.
+    found = np.empty(1, dtype=np.int64)
     score = 0.0
     asked = 0
     hits = 0
@@ -113,8 +113,7 @@ def support(
         angle = gate_px * distance / (view.focal_px * pose[SPHERE])
         chance = density(grid, size - slack, size + slack) * np.pi * angle * angle
         if chance < 1.0:
-            count = within(grid, X[0], X[1], X[2], angle, size - slack, size + slack, found)
-            if count:
+            if within(grid, X[0], X[1], X[2], angle, size - slack, size + slack, found):
                 hits += 1
                 score -= np.log(chance)
             else:

@@ -29,6 +29,7 @@ Int32Array = npt.NDArray[np.int32]
 _REACH2 = 12.0
 # Rims that may be asked in vain.
 _PATIENCE = 3
+_LEAST_SHOWN = 0.05
 
 
 @njit(cache=True, error_model="numpy")
@@ -75,7 +76,10 @@ def image_order(view: View, count: int) -> Int32Array:
 def image_triples(
     X: FloatArray, log_sizes: FloatArray, scale: FloatArray, view: View, count: int, sigma: float
 ) -> Int32Array:
-    """Triples (m, 3) of rims as the catalogue has them, those that say most first.
+    """Triples (m, 3) of rims as the catalogue has them; first those that the index has and that say most.
+
+    The index has a triple when no more than a few craters are nearer to its first than the others are. How
+    many are, an image tells as far as it shows the ground around that.
 
     Parameters
     ----------
@@ -100,8 +104,23 @@ def image_triples(
     i, j, k = i[there], j[there], k[there]
     perimeter = np.sqrt(d2[i, j]) + np.sqrt(d2[i, k])
     side = np.hypot(sigma * scale[i] / perimeter, 0.01)
-    doubt = side * side * share[i] * share[j] * share[k]
-    return np.stack([i, j, k], axis=-1)[np.argsort(doubt, kind="stable")].astype(np.int32)
+    doubt = np.log(side * side * share[i] * share[j] * share[k])
+    reach_px = np.sqrt(np.take_along_axis(d2, near, axis=1)) / scale[:, None]
+    shown = _shown(view, np.where(np.isfinite(reach_px), reach_px, 0.0))
+    nearer = (np.arange(1, near.shape[1] + 1) / shown)[:, second].ravel()[there]
+    return np.stack([i, j, k], axis=-1)[np.argsort(doubt + nearer, kind="stable")].astype(np.int32)
+
+
+def _shown(view: View, reach_px: FloatArray) -> FloatArray:
+    """Share (n, m) of the discs of some radii (n, m) around each rim that the image shows, 0.05 at least."""
+    turn = 2.0 * np.pi * np.arange(16) / 16
+    # Two rings of the same area each.
+    ring = np.concatenate([np.sqrt(part) * np.exp(1j * turn) for part in (0.25, 0.75)])
+    offset = reach_px[:, :, None] * ring
+    x, y = view.points_px[:, 0, None, None] + offset.real, view.points_px[:, 1, None, None] + offset.imag
+    left, top, right, bottom = view.corners
+    inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+    return np.maximum(inside.mean(axis=-1), _LEAST_SHOWN)
 
 
 @njit(cache=True, error_model="numpy")
@@ -193,8 +212,8 @@ def search(
     X: FloatArray, log_sizes: FloatArray, scale: FloatArray, triples: Int32Array, order: Int32Array,
     down: FloatArray, height_m: float, radius_m: float, sigma: float, warp: float, lever: float,
     candidates: int, attitude: FloatArray, least_cos: float, least_m: float, most_m: float, best: FloatArray,
-) -> int:  # fmt: skip
-    """Look up triples of rims and keep the best hypotheses; give the number that was judged.
+) -> None:  # fmt: skip
+    """Look up triples of rims and keep the best hypotheses.
 
     Parameters
     ----------
@@ -227,7 +246,6 @@ def search(
     rims = np.empty(3, dtype=np.int32)
     craters = np.empty(3, dtype=np.int32)
     pose = np.empty(HYPOTHESIS)
-    judged = 0
     for row in range(triples.shape[0]):
         for k in range(3):
             rims[k] = triples[row, k]
@@ -255,9 +273,7 @@ def search(
                 view, X, centres, down, height_m, radius_m, rims, craters, span / perimeter, pose
             ) or not agrees(pose, attitude, least_cos, least_m, most_m):
                 continue
-            judged += 1
             score = support(view, grid, order[rims[0]], pose, extent, lever, sigma, 14, _PATIENCE)
             pose[SCORE] = score - 0.5 * found_d2[h]
             if pose[SCORE] > 0.0:
                 keep(pose, best)
-    return judged

@@ -1,5 +1,6 @@
 """Identification with no prior position: right answers, no wrong ones, and none where there is none."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from craternav_fg.bench.identification import (
     synthetic_catalog,
 )
 from craternav_fg.bench.problems import MOON
+from craternav_fg.catalog import Catalog
 from craternav_fg.catalog_files import import_catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify import (
@@ -26,10 +28,13 @@ from craternav_fg.matching.identify import (
     identify,
 )
 from craternav_fg.matching.identify_anchors import anchor_search
-from craternav_fg.matching.identify_evidence import chance_at, log_by_chance
+from craternav_fg.matching.identify_evidence import chance_at, log_by_chance, visible
 from craternav_fg.matching.identify_index import Index
+from craternav_fg.matching.identify_nadir import nadirs
+from craternav_fg.matching.identify_triples import image_triples, seat_all
 from craternav_fg.matching.identify_view import view_of
 from factors.kernels.gauss_newton import screw_between
+from tests.catalogs.population import power_law_population
 from tests.shared_data import shared
 
 
@@ -197,6 +202,44 @@ def test_other_craters_that_are_foreshortened_alike_are_chance(synthetic) -> Non
     assert min(turned) > -0.7
 
 
+@pytest.mark.parametrize(
+    ("range_m", "tilt_rad", "least"), [(4.7e6, 0.0, 5000), (4.7e6, 0.3, 2000), (1.9e6, 1.1, 50)]
+)
+def test_all_craters_that_should_be_seen_are_counted(synthetic, range_m, tilt_rad, least) -> None:
+    """However many they are; not those behind the horizon. Wrong poses are told by those that are missing."""
+    catalog, camera, least_px = synthetic.catalog, scene_camera(60.0), 0.3
+    gTb = frames.pose(
+        frames.rotation_exp(np.array([np.pi - tilt_rad, 0.0, 0.0])), np.array([0.0, 0.0, range_m])
+    )
+    _, charts = catalog.visible(camera, gTb, min_semi_minor_px=1e-3)
+    size_px = np.sqrt(camera.fx_px * camera.fy_px) * np.exp(0.5 * (charts[:, 2] + charts[:, 4]))
+    wanted = np.sum(size_px >= least_px)
+    view = view_of(np.array([[500.0, 500.0, 20.0, 15.0, 0.0]]), camera)
+    found = visible(view, synthetic.grid, synthetic.centres, catalog.axes, gTb, MOON.radius_m, least_px)
+    assert wanted > least
+    # Of craters right behind the horizon a few more.
+    assert wanted <= found < 1.06 * wanted + 3
+
+
+def test_triples_that_the_index_has_come_first(synthetic) -> None:
+    """Those whose nearest neighbours the image shows: it ends where a large crater's neighbours are."""
+    neighbours = synthetic.triples.neighbours
+    first, last = [], []
+    rng = np.random.default_rng(17)
+    for _ in range(30):
+        scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=3.0), rng, true_rims=(9, 20))
+        view = view_of(scene.ellipses_px, scene.camera)
+        model = nadirs(view, np.arange(len(scene.craters)), np.array([0.08, 0.25]), 1)[0][0]
+        down, height_m = model[:3].copy(), model[3] * MOON.radius_m
+        X, log_sizes, scale = seat_all(view, down, height_m, MOON.radius_m)
+        craters = scene.craters[image_triples(X, log_sizes, scale, view, 6, 3.0)]
+        had = [row.min() >= 0 and set(row[1:]) <= set(neighbours[row[0]]) for row in craters]
+        first.extend(had[:12])
+        last.extend(had[-24:])
+    assert np.mean(first) > 0.3
+    assert np.mean(last) < 0.12
+
+
 def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:
     """Of a large catalogue few rims: no answer comes in time."""
     rng = np.random.default_rng(16)
@@ -330,3 +373,30 @@ def test_no_mirror_image_of_many_is_accepted(index, true_rims, known) -> None:
     found = answers(index, np.random.default_rng(21), 1000, true_rims, 1.0, known=known, mirrored=True)
     assert not any(answer.identified for _, answer in found)
     assert max(answer.seconds for _, answer in found) < 1.0
+
+
+@pytest.mark.slow
+def test_the_full_moon() -> None:
+    """A real catalogue, and craters drawn below its 4 km (a power of -2), seen from low above."""
+    real, _ = import_catalog(shared("robbins_2018_subset.csv"), MOON)
+    drawn = power_law_population(np.random.default_rng(1), MOON, 1_300_000 - len(real), (1e3, 4e3))
+    began = time.process_time()
+    index = Index.build(Catalog.joined([real, drawn]))
+    assert time.process_time() - began < 60.0
+    assert index.triples.nbytes < 600e6
+    low, rng = (20e3, 50e3), np.random.default_rng(22)
+    found = answers(index, rng, 600, (6, 10_000), 3.0, altitudes_m=low)
+    good, wrong = shares(found)
+    assert good >= 0.98
+    assert wrong == 0
+    assert np.median([answer.seconds for _, answer in found]) < 0.1
+    none = answers(index, rng, 400, (6, 10_000), 3.0, mirrored=True, altitudes_m=low)
+    assert not any(answer.identified for _, answer in none)
+    assert max(answer.seconds for _, answer in none) < 1.0
+
+
+@pytest.mark.slow
+def test_too_few_true_rims_are_not_answered_wrongly(index) -> None:
+    """Among false ones: some have a right answer all the same."""
+    found = answers(index, np.random.default_rng(23), 500, (0, 5), 3.0, false=0.5)
+    assert shares(found)[1] == 0
