@@ -64,7 +64,7 @@ def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
         k = trials.at(km)
         value = {one: known(getattr(found[one], kind)[k]) for one in found}
         bounded = kind == "rms" or len(trials.numbers) == 1
-        where = f"{km:g} km, {trials.craters[:, k].mean():.2g} craters in view"
+        where = f"{km:g} km, craters in view: {trials.craters[:, k].mean():.2g}"
         printed = None
         if km == (ONE_TRIAL_KM if len(trials.numbers) == 1 else LAST_KM) and kind == "mean":
             printed = PRINTED[name]

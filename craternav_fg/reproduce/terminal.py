@@ -14,13 +14,14 @@ def tables(result: Reproduction) -> Iterator[tuple[str, Table]]:
     for quantity, unit in dict.fromkeys((row.quantity, row.unit) for row in headlines):
         rows = [row for row in headlines if (row.quantity, row.unit) == (quantity, unit)]
         shown = [name for name in NUMBERS if any(getattr(row, name) is not None for row in rows)]
-        table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False)
-        table.add_column("", no_wrap=True)
+        table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
+        # In a narrow terminal words fold; a number that is cut short would be another.
+        table.add_column("", min_width=14)
         for name in shown:
-            table.add_column(name.replace("_", " "), justify="right", no_wrap=True)
+            table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True)
         judged = any(row.verdict != NO_NUMBER for row in rows)
         if judged:
-            table.add_column("verdict")
+            table.add_column("verdict", min_width=14)
         for row in rows:
             numbers = [number(getattr(row, name)) for name in shown]
             words = "" if row.verdict == NO_NUMBER else row.verdict
