@@ -250,7 +250,8 @@ def draw_overview(
     altitude_km = dict(zip(first.stamps_ns.tolist(), body.altitude_m(first.gP) / 1e3, strict=True))
     for axes, (image, frame) in zip(top.subplots(1, len(images), squeeze=False)[0], images, strict=True):
         draw_rims(axes, image, frame, camera)
-        axes.set_title(f"{altitude_km[frame.stamp_ns]:.0f} km, {len(frame.rims)} rims", fontsize=10)
+        rims = "rim" if len(frame.rims) == 1 else "rims"
+        axes.set_title(f"{altitude_km[frame.stamp_ns]:.0f} km, {len(frame.rims)} {rims}", fontsize=10)
     axes = bottom.subplots()
     for name, trajectory in trajectories.items():
         if truth is not None:

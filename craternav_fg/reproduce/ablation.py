@@ -16,6 +16,7 @@ from craternav_fg.estimators.ekf import DistributedEkf, ekf_paper
 from craternav_fg.estimators.ekf_fusion import Rule
 from craternav_fg.estimators.ekf_measurement import MeasurementModel, NoiseModel
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.evaluation.figures import COLOURS
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.reproduce.descents import one_problem, scenario_of
@@ -141,10 +142,10 @@ def _draw(error_m: dict[str, FloatArray]) -> Figure:
     figure = Figure(figsize=(8.0, 4.5), layout="constrained")
     axes = figure.subplots()
     for k, (name, values) in enumerate(error_m.items()):
-        colour = "#D55E00" if "(19)" in name else "#009E73" if name.startswith("EKF") else "#0072B2"
+        kind = "ekf_paper" if "(19)" in name else "ekf" if name.startswith("EKF") else "smoother"
         finite = values[np.isfinite(values)]
-        axes.plot(finite, np.full(len(finite), k), ".", color=colour, alpha=0.5)
-        axes.plot(np.median(values), k, "|", ms=16, mew=2.5, color=colour)
+        axes.plot(finite, np.full(len(finite), k), ".", color=COLOURS[kind], alpha=0.5)
+        axes.plot(np.median(values), k, "|", ms=16, mew=2.5, color=COLOURS[kind])
     axes.set_yticks(range(len(error_m)), list(error_m))
     axes.invert_yaxis()
     axes.set_xscale("log")

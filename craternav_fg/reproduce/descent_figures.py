@@ -5,6 +5,7 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from craternav_fg.evaluation.consistency import Anees, anees_by_altitude, over_altitude
+from craternav_fg.evaluation.figures import COLOURS
 from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.reproduce import descents, drawing
 from craternav_fg.reproduce.descent_notes import one_trial_note, trials_note, without
@@ -18,12 +19,12 @@ ALTITUDES_KM = (90.0, 50.0, 30.0, 26.0, 15.0, 10.0)
 # Edges of the bins of ANEES; frames just above the first belong to it.
 BINS_KM = (100.5, 80.0, 60.0, 40.0, 30.0, 20.0, 0.0)
 
-STYLE = {
-    PAPERS: ("paper's EKF", "#D55E00", "-"),
-    CENTRES: ("smoother, centres", "#E69F00", "-"),
-    FILTER: ("EKF, ellipse chart", "#009E73", "-"),
-    ONLINE: ("smoother, online", "#56B4E9", "-"),
-    SMOOTHER: ("smoother, in retrospect", "#0072B2", "-"),
+LABELS = {
+    PAPERS: "paper's EKF",
+    CENTRES: "smoother, centres",
+    FILTER: "EKF, ellipse chart",
+    ONLINE: "smoother, online",
+    SMOOTHER: "smoother, in retrospect",
 }
 
 
@@ -205,10 +206,10 @@ def _interval(one: Anees) -> str:
 
 def _draw(name: str, trials: Descents, quantity: str) -> Figure:
     lines = {}
-    for one, (label, colour, style) in STYLE.items():
+    for one, label in LABELS.items():
         found = trials.of(one)
         if len(found.trials):
-            lines[label] = drawing.Line(colour, style, found.rms)
+            lines[label] = drawing.Line(COLOURS[one], "-", found.rms)
     lines["bound (PCRB), online"] = drawing.Line("k", "--", trials.bound(FILTERED_BOUND))
     lines["bound (PCRB), in retrospect"] = drawing.Line("k", ":", trials.bound(SMOOTHED_BOUND))
     single = len(trials.numbers) == 1

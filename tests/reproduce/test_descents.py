@@ -135,7 +135,7 @@ COLUMN = {PAPERS: "as_printed", FILTER: "corrected", ONLINE: "efficient"}
 def test_a_figure_is_drawn_without_an_estimator_that_gave_nothing(figure: str, name: str) -> None:
     every = descent_figures.draw_up(figure, known())
     lacking = descent_figures.draw_up(figure, without(name, 0, 1))
-    label = descent_figures.STYLE[name][0]
+    label = descent_figures.LABELS[name]
     labels = [[line.get_label() for line in one.drawing.axes[0].lines] for one in (every, lacking)]
     assert labels[1] == [one for one in labels[0] if one != label]
     rows, whole = ([row.as_dict() for row in one.rows] for one in (lacking, every))
