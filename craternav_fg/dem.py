@@ -72,7 +72,7 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
     try:
         import rasterio
     except ImportError:
-        raise CraternavError("elevation models need rasterio: pip install 'craternav_fg[geo]'") from None
+        raise CraternavError("elevation models need rasterio: pip install -e '.[geo]'") from None
     if not path.is_file():
         raise InputError(path, "file is missing")
     try:

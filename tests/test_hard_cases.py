@@ -3,11 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 
+from craternav_fg.cli.terminal import calibrated_line
 from craternav_fg.config import FaultsSection, built_in_scenarios, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.evaluation.run_folder import read_residuals, write_run
 from craternav_fg.reconstruction import reconstruct
 from craternav_fg.simulation.scenario import simulate
 
@@ -36,6 +39,27 @@ def check(name: str, folder: Path, trials: int) -> None:
 @pytest.mark.parametrize("name", ["hard_wrong_matches", "hard_mounting", "hard_map_errors"])
 def test_a_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
     check(name, tmp_path, 2)
+
+
+def test_rims_fit_the_camera_as_it_was_found_to_be(tmp_path: Path) -> None:
+    data = Dataset.open(simulate(load_scenario("hard_mounting"), tmp_path / "data", trial=0))
+    result = reconstruct(data, ["smoother", "calibrating_smoother"])
+    (tmp_path / "run").mkdir()
+    summary = write_run(
+        tmp_path / "run", result, dataset="", camera=data.camera, catalog=data.catalog, truth=None,
+        times_s={}, wall_s=0.0,
+    )  # fmt: skip
+    assert summary["estimators"]["calibrating_smoother"]["rim_misfit_share"] < 0.01
+    found = read_residuals(tmp_path / "run")
+    chi2 = {
+        name: found.filter(pc.equal(found["estimator"], name))["chi2"].to_numpy().mean()
+        for name in result.trajectories
+    }
+    # They fit with it, and with the freedom better than without.
+    assert 3.0 < chi2["calibrating_smoother"] < chi2["smoother"]
+    assert calibrated_line(summary["estimators"]["calibrating_smoother"]["calibrated"]).startswith(
+        "the camera's mounting turned by "
+    )
 
 
 @pytest.mark.slow

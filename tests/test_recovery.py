@@ -78,7 +78,7 @@ def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, mon
     kept = tmp_path / f"{layout.LARGE_CRATERS}.index.npz"
     assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
     assert kept.is_file()
-    assert finder.index_said == f"{kept}: file is missing: built"
+    assert finder.index_said == f"{kept}: none yet: built"
     monkeypatch.setattr(Index, "build", lambda catalog: pytest.fail("built again"))
     np.testing.assert_array_equal(Finder(data).locate(0).gTb, first.gTb)
 

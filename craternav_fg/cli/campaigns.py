@@ -22,7 +22,7 @@ from craternav_fg.estimators.registry import DEFAULT
 COLUMNS = {
     "converged": "conv.",
     "position_final_mean_m": "end m",
-    "position_final_rms_m": "RMS m",
+    "position_final_rms_m": "end RMS",
     "attitude_final_mean_deg": "end deg",
     "rms_over_pcrb": "/PCRB",
     "anees": "ANEES",

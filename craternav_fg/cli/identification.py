@@ -146,7 +146,7 @@ def _show(values: dict[str, Any]) -> None:
     pose = values["pose"]
     if pose is None:
         return
-    say("   centre x          y  px  crater")
+    say("      x px       y px      crater")
     for rim in values["rims"]:
         say(f"{rim['center_x_px']:10.3f} {rim['center_y_px']:10.3f}      {rim['crater'] or '-'}")
     matched = sum(rim["crater"] is not None for rim in values["rims"])

@@ -22,7 +22,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from craternav_fg.evaluation.run_folder import Run
+from craternav_fg.evaluation.run_folder import METRICS, Run
 from craternav_fg.reconstruction import Progress as Report
 
 err = Console(stderr=True)
@@ -31,6 +31,13 @@ out = Console()
 # Share of rims that do not fit above which an estimator's trajectory is not to be believed; one uses none.
 MOST = 0.5
 UNAIDED = "dead_reckoning"
+# Of a sensor's innovations, per dimension: noise that is somewhat too small gives less.
+CONCERN_NIS = 3.0
+CHECKS = {
+    "imu": "its units and noise, the body's spin and gravity",
+    "rims": "heights and sizes in the catalogue, T_BS, the body's spin, the matches",
+    "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
+}
 
 LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
@@ -98,6 +105,9 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
         say(f"craternav compare {folder} how far they lie apart")
     if summary["innovations"]:
         say(innovations_line(summary["innovations"]))
+    for name, values in summary["estimators"].items():
+        if "calibrated" in values:
+            say(f"{name} found {calibrated_line(values['calibrated'])}")
     counts = summary["craters_per_frame"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
     say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
@@ -116,6 +126,21 @@ def innovations_line(found: dict[str, Any]) -> str:
     return f"NIS per dimension of {found['filter']}, honest: 1: {', '.join(parts)}"
 
 
+def calibrated_line(found: dict[str, Any]) -> str:
+    """Write what an estimator found beside the trajectory, with standard deviations."""
+    parts = []
+    if "mounting_deg" in found:
+        axes = zip(found["mounting_deg"], found["mounting_sigma_deg"], strict=True)
+        turns = ", ".join(f"{value:.3f} ± {sigma:.3f}" for value, sigma in axes)
+        parts.append(f"the camera's mounting turned by {turns} deg")
+    if "image_delay_s" in found:
+        delay_ms, sigma_ms = 1e3 * found["image_delay_s"], 1e3 * found["image_delay_sigma_s"]
+        parts.append(f"images {delay_ms:.1f} ± {sigma_ms:.1f} ms later than stamped")
+    if "map_errors" in found:
+        parts.append(f"map errors of {len(found['map_errors'])} craters, in {METRICS}")
+    return "; ".join(parts)
+
+
 def _warnings(summary: dict[str, Any]) -> list[str]:
     """Tell what a user of the run must know before believing it."""
     out = [f"no trajectory of {message}" for message in summary["failures"].values()]
@@ -130,6 +155,13 @@ def _warnings(summary: dict[str, Any]) -> list[str]:
             f"most rims lie beyond 7 sigma from where they are put by {', '.join(astray)}, not to be "
             "believed; check the units and axes of IMU and catalogue, T_BS, the matches"
         )
+    innovations = summary["innovations"] or {"nis": {}}
+    for sensor, nis in innovations["nis"].items():
+        if nis["mean"] > CONCERN_NIS:
+            out.append(
+                f"{sensor}: what {innovations['filter']} predicts from the rest is contradicted (NIS "
+                f"{number(nis['mean'])}, honest: 1); check {CHECKS[sensor]}"
+            )
     if summary["initial_state"] == "replaced":
         out.append("the images contradict the initial state: one from identified craters took its place")
     if summary["resumed_at_frames"]:

@@ -321,6 +321,25 @@ def _others(trajectory: Trajectory, craters: IntArray, catalog: Catalog) -> list
     ]
 
 
+def _exposures(trajectory: Trajectory) -> FloatArray:
+    """Poses (k, 4, 4) whose camera, mounted as believed, took the images at the stamps."""
+    gTb, found = trajectory.gTb.copy(), trajectory.calibrated
+    if found is None:
+        return gTb
+    if found.image_delay_s is not None and len(trajectory) > 1:
+        delay_s = found.image_delay_s[0]
+        seconds = np.diff(trajectory.stamps_ns)[:, None] * 1e-9
+        steps = np.swapaxes(gTb[:-1, :3, :3], 1, 2) @ gTb[1:, :3, :3]
+        rates = np.array([frames.rotation_log(step) for step in steps]) / seconds
+        # A delay is milliseconds: the mean rate of turn from frame to frame will do.
+        rates = 0.5 * (np.concatenate([rates[:1], rates]) + np.concatenate([rates, rates[-1:]]))
+        gTb[:, :3, :3] = gTb[:, :3, :3] @ np.array([frames.rotation_exp(delay_s * rate) for rate in rates])
+        gTb[:, :3, 3] += delay_s * trajectory.gV
+    if found.mounting_rad is not None:
+        gTb[:, :3, :3] = gTb[:, :3, :3] @ frames.rotation_exp(found.mounting_rad[0])
+    return gTb
+
+
 def _residuals(
     trajectories: Mapping[str, Trajectory],
     measured: tuple[FrameMeasurement, ...],
@@ -338,7 +357,7 @@ def _residuals(
     parts = []
     for name, trajectory in trajectories.items():
         whitened = [np.empty((0, 5))]
-        for frame, gTb in zip(measured, trajectory.gTb, strict=True):
+        for frame, gTb in zip(measured, _exposures(trajectory), strict=True):
             rims = frame.rims
             predicted, _ = conic.project_rims(
                 gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]

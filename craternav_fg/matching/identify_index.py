@@ -128,7 +128,7 @@ class Index:
             When the file is missing, none of ours, of another version or of another catalogue.
         """
         if not path.is_file():
-            raise InputError(path, "file is missing")
+            raise InputError(path, "none yet")
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 found = int(data["version"])

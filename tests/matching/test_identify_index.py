@@ -66,7 +66,7 @@ def test_the_grid_finds_the_craters_around_a_place(index, reach) -> None:
 def test_the_index_comes_back_from_its_file(index, tmp_path) -> None:
     path = tmp_path / "index.npz"
     first, said = load_or_build(path, index.catalog)
-    assert said == f"{path}: file is missing: built"
+    assert said == f"{path}: none yet: built"
     again, said = load_or_build(path, index.catalog)
     assert said == ""
     for name in ("neighbours", "points", "codes", "dims", "splits"):

@@ -12,7 +12,7 @@ from craternav_fg.report.recording import write_recording
 
 
 def test_a_recording_holds_trajectories_craters_camera_and_rims(made_run: Path, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="needs rerun: pip install 'craternav_fg[viewer]'")
+    pytest.importorskip("rerun", reason="needs rerun: pip install -e '.[viewer]'")
     path = tmp_path / "run.rrd"
     write_recording(read_run(made_run), path)
     command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
