@@ -25,6 +25,6 @@ def test_without_the_library_the_error_says_what_to_install(
     made_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(CraternavError, match=r"craternav_fg\[viewer\]"):
+    with pytest.raises(CraternavError, match=r"pip install -e .\.\[viewer\]"):
         write_recording(read_run(made_run), tmp_path / "run.rrd")
     assert not list(tmp_path.iterdir())
