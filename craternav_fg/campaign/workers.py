@@ -60,6 +60,8 @@ class Processes(Executor):
     def __init__(self, count: int, scratch: Path) -> None:
         self._scratch = scratch
         self._lanes = [(self._lane(), _done()) for _ in range(count)]
+        # Lanes whose process has begun: at the first task.
+        self._begun: set[int] = set()
         self._others = set(multiprocessing.active_children())
 
     def _lane(self) -> ProcessPoolExecutor:
@@ -74,13 +76,19 @@ class Processes(Executor):
         if k is None:
             raise RuntimeError(f"all {len(self._lanes)} processes are busy")
         lane, _ = self._lanes[k]
-        with _spawning():
+        if k in self._begun:
             try:
                 future = lane.submit(fn, *args, **kwargs)
             except BrokenExecutor:
                 lane.shutdown(wait=False)
                 lane = self._lane()
-                future = lane.submit(fn, *args, **kwargs)
+            else:
+                self._lanes[k] = (lane, future)
+                return future
+        # Ctrl-C is lost while a process begins: no longer than that.
+        with _spawning():
+            future = lane.submit(fn, *args, **kwargs)
+        self._begun.add(k)
         self._lanes[k] = (lane, future)
         return future
 
