@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -49,3 +50,34 @@ class Body:
     def altitude_m(self, gP: FloatArray) -> FloatArray:
         """Height of positions (..., 3) above the reference sphere, m."""
         return np.asarray(np.linalg.norm(gP, axis=-1) - self.radius_m)
+
+
+def ground_points(
+    gRc: FloatArray, gPc: FloatArray, points: FloatArray, radius_m: float
+) -> tuple[FloatArray, BoolArray]:
+    """Where lines of sight meet the sphere.
+
+    Parameters
+    ----------
+    gRc, gPc : ndarray, shape (3, 3) and (3,)
+        Pose of the camera in g.
+    points : ndarray, shape (n, 2)
+        Normalised image coordinates.
+    radius_m : float
+        Of the sphere about the origin of g.
+
+    Returns
+    -------
+    ground : ndarray, shape (n, 3)
+        The nearer intersections in g; the point nearest to the sphere where there is none.
+    hit : ndarray of bool, shape (n,)
+        Whether the line meets the sphere ahead of the camera.
+    """
+    rays = np.concatenate([points, np.ones((len(points), 1))], axis=-1) @ gRc.T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    along = -(rays @ gPc)
+    off2 = gPc @ gPc - along**2
+    root2 = radius_m**2 - off2
+    hit = (root2 > 0.0) & (along > 0.0)
+    range_m = along - np.sqrt(np.maximum(root2, 0.0))
+    return gPc + range_m[:, None] * rays, np.asarray(hit)

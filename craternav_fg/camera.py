@@ -137,26 +137,3 @@ class Camera:
             & (x <= self.width_px - 1 - margin_px)
             & (y <= self.height_px - 1 - margin_px)
         )
-
-
-def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Chart (..., 5) in normalised coordinates of a chart in pixels, and the derivative's diagonal (5,)."""
-    scale = np.array([1.0 / camera.fx_px, 1.0 / camera.fy_px, 1.0, camera.fx_px / camera.fy_px, 1.0])
-    offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
-    return (chart_px - offset) * scale, scale
-
-
-def pixel_chart(chart: FloatArray, camera: Camera) -> FloatArray:
-    """Chart (..., 5) in pixel coordinates of a chart in normalised coordinates."""
-    scale = np.array([camera.fx_px, camera.fy_px, 1.0, camera.fy_px / camera.fx_px, 1.0])
-    offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
-    return np.asarray(chart * scale + offset)
-
-
-def ellipse_chart(cx: float, cy: float, r1: float, r2: float, phi_rad: float) -> FloatArray:
-    """Chart (5,) of an ellipse with centre (cx, cy), semi-axes r1 and r2, r1 at phi from x towards y."""
-    c, d = np.cos(phi_rad), np.sin(phi_rad)
-    sxx = (r1 * c) ** 2 + (r2 * d) ** 2
-    sxy = (r1**2 - r2**2) * c * d
-    # The determinant of S is (r1 r2)^2: no digits are lost on a thin ellipse.
-    return np.array([cx, cy, 0.5 * np.log(sxx), sxy / sxx, np.log(r1 * r2) - 0.5 * np.log(sxx)])

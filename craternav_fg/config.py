@@ -1,23 +1,24 @@
-"""Scenario files in TOML: their models, and how they are found."""
+"""Text files with keys and values (TOML, YAML) checked against models: errors name file, line and key."""
 
-import importlib.resources
-import math
+import json
+import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, TypeVar
 
-import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from craternav_fg.body import Body
-from craternav_fg.camera import Camera
 from craternav_fg.errors import InputError
-from craternav_fg.frames import pose, rotation_exp
-from craternav_fg.imu import ImuNoise
-from craternav_fg.sections import Positive, Section, Vector, read_toml, validate
 
-STANDARD_GRAVITY_M_S2 = 9.80665
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0)]
+M = TypeVar("M", bound="Section")
 
-NotNegative = Annotated[float, Field(ge=0.0)]
+
+class Section(BaseModel):
+    """A table of a configuration file: no unknown keys, no conversion of types, no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class BodySection(Section):
@@ -34,457 +35,119 @@ class BodySection(Section):
         return Body(self.name, self.radius_m, self.mu_m3_s2, self.spin_rad_s)
 
 
-class CameraSection(Section):
-    """Camera with square pixels, principal point in the image's middle."""
-
-    width_px: Annotated[int, Field(ge=16, le=16384)]
-    height_px: Annotated[int, Field(ge=16, le=16384)]
-    field_of_view_deg: Annotated[float, Field(gt=0.0, lt=170.0)]
-    """Across the image's width, before distortion."""
-    rotation_vector_deg: Vector
-    """Mounting: turns camera axes into body axes."""
-    lever_arm_m: Vector
-    """Mounting: position of the camera in b."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """Of the lens, radial-tangential: k1, k2, p1, p2, k3 as OpenCV has them."""
-
-    @model_validator(mode="after")
-    def _does_not_fold(self) -> "CameraSection":
-        self.camera()
-        return self
-
-    def camera(self) -> Camera:
-        """Give the camera described."""
-        focal_px = 0.5 * self.width_px / math.tan(0.5 * math.radians(self.field_of_view_deg))
-        bTc = pose(rotation_exp(np.radians(self.rotation_vector_deg)), np.array(self.lever_arm_m))
-        return Camera(
-            width_px=self.width_px,
-            height_px=self.height_px,
-            fx_px=focal_px,
-            fy_px=focal_px,
-            cx_px=0.5 * (self.width_px - 1),
-            cy_px=0.5 * (self.height_px - 1),
-            bTc=bTc,
-            distortion=self.distortion,
-        )
-
-
-class ImuSection(Section):
-    """IMU at the origin of b, in the units of data sheets."""
-
-    rate_hz: Annotated[float, Field(ge=10.0, le=10000.0)]
-    gyro_arw_deg_sqrt_h: Positive
-    """Angular random walk."""
-    gyro_bias_deg_h: Positive
-    """Standard deviation of the turn-on bias, per axis."""
-    gyro_bias_walk_deg_h_sqrt_h: Positive
-    """Standard deviation that the bias gains in an hour."""
-    accelerometer_noise_ug_sqrt_hz: Positive
-    """Density of the white noise."""
-    accelerometer_bias_ug: Positive
-    """Standard deviation of the turn-on bias, per axis."""
-    accelerometer_bias_walk_ug_sqrt_h: Positive
-    """Standard deviation that the bias gains in an hour."""
-
-    def noise(self) -> ImuNoise:
-        """Give the densities in SI units."""
-        micro_g = 1e-6 * STANDARD_GRAVITY_M_S2
-        return ImuNoise(
-            gyro_density=math.radians(self.gyro_arw_deg_sqrt_h) / 60.0,
-            accelerometer_density=self.accelerometer_noise_ug_sqrt_hz * micro_g,
-            gyro_walk=math.radians(self.gyro_bias_walk_deg_h_sqrt_h) / 3600.0 / 60.0,
-            accelerometer_walk=self.accelerometer_bias_walk_ug_sqrt_h * micro_g / 60.0,
-        )
-
-    @property
-    def gyro_bias_rad_s(self) -> float:
-        """Turn-on bias, rad/s."""
-        return math.radians(self.gyro_bias_deg_h) / 3600.0
-
-    @property
-    def accelerometer_bias_m_s2(self) -> float:
-        """Turn-on bias, m/s^2."""
-        return self.accelerometer_bias_ug * 1e-6 * STANDARD_GRAVITY_M_S2
-
-
-class Boundary(Section):
-    """State at one end of the descent."""
-
-    altitude_m: Positive
-    downrange_m: float
-    """Along the ground from the landing site, positive beyond it."""
-    vertical_speed_m_s: float
-    """Positive upwards."""
-    ground_speed_m_s: float
-    """Of the sub-lander point, along the heading."""
-    vertical_acceleration_m_s2: float
-    """Second derivative of the altitude."""
-    ground_acceleration_m_s2: float
-    """Derivative of the ground speed."""
-
-
-class AttitudeSection(Section):
-    """Attitude relative to the local level frame (x forward, y right, z down)."""
-
-    start_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
-    """Off nadir, positive when z looks ahead."""
-    end_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
-    oscillation_deg: Vector
-    """Amplitudes about x, y and z."""
-    oscillation_period_s: tuple[Positive, Positive, Positive]
-
-
-class TrajectorySection(Section):
-    """A descent along a great circle to the landing site."""
-
-    site_latitude_deg: Annotated[float, Field(gt=-89.0, lt=89.0)]
-    site_longitude_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
-    heading_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
-    """At the site, from north towards east."""
-    duration_s: Positive
-    frame_interval_s: Positive
-    start: Boundary
-    end: Boundary
-    attitude: AttitudeSection
-
-    @model_validator(mode="after")
-    def _has_frames(self) -> "TrajectorySection":
-        if not 1e-3 <= self.frame_interval_s <= self.duration_s:
-            raise ValueError(
-                f"frame_interval_s {self.frame_interval_s} must be at least 0.001 and at most duration_s"
-            )
-        return self
-
-
-class SunSection(Section):
-    """Direction towards the sun at the landing site, when the descent begins."""
-
-    elevation_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
-    azimuth_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
-    """From north towards east."""
-
-
-class InitialErrorSection(Section):
-    """Standard deviations of the initial state's error, per axis."""
-
-    attitude_deg: Positive
-    position_m: Positive
-    velocity_m_s: Positive
-    angular_velocity_deg_s: Positive
-
-
-class RandomCraters(Section):
-    """Craters drawn along the ground track."""
-
-    source: Literal["random"]
-    density: Positive
-    """k of the size distribution: k r^-2 craters larger than r on a unit of area."""
-    size_frequency: tuple[tuple[Positive, Positive], ...] = ()
-    """In place of density: diameters, km, and how many craters are larger, per km^2. A power law joins
-    neighbours; the outer two continue beyond."""
-    min_apparent_px: Positive
-    """Smallest semi-minor axis, from the lowest altitude at which the crater is in view."""
-    max_apparent_px: Positive
-    """Largest semi-major axis, from the highest altitude at which the crater is in view."""
-    reach: Positive
-    """Half-width of the corridor along the ground track, in altitudes."""
-    separation: NotNegative
-    """Centres are this many times the sum of their semi-major axes apart, at least; below 1 they overlap."""
-    min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
-    """Axis ratios b/a are uniform from here to 1."""
-    clutter_px: tuple[Positive, Positive]
-    """Smallest and largest apparent size of the rendered craters that the catalogue does not have."""
-
-    @model_validator(mode="after")
-    def _sizes_rise(self) -> "RandomCraters":
-        for name, (small, large) in (
-            ("apparent", (self.min_apparent_px, self.max_apparent_px)),
-            ("clutter", self.clutter_px),
-        ):
-            if not small < large:
-                raise ValueError(f"{name} sizes must rise, found {small} to {large}")
-        table = np.array(self.size_frequency).reshape(-1, 2)
-        if len(table) == 1 or np.any(np.diff(table[:, 0]) <= 0.0) or np.any(np.diff(table[:, 1]) >= 0.0):
-            raise ValueError("size_frequency needs two rows or more, rising diameters and falling numbers")
-        return self
-
-
-class CraterFile(Section):
-    """Craters of a catalogue with Robbins' column names."""
-
-    source: Literal["file"]
-    path: Annotated[str, Field(min_length=1)]
-    """Relative to the scenario file."""
-
-
-class Crater(Section):
-    """One crater, placed from the landing site."""
-
-    east_m: float
-    north_m: float
-    semi_major_m: Positive
-    semi_minor_m: Positive
-    angle_deg: float
-    """Of the major axis, from local east towards north."""
-    height_m: float = 0.0
-    """Of the rim above the reference sphere."""
-
-    @model_validator(mode="after")
-    def _axes_in_order(self) -> "Crater":
-        if self.semi_minor_m > self.semi_major_m:
-            raise ValueError(f"semi_minor_m {self.semi_minor_m} exceeds semi_major_m {self.semi_major_m}")
-        return self
-
-
-class CraterTrials(Section):
-    """How the listed craters differ from trial to trial of a Monte Carlo campaign."""
-
-    place_sigma_m: NotNegative
-    """Standard deviation by which a place is moved, east and north."""
-    semi_axes_m: tuple[Positive, Positive]
-    """Both semi-axes are uniform between these, the orientation between 0 and 180 deg."""
-
-    @model_validator(mode="after")
-    def _axes_in_order(self) -> "CraterTrials":
-        if not self.semi_axes_m[0] <= self.semi_axes_m[1]:
-            raise ValueError(f"semi_axes_m must rise, found {self.semi_axes_m[0]} to {self.semi_axes_m[1]}")
-        return self
-
-
-class CraterList(Section):
-    """Craters named one by one."""
-
-    source: Literal["list"]
-    crater: Annotated[tuple[Crater, ...], Field(min_length=1)]
-    trials: CraterTrials | None = None
-    """Given: each trial draws its own; a simulation that is no trial has the list."""
-
-
-class TerrainSection(Section):
-    """Ground between and inside the craters."""
-
-    slope: NotNegative
-    """RMS slope that the octave of 100 m contributes along one axis."""
-    hurst: Annotated[float, Field(gt=0.0, le=1.0)]
-    """Growth of height with length; below 1 the ground is rougher the closer one looks."""
-    coarsest_m: Positive
-    """Longest wave, rounded down to a power of two."""
-    depth_scatter: Annotated[float, Field(ge=0.0, lt=1.0)]
-    """Floors are raised by up to this part of their depth, at random."""
-    irregularity: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    """RMS deviation of the rims from their ellipses, as a part of the radius."""
-    degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    """Crests are worn round and floors filled by up to this much, at random; 1 leaves half of the depth."""
-    dem: Annotated[str, Field(min_length=1)] | None = None
-    """Elevation model, a GeoTIFF relative to the scenario file: heights above the reference sphere."""
-    dem_unit_m: Positive = 1.0
-    """Metres that a unit of its values means."""
-    peaks_from_m: Positive | None = None
-    """Craters of a larger diameter have a central peak."""
-
-
-class HapkeSection(Section):
-    """Hapke's law; see `craternav_fg.simulation.render.Hapke`."""
-
-    single_scattering_albedo: Annotated[float, Field(gt=0.0, lt=1.0)]
-    asymmetry: Annotated[float, Field(gt=-1.0, lt=1.0)]
-    """Of the Henyey-Greenstein function: below 0 the grains scatter back."""
-    opposition_amplitude: NotNegative
-    opposition_width: Positive
-
-
-class RenderSection(Section):
-    """Light and image sensor."""
-
-    samples: Annotated[int, Field(ge=1, le=8)]
-    """Rays along each side of a pixel."""
-    lunar_lambert: Annotated[float, Field(ge=0.0, le=1.0)]
-    """Share of the Lommel-Seeliger law; the rest is Lambert's."""
-    sun_radius_deg: Positive
-    """Half the angle under which the sun appears."""
-    flat_level: Annotated[float, Field(gt=0.0, lt=1.0)]
-    """Brightness of level ground at the site, as a part of full scale."""
-    psf_sigma_px: NotNegative
-    """Gaussian blur of the optics."""
-    full_well_e: NotNegative
-    """Electrons at full scale: fewer give more shot noise; 0 for no noise at all."""
-    read_noise_e: NotNegative
-    """Standard deviation of the read-out noise, electrons."""
-    bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
-    """Of the grey levels; more than 8 are stored in images of 16."""
-    vignetting: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Part of the light that the image's corners lose."""
-    exposure_s: NotNegative = 0.0
-    """The image is blurred by the motion meanwhile; its stamp is that of the middle."""
-    hapke: HapkeSection | None = None
-    """Given: the ground's law in place of lunar_lambert."""
-
-
-class MeasurementSection(Section):
-    """Measured rims and sun tilts in place of images."""
-
-    edge_sigma_px: Positive
-    """Of each edge point, across the edge."""
-    points_per_rim: Annotated[int, Field(ge=6)]
-    min_semi_minor_px: Positive
-    """Smaller rims are not measured."""
-    sun_tilt_sigma_deg: Positive
-
-
-class FaultsSection(Section):
-    """What goes wrong and the data set does not tell."""
-
-    wrong_matches: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of the measured rims that bear the name of another crater; not with images."""
-    map_place: NotNegative = 0.0
-    """Error of the catalogue's places, east and north, as a part of the semi-major axis (1 sigma)."""
-    map_size: NotNegative = 0.0
-    """Error of the catalogue's semi-axes, each as a part of itself."""
-    map_height: NotNegative = 0.0
-    """Error of the catalogue's rim heights, as a part of the semi-major axis."""
-    mounting_deg: NotNegative = 0.0
-    """Angle by which the camera is turned from its mounting in the data set, about an axis at random."""
-    image_delay_s: float = 0.0
-    """Images are exposed so much later than they are stamped."""
-    outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
-    """Times from and to which there is no image; the first one is always there."""
-    without_sun: bool = False
-    """No sun tilt is measured; not with images."""
-
-    @model_validator(mode="after")
-    def _outages_last(self) -> "FaultsSection":
-        for begin, end in self.outages_s:
-            if not begin < end:
-                raise ValueError(f"outages_s: expected ends after beginnings, found {begin} to {end}")
-        return self
-
-
-Interval = tuple[NotNegative, Positive]
-
-
-class ExpectedSection(Section):
-    """Between what an estimator's figures should lie in the mean over trials."""
-
-    position_final_m: Interval | None = None
-    position_rms_m: Interval | None = None
-    anees: Interval | None = None
-
-
-class Scenario(Section):
-    """One simulated case."""
-
-    seed: Annotated[int, Field(ge=0)]
-    body: BodySection
-    camera: CameraSection
-    imu: ImuSection
-    trajectory: TrajectorySection
-    sun: SunSection
-    initial_error: InitialErrorSection
-    craters: Annotated[RandomCraters | CraterFile | CraterList, Field(discriminator="source")]
-    terrain: TerrainSection | None = None
-    """Needed for images and for random craters, which stand in it."""
-    render: RenderSection | None = None
-    """Given: the data set holds images."""
-    measurements: MeasurementSection | None = None
-    """Given: the data set holds measured rims and no images."""
-    faults: FaultsSection = Field(default_factory=FaultsSection)
-    expected: dict[str, ExpectedSection] = Field(default_factory=dict)
-    """By estimator: what the case is there to show."""
-
-    @model_validator(mode="after")
-    def _parts_fit(self) -> "Scenario":
-        if (self.render is None) == (self.measurements is None):
-            raise ValueError("expected either a table [render] or a table [measurements]")
-        if self.terrain is None and (self.render is not None or self.craters.source == "random"):
-            raise ValueError("expected a table [terrain] for [render] and for random craters")
-        if self.measurements is None and (self.faults.wrong_matches > 0.0 or self.faults.without_sun):
-            raise ValueError("wrong_matches and without_sun need a table [measurements]")
-        return self
-
-
-def load_scenario(name: str | Path) -> Scenario:
-    """Read a scenario: a file, or a built-in one by its name.
+def load_toml(path: Path, model: type[M]) -> M:
+    """Read a TOML file into a model.
 
     Parameters
     ----------
-    name : str or Path
-        Path of a TOML file, or the stem of one in the package `scenarios`.
+    path : Path
+    model : type
+        Subclass of `Section`.
 
     Raises
     ------
     InputError
-        When there is no such scenario, or it is wrong (see `load_toml`).
-
-    Notes
-    -----
-    A file with `base = "NAME"` holds what differs from that scenario: a built-in one, or a file beside it. A
-    table [measurements] takes the place of a base's [render], and the other way round.
+        When the file is missing or no TOML, or a key is unknown, missing, of the wrong type or out of
+        range: names the file, the line where it can be told, and the key.
     """
-    path = _find(name)
-    scenario = _with_base(path)
-    if isinstance(scenario.craters, CraterFile):
-        resolved = str((path.parent / scenario.craters.path).resolve())
-        scenario = scenario.model_copy(update={"craters": CraterFile(source="file", path=resolved)})
-    if scenario.terrain is not None and scenario.terrain.dem is not None:
-        resolved = str((path.parent / scenario.terrain.dem).resolve())
-        terrain = scenario.terrain.model_copy(update={"dem": resolved})
-        scenario = scenario.model_copy(update={"terrain": terrain})
-    return scenario
-
-
-def _find(name: str | Path) -> Path:
-    path = Path(name)
-    if path.suffix != ".toml" and not path.is_file():
-        path = built_in_scenarios().get(str(name), path)
-        if path.suffix != ".toml":
-            known = ", ".join(built_in_scenarios())
-            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}")
-    return path
-
-
-def _with_base(path: Path) -> Scenario:
-    """Read a scenario that may hold only what differs from another."""
     text, data = read_toml(path)
-    seen = [path]
-    while "base" in data:
-        base = data.pop("base")
-        if not isinstance(base, str):
-            raise InputError(path, f"expected the name of a scenario, found {base!r}", column="base")
-        beside = seen[-1].parent / base
-        seen.append(beside if beside.suffix == ".toml" else _find(base))
-        if seen[-1] in seen[:-1]:
-            raise InputError(path, f"is its own base, by way of {seen[-1]}", column="base")
-        _, under = read_toml(seen[-1])
-        # What is expected of the base is not expected of what differs from it.
-        under.pop("expected", None)
-        for given, other in (("measurements", "render"), ("render", "measurements")):
-            if given in data:
-                under.pop(other, None)
-        data = _merged(under, data)
-    return validate(path, data, Scenario, text=text)
+    return validate(path, data, model, text=text)
 
 
-def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Tables key by key, all else as `over` has it."""
-    out = dict(under)
-    for key, value in over.items():
-        below = under.get(key)
-        out[key] = value
-        # Craters of another source have other keys: they take the place of the whole table.
-        if (
-            isinstance(value, dict)
-            and isinstance(below, dict)
-            and value.get("source", below.get("source")) == below.get("source")
-        ):
-            out[key] = _merged(below, value)
-    return out
+def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
+    """Text of a TOML file and what it says, or `InputError`."""
+    text = read_text(path)
+    try:
+        return text, tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path, f"expected TOML: {error}") from None
 
 
-def built_in_scenarios() -> dict[str, Path]:
-    """Paths of the scenarios that come with the package, by name."""
-    folder = importlib.resources.files("scenarios")
-    return {
-        Path(entry.name).stem: Path(str(entry))
-        for entry in sorted(folder.iterdir(), key=lambda entry: entry.name)
-        if entry.name.endswith(".toml")
-    }
+def read_text(path: Path) -> str:
+    """Text of a UTF-8 file, or `InputError`."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(path, "file is missing") from None
+    except IsADirectoryError:
+        raise InputError(path, "expected a file, found a folder") from None
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"expected a text file in UTF-8: {error.reason}") from None
+
+
+def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> M:
+    """Check parsed data against a model; `text` is the file's, to find lines in.
+
+    Raises
+    ------
+    InputError
+        As `load_toml`.
+    """
+    try:
+        # JSON, because strict validation of Python objects refuses lists for tuples.
+        return model.model_validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        # A key that is misspelt is both unknown and missing; the first says where it is.
+        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+    keys = _keys_in(data, first["loc"])
+    raise InputError(path, _problem(first), line=line_of(text, keys), column=".".join(keys) or None) from None
+
+
+def _keys_in(data: Any, location: tuple[str | int, ...]) -> list[str]:
+    """Give the keys of an error's location, without the tags of chosen alternatives, which no file holds."""
+    keys: list[str] = []
+    for depth, key in enumerate(location, start=1):
+        here = isinstance(data, dict) and key in data
+        listed = isinstance(data, list) and isinstance(key, int) and key < len(data)
+        if here or listed:
+            data = data[key]
+        elif depth < len(location):
+            continue
+        keys.append(str(key))
+    return keys
+
+
+def line_of(text: str, keys: list[str]) -> int | None:
+    """1-based line of a key in TOML or flat YAML text; of the table around it when the key is not there."""
+    table: list[str] = []
+    counts: dict[str, int] = {}
+    best: tuple[int, int] | None = None
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.strip()
+        if line.startswith("["):
+            name = line.strip("[]").split("]")[0].strip()
+            table = [part.strip() for part in name.split(".")]
+            if line.startswith("[["):
+                counts[name] = counts.get(name, -1) + 1
+                table.append(str(counts[name]))
+            found = table
+        else:
+            for separator in "=:":
+                key, mark, _ = line.partition(separator)
+                if mark and key.strip().replace("_", "").isalnum():
+                    break
+            else:
+                continue
+            found = [*table, key.strip()]
+        depth = len(found)
+        if keys[:depth] == found and (best is None or depth > best[0]):
+            best = (depth, number)
+    return None if best is None else best[1]
+
+
+def _problem(error: Any) -> str:
+    found = error["input"]
+    match error["type"]:
+        case "extra_forbidden":
+            return "unknown key"
+        case "missing" | "union_tag_not_found":
+            return "key is missing"
+        case "value_error":
+            return str(error["ctx"]["error"])
+        case _:
+            message = str(error["msg"]).replace("Input should be", "expected")
+            what = "a table" if isinstance(found, dict) else json.dumps(found, default=str)
+            return (
+                f"{message[:1].lower()}{message[1:]}, found {what if len(what) < 60 else what[:57] + '...'}"
+            )

@@ -45,7 +45,7 @@ def rotation_log(R: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
-def turn_position(covariance: FloatArray, aRb: FloatArray) -> FloatArray:
+def rotate_position_block(covariance: FloatArray, aRb: FloatArray) -> FloatArray:
     """Turn the position part of a pose covariance (6, 6) from axes b into a; the attitude's stays in b.
 
     With `gRb` from a right twist's, both parts in b, to (rotation vector in b, position in g); with its

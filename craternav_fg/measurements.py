@@ -79,7 +79,7 @@ class RimSet:
         Covariance of the chart, from each rim's own fit and the systematic floor: of all its error.
     quality : RimQuality or None
         None when the rims were not measured in an image.
-    persistent : ndarray, shape (n, 5, 5), optional
+    correlated : ndarray, shape (n, 5, 5), optional
         Root A of the part A A' of the covariance that a rim keeps from frame to frame: its error is A z with
         z nearly the same in the next frame, so the columns belong to directions that are fixed to the
         ground. None where no part is known to be kept.
@@ -91,7 +91,7 @@ class RimSet:
     chart: FloatArray
     covariance: FloatArray
     quality: RimQuality | None = None
-    persistent: FloatArray | None = None
+    correlated: FloatArray | None = None
     shared: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -100,16 +100,16 @@ class RimSet:
     def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimSet":
         """Return the rims of some rows (a mask or indices)."""
         quality = None if self.quality is None else self.quality.take(rows)
-        persistent, shared = (None if A is None else A[rows] for A in (self.persistent, self.shared))
+        correlated, shared = (None if A is None else A[rows] for A in (self.correlated, self.shared))
         return RimSet(
-            self.craters[rows], self.chart[rows], self.covariance[rows], quality, persistent, shared
+            self.craters[rows], self.chart[rows], self.covariance[rows], quality, correlated, shared
         )
 
     @property
-    def white(self) -> FloatArray:
+    def uncorrelated_covariance(self) -> FloatArray:
         """Covariance (n, 5, 5) without its lasting parts."""
         out = self.covariance
-        for A in (self.persistent, self.shared):
+        for A in (self.correlated, self.shared):
             if A is not None:
                 out = out - A @ np.swapaxes(A, 1, 2)
         return out
@@ -132,13 +132,13 @@ class RimSet:
         T[near, 3, 2] = first * off[near, 1]
         T[near, 4, 4] = np.exp(off[near, 2])
         covariance = T @ self.covariance @ np.swapaxes(T, 1, 2)
-        persistent, shared = (None if A is None else T @ A for A in (self.persistent, self.shared))
-        return replace(self, covariance=covariance, persistent=persistent, shared=shared)
+        correlated, shared = (None if A is None else T @ A for A in (self.correlated, self.shared))
+        return replace(self, covariance=covariance, correlated=correlated, shared=shared)
 
-    def as_new(self, frames: float) -> "RimSet":
+    def inflate_correlated(self, frames: float) -> "RimSet":
         """Return the rims for those who take what lasts as new in each frame: it counts `frames` times."""
         out = self.covariance
-        for A in (self.persistent, self.shared):
+        for A in (self.correlated, self.shared):
             if A is not None:
                 out = out + (frames - 1.0) * A @ np.swapaxes(A, 1, 2)
         return RimSet(self.craters, self.chart, out, self.quality)
@@ -215,7 +215,7 @@ class ArcSet:
         """Return a frame without arcs."""
         return cls(np.empty(0, dtype=np.int64), (), ())
 
-    def as_new(self, frames: float) -> "ArcSet":
+    def inflate_correlated(self, frames: float) -> "ArcSet":
         """Return the arcs for those who take what lasts as new in each frame: it counts `frames` times.
 
         The points' errors are then independent, and so large that their mean is as uncertain as it is.
@@ -273,6 +273,8 @@ class FrameMeasurement:
     sun: SunTilt | None
     arcs: ArcSet = field(default_factory=ArcSet.empty)
 
-    def as_new(self, frames: float) -> "FrameMeasurement":
-        """Return the measurement for those who take what lasts as new in each frame: see `RimSet.as_new`."""
-        return replace(self, rims=self.rims.as_new(frames), arcs=self.arcs.as_new(frames))
+    def inflate_correlated(self, frames: float) -> "FrameMeasurement":
+        """Return the measurement for those who take what lasts as new in each frame: see `RimSet`."""
+        return replace(
+            self, rims=self.rims.inflate_correlated(frames), arcs=self.arcs.inflate_correlated(frames)
+        )

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from craternav_fg.config import Crater, CraterList, Scenario, load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.start import find_start
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import Crater, CraterList, Scenario, load_scenario
 from craternav_fg.trajectory import Trajectory
 
 # Places (east, north, km) and sizes (km) of craters below a lander that looks ahead.
@@ -51,7 +51,7 @@ def problem(folder: Path, case: Scenario, trial: int) -> tuple[Problem, Trajecto
     """Simulate a trial, write it, read it back; the truth is for the test alone."""
     data = Dataset.open(simulate(case, folder / f"trial{trial}", trial=trial))
     descent = Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
-    assert data.rims is not None
+    assert data.measurements is not None
     assert data.truth is not None
-    start = find_start(descent, data.rims)
-    return Problem(**vars(descent), start=start, frames=data.rims), data.truth
+    start = find_start(descent, data.measurements)
+    return Problem(**vars(descent), start=start, frames=data.measurements), data.truth

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from craternav_fg.frames import rotation_exp, turn_position
+from craternav_fg.frames import rotate_position_block, rotation_exp
 
 
 def test_position_part_of_a_pose_covariance_is_turned_and_back() -> None:
@@ -12,5 +12,5 @@ def test_position_part_of_a_pose_covariance_is_turned_and_back() -> None:
     twists = np.random.default_rng(3).normal(size=(9, 6))
     steps = np.array([[*w_rho[:3], *(gRb @ w_rho[3:])] for w_rho in twists])
     in_b, in_g = (each.T @ each for each in (twists, steps))
-    assert_allclose(turn_position(in_b, gRb), in_g, atol=1e-13)
-    assert_allclose(turn_position(in_g, gRb.T), in_b, atol=1e-13)
+    assert_allclose(rotate_position_block(in_b, gRb), in_g, atol=1e-13)
+    assert_allclose(rotate_position_block(in_g, gRb.T), in_b, atol=1e-13)

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from craternav_fg.config import load_scenario
 from craternav_fg.measurements import ArcSet, RimSet
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.sensors import chart_covariance
 
 
@@ -50,6 +50,6 @@ def test_arcs_keep_what_lasts_when_some_are_taken() -> None:
     some = arcs.take(np.array([True, False, True]))
     assert some.lasting is not None
     assert_allclose(some.lasting, [1e-3, 3e-3])
-    every = arcs.as_new(2.0).sigmas
-    for one, whole in zip(some.as_new(2.0).sigmas, (every[0], every[2]), strict=True):
+    every = arcs.inflate_correlated(2.0).sigmas
+    for one, whole in zip(some.inflate_correlated(2.0).sigmas, (every[0], every[2]), strict=True):
         assert_allclose(one, whole)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.bench.scenes import HARD, LEAST_PX, Scene, scene
-from craternav_fg.evaluation.matching import match
+from craternav_fg.evaluation.detection import match
+from craternav_fg.simulation.scenes import HARD, LEAST_PX, Scene, scene
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims
 

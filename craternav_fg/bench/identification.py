@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.bench.problems import MOON
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog, chart_to_pixels
-from craternav_fg.matching.identify import Identification, identify
-from craternav_fg.matching.identify_index import Index
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import centre_and_matrix_px
+from craternav_fg.matching.identify.search import Identification, identify
+from craternav_fg.matching.identify.triple_index import TripleIndex
+from craternav_fg.simulation.scenes import MOON
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -106,10 +107,10 @@ def identify_scalars(views: int = 100) -> dict[str, float]:
         `identify_no_answer_ms`, the median of mirrored views; `identify_index_s`.
     """
     rng = np.random.default_rng(7)
-    Index.build(synthetic_catalog(MOON, rng, count=500))
+    TripleIndex.build(synthetic_catalog(MOON, rng, count=500))
     catalog = synthetic_catalog(MOON, rng)
     began = time.perf_counter()
-    index = Index.build(catalog)
+    index = TripleIndex.build(catalog)
     index_s = time.perf_counter() - began
     noises, fields = (0.0, 1.0, 3.0, 6.0), (44.0, 60.0)
     answers, none = [], []
@@ -251,7 +252,7 @@ def _visible(
 
 
 def _parameters(camera: Camera, charts: FloatArray) -> FloatArray:
-    centres, S = chart_to_pixels(camera, charts)
+    centres, S = centre_and_matrix_px(charts, camera)
     values, vectors = np.linalg.eigh(S)
     angle = np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])
     return np.column_stack([centres, np.sqrt(values[:, 1]), np.sqrt(values[:, 0]), angle])

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.config import load_scenario
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 
 FloatArray = npt.NDArray[np.float64]

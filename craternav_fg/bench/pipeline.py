@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.estimators import filter_state
@@ -17,6 +16,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.estimators.start import find_start
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.guided import GuidedFrontEnd
 
 FloatArray = npt.NDArray[np.float64]

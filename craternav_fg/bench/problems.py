@@ -12,22 +12,19 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from craternav_fg import frames
-from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.graph import insert_state
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.simulation.scenes import ALTITUDE_M, FOCAL_PX, MOON
 from craternav_fg.trajectory import InitialState
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
-MOON = Body("Moon", 1_737_400.0, 4.902_800_118e12, (0.0, 0.0, 2.661_7e-6))
 NOISE = ImuNoise(2.0e-5, 3.4e-4, 2e-8, 3e-7)  # LN-200S class
-ALTITUDE_M = 50e3
-FOCAL_PX = 512 / np.tan(np.radians(22))
 PERIOD_S = 1.0
 # Few rows an interval: preintegration costs both sides the same and would hide the difference.
 IMU_HZ = 10

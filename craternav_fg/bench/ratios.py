@@ -10,14 +10,15 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import L, X
 
-from craternav_fg.bench.problems import FOCAL_PX, Bench
+from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.estimators.batch import build_graph
-from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+from craternav_fg.simulation.scenes import FOCAL_PX
 
 FloatArray = npt.NDArray[np.float64]
 

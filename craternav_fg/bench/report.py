@@ -17,7 +17,7 @@ from craternav_fg.bench.images import render_costs
 from craternav_fg.bench.pipeline import pipeline_ms
 from craternav_fg.bench.problems import make
 from craternav_fg.bench.ratios import Online, Ratio
-from craternav_fg.bench.static import static_scalars
+from craternav_fg.bench.resection import static_scalars
 from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]

@@ -10,11 +10,11 @@ from typing import Any
 
 from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
 from craternav_fg.campaign.summary import summarise
+from craternav_fg.campaign.trial import TrialResult, TrialTask, failed, run_trial, software
 from craternav_fg.campaign.workers import Workers, cluster, processes
-from craternav_fg.config import MeasurementSection, Scenario
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT, estimator
-from craternav_fg.evaluation.trial import TrialResult, TrialTask, failed, run_trial, software
+from craternav_fg.simulation.scenario_file import MeasurementSection, Scenario
 
 # What is being done, how many of its steps are done, how many there are.
 Progress = Callable[[str, int, int], None]

@@ -2,7 +2,7 @@
 
 campaign.toml               what is run: software, estimators, the scenario with every value (its seed and
                             the trial's number determine all randomness of a trial)
-trials/trial_000012.parquet  a trial, see `craternav_fg.evaluation.trial.SCHEMA`; no rows and the error in its
+trials/trial_000012.parquet  a trial, see `craternav_fg.campaign.trial.SCHEMA`; no rows and the error in its
                             metadata if it failed
 times.jsonl                 wall times, a line for each trial: the only file that another run would not
                             write the same, with the times in summary.json
@@ -27,10 +27,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import tomli_w
 
-from craternav_fg.config import CraterFile, Scenario
+from craternav_fg.campaign.trial import METADATA, SCHEMA, TrialResult, software
 from craternav_fg.errors import InputError
-from craternav_fg.evaluation.trial import METADATA, SCHEMA, TrialResult, software
 from craternav_fg.files import write_whole
+from craternav_fg.simulation.scenario_file import CraterFile, Scenario
 
 FORMAT = 1
 MARKER = "campaign.toml"
@@ -61,7 +61,7 @@ class Campaign:
     identity : dict
         What campaign.toml holds.
     table : pyarrow.Table
-        All trials, in the order of their numbers: see `craternav_fg.evaluation.trial.SCHEMA`.
+        All trials, in the order of their numbers: see `craternav_fg.campaign.trial.SCHEMA`.
     failed : dict of int to str
         Trials without a result, and why.
     failures : dict of int to dict

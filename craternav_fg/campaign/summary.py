@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from craternav_fg.campaign.store import Campaign
+from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import over_altitude, rms
-from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
     name : str
         An estimator, or one of the bounds.
     column : str
-        Of `craternav_fg.evaluation.trial.SCHEMA`.
+        Of `craternav_fg.campaign.trial.SCHEMA`.
     """
     rows = table.filter(pc.equal(table["estimator"], name))
     trials = len(pc.unique(rows["trial"]))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.catalog import Catalog
 from craternav_fg.catalogs.columns import HEIGHT
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.tables import Column, write_table
 
 FloatArray = npt.NDArray[np.float64]

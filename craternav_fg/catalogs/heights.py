@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.catalog import Catalog
-from craternav_fg.dem import Dem
+from craternav_fg.catalogs.dem import Dem
+from craternav_fg.catalogs.model import Catalog
 
 FloatArray = npt.NDArray[np.float64]
 

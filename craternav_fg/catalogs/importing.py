@@ -9,10 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
 from craternav_fg.catalogs import bodies, checks, columns
 from craternav_fg.catalogs.columns import Columns, ImportOptions
-from craternav_fg.catalogs.table import ForeignTable, Header, read_columns, read_headers, refuse_doubled
+from craternav_fg.catalogs.foreign_table import (
+    ForeignTable,
+    Header,
+    read_columns,
+    read_headers,
+    refuse_doubled,
+)
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]

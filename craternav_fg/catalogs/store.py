@@ -10,8 +10,8 @@ import pyarrow.compute as pa_compute
 import pyarrow.parquet as pq
 
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
 from craternav_fg.catalogs.bodies import StatedBody, settled
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 

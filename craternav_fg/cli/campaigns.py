@@ -15,9 +15,9 @@ from craternav_fg.campaign.store import read_campaign
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.descents import EstimatorOption
 from craternav_fg.cli.terminal import bar, err, number, out, say
-from craternav_fg.config import load_scenario
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
+from craternav_fg.simulation.scenario_file import load_scenario
 
 COLUMNS = {
     "converged": "conv.",

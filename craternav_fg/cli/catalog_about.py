@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from craternav_fg.catalog import Catalog
 from craternav_fg.catalogs.checks import Overlaps
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.terminal import number, say
 
 # Of what is left out or doubled, so many are listed.

@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import import_catalog
+from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.importing import ImportReport
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.terminal import err
 
 CatalogBodyOption = Annotated[

@@ -12,13 +12,14 @@ from rich import box
 from rich.table import Table
 
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import import_catalog, write_catalog
 from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.catalogs.checks import overlaps, write_pairs
 from craternav_fg.catalogs.columns import ImportOptions
+from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.files import import_catalog, write_catalog
 from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
 from craternav_fg.catalogs.importing import ImportReport
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.catalog_about import LISTED, about, show
@@ -30,10 +31,9 @@ from craternav_fg.cli.catalog_reading import (
     warn,
 )
 from craternav_fg.cli.terminal import out, say
-from craternav_fg.dem import read_dem
 from craternav_fg.errors import InputError
-from craternav_fg.evaluation.catalog_figures import draw_globe, draw_region
 from craternav_fg.files import replacing
+from craternav_fg.plots.catalogs import draw_globe, draw_region
 
 commands = typer.Typer(help="Crater catalogues: import, look into, draw.", no_args_is_help=True)
 app.add_typer(commands, name="catalog")

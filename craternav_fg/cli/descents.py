@@ -19,14 +19,14 @@ from craternav_fg.cli.terminal import (
     show_run,
     table_of_estimators,
 )
-from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import DEFAULT, ESTIMATORS, ON_REQUEST, estimator
-from craternav_fg.evaluation.run_folder import CONTENTS, MARKER, read_run
-from craternav_fg.evaluation.runs import write_reconstruction
 from craternav_fg.files import replacing_folder
+from craternav_fg.runs.record import write_reconstruction
+from craternav_fg.runs.store import CONTENTS, MARKER, read_run
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
+from craternav_fg.simulation.scenario_file import load_scenario
 
 DEMO_DATASET = "dataset"
 
@@ -117,7 +117,7 @@ def reconstruct(
         raise InputError(data, f"expected a data set, found a run: its data set is {data / DEMO_DATASET}")
     dataset = Dataset.open(data)
     every = overlay_every or int(overlays)
-    if every and dataset.rims is not None:
+    if every and dataset.measurements is not None:
         raise InputError(data, "has measured rims: expected images for --overlays")
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
         summary = write_reconstruction(

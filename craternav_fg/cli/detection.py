@@ -13,7 +13,7 @@ from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.evaluation.detections import rims_json, write_overlay, write_rims_csv
+from craternav_fg.plots.detections import rims_json, write_overlay, write_rims_csv
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
 

@@ -19,10 +19,10 @@ from craternav_fg.dataset.ellipses import read_ellipses, write_matched
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.matching.identify import Identification, IdentifyOptions, KnownAttitude
-from craternav_fg.matching.identify import identify as identify_rims
-from craternav_fg.matching.identify_index import load_or_build
-from craternav_fg.recovery import index_path
+from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
+from craternav_fg.matching.identify.search import identify as identify_rims
+from craternav_fg.matching.identify.triple_index import load_or_build
+from craternav_fg.pipeline.relocalisation import index_path
 from craternav_fg.vision.detect import find_rims
 
 

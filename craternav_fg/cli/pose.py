@@ -12,10 +12,10 @@ from craternav_fg.cli.catalog_reading import CatalogBodyOption, warn, warn_of
 from craternav_fg.cli.terminal import out, show_poses
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.static.efficient import solve
-from craternav_fg.static.files import SIGMA_RANGE_PX, as_plain_data, read_rims, static_problem
-from craternav_fg.static.problem import Status
-from craternav_fg.static.robust import solve_robustly
+from craternav_fg.resection.efficient import solve
+from craternav_fg.resection.files import SIGMA_RANGE_PX, as_plain_data, read_rims, resection_problem
+from craternav_fg.resection.problem import Status
+from craternav_fg.resection.robust import solve_robustly
 
 
 @app.command()
@@ -62,7 +62,7 @@ def pose(
         rims, sensor, catalog, body, sigma_px=sigma_px, edge_points=edge_points
     )
     warn_of(catalog, report)
-    problem = static_problem(
+    problem = resection_problem(
         matched,
         craters,
         sensor,

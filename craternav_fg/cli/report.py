@@ -10,11 +10,11 @@ from craternav_fg.campaign import store as campaign_store
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
-from craternav_fg.evaluation.run_folder import read_run
 from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.report.recording import write_recording
 from craternav_fg.report.run_page import run_page
+from craternav_fg.runs.store import read_run
 
 REPORT = "report.html"
 

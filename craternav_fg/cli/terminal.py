@@ -22,8 +22,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from craternav_fg.evaluation.run_folder import METRICS, Run
-from craternav_fg.reconstruction import Progress as Report
+from craternav_fg.pipeline.reconstruct import Progress as Report
+from craternav_fg.runs.store import METRICS, Run
 
 err = Console(stderr=True)
 out = Console()

@@ -1,7 +1,7 @@
 """Data sets on disk, in the EuRoC/ASL layout; `layout` describes every file with an example."""
 
+from craternav_fg.dataset.measurements import ground_sun_direction
 from craternav_fg.dataset.reader import Dataset
-from craternav_fg.dataset.rims import ground_sun_direction
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.dataset.writer import write_dataset
 

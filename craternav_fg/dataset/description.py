@@ -9,10 +9,9 @@ from pydantic import Field
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.config import BodySection
+from craternav_fg.config import BodySection, Positive, Section, Vector, line_of, load_toml, read_text
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
-from craternav_fg.sections import Positive, Section, Vector, line_of, load_toml, read_text
 from craternav_fg.trajectory import InitialState
 
 

@@ -94,7 +94,7 @@ over all frames, in steps of at most 0.1 s::
 
 `rims.parquet` (optional): measured rims; when it is there, no image is read. Columns: `timestamp` (int64,
 a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance` (25 doubles), see
-`craternav_fg.measurements.RimSet`; and, if known, the roots of what of it lasts: `persistent` (25 doubles),
+`craternav_fg.measurements.RimSet`; and, if known, the roots of what of it lasts: `correlated` (25 doubles),
 `shared` (35 doubles), row by row. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
 tilt, its standard deviation and the image point, normalised, at which it holds::
 

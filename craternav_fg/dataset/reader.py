@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import read_catalog
+from craternav_fg.catalogs.files import read_catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.images import ImageArray, check_image, read_image
-from craternav_fg.dataset.rims import read_measurements
+from craternav_fg.dataset.measurements import read_measurements
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
@@ -53,10 +53,10 @@ class Dataset:
     stamps_ns : ndarray of int, shape (k,)
         Of the frames, strictly increasing.
     image_paths : tuple of Path, length k
-        Of the frames' images; they need not exist when there are `rims`.
+        Of the frames' images; they need not exist when there are `measurements`.
     truth : Trajectory or None
         At the frames' stamps, interpolated where the file has others; for evaluation only.
-    rims : tuple of FrameMeasurement, length k, or None
+    measurements : tuple of FrameMeasurement, length k, or None
         Measured rims and sun tilts; None when they are to be found in the images.
     """
 
@@ -71,7 +71,7 @@ class Dataset:
     stamps_ns: IntArray
     image_paths: tuple[Path, ...]
     truth: Trajectory | None
-    rims: tuple[FrameMeasurement, ...] | None
+    measurements: tuple[FrameMeasurement, ...] | None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -107,11 +107,11 @@ class Dataset:
         sun = _read_sun(folder / layout.SUN, stamps)
         imu = _read_imu(folder / layout.IMU_DATA, stamps)
         truth = _read_truth(folder / layout.TRUTH, stamps)
-        rims = None
+        measurements = None
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
         if (folder / layout.RIMS).exists():
             prior_gP = None if initial is None else initial.gTb[:3, 3]
-            rims = read_measurements(folder, stamps, catalog, sun, prior_gP)
+            measurements = read_measurements(folder, stamps, catalog, sun, prior_gP)
         else:
             for image_path in image_paths:
                 check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)
@@ -127,7 +127,7 @@ class Dataset:
             stamps,
             image_paths,
             truth,
-            rims,
+            measurements,
         )
 
     def image(self, frame: int) -> ImageArray:

@@ -9,9 +9,9 @@ import yaml
 from pydantic import Field
 
 from craternav_fg.camera import Camera
+from craternav_fg.config import Positive, Section, line_of, read_text, validate
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuNoise
-from craternav_fg.sections import Positive, Section, line_of, read_text, validate
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import write_catalog
+from craternav_fg.catalogs.files import write_catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.images import ImageArray, write_image
-from craternav_fg.dataset.rims import write_measurements
+from craternav_fg.dataset.measurements import write_measurements
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.files import replacing_folder

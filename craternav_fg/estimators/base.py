@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState, Trajectory

@@ -14,8 +14,9 @@ from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
-from craternav_fg.estimators.ekf import ekf
-from craternav_fg.estimators.ekf_measurement import weighed
+from craternav_fg.estimators.correlated_errors import RimErrorStates
+from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.estimators.ekf.measurement import weighed
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -31,8 +32,7 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
-from craternav_fg.estimators.rim_errors import RimErrorStates
-from craternav_fg.frames import turn_position
+from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.conic_shape import ChartError
@@ -275,7 +275,7 @@ def trajectory(
         bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in numbers]),
         pose_covariance=np.array(
             [
-                turn_position(tree.marginalCovariance(X(n)), T[:3, :3])
+                rotate_position_block(tree.marginalCovariance(X(n)), T[:3, :3])
                 for n, T in zip(numbers, gTb, strict=True)
             ]
         ),

@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
-from craternav_fg.estimators.ekf_fusion import Update, fuse_updates
-from craternav_fg.estimators.ekf_measurement import linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
+from craternav_fg.estimators.ekf.fusion import Update, fuse_updates
+from craternav_fg.estimators.ekf.measurement import linearise_rims, linearise_sun, weighed
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.rim_errors import SIGHTINGS
 from craternav_fg.estimators.start import find_start
 from craternav_fg.measurements import FrameMeasurement, RimSet
 
@@ -159,7 +159,7 @@ def _linearised(
     descent: Descent, frame: FrameMeasurement, gTb: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     camera, catalog = descent.camera, descent.catalog
-    rims = weighed(frame, gTb, camera, catalog).rims.as_new(SIGHTINGS)
+    rims = weighed(frame, gTb, camera, catalog).rims.inflate_correlated(VARIANCE_INFLATION)
     return linearise_rims(gTb, rims, camera, catalog, model="chart", noise="measured")
 
 

@@ -18,12 +18,12 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
 from craternav_fg.estimators.consensus import Track, robust_track
-from craternav_fg.estimators.ekf_measurement import linearise_arcs, weighed
+from craternav_fg.estimators.ekf.measurement import linearise_arcs, weighed
 from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
-from craternav_fg.estimators.rematch import NO_CRATER, rematched
+from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
@@ -148,7 +148,7 @@ class GncSmoother:
     def _fitting(self, problem: Problem, arcs: ArcSet, gTb: FloatArray, covariance: FloatArray) -> ArcSet:
         """Arcs that fit their craters, seen from a pose that is known as well as a covariance (6, 6) says."""
         fits = np.zeros(len(arcs), dtype=np.bool_)
-        alone = arcs.as_new(1.0)
+        alone = arcs.inflate_correlated(1.0)
         for i in range(len(arcs)):
             for one in linearise_arcs(gTb, alone.take(np.array([i])), problem.camera, problem.catalog):
                 S = one.A @ covariance @ one.A.T + np.eye(len(one.A))

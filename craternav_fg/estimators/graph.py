@@ -13,7 +13,7 @@ from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.calibration import Calibration
-from craternav_fg.estimators.rim_errors import SIGHTINGS, RimErrorOptions, RimErrorStates
+from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions, RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.conic_shape import ChartError, conic_shape_factor
@@ -49,7 +49,7 @@ class GraphOptions:
     rim_errors : RimErrorOptions or None
         How errors of rims that outlast a frame are modelled, where the measurements have any. None takes
         them as new in every frame.
-    sightings : float
+    variance_inflation : float
         How often errors that outlast a frame count where they are taken as new: 1 for a single image.
     """
 
@@ -58,7 +58,7 @@ class GraphOptions:
     keyframe_s: float = 1.0
     calibration: Calibration = Calibration()
     rim_errors: RimErrorOptions | None = field(default_factory=RimErrorOptions)
-    sightings: float = SIGHTINGS
+    variance_inflation: float = VARIANCE_INFLATION
 
     def __post_init__(self) -> None:
         if self.rims not in ("chart", "centre"):
@@ -151,7 +151,7 @@ def add_frame(
     the rims.
     """
     carried = states is not None and values is not None and options.rims == "chart"
-    rims = frame.rims if carried else frame.rims.as_new(options.sightings)
+    rims = frame.rims if carried else frame.rims.inflate_correlated(options.variance_inflation)
     bTc = descent.camera.bTc
     if len(rims):
         centres = descent.catalog.centres[rims.craters]
@@ -160,7 +160,7 @@ def add_frame(
             errors: list[ChartError] = []
             if states is not None and values is not None:
                 errors = states.enter(rims, graph, values, holds)
-            S = noise_scale**2 * (rims.white if errors else rims.covariance)
+            S = noise_scale**2 * (rims.uncorrelated_covariance if errors else rims.covariance)
             errors.extend(map_errors)
             graph.push_back(
                 conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
@@ -169,7 +169,7 @@ def add_frame(
             points = rims.centres()
             S = noise_scale**2 * points.covariance
             graph.push_back(crater_centre_factor(key, bTc, centres, points.points, S, options.loss))
-    arcs = frame.arcs.as_new(options.sightings)
+    arcs = frame.arcs.inflate_correlated(options.variance_inflation)
     if len(arcs) and options.rims == "chart":
         centres, axes = descent.catalog.centres[arcs.craters], descent.catalog.axes[arcs.craters]
         sigmas = [noise_scale * sigma for sigma in arcs.sigmas]

@@ -13,7 +13,8 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
-from craternav_fg.estimators.ekf_measurement import weighed
+from craternav_fg.estimators.correlated_errors import RimErrorStates
+from craternav_fg.estimators.ekf.measurement import weighed
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -27,7 +28,6 @@ from craternav_fg.estimators.graph import (
     state_stamps,
 )
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
-from craternav_fg.estimators.rim_errors import RimErrorStates
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown

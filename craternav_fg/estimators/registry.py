@@ -8,7 +8,7 @@ from craternav_fg.estimators.base import Estimator
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
-from craternav_fg.estimators.ekf import ekf, ekf_paper
+from craternav_fg.estimators.ekf.filter import ekf, ekf_paper
 from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother

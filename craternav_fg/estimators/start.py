@@ -15,7 +15,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Start
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.optimise import levenberg_marquardt
-from craternav_fg.frames import turn_position
+from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import FrameMeasurement
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,7 +54,7 @@ def find_start(
     prior = filter_state.carried_prior(descent, frames[: number + 1])[-1]
     # GTSAM's position errors are in body axes.
     of_pose = prior.covariance[filter_state.POSE, filter_state.POSE]
-    covariance = turn_position(of_pose, prior.gTb[:3, :3].T)
+    covariance = rotate_position_block(of_pose, prior.gTb[:3, :3].T)
     noise = gtsam.noiseModel.Gaussian.Covariance(0.5 * (covariance + covariance.T))
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3(prior.gTb))
@@ -68,4 +68,4 @@ def find_start(
     scales = 1.0 / np.sqrt(np.diag(information))
     posterior = np.linalg.inv(information * np.outer(scales, scales)) * np.outer(scales, scales)
     gTb = np.ascontiguousarray(values.atPose3(X(0)).matrix())
-    return Start(gTb, turn_position(posterior, gTb[:3, :3]), number)
+    return Start(gTb, rotate_position_block(posterior, gTb[:3, :3]), number)

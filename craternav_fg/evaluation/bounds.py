@@ -13,8 +13,8 @@ import numpy.typing as npt
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
-from craternav_fg.estimators.rim_errors import SIGHTINGS, SIZE, RimErrorOptions
+from craternav_fg.estimators.correlated_errors import SIZE, VARIANCE_INFLATION, RimErrorOptions
+from craternav_fg.estimators.ekf.measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, image_change
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -167,7 +167,7 @@ class _Beside:
 
 def _kept(frame: FrameMeasurement) -> dict[int, FloatArray]:
     """Give the images (5,) of those craters whose errors outlast a frame."""
-    if frame.rims.persistent is None:
+    if frame.rims.correlated is None:
         return {}
     return dict(zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True))
 
@@ -179,20 +179,20 @@ def _information(
     camera, catalog = descent.camera, descent.catalog
     frame = weighed(frame, gTb, camera, catalog)
     rims = frame.rims
-    white = replace(rims, covariance=rims.white)
+    white = replace(rims, covariance=rims.uncorrelated_covariance)
     A, _, usable = linearise_rims(gTb, white, camera, catalog, model="chart", noise="measured")
     root = np.linalg.cholesky(white.covariance)
     rows = []
     for i in np.flatnonzero(usable):
         J = np.zeros((5, beside.size))
         J[:, _POSE] = A[i] * sigmas[_POSE]
-        if rims.persistent is not None:
+        if rims.correlated is not None:
             first = beside.first[int(rims.craters[i])]
-            J[:, first : first + SIZE] = np.linalg.solve(root[i], rims.persistent[i])
+            J[:, first : first + SIZE] = np.linalg.solve(root[i], rims.correlated[i])
         if rims.shared is not None:
             J[:, _SIZE : _SIZE + SHARED_SIZE] = np.linalg.solve(root[i], rims.shared[i])
         rows.append(J)
-    others = linearise_arcs(gTb, frame.arcs.as_new(SIGHTINGS), camera, catalog)
+    others = linearise_arcs(gTb, frame.arcs.inflate_correlated(VARIANCE_INFLATION), camera, catalog)
     sun = linearise_sun(gTb, frame.sun, camera)
     if sun is not None:
         others.append(sun)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.ekf_measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.ekf.measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.evaluation.consistency import mean_interval
 
@@ -112,7 +112,7 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
     ):
         predicted = filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
         # One frame's errors, what outlasts it among them.
-        seen = frame.as_new(1.0)
+        seen = frame.inflate_correlated(1.0)
         gTb, P = predicted.gTb, predicted.covariance[POSE, POSE]
         camera, catalog = problem.camera, problem.catalog
         A, residual, usable = linearise_rims(

@@ -17,8 +17,9 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.matching.gate_geometry import inverse, outline_covariances, raised_above_ground, triads
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.linalg import bisecting_triads, scaled_inverse
+from craternav_fg.matching.gate_geometry import outline_covariances, raised_above_ground
 from factors.kernels import conic, rim_poses
 
 FloatArray = npt.NDArray[np.float64]
@@ -173,11 +174,11 @@ class _Search:
         self.possible = len(charts)
         self.prior = np.ascontiguousarray(gTb, dtype=np.float64)
         self.covariance = pose_covariance
-        self.information = inverse(pose_covariance)
+        self.information = scaled_inverse(pose_covariance)
         self.bTc = camera.bTc
         self.charts = np.ascontiguousarray(charts, dtype=np.float64)
         self.noise = covariances + outline_covariances(self.charts, options.floor_share)
-        self.weights = np.ascontiguousarray(inverse(self.noise))
+        self.weights = np.ascontiguousarray(scaled_inverse(self.noise))
         self.gate = float(chi2.ppf(options.probability, _COMPONENTS))
         self.sigmas = float(np.sqrt(chi2.ppf(options.probability, 2)))
         corner = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
@@ -226,7 +227,7 @@ class _Search:
             if not len(keep):
                 continue
             self.tried = np.concatenate([self.tried, some[keep]])
-            gTb, covariance = gTb[keep], np.ascontiguousarray(inverse(information[keep]))
+            gTb, covariance = gTb[keep], np.ascontiguousarray(scaled_inverse(information[keep]))
             explained = rim_poses.support(
                 gTb, covariance, self.bTc, self.centres, self.axes, self.charts, self.noise, self.reach
             )
@@ -276,7 +277,9 @@ class _Search:
             line = centres - gPc[:, None]
             line /= np.linalg.norm(line, axis=2, keepdims=True)
             if len(pairs) and pairs[0, 0] != pairs[0, 2]:
-                gRc = triads(line[:, 0], line[:, 1]) @ np.swapaxes(triads(toward[:, 0], toward[:, 1]), 1, 2)
+                gRc = bisecting_triads(line[:, 0], line[:, 1]) @ np.swapaxes(
+                    bisecting_triads(toward[:, 0], toward[:, 1]), 1, 2
+                )
             slant = np.abs(np.sum(line * self.normals[craters], axis=2))
             range_m = np.sqrt(slant * self.product_m2[craters] / np.exp(self.log_solid[rims]))
             gPc = np.mean(centres - range_m[:, :, None] * np.einsum("hij,hkj->hki", gRc, toward), axis=1)
@@ -309,7 +312,10 @@ class _Search:
                 (m != k) & (np.abs(between - seen) < limit + 2.0 * _CENTRE_RAD) & (np.abs(off) < size_limit)
             )
             m, k = m[keep], k[keep]
-            gRc = triads(self.line[m], self.line[k]) @ triads(self.ray[i][None], self.ray[j][None])[0].T
+            gRc = (
+                bisecting_triads(self.line[m], self.line[k])
+                @ bisecting_triads(self.ray[i][None], self.ray[j][None])[0].T
+            )
         gRb = gRc @ self.bTc[:3, :3].T
         turn = frames.rotation_log(self.prior[:3, :3].T @ gRb).reshape(-1, 3)
         slack = position2 / np.minimum(self.range_m[m], self.range_m[k]) ** 2 + _CENTRE_RAD**2
@@ -357,7 +363,7 @@ class _Search:
             poses, information, cost = self._solve(gTb[None], craters[None], rims[None])
             if not np.isfinite(cost[0]):
                 return None
-            gTb, covariance = poses[0], np.ascontiguousarray(inverse(information[0]))
+            gTb, covariance = poses[0], np.ascontiguousarray(scaled_inverse(information[0]))
         score = float(np.sum(self.gate - distances2[rims, craters]))
         return _Grown(gTb, covariance, distances2, rims, craters, score)
 
@@ -400,7 +406,11 @@ class _Search:
         gTb, covariance, cost = best.gTb, best.covariance, 0.0
         while rims:
             poses, information, costs = self._solve(gTb[None], np.array([chosen]), np.array([rims]))
-            gTb, covariance, cost = poses[0], np.ascontiguousarray(inverse(information[0])), float(costs[0])
+            gTb, covariance, cost = (
+                poses[0],
+                np.ascontiguousarray(scaled_inverse(information[0])),
+                float(costs[0]),
+            )
             limit = float(chi2.ppf(self.options.probability, _COMPONENTS * len(rims)))
             at_pose = self._distances2(gTb, covariance)[rims, chosen]
             factor = 1.0

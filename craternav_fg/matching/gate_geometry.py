@@ -23,19 +23,3 @@ def outline_covariances(charts: FloatArray, share: float) -> FloatArray:
     # The chart's slope is a length over a: of both ends of the vertical axis.
     scale = np.column_stack([a, np.hypot(b, charts[:, 3] * a), np.ones_like(a), b / a, np.ones_like(a)])
     return np.asarray((share * scale[:, :, None]) ** 2 * np.eye(5))
-
-
-def triads(along: FloatArray, aside: FloatArray) -> FloatArray:
-    """Rotations (n, 3, 3) with a column midway between unit vectors, one along their difference."""
-    middle = along + aside
-    middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
-    across = along - aside
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    return np.stack([middle, across, np.cross(middle, across)], axis=-1)
-
-
-def inverse(N: FloatArray) -> FloatArray:
-    """Inverse of positive definite matrices (..., n, n) whose unknowns differ by orders of magnitude."""
-    s = 1.0 / np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
-    scale = s[..., :, None] * s[..., None, :]
-    return np.asarray(np.linalg.inv(N * scale) * scale)

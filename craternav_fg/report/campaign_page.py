@@ -10,10 +10,10 @@ from matplotlib.ticker import FuncFormatter
 
 from craternav_fg.campaign.store import MARKER, Campaign
 from craternav_fg.campaign.summary import of_estimator
+from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
-from craternav_fg.evaluation import figures
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
-from craternav_fg.evaluation.trial import FILTERED_BOUND, SMOOTHED_BOUND
+from craternav_fg.plots import figures
 from craternav_fg.report.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
 

@@ -9,12 +9,13 @@ import numpy.typing as npt
 import pyarrow.compute as pc
 
 from craternav_fg import frames
-from craternav_fg.catalog import Catalog, rim_points
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
+from craternav_fg.ellipse import points_on
 from craternav_fg.errors import CraternavError
-from craternav_fg.evaluation import figures
-from craternav_fg.evaluation.run_folder import Run, read_residuals
 from craternav_fg.files import replacing
+from craternav_fg.plots import figures
+from craternav_fg.runs.store import Run, read_residuals
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -101,7 +102,7 @@ def _log_frames(
         recording.set_time("time", duration=1e-9 * (stamp - int(trajectory.stamps_ns[0])))
         attitude = gRe.T @ trajectory.gRb[k]
         recording.log(lander, rr.Transform3D(translation=position_km[k], mat3x3=attitude))
-        if dataset.rims is None:
+        if dataset.measurements is None:
             image = dataset.image(k)
             grey = (255.0 / camera.full_scale * image).astype(np.uint8)
             _, coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
@@ -109,7 +110,7 @@ def _log_frames(
                 f"{lander}/camera/image", rr.EncodedImage(contents=coded.tobytes(), media_type="image/jpeg")
             )
         rows = stamps == stamp
-        outlines = camera.pixels(rim_points(charts[rows], 72))
+        outlines = camera.pixels(points_on(charts[rows], 72))
         outlines = np.concatenate([outlines, outlines[:, :1]], axis=1)
         recording.log(
             f"{lander}/camera/image/rims",

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from craternav_fg.evaluation import figures
+from craternav_fg.plots import figures
 from craternav_fg.report.page import Cell, Table
 
 DOF = 5

@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
-from craternav_fg.evaluation import figures
-from craternav_fg.evaluation.run_folder import MARKER, Run, read_residuals
+from craternav_fg.plots import figures
 from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.report.pictures import frame_pictures
 from craternav_fg.report.residuals import crater_table, draw_residuals
 from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
+from craternav_fg.runs.store import MARKER, Run, read_residuals
 
 # Errors along one descent hang together: only an ANEES beyond these says something of a single run.
 DOUBTFUL_ANEES = (2.0, 15.0)

@@ -8,21 +8,21 @@ import numpy.typing as npt
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from craternav_fg.config import Scenario
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
-from craternav_fg.estimators.ekf import DistributedEkf, ekf_paper
-from craternav_fg.estimators.ekf_fusion import Rule
-from craternav_fg.estimators.ekf_measurement import MeasurementModel, NoiseModel
+from craternav_fg.estimators.ekf.filter import DistributedEkf, ekf_paper
+from craternav_fg.estimators.ekf.fusion import Rule
+from craternav_fg.estimators.ekf.measurement import MeasurementModel, NoiseModel
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.evaluation.figures import COLOURS
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.plots.figures import COLOURS
 from craternav_fg.reproduce.descents import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rows import Reproduction, Row, number
+from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 

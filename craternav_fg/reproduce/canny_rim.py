@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.bench.scenes import Scene
-from craternav_fg.camera import pixel_chart
+from craternav_fg.ellipse import pixel_chart
+from craternav_fg.simulation.scenes import Scene
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, fit_rim
 from factors.kernels.conic import project_rims
 

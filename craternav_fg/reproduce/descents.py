@@ -12,13 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from craternav_fg.config import Scenario, load_scenario
-from craternav_fg.dataset import Dataset
-from craternav_fg.errors import CraternavError
-from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.registry import RETROSPECTIVE
-from craternav_fg.estimators.start import find_start
-from craternav_fg.evaluation.trial import (
+from craternav_fg.campaign.trial import (
     FILTERED_BOUND,
     SMOOTHED_BOUND,
     TrialResult,
@@ -26,9 +20,15 @@ from craternav_fg.evaluation.trial import (
     run_trial,
     software,
 )
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import CraternavError
+from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.registry import RETROSPECTIVE
+from craternav_fg.estimators.start import find_start
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.simulation.scenario import simulate as simulate_trial
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -46,7 +46,7 @@ def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.
     Returns
     -------
     pyarrow.Table
-        Of `craternav_fg.evaluation.trial.SCHEMA`.
+        Of `craternav_fg.campaign.trial.SCHEMA`.
 
     Raises
     ------
@@ -72,13 +72,13 @@ def one_problem(scenario: Scenario, number: int) -> tuple[Problem, Trajectory]:
     with tempfile.TemporaryDirectory(prefix="craternav-") as folder:
         dataset = Dataset.open(simulate_trial(scenario, Path(folder) / "dataset", trial=number))
     assert dataset.truth is not None
-    assert dataset.rims is not None
+    assert dataset.measurements is not None
     assert dataset.initial is not None
     descent = Descent(
         dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
     )
-    start = find_start(descent, dataset.rims)
-    return Problem(**vars(descent), start=start, frames=dataset.rims), dataset.truth
+    start = find_start(descent, dataset.measurements)
+    return Problem(**vars(descent), start=start, frames=dataset.measurements), dataset.truth
 
 
 def table(results: Sequence[TrialResult]) -> pa.Table:

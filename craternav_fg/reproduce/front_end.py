@@ -11,8 +11,8 @@ from craternav_fg.reproduce import image_drawing
 from craternav_fg.reproduce import rendered_sets as sets
 from craternav_fg.reproduce.empty_images import gradient_images, noise_images
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rim_errors import RATE, TABLE1, errors_px, share_found
 from craternav_fg.reproduce.rows import Reproduction, Row
+from craternav_fg.reproduce.table1 import RATE, TABLE1, errors_px, share_found
 from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, image_row
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import find_rims

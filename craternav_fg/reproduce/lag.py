@@ -9,7 +9,6 @@ import pyarrow as pa
 from gtsam.symbol_shorthand import X
 from matplotlib.figure import Figure
 
-from craternav_fg.config import Scenario
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.incremental import FixedLagIsam
 from craternav_fg.estimators.online import OnlineSession
@@ -18,6 +17,7 @@ from craternav_fg.reproduce.descents import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rows import Reproduction, Row, number
+from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.bench.guided import FAR, NEAR, Prior, measure
-from craternav_fg.bench.scenes import HARD, IRREGULAR, LEAST_PX, Ground, Scene, scene
-from craternav_fg.evaluation.crests import crest_offsets_px
-from craternav_fg.evaluation.matching import match
+from craternav_fg.evaluation.detection import match
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.reproduce.guided_rims import FAR, NEAR, Prior, measure
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rim_images import draw_view, photograph
 from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, WAYS
+from craternav_fg.simulation.crests import crest_offsets_px
+from craternav_fg.simulation.scenes import HARD, IRREGULAR, LEAST_PX, Ground, Scene, scene
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims

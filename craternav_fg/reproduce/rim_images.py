@@ -9,18 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.bench.problems import MOON
-from craternav_fg.bench.scenes import Scene, taken
-from craternav_fg.camera import Camera, pixel_chart
-from craternav_fg.catalog import Catalog
+from craternav_fg.body import ground_points
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import axes_of_chart, pixel_chart
 from craternav_fg.reproduce.options import SEMI_AXES_M
-from craternav_fg.reproduce.scenes import CAMERA, tilted_camera
+from craternav_fg.reproduce.paper_scenes import CAMERA, tilted_camera
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, standing
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.scenes import MOON, Scene, taken
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
-from craternav_fg.vision.detect import ellipse_parameters
-from craternav_fg.vision.photometry import ground_points
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -117,7 +116,7 @@ def photograph(
 def window(view: View) -> Camera:
     """Camera that takes the part of the paper's image around a view's crater."""
     _, charts = view.catalog.visible(CAMERA, view.gTb, min_semi_minor_px=0.0, margin_px=0.0)
-    x, y, a, b, angle = ellipse_parameters(pixel_chart(charts, CAMERA))[0]
+    x, y, a, b, angle = axes_of_chart(pixel_chart(charts, CAMERA))[0]
     half = [np.hypot(a * np.cos(angle), b * np.sin(angle)), np.hypot(a * np.sin(angle), b * np.cos(angle))]
     reach = _WINDOW[0] * np.array(half) + _WINDOW[1]
     size = np.array([CAMERA.width_px, CAMERA.height_px])

@@ -17,26 +17,34 @@ import pyarrow.parquet as pq
 
 import craternav_fg
 from craternav_fg.errors import CraternavError
-from craternav_fg.evaluation.figures import save
+from craternav_fg.plots.figures import save
 from craternav_fg.reproduce import (
-    centres,
-    descent_figures,
     descents,
-    edge_parameters,
-    pose_figures,
     rendered_sets,
     static_pose,
 )
+from craternav_fg.reproduce import (
+    fig03_04 as centres,
+)
+from craternav_fg.reproduce import (
+    fig11_14 as pose_figures,
+)
+from craternav_fg.reproduce import (
+    fig15_18 as descent_figures,
+)
+from craternav_fg.reproduce import (
+    table2_errors as edge_parameters,
+)
 from craternav_fg.reproduce.ablation import ablation
-from craternav_fg.reproduce.coefficients import table2
-from craternav_fg.reproduce.edge_image import fig10
+from craternav_fg.reproduce.fig02 import fig02
+from craternav_fg.reproduce.fig10 import fig10
 from craternav_fg.reproduce.front_end import front_end
 from craternav_fg.reproduce.lag import lag
-from craternav_fg.reproduce.los import fig02
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress
-from craternav_fg.reproduce.rim_errors import TABLE1, table1
 from craternav_fg.reproduce.rows import NUMBERS, Reproduction, number
+from craternav_fg.reproduce.table1 import TABLE1, table1
+from craternav_fg.reproduce.table2 import table2
 
 DESCENTS = ("fig15", "fig16", "fig17", "fig18")
 FIGURES = (

@@ -16,14 +16,14 @@ import pyarrow as pa
 
 from craternav_fg import frames
 from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.paper_scenes import Scene, measure, pixel_arc, pose_bound, random_scene
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.scenes import Scene, measure, pixel_arc, pose_bound, random_scene
-from craternav_fg.static import efficient
-from craternav_fg.static import paper_equations as equations
-from craternav_fg.static.least_squares import minimise
-from craternav_fg.static.paper_centres import centre_pose
-from craternav_fg.static.paper_equations import PaperRims
-from craternav_fg.static.problem import StaticProblem, Status
+from craternav_fg.resection import efficient
+from craternav_fg.resection.least_squares import minimise
+from craternav_fg.resection.paper import equations
+from craternav_fg.resection.paper.centres import centre_pose
+from craternav_fg.resection.paper.equations import PaperRims
+from craternav_fg.resection.problem import ResectionProblem, Status
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def _error_deg(scene: Scene, gTc: FloatArray) -> float:
 
 
 def _paper_poses(
-    problem: StaticProblem, scene: Scene, *, printed: bool
+    problem: ResectionProblem, scene: Scene, *, printed: bool
 ) -> dict[str, tuple[FloatArray, bool]]:
     """Poses (4, 4) that the paper's methods reach from the truth, and whether they converged.
 

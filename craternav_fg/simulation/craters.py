@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.crater_shape import (
     crest_height_over_centre_ground_m,
     depth_m,

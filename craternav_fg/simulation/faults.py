@@ -8,14 +8,14 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.config import FaultsSection
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.simulation.scenario_file import FaultsSection
 
 FloatArray = npt.NDArray[np.float64]
 
 
-def misread(catalog: Catalog, faults: FaultsSection, rng: np.random.Generator) -> Catalog:
+def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generator) -> Catalog:
     """Draw the catalogue as a map has it, of craters as they are.
 
     Parameters
@@ -49,7 +49,7 @@ def misread(catalog: Catalog, faults: FaultsSection, rng: np.random.Generator) -
     )
 
 
-def mismatch(
+def swap_matches(
     frame: FrameMeasurement, catalog: Catalog, faults: FaultsSection, rng: np.random.Generator
 ) -> FrameMeasurement:
     """Give some of a frame's rims the names of other craters, and take its sun tilt away.
@@ -78,7 +78,7 @@ def mismatch(
     return replace(frame, rims=rims, sun=None if faults.without_sun else frame.sun)
 
 
-def remounted(camera: Camera, faults: FaultsSection, rng: np.random.Generator) -> Camera:
+def perturb_mounting(camera: Camera, faults: FaultsSection, rng: np.random.Generator) -> Camera:
     """Give the camera with the mounting that the data set believes in."""
     axis = rng.standard_normal(3)
     turn = frames.rotation_exp(math.radians(faults.mounting_deg) * axis / np.linalg.norm(axis))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.dem import Dem
+from craternav_fg.catalogs.dem import Dem
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]

@@ -11,9 +11,18 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import import_catalog
-from craternav_fg.config import (
+from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import SunVectors, write_dataset
+from craternav_fg.dataset.images import ImageArray
+from craternav_fg.errors import CraternavError
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.simulation import faults, sensors
+from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.relief import Relief, ReliefOptions
+from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
+from craternav_fg.simulation.scenario_file import (
     Crater,
     CraterFile,
     CraterList,
@@ -22,15 +31,6 @@ from craternav_fg.config import (
     Scenario,
     TrajectorySection,
 )
-from craternav_fg.dataset import SunVectors, write_dataset
-from craternav_fg.dataset.images import ImageArray
-from craternav_fg.dem import read_dem
-from craternav_fg.errors import CraternavError
-from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.simulation import faults, sensors
-from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
-from craternav_fg.simulation.relief import Relief, ReliefOptions
-from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.trajectory import Trajectory
@@ -105,7 +105,7 @@ def simulate(
     )
     exposed_s = np.multiply(stamps, 1e-9) + scenario.faults.image_delay_s
     poses = descent.evaluate(exposed_s).gTb
-    told = faults.misread(catalog, scenario.faults, fault_rng)
+    told = faults.perturb_map(catalog, scenario.faults, fault_rng)
 
     def done(frame: int) -> None:
         if progress is not None:
@@ -134,13 +134,13 @@ def simulate(
                 options=options,
                 rng=frame_rng,
             )
-            yield faults.mismatch(frame, catalog, scenario.faults, fault_rng)
+            yield faults.swap_matches(frame, catalog, scenario.faults, fault_rng)
             done(k)
 
     return write_dataset(
         folder,
         body=body,
-        camera=faults.remounted(camera, scenario.faults, fault_rng),
+        camera=faults.perturb_mounting(camera, scenario.faults, fault_rng),
         catalog=told,
         imu=imu,
         imu_noise=scenario.imu.noise(),

@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.config import ImuSection, InitialErrorSection, MeasurementSection
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import ground_sun_direction
 from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
+from craternav_fg.simulation.scenario_file import ImuSection, InitialErrorSection, MeasurementSection
 from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.trajectory import InitialState
 from factors.kernels.sun import sun_tilt, wrap

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.vision.photometry import level_ground
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.photometry import level_ground
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.vision.brightness import brightness, filled
-from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_light, ellipse_parameters, gather
+from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_light, gather
 from craternav_fg.vision.ellipse_fit import FitFailure, RimFit, fit_rim
 from craternav_fg.vision.places import distinct, find_places
 
@@ -166,7 +167,7 @@ def _pairs(arcs: list[_Arc], light_rad: float) -> list[tuple[_Arc, _Arc]]:
 
 
 def _plausible(fit: RimFit, options: BlindOptions, largest: float) -> bool:
-    _, _, major, minor, _ = ellipse_parameters(fit.chart_px[None])[0]
+    _, _, major, minor, _ = axes_of_chart(fit.chart_px[None])[0]
     return bool(
         fit.arc_share >= max(_MIN_COVERED, options.min_quality)
         and fit.rms_px < _MAX_SCATTER[0] + _MAX_SCATTER[1] * minor

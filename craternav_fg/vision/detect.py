@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.errors import EstimationError
 from craternav_fg.vision import crest, edges
 from craternav_fg.vision.brightness import brightness, filled
@@ -240,7 +241,7 @@ def gather(fits: list[RimFit], quality: list[float], lights_rad: list[float], li
     """Put rims together, best first, those left out that are a better one's again."""
     order = np.argsort(-np.array(quality), kind="stable")
     charts = np.array([fits[i].chart_px for i in order]).reshape(-1, 5)
-    ellipses = ellipse_parameters(charts)
+    ellipses = axes_of_chart(charts)
     size = np.sqrt(ellipses[:, 2] * ellipses[:, 3])
     kept: list[int] = []
     for i in range(len(charts)):
@@ -252,18 +253,6 @@ def gather(fits: list[RimFit], quality: list[float], lights_rad: list[float], li
     covariance = np.array([fits[i].covariance for i in rows]).reshape(-1, 5, 5)
     of_rims = np.array([quality, lights_rad]).reshape(2, -1)[:, rows]
     return FoundRims(ellipses[kept], charts[kept], covariance, of_rims[0], of_rims[1], light_rad)
-
-
-def ellipse_parameters(charts_px: FloatArray) -> FloatArray:
-    """Centre, semi-axes and rotation (n, 5), as in `FoundRims`, of ellipse charts (n, 5)."""
-    sxx = np.exp(2.0 * charts_px[:, 2])
-    sxy = charts_px[:, 3] * sxx
-    syy = np.exp(2.0 * charts_px[:, 4]) + charts_px[:, 3] * sxy
-    mean, half = 0.5 * (sxx + syy), 0.5 * (sxx - syy)
-    root = np.hypot(half, sxy)
-    angle = 0.5 * np.arctan2(sxy, half)
-    major, minor = np.sqrt(mean + root), np.sqrt(np.maximum(mean - root, 0.0))
-    return np.column_stack([charts_px[:, :2], major, minor, angle])
 
 
 def _trace(
@@ -308,7 +297,7 @@ def _trace(
     outlined = refine_rim(points, chart, camera, options.fit, ratio, lever, _LEVEL_SIGMA)
     if isinstance(outlined, FitFailure):
         return None
-    minor = float(ellipse_parameters(chart[None])[0, 3])
+    minor = float(axes_of_chart(chart[None])[0, 3])
     moved = float(np.hypot(*(chart[:2] - places.xy_px[k])))
     if minor < 0.5 * radius or moved > _MAX_MOVE * radius:
         return None

@@ -28,7 +28,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.camera import Camera, ellipse_chart, normalised_chart, pixel_chart
+from craternav_fg.camera import Camera
+from craternav_fg.ellipse import chart_of_axes, normalised_chart, pixel_chart
 from craternav_fg.vision import ellipse_kernel
 
 FloatArray = npt.NDArray[np.float64]
@@ -148,7 +149,7 @@ def fit_rim(
     (cx, cy), (axis1, axis2), angle_deg = cv2.fitEllipseAMS(points.astype(np.float32))
     if not (min(axis1, axis2) > 0.0 and np.all(np.isfinite([cx, cy, axis1, axis2, angle_deg]))):
         return FitFailure.NO_ELLIPSE
-    start = ellipse_chart(cx, cy, 0.5 * axis1, 0.5 * axis2, np.deg2rad(angle_deg))
+    start = chart_of_axes([cx, cy, 0.5 * axis1, 0.5 * axis2, np.deg2rad(angle_deg)])
     return refine_rim(points, start, camera, options, ratio)
 
 

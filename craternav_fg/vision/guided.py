@@ -11,18 +11,20 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from craternav_fg.camera import Camera, pixel_chart
-from craternav_fg.catalog import Catalog
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
-from craternav_fg.frames import turn_position
+from craternav_fg.ellipse import pixel_chart
+from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet
-from craternav_fg.vision import crest, edges, photometry
+from craternav_fg.photometry import level_ground
+from craternav_fg.vision import crest, edges
 from craternav_fg.vision.arcs import judge
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, refine_rim
+from craternav_fg.vision.error_model.correlated import correlated_roots
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
-from craternav_fg.vision.lasting import lasting_roots
-from craternav_fg.vision.photometry import LevelMap
+from craternav_fg.vision.level_map import LevelMap
 from craternav_fg.vision.pose_correction import corrected_pose, squared_distance, variance_factor
 from craternav_fg.vision.sun import measure_sun_tilt
 from factors.kernels import conic
@@ -138,7 +140,7 @@ class GuidedFrontEnd:
         FrameMeasurement
             Its rim set is empty, its sun None, when the image shows neither.
         """
-        prior = turn_position(pose_covariance, gTb[:3, :3].T)
+        prior = rotate_position_block(pose_covariance, gTb[:3, :3].T)
         grey = on_8_bit_scale(image, self.camera)
         pixels = np.ascontiguousarray(grey, dtype=np.float32)
         levels = LevelMap(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
@@ -274,7 +276,7 @@ class GuidedFrontEnd:
         rows, systematic = scene.rows[keep], factor * fitted.systematic[keep]
         covariance, level = covariance[keep], np.sqrt(factor) * fitted.level[keep]
         lasting = self.options.lasting
-        persistent, shared = lasting_roots(
+        correlated, shared = correlated_roots(
             systematic, level, rows, pose, sun_g, self.camera, self.catalog, lasting
         )
         # What a crater keeps is part of it already, and the level that it shares.
@@ -283,7 +285,7 @@ class GuidedFrontEnd:
         covariance = covariance + lasting.rough_share * (factor - 1.0) * systematic
         quality = fitted.quality.take(keep)
         return _Result(
-            RimSet(rows, chart[keep], covariance, quality, persistent, shared), pose, spread, expected
+            RimSet(rows, chart[keep], covariance, quality, correlated, shared), pose, spread, expected
         )
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
@@ -302,7 +304,7 @@ class GuidedFrontEnd:
         gTc = self.camera.gTc(gTb)
         view = gTc[:3, 3] - centres
         view /= np.linalg.norm(view, axis=-1, keepdims=True)
-        brightness, gain = photometry.level_ground(self.catalog.normals[rows], sun_g, view)
+        brightness, gain = level_ground(self.catalog.normals[rows], sun_g, view)
         centres_c = (centres - gTc[:3, 3]) @ gTc[:3, :3]
         points = centres_c[:, :2] / centres_c[:, 2:]
         gain_c = gain @ gTc[:3, :3]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from craternav_fg.vision.arcs import ArcOptions
 from craternav_fg.vision.ellipse_fit import FitOptions
-from craternav_fg.vision.lasting import LastingOptions
+from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions
 from craternav_fg.vision.sun import SunOptions
 
 
@@ -47,7 +47,7 @@ class GuidedOptions:
         pixels, and share of the semi-minor axis.
     gate_probability : float
         A true rim passes the chi-square gate with this probability.
-    lasting : LastingOptions
+    lasting : CorrelatedErrorOptions
         What of the rims' errors outlasts a frame.
     fit : FitOptions
         Of the ellipse fit, with the systematic floor and the deviation of outlines that is expected before
@@ -75,7 +75,7 @@ class GuidedOptions:
     first_reach: tuple[float, float] = (2.5, 0.12)
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
-    lasting: LastingOptions = field(default_factory=LastingOptions)
+    lasting: CorrelatedErrorOptions = field(default_factory=CorrelatedErrorOptions)
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
     arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)
@@ -84,7 +84,7 @@ class GuidedOptions:
 # For images that nobody fuses: what all rims share matters where it does not average out over frames; of one
 # image a fit's own covariance is honest.
 SINGLE_IMAGE = GuidedOptions(
-    lasting=LastingOptions(
+    lasting=CorrelatedErrorOptions(
         rough_share=0.0,
         toward_px=0.0,
         lit_px=0.0,

@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.body import Body
+from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SunTilt
+from craternav_fg.photometry import level_ground
 from craternav_fg.vision.bowls import light_turn
 from craternav_fg.vision.grey import GreyArray
-from craternav_fg.vision.photometry import ground_points, level_ground
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from craternav_fg.campaign.trial import TrialResult, TrialTask, failed
 from craternav_fg.campaign.workers import Workers
-from craternav_fg.evaluation.trial import TrialResult, TrialTask, failed
 
 DEADLY = 2
 

@@ -12,7 +12,7 @@ from typing import Any
 import tomli_w
 
 from craternav_fg.campaign.run import CampaignOptions
-from craternav_fg.config import Scenario
+from craternav_fg.simulation.scenario_file import Scenario
 from tests import descents
 
 ESTIMATORS = ("ekf", "dead_reckoning")

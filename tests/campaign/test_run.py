@@ -14,18 +14,18 @@ import pytest
 from craternav_fg.campaign import run, store, workers
 from craternav_fg.campaign.run import CampaignOptions, as_measured, each_result, montecarlo
 from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
-from craternav_fg.config import CraterTrials, ExpectedSection, Scenario, load_scenario
+from craternav_fg.campaign.trial import TrialTask, run_trial, software
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
-from craternav_fg.evaluation.trial import TrialTask, run_trial, software
-from craternav_fg.reconstruction import Reconstruction, reconstruct
+from craternav_fg.pipeline.reconstruct import Reconstruction, reconstruct
 from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import CraterTrials, ExpectedSection, Scenario, load_scenario
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
+from tests.cli.test_command_line import craternav
 from tests.report.test_report import Reader, cli_main
-from tests.test_command_line import craternav
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_a_trial_is_that_of_its_number(undisturbed: Path, tmp_path: Path) -> Non
     np.testing.assert_array_equal(np.stack(rows.position_error_m), data.truth.gP - estimate.gP)
     sigmas = np.sqrt(np.diagonal(estimate.pose_covariance, axis1=1, axis2=2))
     np.testing.assert_array_equal(np.stack(rows.pose_sigma), sigmas)
-    assert rows.rims.tolist() == [len(frame.rims) for frame in data.rims or ()]
+    assert rows.rims.tolist() == [len(frame.rims) for frame in data.measurements or ()]
     for column in ("position_error_m", "velocity_error_m_s", "attitude_error_rad"):
         first = np.stack(table[(table.estimator == "ekf") & (table.stamp_ns == 0)][column])
         assert len(np.unique(first[:, 0])) == 4
@@ -228,7 +228,7 @@ def test_a_failed_trial_is_recorded_and_the_rest_go_on(
             raise ZeroDivisionError("a defect")
         return reconstruct(dataset, names)
 
-    monkeypatch.setattr("craternav_fg.evaluation.trial.reconstruct", sometimes)
+    monkeypatch.setattr("craternav_fg.campaign.trial.reconstruct", sometimes)
     summary = montecarlo(small_scenario(), folder, options(3))
     assert (summary["trials"], summary["failed"]) == (3, 2)
     assert summary["estimators"]["ekf"]["converged"] == 1
@@ -253,7 +253,7 @@ def test_an_estimator_without_a_trajectory_in_some_trials_is_told_of(
             result.failures["ekf"] = "ekf: lost"
         return result
 
-    monkeypatch.setattr("craternav_fg.evaluation.trial.reconstruct", sometimes)
+    monkeypatch.setattr("craternav_fg.campaign.trial.reconstruct", sometimes)
     case = write_scenario(tmp_path / "small.toml", small_scenario())
     arguments = ("montecarlo", case, "-o", tmp_path / "c", "--workers", 1, "-e", "ekf", "-e", "online")
     assert cli_main(*arguments, "-n", 1) == 0
@@ -329,7 +329,7 @@ def test_a_disk_that_is_full_in_a_trial_is_no_fault_of_the_trial(
             raise InputError(path, f"cannot be written: {error.strerror}") from error
 
     with monkeypatch.context() as patch:
-        patch.setattr("craternav_fg.evaluation.trial.simulate", full)
+        patch.setattr("craternav_fg.campaign.trial.simulate", full)
         with pytest.raises(CraternavError, match=r"trial 1: trial/dataset: cannot be written: No space left"):
             montecarlo(small_scenario(), folder, options(3))
     assert list(read_campaign(folder).failures) == [0]

@@ -9,7 +9,7 @@ import pytest
 
 from craternav_fg.campaign.store import Campaign
 from craternav_fg.campaign.summary import of_estimator, summarise
-from craternav_fg.evaluation.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
+from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
 
 ALTITUDES_M = [900.0, 400.0, 175.0]
 

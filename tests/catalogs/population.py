@@ -3,7 +3,7 @@
 import numpy as np
 
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 
 
 def power_law_population(

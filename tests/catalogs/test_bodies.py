@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from craternav_fg.body import Body
-from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
 from craternav_fg.catalogs.bodies import named_body
+from craternav_fg.catalogs.files import import_catalog, read_catalog, write_catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from tests.catalogs.population import power_law_population

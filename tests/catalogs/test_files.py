@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.body import Body
-from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
+from craternav_fg.catalogs.files import import_catalog, read_catalog, write_catalog
 from craternav_fg.errors import InputError
 from tests.shared_data import shared
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from craternav_fg.body import Body
-from craternav_fg.catalog_files import import_catalog
 from craternav_fg.catalogs.columns import ImportOptions
+from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.errors import InputError
 
 MOON = Body("Moon", 1737400.0, 4.902800118e12, (0.0, 0.0, 2.6616995e-6))

@@ -4,8 +4,9 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog, chart_to_pixels, rim_points
-from craternav_fg.catalog_index import SphereIndex
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.catalogs.sphere_index import SphereIndex
+from craternav_fg.ellipse import centre_and_matrix_px, points_on
 from factors.kernels import conic
 from tests.catalogs.population import power_law_population
 
@@ -36,9 +37,9 @@ def looking_down(rng, altitude_m, tilt_rad, place=None):
 def seen_by_brute_force(craters, lens, gTb, least_px, margin_px):
     charts, seen = conic.project_rims(gTb, lens.bTc, craters.centres, craters.axes)
     rows = np.flatnonzero(seen)
-    points = lens.pixels(rim_points(charts[rows], 720))
+    points = lens.pixels(points_on(charts[rows], 720))
     inside = np.all(lens.contains(points, margin_px), axis=1)
-    size = np.sqrt(np.linalg.eigvalsh(chart_to_pixels(lens, charts[rows])[1])[:, 0])
+    size = np.sqrt(np.linalg.eigvalsh(centre_and_matrix_px(charts[rows], lens)[1])[:, 0])
     return rows[inside & (size >= least_px)]
 
 

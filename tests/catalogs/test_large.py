@@ -7,8 +7,8 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
+from craternav_fg.catalogs.files import import_catalog, read_catalog, write_catalog
+from craternav_fg.catalogs.model import Catalog
 from tests.catalogs.population import power_law_population
 from tests.catalogs.test_files import MOON
 from tests.shared_data import shared

@@ -5,15 +5,15 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import import_catalog, read_catalog, write_catalog
+from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.files import import_catalog, read_catalog, write_catalog
 from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
-from craternav_fg.dem import read_dem
 from craternav_fg.errors import InputError
 from tests.catalogs.population import power_law_population
+from tests.catalogs.test_dem import GLOBE, write
 from tests.dataset.conftest import folder, with_images  # noqa: F401
-from tests.simulation.test_dem import GLOBE, write
 
 BODY = Body("ball", 250e3, 1.0, (0.0, 0.0, 0.0))
 NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")

@@ -9,7 +9,7 @@ import numpy as np
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import SunVectors
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt

@@ -47,7 +47,7 @@ def test_spoilt_data_sets_are_refused_or_read(kind, data, request):
     path.write_bytes(whole[:at] + junk + whole[at + cut :])
     try:
         opened = Dataset.open(folder)
-        if opened.rims is None:
+        if opened.measurements is None:
             for frame in range(len(opened)):
                 opened.image(frame)
     except InputError as error:

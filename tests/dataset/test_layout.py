@@ -6,7 +6,7 @@ import textwrap
 import numpy as np
 import pytest
 
-from craternav_fg.catalog_files import read_catalog
+from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise

@@ -45,7 +45,7 @@ def test_everything_reads_back_as_it_was(tmp_path):
         np.testing.assert_allclose(
             getattr(data.catalog, name), getattr(given["catalog"], name), rtol=4e-16, atol=0.0
         )
-    assert data.rims is None
+    assert data.measurements is None
     for k, image in enumerate(images):
         exact(data.image(k), image)
 
@@ -93,8 +93,8 @@ def test_rims_read_back_as_they_were(tmp_path):
     given, rims = parts(rng), random_rims(rng)
     write_dataset(tmp_path / "data", rims=rims, **given)
     data = Dataset.open(tmp_path / "data")
-    assert len(data.rims) == len(data) == 3
-    for found, expected in zip(data.rims, rims, strict=True):
+    assert len(data.measurements) == len(data) == 3
+    for found, expected in zip(data.measurements, rims, strict=True):
         assert found.stamp_ns == expected.stamp_ns
         exact(found.rims.craters, expected.rims.craters)
         exact(found.rims.chart, expected.rims.chart)

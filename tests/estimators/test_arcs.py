@@ -9,12 +9,12 @@ from scipy.stats import chi2
 
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
-from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import ArcSet
-from craternav_fg.static.edge_fit import rim_points
+from craternav_fg.resection.edge_fit import rim_points
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.conic import project_rims
 from tests.descents import problem, scenario

@@ -7,13 +7,13 @@ import pytest
 from scipy.stats import chi2
 
 from craternav_fg import frames
-from craternav_fg.config import FaultsSection
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.simulation.scenario_file import FaultsSection
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 

@@ -11,9 +11,9 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
-from craternav_fg.estimators.ekf import DistributedEkf, EkfOptions, ekf, ekf_paper
-from craternav_fg.estimators.ekf_fusion import Update, fuse_updates
-from craternav_fg.estimators.ekf_measurement import inflation, linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper
+from craternav_fg.estimators.ekf.fusion import Update, fuse_updates
+from craternav_fg.estimators.ekf.measurement import inflation, linearise_rims, linearise_sun, weighed
 from craternav_fg.measurements import RimSet, SunTilt
 from factors.kernels import conic, sun
 from tests.estimators.small_descent import (

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import chi2
 
-from craternav_fg.estimators.ekf_fusion import Update, combine, fuse_updates
+from craternav_fg.estimators.ekf.fusion import Update, combine, fuse_updates
 
 
 def linear_toy(rule, runs=100, steps=15, filters=3, seed=0):

@@ -12,8 +12,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from craternav_fg import frames
-from craternav_fg.catalog import Catalog
-from craternav_fg.config import MeasurementSection, load_scenario
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators import filter_state, gnc
 from craternav_fg.estimators.base import Descent, Problem
@@ -21,13 +20,14 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.consensus import agreeing, robust_track
 from craternav_fg.estimators.gnc import GncSmoother, truncated_weights
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.rematch import NO_CRATER, rematched
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.evaluation.run_folder import write_run
+from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.reconstruction import reconstruct
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.runs.store import write_run
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import MeasurementSection, load_scenario
 from craternav_fg.trajectory import Trajectory
 
 LIMIT2 = float(chi2.ppf(0.999, 5))
@@ -46,12 +46,12 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def first(data: Dataset, frames_count: int) -> Dataset:
     """The beginning of a descent."""
-    assert data.rims is not None
+    assert data.measurements is not None
     assert data.truth is not None
     cut = {k: getattr(data.truth, k)[:frames_count] for k in ("stamps_ns", "gTb", "gV", "bias")}
     return dataclasses.replace(
         data,
-        rims=tuple(data.rims[:frames_count]),
+        measurements=tuple(data.measurements[:frames_count]),
         stamps_ns=data.stamps_ns[:frames_count],
         truth=Trajectory(**cut),
     )
@@ -71,17 +71,17 @@ def with_wrong_matches(
     data: Dataset, share: float, rng: np.random.Generator, kind: str
 ) -> tuple[list[FrameMeasurement], Right]:
     """Give a share of all rims another crater: one of those in view, the nearest, or always the same."""
-    assert data.rims is not None
-    counts = [len(frame.rims) for frame in data.rims]
-    all_craters = np.concatenate([frame.rims.craters for frame in data.rims])
-    if kind == "persistent":
+    assert data.measurements is not None
+    counts = [len(frame.rims) for frame in data.measurements]
+    all_craters = np.concatenate([frame.rims.craters for frame in data.measurements])
+    if kind == "correlated":
         known = np.unique(all_craters)
         wrong = np.isin(all_craters, rng.choice(known, round(share * len(known)), replace=False))
     else:
         wrong = np.zeros(len(all_craters), dtype=np.bool_)
         wrong[rng.choice(len(wrong), round(share * len(wrong)), replace=False)] = True
     out, right = [], []
-    for frame, bad in zip(data.rims, np.split(wrong, np.cumsum(counts)[:-1]), strict=True):
+    for frame, bad in zip(data.measurements, np.split(wrong, np.cumsum(counts)[:-1]), strict=True):
         craters = frame.rims.craters.copy()
         for i in np.flatnonzero(bad):
             others = frame.rims.craters[frame.rims.craters != craters[i]]
@@ -108,22 +108,22 @@ def check(data: Dataset, share: float, seed: int, kind: str) -> tuple[float, flo
     measured, right = with_wrong_matches(data, share, np.random.default_rng(seed), kind)
     robust = GncSmoother().estimate(problem(data, measured))
     assert data.truth is not None
-    assert data.rims is not None
-    clean = BatchSmoother().estimate(problem(data, list(data.rims)))
+    assert data.measurements is not None
+    clean = BatchSmoother().estimate(problem(data, list(data.measurements)))
     expected = np.concatenate(right)
     assert not (used(robust) & ~expected).any()
     # The limit loses one right rim in a thousand.
     assert (~used(robust) & expected).sum() <= 5
     assert robust.rim_craters is not None
     taken = np.concatenate(robust.rim_craters)
-    true = np.concatenate([frame.rims.craters for frame in data.rims])
+    true = np.concatenate([frame.rims.craters for frame in data.measurements])
     assert (taken[taken >= 0] == true[taken >= 0]).all()
     assert (taken >= 0).mean() > 0.99
     return rms_m(robust, data.truth), rms_m(clean, data.truth)
 
 
 def test_two_of_five_matches_wrong_and_no_worse_than_with_none(demo: Dataset) -> None:
-    for seed, kind in enumerate(("in view", "nearest", "persistent")):
+    for seed, kind in enumerate(("in view", "nearest", "correlated")):
         robust, clean = check(first(demo, 25), 0.4, seed, kind)
         assert robust < 1.1 * clean
 
@@ -131,8 +131,8 @@ def test_two_of_five_matches_wrong_and_no_worse_than_with_none(demo: Dataset) ->
 def test_the_plain_smoother_needs_it(demo: Dataset) -> None:
     data = first(demo, 12)
     measured, _ = with_wrong_matches(data, 0.4, np.random.default_rng(0), "in view")
-    assert data.rims is not None
-    clean = BatchSmoother().estimate(problem(data, list(data.rims)))
+    assert data.measurements is not None
+    clean = BatchSmoother().estimate(problem(data, list(data.measurements)))
     p = problem(data, measured)
     robust, plain = (rms_m(e.estimate(p), clean) for e in (GncSmoother(), BatchSmoother()))
     assert robust < 1.0
@@ -257,7 +257,7 @@ def test_weight_minimises_the_surrogate(mu: float, squared: float) -> None:
 def test_rejected_matches_are_named_in_the_run(tmp_path: Path, demo: Dataset) -> None:
     data = first(demo, 6)
     measured, right = with_wrong_matches(data, 0.3, np.random.default_rng(4), "in view")
-    blind = dataclasses.replace(data, rims=tuple(measured), truth=None)
+    blind = dataclasses.replace(data, measurements=tuple(measured), truth=None)
     write_run(
         tmp_path, reconstruct(blind, ["gnc_smoother", "dead_reckoning"]), dataset="demo",
         camera=data.camera, catalog=data.catalog, truth=None, times_s={}, wall_s=0.0,
@@ -265,15 +265,15 @@ def test_rejected_matches_are_named_in_the_run(tmp_path: Path, demo: Dataset) ->
     table = pq.read_table(tmp_path / "residuals.parquet").to_pylist()
     own = [row for row in table if row["estimator"] == "gnc_smoother"]
     assert_array_equal([row["weight"] for row in own], np.concatenate(right).astype(float))
-    assert data.rims is not None
-    true = [data.catalog.identifiers[row] for frame in data.rims for row in frame.rims.craters]
+    assert data.measurements is not None
+    true = [data.catalog.identifiers[row] for frame in data.measurements for row in frame.rims.craters]
     assert [row["taken_for"] or row["crater_id"] for row in own] == true
     assert [row["taken_for"] is None for row in own] == np.concatenate(right).tolist()
     assert all(row["weight"] is None for row in table if row["estimator"] == "dead_reckoning")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["in view", "nearest", "persistent"])
+@pytest.mark.parametrize("kind", ["in view", "nearest", "correlated"])
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.5])
 def test_many_draws_of_wrong_matches(demo: Dataset, share: float, kind: str) -> None:
     for seed in range(10):

@@ -16,7 +16,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph, optimum
-from craternav_fg.estimators.ekf import DistributedEkf
+from craternav_fg.estimators.ekf.filter import DistributedEkf
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.graph import GraphOptions, state_stamps

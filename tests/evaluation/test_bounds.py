@@ -16,7 +16,7 @@ from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import GraphOptions, insert_state, state_stamps
 from craternav_fg.evaluation.bounds import attitude_rms_deg, position_rms_m, posterior_bound
-from craternav_fg.frames import turn_position
+from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
@@ -71,7 +71,7 @@ def dense(p: Problem, truth: Trajectory) -> np.ndarray:
     out = []
     for n, T in zip(numbers, truth.gTb, strict=True):
         rows = inverse[begins[X(n)] : begins[X(n)] + 6]
-        out.append(turn_position(rows @ rows.T, T[:3, :3]))
+        out.append(rotate_position_block(rows @ rows.T, T[:3, :3]))
     return np.array(out)
 
 

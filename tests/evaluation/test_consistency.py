@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.ekf import ekf
+from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, over_altitude, rms
 from craternav_fg.evaluation.innovations import IMU, RIMS, SUN, Innovations, innovations
 from tests.estimators.small_descent import World, draw, make_world

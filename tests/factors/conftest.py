@@ -7,7 +7,7 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from factors.kernels import conic
 
 MOON = Body("Moon", 1_737_400.0, 4.902_800_118e12, (0.0, 0.0, 2.661_7e-6))

@@ -6,7 +6,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.matching.gate import GateOptions, match_rims
 
 MOON = Body("Moon", 1737400.0, 4.902800118e12, (0.0, 0.0, 0.0))

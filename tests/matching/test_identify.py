@@ -15,39 +15,39 @@ from craternav_fg.bench.identification import (
     scene_camera,
     synthetic_catalog,
 )
-from craternav_fg.bench.problems import MOON
-from craternav_fg.catalog import Catalog
-from craternav_fg.catalog_files import import_catalog
+from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
-from craternav_fg.matching.identify import (
+from craternav_fg.matching.identify.anchors import anchor_search
+from craternav_fg.matching.identify.evidence import chance_at, log_by_chance, visible
+from craternav_fg.matching.identify.nadir import nadirs
+from craternav_fg.matching.identify.search import (
     IdentifyOptions,
     KnownAttitude,
     Status,
-    _Grown,
+    _Expanded,
     _Search,
     identify,
 )
-from craternav_fg.matching.identify_anchors import anchor_search
-from craternav_fg.matching.identify_evidence import chance_at, log_by_chance, visible
-from craternav_fg.matching.identify_index import Index
-from craternav_fg.matching.identify_nadir import nadirs
-from craternav_fg.matching.identify_triples import image_triples, seat_all
-from craternav_fg.matching.identify_view import view_of
+from craternav_fg.matching.identify.triple_index import TripleIndex
+from craternav_fg.matching.identify.triples import image_triples, project_all_to_sphere
+from craternav_fg.matching.identify.view import view_of
+from craternav_fg.simulation.scenes import MOON
 from factors.kernels.gauss_newton import screw_between
 from tests.catalogs.population import power_law_population
 from tests.shared_data import shared
 
 
 @pytest.fixture(scope="module")
-def synthetic() -> Index:
-    return Index.build(synthetic_catalog(MOON, np.random.default_rng(0)))
+def synthetic() -> TripleIndex:
+    return TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(0)))
 
 
 @pytest.fixture(scope="module", params=["synthetic", "real"])
-def index(request: pytest.FixtureRequest, synthetic: Index) -> Index:
+def index(request: pytest.FixtureRequest, synthetic: TripleIndex) -> TripleIndex:
     if request.param == "synthetic":
         return synthetic
-    return Index.build(import_catalog(shared("robbins_2018_subset.csv"), MOON)[0])
+    return TripleIndex.build(import_catalog(shared("robbins_2018_subset.csv"), MOON)[0])
 
 
 def tracker(scene, rng, sigma_deg=1.5) -> KnownAttitude:
@@ -122,7 +122,7 @@ def test_mirror_images_have_no_answer(synthetic, known) -> None:
 
 
 def test_another_catalogue_has_no_answer(synthetic) -> None:
-    other = Index.build(synthetic_catalog(MOON, np.random.default_rng(1), count=5000))
+    other = TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(1), count=5000))
     rng = np.random.default_rng(7)
     for _ in range(3):
         scene = random_scene(other.catalog, SceneOptions(), rng, true_rims=(8, 60))
@@ -179,7 +179,7 @@ def test_wrong_craters_on_one_side_are_left(synthetic) -> None:
     match[kept] = scene.craters[kept]
     match[list(wrong)] = list(wrong.values())
     search = _Search(view_of(scene.ellipses_px, scene.camera), synthetic, None, None, IdentifyOptions())
-    found = search.best_near(_Grown(scene.gTb, match, np.eye(6), np.full(3, 8.0), 34.0))
+    found = search.best_near(_Expanded(scene.gTb, match, np.eye(6), np.full(3, 8.0), 34.0))
     true = scene.craters >= 0
     assert np.mean(found.match[true] == scene.craters[true]) > 0.9
 
@@ -236,7 +236,7 @@ def test_triples_that_the_index_has_come_first(synthetic) -> None:
         view = view_of(scene.ellipses_px, scene.camera)
         model = nadirs(view, np.arange(len(scene.craters)), np.array([0.08, 0.25]), 1)[0][0]
         down, height_m = model[:3].copy(), model[3] * MOON.radius_m
-        X, log_sizes, scale = seat_all(view, down, height_m, MOON.radius_m)
+        X, log_sizes, scale = project_all_to_sphere(view, down, height_m, MOON.radius_m)
         craters = scene.craters[image_triples(X, log_sizes, scale, view, 6, 3.0)]
         had = [row.min() >= 0 and set(row[1:]) <= set(neighbours[row[0]]) for row in craters]
         first.extend(had[:12])
@@ -255,7 +255,7 @@ def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:
         asked.append(len(anchors) * len(centres))
         return anchor_search(view, grid, centres, axes, anchors, *others)
 
-    monkeypatch.setattr("craternav_fg.matching.identify.anchor_search", counted)
+    monkeypatch.setattr("craternav_fg.matching.identify.search.anchor_search", counted)
     count = len(synthetic.catalog)
     for tried, rims in ((1, 1), (3 * count + 10, 3)):
         asked.clear()
@@ -386,7 +386,7 @@ def test_the_full_moon() -> None:
     real, _ = import_catalog(shared("robbins_2018_subset.csv"), MOON)
     drawn = power_law_population(np.random.default_rng(1), MOON, 1_300_000 - len(real), (1e3, 4e3))
     began = time.process_time()
-    index = Index.build(Catalog.joined([real, drawn]))
+    index = TripleIndex.build(Catalog.joined([real, drawn]))
     assert time.process_time() - began < 60.0
     assert index.triples.nbytes < 600e6
     low, rng = (20e3, 50e3), np.random.default_rng(22)

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from craternav_fg.bench.identification import synthetic_catalog
-from craternav_fg.bench.problems import MOON
 from craternav_fg.errors import InputError
-from craternav_fg.matching import identify_tree as tree
-from craternav_fg.matching.identify_grid import density, within
-from craternav_fg.matching.identify_index import SMALLEST, Index, load_or_build
+from craternav_fg.matching.identify import tree
+from craternav_fg.matching.identify.grid import density, within
+from craternav_fg.matching.identify.triple_index import SMALLEST, TripleIndex, load_or_build
+from craternav_fg.simulation.scenes import MOON
 
 
 @pytest.fixture(scope="module")
-def index() -> Index:
-    return Index.build(synthetic_catalog(MOON, np.random.default_rng(2), count=3000))
+def index() -> TripleIndex:
+    return TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(2), count=3000))
 
 
 def test_the_tree_finds_the_nearest_points(index) -> None:
@@ -80,7 +80,7 @@ def test_the_index_of_another_catalogue_is_built_anew(index, tmp_path) -> None:
     index.save(path)
     other = index.catalog.take(np.arange(1000))
     with pytest.raises(InputError, match="is the index of another catalogue"):
-        Index.load(path, other)
+        TripleIndex.load(path, other)
     fresh, said = load_or_build(path, other)
     assert said == f"{path}: is the index of another catalogue: built"
     assert len(fresh.triples.neighbours) == 1000
@@ -89,7 +89,7 @@ def test_the_index_of_another_catalogue_is_built_anew(index, tmp_path) -> None:
 
 def test_the_index_of_another_version_is_built_anew(index, tmp_path, monkeypatch) -> None:
     path = tmp_path / "index.npz"
-    monkeypatch.setattr("craternav_fg.matching.identify_index.VERSION", 77)
+    monkeypatch.setattr("craternav_fg.matching.identify.triple_index.VERSION", 77)
     index.save(path)
     monkeypatch.undo()
     assert "expected an index of version 1, found 77: built" in load_or_build(path, index.catalog)[1]
@@ -100,7 +100,7 @@ def test_a_file_that_is_no_index(index, tmp_path, content) -> None:
     path = tmp_path / "index.npz"
     path.write_bytes(content)
     with pytest.raises(InputError, match="something else"):
-        Index.load(path, index.catalog)
+        TripleIndex.load(path, index.catalog)
 
 
 def test_a_damaged_index_is_refused_or_right(index, tmp_path) -> None:
@@ -115,7 +115,7 @@ def test_a_damaged_index_is_refused_or_right(index, tmp_path) -> None:
         damaged[place] ^= int(rng.integers(1, 256))
         path.write_bytes(damaged)
         try:
-            found = Index.load(path, index.catalog).triples
+            found = TripleIndex.load(path, index.catalog).triples
         except InputError:
             refused += 1
             continue
@@ -134,4 +134,4 @@ def test_an_index_that_cannot_be_stored_is_used_all_the_same(index, tmp_path) ->
 
 def test_catalogues_of_few_craters(index) -> None:
     for count in (1, 2, 3, 5):
-        assert Index.build(index.catalog.take(np.arange(count))).grid.order.shape == (count,)
+        assert TripleIndex.build(index.catalog.take(np.arange(count))).grid.order.shape == (count,)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
-from craternav_fg.evaluation.runs import write_reconstruction
+from craternav_fg.runs.record import write_reconstruction
 from craternav_fg.simulation.scenario import simulate
 from tests.descents import scenario
 

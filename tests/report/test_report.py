@@ -16,11 +16,11 @@ from matplotlib.figure import Figure
 from craternav_fg import cli
 from craternav_fg.errors import InputError
 from craternav_fg.evaluation.consistency import mean_interval
-from craternav_fg.evaluation.run_folder import read_run
 from craternav_fg.report.page import write_page
 from craternav_fg.report.residuals import crater_table
 from craternav_fg.report.run_page import run_page
 from craternav_fg.report.svg import inline_svg
+from craternav_fg.runs.store import read_run
 
 
 class Reader(html.parser.HTMLParser):

@@ -10,14 +10,15 @@ import pyarrow as pa
 import pytest
 from numpy.testing import assert_allclose
 
-from craternav_fg.config import load_scenario
-from craternav_fg.evaluation.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
+from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
 from craternav_fg.reproduce import ablation as ablation_module
-from craternav_fg.reproduce import descent_figures, descents, run
+from craternav_fg.reproduce import descents, run
+from craternav_fg.reproduce import fig15_18 as descent_figures
 from craternav_fg.reproduce import lag as lag_module
 from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.rows import Row
+from craternav_fg.simulation.scenario_file import load_scenario
 from tests.descents import scenario
 
 SMALL = ReproduceOptions(descents=2, workers=1)

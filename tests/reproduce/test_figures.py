@@ -5,11 +5,12 @@ import pyarrow as pa
 import pytest
 
 from craternav_fg import frames
-from craternav_fg.reproduce import centres, los
+from craternav_fg.reproduce import fig02 as los
+from craternav_fg.reproduce import fig03_04 as centres
 from craternav_fg.reproduce.options import SEMI_AXES_M
-from craternav_fg.reproduce.scenes import matched, random_scene
+from craternav_fg.reproduce.paper_scenes import matched, random_scene
 from craternav_fg.reproduce.static_pose import METHODS, Batch, run_batch
-from craternav_fg.static.paper_equations import PaperRims, edges
+from craternav_fg.resection.paper.equations import PaperRims, edges
 
 # Deviation, deg: angles of incidence by altitudes of los.TILTS_DEG, los.ALTITUDES.
 DEVIATION = np.array(

@@ -7,17 +7,32 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from craternav_fg.reproduce import coefficients, edge_image, edge_parameters, rendered_sets, rim_errors, run
+from craternav_fg.ellipse import axes_of_chart
+from craternav_fg.reproduce import (
+    fig10 as edge_image,
+)
+from craternav_fg.reproduce import (
+    rendered_sets,
+    run,
+)
+from craternav_fg.reproduce import (
+    table1 as rim_errors,
+)
+from craternav_fg.reproduce import (
+    table2 as coefficients,
+)
+from craternav_fg.reproduce import (
+    table2_errors as edge_parameters,
+)
 from craternav_fg.reproduce.canny_rim import canny_rim
 from craternav_fg.reproduce.front_end import Limit, front_end
 from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.paper_scenes import CAMERA
 from craternav_fg.reproduce.rim_images import draw_view, photograph, window
 from craternav_fg.reproduce.rows import FIELDS
-from craternav_fg.reproduce.scenes import CAMERA
 from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import TerrainOptions
-from craternav_fg.vision.detect import ellipse_parameters
 
 FEW = ReproduceOptions(images=2, workers=1)
 
@@ -67,7 +82,7 @@ def test_canny_edges_lie_inside_the_crest() -> None:
     for k, row in enumerate(one.craters):
         chart = canny_rim(one, int(row))
         assert chart is not None
-        x, y, a, b, _ = ellipse_parameters(chart[None])[0]
+        x, y, a, b, _ = axes_of_chart(chart[None])[0]
         assert np.hypot(x - true[k, 0], y - true[k, 1]) < 3.0
         assert true[k, 2] - 4.0 < a < true[k, 2] + 0.2
         assert true[k, 3] - 4.0 < b < true[k, 3] + 0.2

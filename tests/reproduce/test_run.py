@@ -9,11 +9,21 @@ import pyarrow.parquet as pq
 import pytest
 
 from craternav_fg.errors import CraternavError
-from craternav_fg.reproduce import drawing, pose_figures, pose_notes, run, static_pose
+from craternav_fg.reproduce import (
+    drawing,
+    run,
+    static_pose,
+)
+from craternav_fg.reproduce import (
+    fig11_14 as pose_figures,
+)
+from craternav_fg.reproduce import (
+    fig11_14_notes as pose_notes,
+)
 from craternav_fg.reproduce.conditions import MEAN, RMS, STD, Condition
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.rows import FIELDS, number, verdict
-from tests.test_command_line import craternav
+from tests.cli.test_command_line import craternav
 
 SMALL = ReproduceOptions(trials=4, altitude_steps=2, workers=1)
 

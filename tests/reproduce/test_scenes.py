@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.errors import CraternavError
-from craternav_fg.reproduce.scenes import (
+from craternav_fg.reproduce.paper_scenes import (
     CAMERA,
     arc_angles,
     inside,
@@ -15,8 +15,8 @@ from craternav_fg.reproduce.scenes import (
     random_scene,
     random_triple,
 )
-from craternav_fg.static.bounds import cramer_rao
-from craternav_fg.static.edge_fit import chart_covariance, rim_points
+from craternav_fg.resection.bounds import cramer_rao
+from craternav_fg.resection.edge_fit import chart_covariance, rim_points
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -6,7 +6,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.catalog import Catalog
-from craternav_fg.config import FaultsSection, Scenario
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.simulation.faults import mismatch, misread, remounted
+from craternav_fg.simulation.faults import perturb_map, perturb_mounting, swap_matches
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import FaultsSection, Scenario
 from tests.descents import scenario
 
 MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
@@ -31,7 +31,7 @@ def catalogue(n: int) -> Catalog:
 def test_a_misread_map_is_off_by_the_parts_asked_for() -> None:
     true = catalogue(4000)
     faults = FaultsSection(map_place=0.02, map_size=0.01, map_height=0.05)
-    told = misread(true, faults, np.random.default_rng(2))
+    told = perturb_map(true, faults, np.random.default_rng(2))
     gRe = frames.east_north_up(true.latitude_rad, true.longitude_rad)
     off = np.einsum("nji,nj->ni", gRe, told.centres - true.centres) / true.semi_major_m[:, None]
     assert_allclose(off.std(axis=0), [0.02, 0.02, 0.05], rtol=0.05)
@@ -45,7 +45,7 @@ def test_a_misread_map_is_off_by_the_parts_asked_for() -> None:
 
 def test_a_rim_that_is_misread_in_size_only_keeps_its_outline_but_for_the_size() -> None:
     true = catalogue(500)
-    told = misread(true, FaultsSection(map_size=0.1), np.random.default_rng(3))
+    told = perturb_map(true, FaultsSection(map_size=0.1), np.random.default_rng(3))
     swapped = told.angle_rad != true.angle_rad
     assert 0.1 < swapped.mean() < 0.6
     # The direction of each true axis is still one of the axes.
@@ -62,7 +62,7 @@ def test_wrong_names_are_wrong_as_often_as_asked_and_never_there_twice(n: int) -
     catalog, rng = catalogue(20), np.random.default_rng(4)
     wrong = []
     for _ in range(2000):
-        craters = mismatch(frame(n), catalog, FaultsSection(wrong_matches=0.3), rng).rims.craters
+        craters = swap_matches(frame(n), catalog, FaultsSection(wrong_matches=0.3), rng).rims.craters
         assert len(set(craters.tolist())) == n
         wrong.append(np.mean(craters != np.arange(n)))
     assert np.mean(wrong) == pytest.approx(0.3, abs=0.03)
@@ -70,7 +70,7 @@ def test_wrong_names_are_wrong_as_often_as_asked_and_never_there_twice(n: int) -
 
 def test_the_mounting_is_turned_by_the_angle_asked_for_and_not_moved() -> None:
     camera = scenario().camera.camera()
-    told = remounted(camera, FaultsSection(mounting_deg=0.2), np.random.default_rng(5))
+    told = perturb_mounting(camera, FaultsSection(mounting_deg=0.2), np.random.default_rng(5))
     angle = np.linalg.norm(frames.rotation_log(camera.bTc[:3, :3].T @ told.bTc[:3, :3]))
     assert np.degrees(angle) == pytest.approx(0.2, rel=1e-9)
     assert_array_equal(told.bTc[:3, 3], camera.bTc[:3, 3])

@@ -7,12 +7,12 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.config import load_scenario
 from craternav_fg.dataset import Dataset
-from craternav_fg.evaluation.crests import crest_offsets_px
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
+from craternav_fg.simulation.crests import crest_offsets_px
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from tests.simulation import scene
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from craternav_fg.evaluation.crests import crest_offsets_px
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.crests import crest_offsets_px
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from tests.simulation import scene

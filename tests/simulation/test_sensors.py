@@ -7,13 +7,13 @@ from scipy.stats import kstest
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.catalog import chart_to_pixels
-from craternav_fg.config import CraterFile, load_scenario
 from craternav_fg.dataset import Dataset, ground_sun_direction
+from craternav_fg.ellipse import centre_and_matrix_px
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.imu import ImuLog
 from craternav_fg.simulation import sensors
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import CraterFile, load_scenario
 
 CASE3 = load_scenario("paper_case3")
 
@@ -90,13 +90,13 @@ def test_the_covariance_of_a_chart_is_that_of_fits_to_noisy_points():
     rng = np.random.default_rng(3)
 
     def rim_px(y, phase):
-        centre, S = chart_to_pixels(camera, y)
+        centre, S = centre_and_matrix_px(y, camera)
         L = np.linalg.cholesky(S)
         return centre + np.stack([np.cos(phase), np.sin(phase)], axis=-1) @ L.T
 
     def distances(y, observed):
         """Sampson distances, px: to first order the distance to the ellipse."""
-        centre, S = chart_to_pixels(camera, y)
+        centre, S = centre_and_matrix_px(y, camera)
         d = observed - centre
         M = np.linalg.inv(S)
         f = np.einsum("ni,ij,nj->n", d, M, d) - 1.0
@@ -197,7 +197,7 @@ def test_images_are_rendered_into_the_data_set(tmp_path):
     done = []
     data = Dataset.open(simulate(scenario, tmp_path / "data", progress=lambda k, n: done.append((k, n))))
     assert done == [(1, 3), (2, 3), (3, 3)]
-    assert data.rims is None
+    assert data.measurements is None
     assert len(data) == 3
     for k in range(3):
         image = data.image(k)
@@ -217,7 +217,7 @@ def test_craters_from_a_file(tmp_path):
     scenario = shortened(CASE3, 600.0).model_copy(update={"craters": file})
     data = Dataset.open(simulate(scenario, tmp_path / "data"))
     assert data.catalog.identifiers == ("near",)
-    assert len(data.rims[0].rims) == 1
+    assert len(data.measurements[0].rims) == 1
     (tmp_path / "craters.csv").write_text("id,lat,lon,diam_km,Target\nnear,0.67,23.47,4.0,Dione\n")
     with pytest.raises(InputError, match=r"\(Moon\), found one of Dione on 561400 m, as Target says"):
         simulate(scenario, tmp_path / "other")

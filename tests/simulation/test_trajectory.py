@@ -5,8 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.config import load_scenario
 from craternav_fg.simulation import sensors
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.trajectory import Descent
 
 # Ten times the Moon's spin about a slanted axis: an error in a Coriolis term cannot hide.

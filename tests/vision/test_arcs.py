@@ -48,7 +48,7 @@ def test_cut_rims_are_arcs_that_lie_on_their_rims(frames):
     whitened, covered = [], 0
     for catalog, gTb, frame in frames:
         # Of a single frame counts all that the points share.
-        arcs = frame.arcs.as_new(1.0)
+        arcs = frame.arcs.inflate_correlated(1.0)
         assert len(np.intersect1d(arcs.craters, frame.rims.craters)) == 0
         truth = project_rims(gTb, np.eye(4), catalog.centres[arcs.craters], catalog.axes[arcs.craters])[0]
         for points, sigmas, chart in zip(arcs.points, arcs.sigmas, truth, strict=True):
@@ -75,7 +75,7 @@ def pose_error(catalog, gTb, frame, rows):
     graph = gtsam.NonlinearFactorGraph()
     sigmas = np.repeat([0.01, 300.0], 3)
     graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(gTb), gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
-    add_frame(graph, descent, GraphOptions(sightings=1.0), X(0), some)
+    add_frame(graph, descent, GraphOptions(variance_inflation=1.0), X(0), some)
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3(gTb))
     result = levenberg_marquardt(graph, values).values

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from craternav_fg.bench.detect import accuracy
-from craternav_fg.bench.scenes import HARD, scene
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError
-from craternav_fg.evaluation.matching import match
+from craternav_fg.evaluation.detection import match
 from craternav_fg.reproduce.empty_images import gradient_images, noise_images
 from craternav_fg.reproduce.rim_images import draw_view, photograph
+from craternav_fg.simulation.scenes import HARD, scene
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny

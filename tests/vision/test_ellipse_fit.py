@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from craternav_fg.camera import Camera, normalised_chart, pixel_chart
+from craternav_fg.camera import Camera
+from craternav_fg.ellipse import normalised_chart, pixel_chart
 from craternav_fg.vision.ellipse_fit import (
     FitFailure,
     FitOptions,

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craternav_fg.catalog import Catalog
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.vision.ellipse_fit import FitOptions
+from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import SINGLE_IMAGE, GuidedOptions
-from craternav_fg.vision.lasting import LastingOptions, lasting_roots
 from factors.kernels.conic import project_rims
 from tests.vision import scene
 
@@ -221,33 +221,35 @@ def test_what_lasts_is_the_systematic_part_on_the_ground(view):
     """The floor of the centre and its share, and no more than the whole."""
     catalog, gTb, sun_g, image = view
     options = GuidedOptions(
-        level_slope_px=0.0, fit=FitOptions(), lasting=replace(LastingOptions(), own_share=0.64)
+        level_slope_px=0.0, fit=FitOptions(), lasting=replace(CorrelatedErrorOptions(), own_share=0.64)
     )
     rims = (
         GuidedFrontEnd(scene.camera(), catalog, options)
         .measure(image, 0, gTb, scene.covariance(0.5), sun_g)
         .rims
     )
-    kept_px = np.linalg.norm(rims.persistent[:, 0], axis=1) * scene.camera().fx_px
+    kept_px = np.linalg.norm(rims.correlated[:, 0], axis=1) * scene.camera().fx_px
     _, _, minor = scene.semi_axes_px(rims.chart)
     fit = FitOptions()
     # The frame's rims scatter a little more than they say.
     more = kept_px / (0.8 * (fit.floor_px + fit.floor_share * minor))
     assert 1.0 <= np.median(more) < 1.2
     np.testing.assert_allclose(more, np.median(more), rtol=0.02)
-    assert np.linalg.eigvalsh(rims.white)[:, 0].min() > 0.0
+    assert np.linalg.eigvalsh(rims.uncorrelated_covariance)[:, 0].min() > 0.0
 
 
 def test_what_all_rims_share_follows_camera_and_light():
     """Looking straight down rims move towards the light, from aside towards the camera, too."""
     rng = np.random.default_rng(6)
     catalog = scene.craters(rng)
-    options = LastingOptions(lit_px=0.3, toward_px=0.0, along_px=0.0, along_share=0.0, size_share=0.01)
+    options = CorrelatedErrorOptions(
+        lit_px=0.3, toward_px=0.0, along_px=0.0, along_share=0.0, size_share=0.01
+    )
     rows = np.arange(len(catalog))
     none = np.tile(1e-9 * np.eye(5), (len(rows), 1, 1))
     gTb, sun_g = scene.pose(0.0, 0.0), scene.sun(20.0, 50.0)
     level = rng.normal(size=(len(rows), 5))
-    shared = lasting_roots(none, 0.0 * level, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
+    shared = correlated_roots(none, 0.0 * level, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
     # A step on the ground towards the light, as the camera sees it.
     ahead = project_rims(gTb, np.eye(4), catalog.centres + 10.0 * sun_g, catalog.axes)[0][:, :2]
     step = ahead - project_rims(gTb, np.eye(4), catalog.centres, catalog.axes)[0][:, :2]
@@ -267,12 +269,12 @@ def test_the_level_of_the_ground_errs_in_part_for_all_rims_alike():
     rng = np.random.default_rng(7)
     catalog = scene.craters(rng)
     rows = np.arange(len(catalog))
-    options = LastingOptions(own_share=1.0, level_share=0.3)
+    options = CorrelatedErrorOptions(own_share=1.0, level_share=0.3)
     level = 1e-3 * rng.normal(size=(len(rows), 5))
     of_level = level[:, :, None] * level[:, None, :]
     systematic = np.tile(1e-8 * np.eye(5), (len(rows), 1, 1)) + of_level
     view = scene.pose(0.0, 10.0), scene.sun(20.0, 50.0), scene.camera(), catalog, options
-    own, shared = lasting_roots(systematic, level, rows, *view)
+    own, shared = correlated_roots(systematic, level, rows, *view)
     column = shared[:, :, 7]
     np.testing.assert_allclose(column[:, :, None] * column[:, None, :], 0.3 * of_level, atol=1e-15)
     np.testing.assert_allclose(own @ np.swapaxes(own, 1, 2), systematic - 0.3 * of_level, atol=1e-13)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from craternav_fg.bench.guided import FAR, HELD_OUT, accuracy, sun_tilts
-from craternav_fg.bench.scenes import IRREGULAR, Ground, scene
+from craternav_fg.reproduce.guided_rims import FAR, HELD_OUT, accuracy, sun_tilts
+from craternav_fg.simulation.scenes import IRREGULAR, Ground, scene
 
 
 @pytest.fixture(scope="module")

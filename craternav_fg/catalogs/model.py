@@ -1,0 +1,294 @@
+"""The crater catalogue: rims as ellipses on the body, and which of them a camera sees."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.sphere_index import SphereIndex
+from craternav_fg.ellipse import centre_and_matrix_px, points_on
+from factors.kernels import conic
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """Catalogue craters. A rim is a planar ellipse, level at its centre, `height_m` above the sphere.
+
+    Attributes
+    ----------
+    identifiers : tuple of str, length n
+        Unique names.
+    latitude_rad, longitude_rad : ndarray, shape (n,)
+        Rim centre; longitude counts to the east.
+    semi_major_m, semi_minor_m : ndarray, shape (n,)
+        Rim semi-axes a >= b > 0.
+    angle_rad : ndarray, shape (n,)
+        Of the major axis, from local east towards north.
+    height_m : ndarray, shape (n,)
+        Of the rim's plane above the reference sphere, at the centre.
+    body : Body
+        The body it describes.
+    """
+
+    identifiers: tuple[str, ...]
+    latitude_rad: FloatArray
+    longitude_rad: FloatArray
+    semi_major_m: FloatArray
+    semi_minor_m: FloatArray
+    angle_rad: FloatArray
+    height_m: FloatArray
+    body: Body
+
+    def __len__(self) -> int:
+        return len(self.identifiers)
+
+    def take(self, rows: IntArray) -> "Catalog":
+        """Return the craters of some rows."""
+        return Catalog(
+            tuple(self.identifiers[row] for row in rows),
+            self.latitude_rad[rows],
+            self.longitude_rad[rows],
+            self.semi_major_m[rows],
+            self.semi_minor_m[rows],
+            self.angle_rad[rows],
+            self.height_m[rows],
+            self.body,
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence["Catalog"]) -> "Catalog":
+        """Put catalogues of one body one behind the other; their identifiers must differ."""
+        numbers = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in (
+                "latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m",
+            )
+        }  # fmt: skip
+        identifiers = tuple(name for part in parts for name in part.identifiers)
+        return cls(identifiers, body=parts[0].body, **numbers)
+
+    @cached_property
+    def gRl(self) -> FloatArray:
+        """Rotations (n, 3, 3) from each crater's local frame l (x along a, y along b, z outward) to g."""
+        enu = frames.east_north_up(self.latitude_rad, self.longitude_rad)
+        cos, sin = np.cos(self.angle_rad)[:, None], np.sin(self.angle_rad)[:, None]
+        l1 = cos * enu[:, :, 0] + sin * enu[:, :, 1]
+        l2 = -sin * enu[:, :, 0] + cos * enu[:, :, 1]
+        return np.stack([l1, l2, enu[:, :, 2]], axis=-1)
+
+    @property
+    def centres(self) -> FloatArray:
+        """Rim centres gL (n, 3) in g, m."""
+        return self._geometry[0]
+
+    @property
+    def axes(self) -> FloatArray:
+        """Semi-axes a l1 and b l2 in g, shape (n, 2, 3), m."""
+        return self._geometry[1]
+
+    @property
+    def normals(self) -> FloatArray:
+        """Outward unit normals (n, 3) of the rim planes in g."""
+        return self._geometry[2]
+
+    @cached_property
+    def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return _rims(
+            self.latitude_rad, self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad,
+            self.height_m, self.body.radius_m,
+        )  # fmt: skip
+
+    @cached_property
+    def index(self) -> SphereIndex:
+        """Where the craters lie, by size."""
+        range_m = self.body.radius_m + self.height_m
+        return SphereIndex.of(self.latitude_rad, self.longitude_rad, self.semi_major_m, range_m)
+
+    def near(
+        self,
+        latitude_rad: float,
+        longitude_rad: float,
+        distance_m: float,
+        *,
+        min_diameter_m: float = 0.0,
+    ) -> tuple[IntArray, FloatArray]:
+        """Craters around a place, the nearest first.
+
+        Parameters
+        ----------
+        latitude_rad, longitude_rad : float
+        distance_m : float
+            Largest distance of a rim's centre along the reference sphere.
+        min_diameter_m : float
+            Smallest major diameter.
+
+        Returns
+        -------
+        craters : ndarray of int, shape (k,)
+            Rows of the catalogue.
+        distance_m : ndarray, shape (k,)
+        """
+        place = frames.up(np.array(latitude_rad), np.array(longitude_rad))
+        rows = self.index.near(place, distance_m / self.body.radius_m, 0.5 * min_diameter_m)
+        away_m = self._along_sphere_m(frames.up(self.latitude_rad[rows], self.longitude_rad[rows]), place)
+        nearest = np.argsort(away_m, kind="stable")
+        return rows[nearest], away_m[nearest]
+
+    def distance_m(self, rows: IntArray, others: IntArray) -> FloatArray:
+        """Distances (k,) of rims' centres from those of others, along the reference sphere."""
+        one, other = (frames.up(self.latitude_rad[k], self.longitude_rad[k]) for k in (rows, others))
+        return self._along_sphere_m(one, other)
+
+    def _along_sphere_m(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        chord = np.linalg.norm(one - other, axis=-1)
+        return np.asarray(2.0 * self.body.radius_m * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+
+    def visible(
+        self,
+        camera: Camera,
+        gTb: FloatArray,
+        *,
+        min_semi_minor_px: float,
+        margin_px: float = 0.0,
+        sun_g: FloatArray | None = None,
+        min_sun_elevation_rad: float = 0.0,
+    ) -> tuple[IntArray, FloatArray]:
+        """Craters whose whole rim a camera sees: in its field of view, above the horizon, large enough, lit.
+
+        Parameters
+        ----------
+        camera : Camera
+            With its mounting.
+        gTb : ndarray, shape (4, 4)
+            Pose of the body in g.
+        min_semi_minor_px : float
+            Smallest semi-minor axis of the rim's image, without distortion.
+        margin_px : float
+            How far inside the image's border the rim's bounding box must stay; negative: outside.
+        sun_g : ndarray, shape (3,), optional
+            Unit vector towards the sun in g; without it the light does not count.
+        min_sun_elevation_rad : float
+            Of the sun above the horizon of the rim's centre, at least.
+
+        Returns
+        -------
+        craters : ndarray of int, shape (k,)
+            Rows of the catalogue, in their order.
+        charts : ndarray, shape (k, 5)
+            Their images in the ellipse chart.
+        """
+        gTc = camera.gTc(gTb)
+        cos_field = _cos_field(camera, margin_px)
+        # The cone around a ball of the rim's semi-major axis has an image that holds the rim's.
+        p = min_semi_minor_px / max(camera.fx_px, camera.fy_px)
+        reach = np.sqrt(1.0 + p * p) / (p * cos_field) if p > 0.0 else np.inf
+        rows = self.index.in_view(gTc[:3, 3], gTc[:3, 2], cos_field, reach)
+        if sun_g is not None:
+            up = frames.up(self.latitude_rad[rows], self.longitude_rad[rows])
+            rows = rows[up @ sun_g >= np.sin(min_sun_elevation_rad)]
+        charts, seen = _images(
+            np.ascontiguousarray(gTb, dtype=np.float64), camera.bTc, rows, self.latitude_rad,
+            self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad, self.height_m,
+            self.body.radius_m, camera.lens, float(min_semi_minor_px),
+        )  # fmt: skip
+        rows, charts = rows[seen], charts[seen]
+        if camera.distorts:
+            inside = np.all(camera.contains(camera.pixels(points_on(charts)), margin_px), axis=-1)
+        else:
+            centre_px, S = centre_and_matrix_px(charts, camera)
+            half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
+            inside = camera.contains(centre_px - half, margin_px) & camera.contains(
+                centre_px + half, margin_px
+            )
+        rows, charts = rows[inside], charts[inside]
+        order = np.argsort(rows)
+        return rows[order], charts[order]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rims(
+    latitude: FloatArray, longitude: FloatArray, semi_major: FloatArray, semi_minor: FloatArray,
+    angle: FloatArray, height: FloatArray, radius_m: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Centres (n, 3), semi-axes (n, 2, 3) and normals (n, 3): a million of them in a fifth of a second."""
+    n = latitude.shape[0]
+    centres, axes, normals = np.empty((n, 3)), np.empty((n, 2, 3)), np.empty((n, 3))
+    for i in range(n):
+        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], normals[i], axes[i])
+        for k in range(3):
+            centres[i, k] = (radius_m + height[i]) * normals[i, k]
+    return centres, axes, normals
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(
+    latitude: float, longitude: float, semi_major: float, semi_minor: float, angle: float,
+    normal: FloatArray, axes: FloatArray,
+) -> None:  # fmt: skip
+    """Write a rim's normal (3,) and semi-axes (2, 3) in g."""
+    sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
+    sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
+    normal[0], normal[1], normal[2] = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
+    sin, cos = np.sin(angle), np.cos(angle)
+    # Along a and b, in east and north.
+    for j, east, north in (
+        (0, semi_major * cos, semi_major * sin),
+        (1, -semi_minor * sin, semi_minor * cos),
+    ):
+        axes[j, 0] = -sin_lon * east - sin_lat * cos_lon * north
+        axes[j, 1] = cos_lon * east - sin_lat * sin_lon * north
+        axes[j, 2] = cos_lat * north
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _images(
+    gTb: FloatArray, bTc: FloatArray, rows: IntArray, latitude: FloatArray, longitude: FloatArray,
+    semi_major: FloatArray, semi_minor: FloatArray, angle: FloatArray, height: FloatArray, radius_m: float,
+    lens: FloatArray, least_px: float,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+    """Charts (k, 5) of some rows, and whether the rims are visible ellipses of some size."""
+    R, P = conic.camera_pose(gTb, bTc)
+    charts = np.empty((rows.shape[0], 5))
+    seen = np.zeros(rows.shape[0], dtype=np.bool_)
+    centre, axes = np.empty(3), np.empty((2, 3))
+    p, c = np.empty(3), np.empty((2, 3))
+    for k in range(rows.shape[0]):
+        i = rows[k]
+        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], centre, axes)
+        centre *= radius_m + height[i]
+        conic.rim_in_camera(R, P, centre, axes, p, c)
+        if not conic.chart(p, c, charts[k]):
+            continue
+        y = charts[k]
+        sxx = (lens[0] * np.exp(y[2])) ** 2
+        sxy = lens[0] * lens[1] * y[3] * np.exp(2.0 * y[2])
+        syy = lens[1] ** 2 * (np.exp(2.0 * y[4]) + (y[3] * np.exp(y[2])) ** 2)
+        half = 0.5 * (sxx + syy)
+        # The smaller eigenvalue as a quotient: a thin ellipse loses no digits.
+        determinant = (lens[0] * lens[1] * np.exp(y[2] + y[4])) ** 2
+        small2 = determinant / (half + np.sqrt(0.25 * (sxx - syy) ** 2 + sxy * sxy))
+        seen[k] = np.sqrt(small2) >= least_px
+    return charts, seen
+
+
+def _cos_field(camera: Camera, margin_px: float) -> float:
+    """Cosine of the largest angle from the optical axis inside an image with a margin."""
+    share = np.linspace(0.0, 1.0, 33)
+    x = margin_px + share * (camera.width_px - 1 - 2.0 * margin_px)
+    y = margin_px + share * (camera.height_px - 1 - 2.0 * margin_px)
+    sides = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
+    sides += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
+    r2 = np.sum(camera.normalised(np.concatenate(sides)) ** 2, axis=-1)
+    # Between the points of a bent border it may lie a little farther out; beyond a lens's fold, anywhere.
+    slack = 1.02 if camera.distorts else 1.0
+    return float(1.0 / np.sqrt(1.0 + slack * np.max(r2))) if np.all(np.isfinite(r2)) else 1e-3

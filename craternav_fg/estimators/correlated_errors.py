@@ -1,0 +1,140 @@
+"""Errors of rims that outlast a frame, as variables: which there are, and how they hang together.
+
+A rim's image is wrong by what its ground differs from an ellipse, by what the map has wrong, by the light.
+That is nearly the same in the next frame, and less and less so as the rim is seen in another size and from
+another side. A measurement says how large this part is; here it becomes a Gauss-Markov process of unit
+variance for each crater (`RimSet.correlated`) and one constant vector for what all rims of a descent share
+(`RimSet.shared`). What has no such variable is taken as new in each frame, and counted as often: arcs, and
+all of it by estimators that have none.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.errors import EstimationError
+from craternav_fg.measurements import SHARED_SIZE, RimSet, image_change
+from factors.conic_shape import ChartError
+
+FloatArray = npt.NDArray[np.float64]
+
+LETTER, SIZE = "r", 5
+SHARED_KEY: int = gtsam.symbol("s", 0)
+# How often what lasts counts where it is taken as new in each frame: it does not average out over the frames
+# that show a crater, half of ten or so, as neighbouring rims do not all err alike.
+VARIANCE_INFLATION = 5.0
+
+
+@dataclass(frozen=True)
+class RimErrorOptions:
+    """How correlated errors are modelled.
+
+    Attributes
+    ----------
+    decay : float
+        Change of a rim's image, see `measurements.image_change`, over which the correlation of its error
+        falls to 1/e.
+    step : float
+        Change below which the error is taken to be the same variable: 0 makes one for every rim of every
+        frame.
+    """
+
+    decay: float = 0.8
+    step: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.decay < np.inf:
+            raise EstimationError(f"decay: expected a positive number, found {self.decay}")
+        if not 0.0 <= self.step < np.inf:
+            raise EstimationError(f"step: expected 0 or more, found {self.step}")
+
+
+@dataclass(frozen=True)
+class _Track:
+    key: int
+    chart: FloatArray
+
+
+class RimErrorStates:
+    """Variables of the errors, frame by frame.
+
+    Parameters
+    ----------
+    options : RimErrorOptions
+    """
+
+    def __init__(self, options: RimErrorOptions) -> None:
+        self._options = options
+        self._rims: dict[int, _Track] = {}
+        self._shared = False
+        self._count = 0
+
+    def enter(
+        self,
+        rims: RimSet,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        holds: Callable[[int], bool] | None = None,
+    ) -> list[ChartError]:
+        """Add the variables that a frame's rims need to values, and their priors to a graph.
+
+        Parameters
+        ----------
+        rims : RimSet
+        graph : gtsam.NonlinearFactorGraph
+        values : gtsam.Values
+        holds : callable, optional
+            Whether the solver still has a variable of an earlier frame; all of them, if it is not given.
+
+        Returns
+        -------
+        list of ChartError
+            For the frame's factor.
+        """
+        out: list[ChartError] = []
+        if rims.correlated is not None:
+            for i, crater in enumerate(rims.craters.tolist()):
+                chart = rims.chart[i]
+                track = self._rims.get(crater)
+                if (
+                    track is not None
+                    and holds is not None
+                    and not (values.exists(track.key) or holds(track.key))
+                ):
+                    track = None
+                change = np.inf if track is None else float(image_change(track.chart, chart))
+                if track is None or change > self._options.step:
+                    key = self._next(None if track is None else track.key, change, graph, values)
+                    track = _Track(key, chart)
+                    self._rims[crater] = track
+                out.append(ChartError(track.key, [i], rims.correlated[i : i + 1]))
+        if rims.shared is not None and len(rims):
+            if not self._shared or (holds is not None and not holds(SHARED_KEY)):
+                self._shared = True
+                values.insert(SHARED_KEY, np.zeros(SHARED_SIZE))
+                unit = gtsam.noiseModel.Unit.Create(SHARED_SIZE)
+                graph.push_back(gtsam.PriorFactorVector(SHARED_KEY, np.zeros(SHARED_SIZE), unit))
+            out.append(ChartError(SHARED_KEY, range(len(rims)), rims.shared))
+        return out
+
+    def _next(
+        self, before: int | None, change: float, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+    ) -> int:
+        key: int = gtsam.symbol(LETTER, self._count)
+        self._count += 1
+        values.insert(key, np.zeros(SIZE))
+        correlation = 0.0 if before is None else float(np.exp(-change / self._options.decay))
+        noise = gtsam.noiseModel.Isotropic.Sigma(SIZE, np.sqrt(1.0 - correlation * correlation))
+        unit, zero = np.eye(SIZE), np.zeros(SIZE)
+        point = gtsam.Values()
+        point.insert(key, zero)
+        if before is None:
+            linear = gtsam.JacobianFactor(key, unit, zero, noise)
+        else:
+            point.insert(before, zero)
+            linear = gtsam.JacobianFactor(key, unit, before, -correlation * unit, zero, noise)
+        graph.push_back(gtsam.LinearContainerFactor(linear, point))
+        return key

@@ -1,0 +1,1 @@
+"""The distributed extended Kalman filter of the paper, and its exact counterpart."""

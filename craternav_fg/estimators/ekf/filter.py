@@ -1,0 +1,241 @@
+"""The distributed extended Kalman filter: one sub-filter per crater, eqs (25)-(29)."""
+
+import itertools
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
+from craternav_fg.estimators.ekf.fusion import Rule, Update, combine, fuse_updates
+from craternav_fg.estimators.ekf.measurement import (
+    MeasurementModel,
+    NoiseModel,
+    inflation,
+    linearise_arcs,
+    linearise_rims,
+    linearise_sun,
+    weighed,
+)
+from craternav_fg.estimators.filter_state import POSE, FilterState, right_jacobian
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+Fusion = Literal["paper", "paper-fed-back", "exact", "covariance-intersection"]
+
+
+@dataclass(frozen=True)
+class EkfOptions:
+    """How the filter measures and fuses.
+
+    Attributes
+    ----------
+    measurement : {"chart", "implicit"}
+        Ellipse chart, or eq. (19) as an implicit measurement, eq. (25).
+    noise : {"measured", "fixed"}
+        Each rim's own covariance, taken where the prediction expects it, or the paper's Qn for all of them.
+    fusion : {"exact", "paper", "paper-fed-back", "covariance-intersection"}
+        "exact" counts the prior that sub-filters share once; "paper" lets them run on by themselves
+        and publishes eq. (29); "paper-fed-back" writes eq. (29) back into them in every frame, which
+        makes them over-confident; "covariance-intersection" (weights 1/n) is cautious.
+    iterations : int
+        Linearisations per update; the second makes the first updates after a start of a degree or a
+        kilometre consistent.
+    limit_sigmas : float or None
+        A rim's noise is inflated until its normalised innovation (5 degrees of freedom) is this;
+        None: never.
+    gate_sigmas : float or None
+        A rim beyond this is dropped, unless every rim of the frame is; None: never.
+    variance_inflation : float
+        How often errors that outlast a frame are counted, as the filter takes them as new in each.
+    """
+
+    measurement: MeasurementModel = "chart"
+    noise: NoiseModel = "measured"
+    fusion: Fusion = "exact"
+    iterations: int = 2
+    limit_sigmas: float | None = 4.5
+    gate_sigmas: float | None = 10.0
+    variance_inflation: float = VARIANCE_INFLATION
+
+
+@dataclass(frozen=True)
+class DistributedEkf:
+    """Extended Kalman filter with one sub-filter per crater.
+
+    Attributes
+    ----------
+    name : str
+    options : EkfOptions
+    """
+
+    name: str = "ekf"
+    options: EkfOptions = field(default_factory=EkfOptions)
+
+    def estimate(self, problem: Problem) -> Trajectory:
+        """Filter all frames after the start's; up to it there are the prior, the IMU and the start.
+
+        Raises
+        ------
+        ValueError
+            When the IMU log does not cover the frames.
+        """
+        return filter_state.trajectory([frame.stamp_ns for frame in problem.frames], self.states(problem))
+
+    def states(self, problem: Problem) -> list[FilterState]:
+        """Filter as `estimate` does; the states at all frames."""
+        states = filter_state.until_start(problem)
+        base = states[-1]
+        first = problem.start.frame
+        # Under "paper" every crater in view has a state of its own; else all share the published one.
+        filters = dict.fromkeys(problem.frames[first].rims.craters.tolist(), base)
+        fusion = self.options.fusion
+        for last, frame in itertools.pairwise(problem.frames[first:]):
+            prior = filter_state.propagate(base, problem, last.stamp_ns, frame.stamp_ns)
+            if fusion == "paper":
+                filters = self._step_each(filters, prior, last.stamp_ns, frame, problem)
+                fused = _combined(list(filters.values())) if filters else prior
+                # (29) counts the past that n sub-filters share n times. It is published as it is, but
+                # a later sub-filter that began with it would trust itself for ever.
+                base = replace(fused, covariance=max(len(filters), 1) * fused.covariance)
+                states.append(fused)
+            else:
+                base = self._update(prior, frame, problem, fusion)
+                states.append(base)
+        return states
+
+    def _step_each(
+        self,
+        filters: dict[int, FilterState],
+        prior: FilterState,
+        last_ns: int,
+        frame: FrameMeasurement,
+        problem: Problem,
+    ) -> dict[int, FilterState]:
+        """Carry every sub-filter to a frame and update it by its own crater and the sun.
+
+        Sub-filters end when their crater leaves the view; a new crater's begins from the fused state,
+        its covariance multiplied by the number of sub-filters that were fused.
+        """
+        out = {}
+        for row, crater in enumerate(frame.rims.craters.tolist()):
+            state = prior
+            if crater in filters:
+                state = filter_state.propagate(filters[crater], problem, last_ns, frame.stamp_ns)
+            single = FrameMeasurement(frame.stamp_ns, frame.rims.take(np.array([row])), frame.sun)
+            out[crater] = self._update(state, single, problem, "exact")
+        return out
+
+    def _update(
+        self, prior: FilterState, frame: FrameMeasurement, problem: Problem, rule: Rule
+    ) -> FilterState:
+        options = self.options
+        if not len(frame.rims) and not len(frame.arcs) and frame.sun is None:
+            return prior
+        frame = frame.inflate_correlated(options.variance_inflation)
+        delta = np.zeros(len(prior.covariance))
+        covariance = prior.covariance
+        rims = frame.rims
+        if options.noise == "measured":
+            rims = weighed(frame, prior.gTb, problem.camera, problem.catalog).rims
+        factors: FloatArray | None = None
+        for _ in range(options.iterations):
+            point = prior if not delta.any() else prior.moved(delta, covariance)
+            A, residual, usable = linearise_rims(
+                point.gTb,
+                rims,
+                problem.camera,
+                problem.catalog,
+                model=options.measurement,
+                noise=options.noise,
+            )
+            J = right_jacobian(delta[:3])
+            A[:, :, :3] = A[:, :, :3] @ J
+            residual = residual + A @ delta[POSE]
+            if factors is None:
+                rims, keep, factors = self._weights(rims, A, residual, usable, prior)
+                A, residual, usable = A[keep], residual[keep], usable[keep]
+            root = np.sqrt(factors)
+            updates = [Update(A[i] / root[i], residual[i] / root[i]) for i in np.flatnonzero(usable)]
+            updates += [
+                _relative(arc, J, delta)
+                for arc in linearise_arcs(point.gTb, frame.arcs, problem.camera, problem.catalog)
+            ]
+            sun = linearise_sun(point.gTb, frame.sun, problem.camera)
+            if sun is not None:
+                sun = _relative(sun, J, delta)
+                # A central filter uses the sun once; sub-filters that don't know each other, each.
+                users = 1 if rule == "exact" else len(updates)
+                updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
+            if not updates:
+                return point
+            delta, covariance = fuse_updates(prior.covariance, updates, rule)
+        return prior.moved(delta, covariance)
+
+    def _weights(
+        self,
+        rims: RimSet,
+        A: FloatArray,
+        residual: FloatArray,
+        usable: npt.NDArray[np.bool_],
+        prior: FilterState,
+    ) -> tuple[RimSet, npt.NDArray[np.bool_], FloatArray]:
+        """Rims that pass the gate, the mask that selects them, and their noise factors."""
+        options = self.options
+        limit = np.inf if options.limit_sigmas is None else options.limit_sigmas
+        gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
+        sigmas, factors = inflation(A, residual, prior.covariance[POSE, POSE], limit)
+        keep = usable & (sigmas <= gate)
+        # When all rims disagree with the prediction, it is the prediction that is suspect.
+        if not keep.any():
+            keep = usable.copy()
+        return rims.take(keep), keep, factors[keep]
+
+
+def _relative(update: Update, J: FloatArray, delta: FloatArray) -> Update:
+    """Refer a measurement linearised at a moved pose to the prior's error."""
+    A = update.A.copy()
+    A[:, :3] = A[:, :3] @ J
+    return Update(A, update.residual + A @ delta[POSE])
+
+
+def _with(update: Update, sun: Update) -> Update:
+    return Update(np.vstack([update.A, sun.A]), np.concatenate([update.residual, sun.residual]))
+
+
+def _combined(states: list[FilterState]) -> FilterState:
+    """Eq. (29), attitudes averaged on the tangent space of the result."""
+    mean = states[0]
+    covariances = np.array([state.covariance for state in states])
+    if len(states) == 1:
+        return mean
+    for _ in range(3):
+        delta, covariance = combine(np.array([state.minus(mean) for state in states]), covariances)
+        mean = mean.moved(delta, covariance)
+        if np.linalg.norm(delta[:3]) < 1e-9:
+            break
+    return mean
+
+
+def ekf() -> DistributedEkf:
+    """Return the filter at its best: ellipse chart, each rim's own noise, prior counted once."""
+    return DistributedEkf("ekf", EkfOptions())
+
+
+def ekf_paper() -> DistributedEkf:
+    """Return the paper's filter: eq. (19) with (24), fixed Qn, eq. (29) on the output."""
+    return DistributedEkf(
+        "ekf_paper",
+        EkfOptions(
+            measurement="implicit",
+            noise="fixed",
+            fusion="paper",
+            iterations=1,
+            limit_sigmas=None,
+            gate_sigmas=None,
+        ),
+    )

@@ -1,0 +1,181 @@
+"""The filter's measurements, linearised and whitened: rims (ellipse chart or eq. (19)) and sun tilt."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators.ekf.fusion import Update
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet, SunTilt
+from factors.kernels import conic, rim, robust, shape, sun
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+MeasurementModel = Literal["chart", "implicit"]
+NoiseModel = Literal["measured", "fixed"]
+
+# Covariance of (A, ..., F) in 4.2.3, taken for conics with |q| = 1. Table 2 gives A and C errors of
+# 2e-3 to 3e-3 and F errors of 1e-5: A and C are then of order one and F of the order of a squared image
+# size, which also A + C = 1 would give (a factor of 1.4), but not F = 1.
+PAPER_NOISE = np.diag([2.5e-5, 1.5e-4, 2.5e-5, 1.5e-6, 1.5e-6, 1.5e-8])
+
+
+def weighed(frame: FrameMeasurement, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FrameMeasurement:
+    """Return a frame with its rims' covariances taken where a pose (4, 4) expects them.
+
+    The pose should rest on other frames: then the weights do not depend on the rims' own errors, see
+    `RimSet.expected_at`.
+    """
+    rows = frame.rims.craters
+    gTb = np.ascontiguousarray(gTb)
+    charts, _ = conic.project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    return replace(frame, rims=frame.rims.expected_at(charts))
+
+
+def linearise_rims(
+    gTb: FloatArray,
+    rims: RimSet,
+    camera: Camera,
+    catalog: Catalog,
+    *,
+    model: MeasurementModel,
+    noise: NoiseModel,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Linearise the rims of a frame at a pose.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    rims : RimSet
+        n measured rims.
+    camera : Camera
+    catalog : Catalog
+    model : {"chart", "implicit"}
+        Ellipse chart, or eq. (19) as an implicit measurement (Soatto): innovation -h, noise D S D'.
+    noise : {"measured", "fixed"}
+        Each rim's own covariance, or the paper's Qn.
+
+    Returns
+    -------
+    A : ndarray, shape (n, 5, 6)
+        Whitened derivatives for the errors of attitude (in b) and position (in g).
+    residual : ndarray, shape (n, 5)
+        Whitened, measured minus predicted.
+    usable : ndarray of bool, shape (n,)
+        Rims that are visible ellipses from this pose; the others have zero rows.
+    """
+    n = len(rims)
+    rows = rims.craters
+    centres, axes = catalog.centres[rows], catalog.axes[rows]
+    if model == "chart":
+        predicted, H, usable = conic.chart_jacobian(gTb, camera.bTc, centres, axes)
+        innovation = rims.chart - predicted
+        covariance = rims.covariance
+        if noise == "fixed":
+            # |q| = 1 makes the columns of dq/dy orthogonal to q: the pseudo-inverse is dy/dq.
+            inverse = np.asarray(np.linalg.pinv(_conic_jacobians(rims)), dtype=np.float64)
+            covariance = inverse @ PAPER_NOISE @ np.swapaxes(inverse, 1, 2)
+    else:
+        conics = np.array([conic.chart_to_conic(y) for y in rims.chart]).reshape(n, 6)
+        semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
+        h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
+        innovation = -h
+        if noise == "fixed":
+            of_conic = np.broadcast_to(PAPER_NOISE, (n, 6, 6))
+        else:
+            J = _conic_jacobians(rims)
+            of_conic = J @ rims.covariance @ np.swapaxes(J, 1, 2)
+        covariance = D @ of_conic @ np.swapaxes(D, 1, 2)
+    A = np.zeros((n, 5, 6))
+    residual = np.zeros((n, 5))
+    if usable.any():
+        A[usable], residual[usable] = _whiten(H[usable], innovation[usable], covariance[usable])
+    A[:, :, 3:] = A[:, :, 3:] @ gTb[:3, :3].T
+    return A, residual, usable
+
+
+def _conic_jacobians(rims: RimSet) -> FloatArray:
+    """Give the derivatives (n, 6, 5) of the conics with |q| = 1 in the charts."""
+    return np.array([conic.chart_to_conic_jacobian(y) for y in rims.chart]).reshape(len(rims), 6, 5)
+
+
+def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # The rows of eq. (19) differ by the square of a length in metres: scale before factoring.
+    scale = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    root = np.linalg.cholesky(covariance / (scale[:, :, None] * scale[:, None, :]))
+    stacked = np.concatenate([H, innovation[:, :, None]], axis=2) / scale[:, :, None]
+    white: FloatArray = np.linalg.solve(root, stacked).astype(np.float64)
+    return white[:, :, :6], white[:, :, 6]
+
+
+def linearise_arcs(gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catalog) -> list[Update]:
+    """Linearise arcs at a pose: for each that the pose can see, its edge points' whitened distances."""
+    updates = []
+    for row, points, sigmas in zip(arcs.craters, arcs.points, arcs.sigmas, strict=True):
+        e, J = np.empty(len(points)), np.zeros((len(points), 6))
+        rim.rim_residuals(
+            gTb, camera.bTc, catalog.centres[row : row + 1], catalog.axes[row : row + 1],
+            np.array([0, len(points)]), points, sigmas, robust.NONE, 1.0, True, e, J,
+        )  # fmt: skip
+        if J.any():
+            J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T
+            updates.append(Update(J, -e))
+    return updates
+
+
+def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> Update | None:
+    """Linearise the sun's tilt at a pose, whitened, on attitude and position; None when it says nothing."""
+    if measured is None:
+        return None
+    J = np.zeros((1, 6))
+    u, v = measured.point
+    tilt, strength = sun.sun_tilt(gTb, camera.bTc, measured.direction, float(u), float(v), J)
+    if strength == 0.0:
+        return None
+    J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T
+    residual = np.array([sun.wrap(measured.tilt_rad - tilt)])
+    return Update(J / measured.sigma_rad, residual / measured.sigma_rad)
+
+
+def inflation(
+    A: FloatArray, residual: FloatArray, covariance: FloatArray, limit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Normalised innovations of whitened measurements, and the noise factors that limit them.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, m, 6)
+    residual : ndarray, shape (n, m)
+    covariance : ndarray, shape (6, 6)
+        Of the prior's pose error.
+    limit : float
+        Largest normalised innovation, in sigmas.
+
+    Returns
+    -------
+    innovation_sigmas : ndarray, shape (n,)
+        sqrt(r' (A P A' + I)^-1 r).
+    factor : ndarray, shape (n,)
+        The f >= 1 by which to multiply each noise covariance so that this is at most the limit; it
+        bounds a measurement's influence as Huber's loss does.
+    """
+    predicted = A @ covariance @ np.swapaxes(A, 1, 2)
+    solved = np.linalg.solve(predicted + np.eye(A.shape[1]), residual[:, :, None])[:, :, 0]
+    squared = np.sum(residual * solved, axis=1)
+    factor = np.ones(len(A))
+    for i in np.flatnonzero(squared > limit * limit):
+        values, vectors = np.linalg.eigh(predicted[i])
+        values = np.maximum(values, 0.0)
+        parts = (vectors.T @ residual[i]) ** 2
+        # Convex and falling in the factor: Newton from the left cannot overshoot.
+        for _ in range(50):
+            excess = float(np.sum(parts / (values + factor[i]))) - limit * limit
+            if excess <= 1e-9 * limit * limit:
+                break
+            factor[i] += excess / float(np.sum(parts / (values + factor[i]) ** 2))
+    return np.sqrt(squared), factor

@@ -1,0 +1,1 @@
+"""Identification without a prior: which catalogue crater is each rim, and where it was seen from."""

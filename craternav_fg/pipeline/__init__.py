@@ -1,0 +1,1 @@
+"""From a data set to trajectories: front end, tracking, relocalisation, estimators."""

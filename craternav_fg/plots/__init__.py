@@ -1,0 +1,1 @@
+"""Figures of runs, of images with their rims, and of catalogues."""

@@ -1,0 +1,204 @@
+"""Figures of a crater catalogue: the whole body, or the surroundings of a place."""
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.collections import EllipseCollection, PolyCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.catalogs.checks import overlaps
+from craternav_fg.catalogs.model import Catalog
+
+FloatArray = npt.NDArray[np.float64]
+
+_INK, _CROSSING, _TWIN = "#0072B2", "#E69F00", "#D55E00"
+_GRID = (36, 72)
+_MOST_DRAWN = 20_000
+# Fewer craters than this are drawn as rims on a map of the body, more as their density.
+_FEW = 3000
+_LABELLED, _LABEL_PT = 15, 7.0
+_RIM_POINTS = 48
+
+
+def draw_globe(catalog: Catalog) -> Figure:
+    """Draw where the craters are, on an equal-area map, and how many of which size."""
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    ground, sizes = figure.subplots(1, 2, width_ratios=[2.4, 1.0])
+    area_km2 = 4e-6 * np.pi * catalog.body.radius_m**2
+    if len(catalog) < _FEW:
+        _draw_rims(ground, catalog)
+    else:
+        _draw_density(figure, ground, catalog, area_km2)
+    latitudes = np.array([-90, -60, -30, 0, 30, 60, 90])
+    ground.set_yticks(np.sin(np.radians(latitudes)), [f"{value:d}" for value in latitudes])
+    ground.set_xticks(np.arange(-180, 181, 60))
+    ground.set_xlim(-180.0, 180.0)
+    ground.set_ylim(-1.0, 1.0)
+    ground.set_xlabel("longitude (east), deg")
+    ground.set_ylabel("latitude, deg (equal areas)")
+    ground.set_title(f"{len(catalog):,} craters of {_named(catalog.body)}")
+    _draw_sizes(sizes, catalog, area_km2)
+    return figure
+
+
+def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, radius_m: float) -> Figure:
+    """Draw the rims around a place, true to distance and direction from it, the largest with their names."""
+    rows, _ = catalog.near(latitude_rad, longitude_rad, 1.5 * radius_m)
+    rows = rows[np.argsort(-catalog.semi_major_m[rows], kind="stable")][:_MOST_DRAWN]
+    enu = frames.east_north_up(np.array(latitude_rad), np.array(longitude_rad))
+    part = catalog.take(rows)
+    # Azimuthal equidistant: the angle from the place, in the direction in which a crater lies.
+    local = part.normals @ enu
+    flat = np.hypot(local[:, 0], local[:, 1])
+    angle = np.arctan2(flat, local[:, 2])
+    scale = 1e-3 * catalog.body.radius_m * np.divide(angle, flat, out=np.ones_like(flat), where=flat > 0.0)
+    centres_km = scale[:, None] * local[:, :2]
+    major = part.gRl[:, :, 0] @ enu
+    colours, key = _meeting(part)
+    figure = Figure(figsize=(7.5, 7.8), layout="constrained")
+    axes = figure.subplots()
+    axes.add_collection(
+        EllipseCollection(
+            2e-3 * part.semi_major_m, 2e-3 * part.semi_minor_m,
+            np.degrees(np.arctan2(major[:, 1], major[:, 0])), units="xy", offsets=centres_km,
+            offset_transform=axes.transData, facecolors="none", edgecolors=colours, linewidths=0.8,
+        )
+    )  # fmt: skip
+    reach_km = 1e-3 * radius_m
+    inside = np.flatnonzero(np.all(np.abs(centres_km) < reach_km, axis=1))
+    _name_rims(axes, part, centres_km, inside, reach_km)
+    axes.plot(0.0, 0.0, "+", color="k", ms=9)
+    axes.set_xlim(-reach_km, reach_km)
+    axes.set_ylim(-reach_km, reach_km)
+    axes.set_aspect("equal")
+    axes.set_xlabel("east, km")
+    axes.set_ylabel("north, km")
+    axes.grid(alpha=0.3)
+    if key:
+        axes.legend(handles=key, loc="upper right", fontsize=8, framealpha=0.9)
+    if not len(inside):
+        axes.text(0.0, 0.1 * reach_km, "no crater of the catalogue", ha="center", color="0.4")
+    latitude, longitude = np.degrees([latitude_rad, longitude_rad])
+    shown = f", the largest {_MOST_DRAWN:,} drawn" if len(rows) == _MOST_DRAWN else ""
+    axes.set_title(
+        f"{len(inside):,} craters around latitude {latitude:.3f}, longitude {longitude:.3f} deg{shown}\n"
+        f"{_named(catalog.body)}",
+        fontsize=11,
+    )
+    return figure
+
+
+def _named(body: Body) -> str:
+    name = {"": "a body", "Moon": "the Moon"}.get(body.name, body.name)
+    return f"{name}, sphere of {1e-3 * body.radius_m:,.6g} km"
+
+
+def _draw_density(figure: Figure, axes: Axes, catalog: Catalog, area_km2: float) -> None:
+    longitude = np.degrees(np.angle(np.exp(1j * catalog.longitude_rad)))
+    counts, y, x = np.histogram2d(
+        np.sin(catalog.latitude_rad), longitude, bins=_GRID, range=[[-1.0, 1.0], [-180.0, 180.0]]
+    )
+    # Equal cells in longitude and sine of latitude are equal areas.
+    per_cell = 1e4 * _GRID[0] * _GRID[1] / area_km2
+    density = np.ma.masked_equal(counts, 0.0) * per_cell
+    norm = LogNorm(per_cell, max(float(density.max()), 2.0 * per_cell))
+    mesh = axes.pcolormesh(x, y, density, cmap="cividis", norm=norm)
+    bar = figure.colorbar(mesh, ax=axes, label="craters per 10,000 km² (white: none)", pad=0.01)
+    _plain_ticks(bar.ax.yaxis)
+
+
+def _draw_rims(axes: Axes, catalog: Catalog) -> None:
+    """Draw rims as they are on the map, again on the other side where they cross its border."""
+    turn = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)[:, None]
+    centres, along = catalog.centres[:, None], catalog.axes[:, None]
+    points = centres + np.cos(turn) * along[:, :, 0] + np.sin(turn) * along[:, :, 1]
+    latitude, longitude = frames.latitude_longitude(points)
+    middle = np.angle(np.exp(1j * catalog.longitude_rad))[:, None]
+    longitude = np.degrees(middle + np.angle(np.exp(1j * (longitude - middle))))
+    rims = np.stack([longitude, np.sin(latitude)], axis=-1)
+    west, east = longitude.min(axis=1) < -180.0, longitude.max(axis=1) > 180.0
+    rims = np.concatenate([rims, rims[west] + [360.0, 0.0], rims[east] - [360.0, 0.0]])
+    # A rim about a pole is no closed line on the map.
+    closed = np.ptp(rims[:, :, 0], axis=1) < 180.0
+    axes.add_collection(
+        PolyCollection(list(rims[closed]), facecolors="none", edgecolors=_INK, linewidths=0.8)
+    )
+    axes.grid(alpha=0.3)
+
+
+def _meeting(part: Catalog) -> tuple[npt.NDArray[np.str_], list[Line2D]]:
+    """Colours of rims, by what they meet, and the key to them."""
+    meets = overlaps(part)
+    colours = np.full(len(part), _INK)
+    colours[meets.crossings.ravel()] = _CROSSING
+    colours[meets.twins.ravel()] = _TWIN
+    key = []
+    for colour, label in ((_CROSSING, "rims that cross"), (_TWIN, "probably one crater entered twice")):
+        count = int(np.count_nonzero(colours == colour))
+        if count:
+            key.append(Line2D([], [], color=colour, label=f"{label} ({count:,})"))
+    return colours, key
+
+
+def _name_rims(
+    axes: Axes, part: Catalog, centres_km: FloatArray, inside: npt.NDArray[np.intp], reach_km: float
+) -> None:
+    """Write names below the largest rims, where there is room."""
+    km_per_pt = 2.0 * reach_km / (72.0 * 6.5)
+    taken: list[tuple[float, float, float]] = []
+    for k in inside.tolist():
+        if len(taken) == _LABELLED:
+            break
+        name = part.identifiers[k]
+        half = 0.31 * _LABEL_PT * km_per_pt * len(name)
+        x = float(centres_km[k, 0])
+        y = float(centres_km[k, 1]) - 1e-3 * float(part.semi_major_m[k]) - _LABEL_PT * km_per_pt
+        if abs(x) + half > reach_km or abs(y) > reach_km - _LABEL_PT * km_per_pt:
+            continue
+        if any(
+            abs(x - u) < half + other and abs(y - v) < 1.4 * _LABEL_PT * km_per_pt for u, v, other in taken
+        ):
+            continue
+        taken.append((x, y, half))
+        axes.text(
+            x, y, name, ha="center", va="center", fontsize=_LABEL_PT, color="0.2",
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        )  # fmt: skip
+
+
+def _draw_sizes(axes: Axes, catalog: Catalog, area_km2: float) -> None:
+    diameter_km = np.sort(2e-3 * np.sqrt(catalog.semi_major_m * catalog.semi_minor_m))
+    number = np.arange(len(diameter_km), 0, -1)
+    # So many points are enough for a curve.
+    keep = np.unique(np.linspace(0, len(diameter_km) - 1, 2000).astype(int))
+    x, n, per = diameter_km[keep], number[keep], 1e6 / area_km2
+    root = np.sqrt(n)
+    axes.fill_between(x, np.maximum(n - root, 0.3) * per, (n + root) * per, color=_INK, alpha=0.25, lw=0.0)
+    axes.loglog(x, n * per, color=_INK, lw=1.5, label="catalogue, ±√n")
+    middle = len(diameter_km) // 2
+    line = np.array([diameter_km[0], diameter_km[-1]])
+    power = number[middle] * per * (line / diameter_km[middle]) ** -2.0
+    axes.loglog(line, power, "--", color="0.6", label="power -2")
+    axes.set_xlabel("diameter, km")
+    axes.set_ylabel("larger ones per million km²")
+    axes.set_title("sizes")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    _plain_ticks(axes.xaxis)
+
+
+def _plain_ticks(axis: Axis) -> None:
+    """Label a logarithmic axis with plain numbers, also when it is short."""
+    low, high = axis.get_view_interval()
+    short = high < 50.0 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator() if short else LogLocator(subs="auto"))
+    axis.set_minor_formatter(NullFormatter())

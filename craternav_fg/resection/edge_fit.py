@@ -1,0 +1,240 @@
+"""Ellipses through edge points of known noise, and the covariance that such points give.
+
+For images, `vision.ellipse_fit` fits robustly and judges the points' noise by their scatter. Here the noise
+is known and Gaussian along the rim's normal: simulated edges, and ellipses that somebody else fitted.
+"""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.camera import Camera
+from craternav_fg.ellipse import chart_of_axes, normalised_chart, pixel_chart
+from factors.kernels.gauss_newton import solve
+from factors.kernels.rim import rim_distance
+
+FloatArray = npt.NDArray[np.float64]
+
+_ITERATIONS = 20
+# Gauss-Hermite quadrature of a standard normal variable.
+_NODES = np.array([-2.8569700138728056, -1.355626179974266, 0.0, 1.355626179974266, 2.8569700138728056])
+_WEIGHTS = np.array(
+    [0.011257411327720688, 0.2220759220056126, 0.5333333333333333, 0.2220759220056126, 0.011257411327720688]
+)
+# Step of a difference in the chart's units: px or 1.
+_STEP = 1e-4
+
+
+def fit_edges(points_px: FloatArray, camera: Camera, sigma_px: float) -> tuple[FloatArray, FloatArray] | None:
+    """Maximum-likelihood ellipse of edge points.
+
+    Parameters
+    ----------
+    points_px : ndarray, shape (n, 2)
+        Six or more, spread over the rim.
+    camera : Camera
+    sigma_px : float
+        Standard deviation along the rim's normal.
+
+    Returns
+    -------
+    tuple of ndarray or None
+        Chart (5,) in normalised coordinates and its covariance (5, 5), see `fit_covariance`; None when the
+        points determine no ellipse.
+    """
+    points = np.ascontiguousarray(points_px, dtype=np.float64)
+    (cx, cy), (d1, d2), angle_deg = cv2.fitEllipseAMS(points.astype(np.float32))
+    if not (min(d1, d2) > 0.0 and np.isfinite([cx, cy, d1, d2, angle_deg]).all()):
+        return None
+    start = chart_of_axes([cx, cy, 0.5 * d1, 0.5 * d2, np.deg2rad(angle_deg)])
+    fitted, y, covariance = _fit(points, start)
+    if not fitted:
+        return None
+    chart, scale = normalised_chart(y, camera)
+    if not _scatter(_on_rim(points, y), y, sigma_px, covariance):
+        return None
+    return chart, covariance * np.outer(scale, scale)
+
+
+def chart_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: int) -> FloatArray:
+    """Least covariance (5, 5) of a rim's chart from edge points all round it: the Cramer-Rao bound.
+
+    Parameters
+    ----------
+    chart : ndarray, shape (5,)
+        In normalised coordinates.
+    camera : Camera
+    sigma_px : float
+        Standard deviation of an edge point along the rim's normal.
+    count : int
+        Edge points, equally spaced in the ellipse's parameter.
+    """
+    _, scale = normalised_chart(chart, camera)
+    angles = 2.0 * np.pi * np.arange(count) / count
+    return np.asarray(sigma_px**2 * _covariance(pixel_chart(chart, camera), angles) * np.outer(scale, scale))
+
+
+def fit_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: int) -> FloatArray:
+    """Covariance (5, 5) of a chart that was fitted to edge points all round.
+
+    Where the noise is no small part of the semi-minor axis a fit scatters more than its bound: the normals
+    turn, and the distances bend, with each point's own noise. The covariance is that of an M-estimate,
+    A^-1 B A^-1 with the mean slope A and the covariance B of its score under the points' noise.
+
+    Parameters
+    ----------
+    chart, camera, sigma_px, count
+        As in `chart_covariance`, which this approaches for large rims, and which it is where the noise is
+        so large that the estimate has no covariance.
+    """
+    y = pixel_chart(chart, camera)
+    points, _ = rim_points(chart, camera, 2.0 * np.pi * np.arange(count) / count)
+    covariance = np.empty((5, 5))
+    if not _scatter(points, y, sigma_px, covariance):
+        return chart_covariance(chart, camera, sigma_px, count)
+    _, scale = normalised_chart(chart, camera)
+    return np.asarray(covariance * np.outer(scale, scale))
+
+
+def rim_points(chart: FloatArray, camera: Camera, angles_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) of a rim, px, at parameters (n,) of the ellipse, and its unit normals there (n, 2)."""
+    y = pixel_chart(chart, camera)
+    ea, es, beta = np.exp(y[2]), np.exp(y[4]), y[3]
+    s, t = np.cos(angles_rad), np.sin(angles_rad)
+    points = np.stack([y[0] + ea * s, y[1] + beta * ea * s + es * t], axis=-1)
+    normals = np.stack([s / ea - beta * t / es, t / es], axis=-1)
+    return points, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+@njit(cache=True, error_model="numpy")
+def _normal_matrix(points: FloatArray, y: FloatArray, N: FloatArray, g: FloatArray) -> float:
+    """Write N = sum D D' and g = sum D d of the points' distances d; return the sum of their squares."""
+    D = np.empty(5)
+    N[:] = 0.0
+    g[:] = 0.0
+    total = 0.0
+    for i in range(points.shape[0]):
+        d = rim_distance(points[i, 0], points[i, 1], y, D)
+        total += d * d
+        for a in range(5):
+            g[a] += D[a] * d
+            for b in range(5):
+                N[a, b] += D[a] * D[b]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse(N: FloatArray) -> FloatArray:
+    out = np.empty((5, 5))
+    unit = np.zeros(5)
+    for a in range(5):
+        unit[:] = 0.0
+        unit[a] = 1.0
+        solve(N, unit, out[a])
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _fit(points: FloatArray, start: FloatArray) -> tuple[bool, FloatArray, FloatArray]:
+    """Levenberg-Marquardt: whether it converged, chart, covariance for points of unit variance."""
+    y, candidate = start.copy(), np.empty(5)
+    N, trial = np.empty((5, 5)), np.empty((5, 5))
+    g, trial_g, step = np.empty(5), np.empty(5), np.empty(5)
+    cost = _normal_matrix(points, y, N, g)
+    damping = 1e-4
+    converged = False
+    for _ in range(_ITERATIONS):
+        damped = N.copy()
+        for a in range(5):
+            damped[a, a] *= 1.0 + damping
+        solve(damped, g, step)
+        for a in range(5):
+            candidate[a] = y[a] - step[a]
+        # Not above, and false for NaN.
+        new = _normal_matrix(points, candidate, trial, trial_g)
+        if new <= cost * (1.0 + 1e-14):
+            converged = cost - new <= 1e-10 * cost + 1e-20
+            for a in range(5):
+                y[a], g[a] = candidate[a], trial_g[a]
+                for b in range(5):
+                    N[a, b] = trial[a, b]
+            cost = new
+            damping *= 0.1
+            if converged:
+                break
+        else:
+            damping = max(damping, 1e-6) * 10.0
+    covariance = _inverse(N)
+    for a in range(5):
+        converged = converged and covariance[a, a] > 0.0 and np.isfinite(covariance[a, a])
+    return converged, y, covariance
+
+
+@njit(cache=True, error_model="numpy")
+def _covariance(y: FloatArray, angles: FloatArray) -> FloatArray:
+    ea, es = np.exp(y[2]), np.exp(y[4])
+    points = np.empty((angles.shape[0], 2))
+    for i in range(angles.shape[0]):
+        points[i, 0] = y[0] + ea * np.cos(angles[i])
+        points[i, 1] = y[1] + y[3] * ea * np.cos(angles[i]) + es * np.sin(angles[i])
+    N = np.empty((5, 5))
+    _normal_matrix(points, y, N, np.empty(5))
+    return _inverse(N)
+
+
+@njit(cache=True, error_model="numpy")
+def _on_rim(points: FloatArray, y: FloatArray) -> FloatArray:
+    """Points (n, 2) of the ellipse on the rays from its centre to some points (n, 2)."""
+    out = np.empty_like(points)
+    ea, es = np.exp(y[2]), np.exp(y[4])
+    for i in range(points.shape[0]):
+        x, z = points[i, 0] - y[0], points[i, 1] - y[1]
+        s = x / ea
+        t = (z - y[3] * x) / es
+        r = np.sqrt(s * s + t * t)
+        out[i, 0], out[i, 1] = y[0] + x / r, y[1] + z / r
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _scatter(points: FloatArray, y: FloatArray, sigma: float, covariance: FloatArray) -> bool:
+    """Write the covariance (5, 5) of the fit to noisy points of a rim; false when there is none."""
+    A, B = np.zeros((5, 5)), np.zeros((5, 5))
+    ea, es = np.exp(y[2]), np.exp(y[4])
+    D, mean, moved = np.empty(5), np.empty(5), y.copy()
+    for i in range(points.shape[0]):
+        s = (points[i, 0] - y[0]) / ea
+        t = (points[i, 1] - y[1] - y[3] * (points[i, 0] - y[0])) / es
+        nx, ny = s / ea - y[3] * t / es, t / es
+        length = np.sqrt(nx * nx + ny * ny)
+        mean[:] = 0.0
+        for k in range(_NODES.shape[0]):
+            step = sigma * _NODES[k] / length
+            u, v = points[i, 0] + step * nx, points[i, 1] + step * ny
+            d = rim_distance(u, v, y, D)
+            for a in range(5):
+                mean[a] += _WEIGHTS[k] * d * D[a]
+                for b in range(5):
+                    B[a, b] += _WEIGHTS[k] * d * d * D[a] * D[b]
+            for b in range(5):
+                for sign in (-1.0, 1.0):
+                    moved[b] = y[b] + sign * _STEP
+                    d = rim_distance(u, v, moved, D)
+                    for a in range(5):
+                        A[a, b] += 0.5 * sign / _STEP * _WEIGHTS[k] * d * D[a]
+                moved[b] = y[b]
+        for a in range(5):
+            for b in range(5):
+                B[a, b] -= mean[a] * mean[b]
+    inverse = _inverse(A)
+    for a in range(5):
+        for b in range(5):
+            covariance[a, b] = 0.0
+            for c in range(5):
+                for e in range(5):
+                    covariance[a, b] += inverse[a, c] * B[c, e] * inverse[b, e]
+    definite = True
+    for a in range(5):
+        definite = definite and A[a, a] > 0.0 and 0.0 < covariance[a, a] < np.inf
+    return definite

@@ -1,0 +1,148 @@
+"""Sets of rims that agree on a pose, from minimal sets."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.resection.solve_kernel import minimise
+from craternav_fg.resection.start_kernel import start_at_attitude, start_pair
+from factors.kernels.gauss_newton import solve
+from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
+from factors.kernels.robust import NONE
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+_ROUNDS = 4
+_ITERATIONS = 8
+_LOG_MISS = np.log(1e-9)
+
+
+@njit(cache=True, error_model="numpy")
+def distances2(
+    gTb: FloatArray, N: FloatArray, first: int, members: BoolArray, data: FloatArray
+) -> FloatArray:  # fmt: skip
+    """Squared Mahalanobis distances (n,) of rims from a pose that rests on `members`, a mask (n,).
+
+    A member's is that of its residual, another's allows for the pose's own uncertainty, of information
+    N (6, 6) from the coordinate `first` on. `data` holds the rims, from `packed.pack`.
+    """
+    n = (data.shape[0] - HEADER) // CRATER
+    free = 6 - first
+    out = np.empty(n)
+    rows = np.empty((7, 5 * n))
+    shape_residuals(gTb, data, True, rows)
+    information = N[first:, first:].copy()
+    g, x = np.empty(free), np.empty((5, free))
+    S, y = np.empty((5, 5)), np.empty(5)
+    for k in range(n):
+        H, r = rows[:6, 5 * k : 5 * k + 5], rows[6, 5 * k : 5 * k + 5]
+        out[k] = 0.0
+        if members[k]:
+            for a in range(5):
+                out[k] += r[a] * r[a]
+            continue
+        for a in range(5):
+            for i in range(free):
+                g[i] = H[first + i, a]
+            solve(information, g, x[a])
+        for a in range(5):
+            for b in range(5):
+                S[a, b] = 1.0 if a == b else 0.0
+                for i in range(free):
+                    S[a, b] += H[first + i, b] * x[a, i]
+        solve(S, r, y)
+        for a in range(5):
+            out[k] += r[a] * y[a]
+        # A pose that its members don't determine says nothing of the others.
+        if not np.isfinite(out[k]):
+            out[k] = np.inf
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _subset(data: FloatArray, members: BoolArray) -> FloatArray:
+    """Packed data of some rims, a mask (n,)."""
+    out = np.empty(data.shape[0])
+    for k in range(HEADER):
+        out[k] = data[k]
+    end = HEADER
+    for m in range(members.shape[0]):
+        if members[m]:
+            for k in range(CRATER):
+                out[end + k] = data[HEADER + CRATER * m + k]
+            end += CRATER
+    return out[:end]
+
+
+@njit(cache=True, error_model="numpy")
+def consensus(
+    bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, W: FloatArray,
+    prior: FloatArray, prior_weight: FloatArray, sun: FloatArray, attitude: FloatArray, first: int,
+    seeds: IntArray, gate: float,
+) -> tuple[BoolArray, float]:  # fmt: skip
+    """Find the rims that agree on one pose.
+
+    Parameters
+    ----------
+    bTc, ..., first
+        As in `solve_kernel.solutions`.
+    seeds : ndarray of int, shape (m, 2)
+        Minimal sets: the rim whose plane is taken, and the one whose centre goes with it. With a known
+        attitude the first suffices.
+    gate : float
+        Squared distance above which a rim does not agree.
+
+    Returns
+    -------
+    members : ndarray of bool, shape (n,)
+    score : float
+        Sum of the squared distances, each at most the gate.
+    """
+    n = charts.shape[0]
+    known = attitude.shape[0] > 0
+    starts = np.empty((1 if known else 2, 4, 4))
+    best = np.zeros(n, dtype=np.bool_)
+    least, share, agreeing = np.inf, 0.0, 0
+    N = np.empty((6, 6))
+    data = pack(bTc, centres, axes, charts, W, NONE, 1.0)
+    # A variable: of a constant numba would compile `minimise` once more.
+    iterations = min(_ITERATIONS, 1 + seeds.shape[0] * _ITERATIONS)
+    for s in range(seeds.shape[0]):
+        i = seeds[s, 0]
+        if known:
+            start_at_attitude(attitude, bTc, centres[i], axes[i], charts[i], starts[0])
+        else:
+            start_pair(i, seeds[s, 1:], bTc, centres, axes, charts, starts)
+        for t in range(starts.shape[0]):
+            gTb = starts[t]
+            members = np.zeros(n, dtype=np.bool_)
+            members[i] = True
+            members[seeds[s, 1]] = True
+            score = np.inf
+            for _ in range(_ROUNDS):
+                minimise(
+                    gTb, bTc, _subset(data, members), prior, prior_weight, sun, 1.0, first, iterations, N
+                )
+                d2 = distances2(gTb, N, first, members, data)
+                score = 0.0
+                changed = False
+                agreeing = 0
+                for k in range(n):
+                    score += min(d2[k], gate)
+                    agrees = d2[k] < gate
+                    changed = changed or agrees != members[k]
+                    members[k] = agrees
+                    agreeing += agrees
+                if not changed or agreeing == 0:
+                    break
+            if score < least:
+                least = score
+                share = agreeing / n
+                for k in range(n):
+                    best[k] = members[k]
+        # The chance that no pair so far was of true matches only, if as many are true as agree.
+        if share == 1.0 or (s + 1) * np.log(1.0 - share * share) < _LOG_MISS:
+            break
+    return best, least

@@ -1,0 +1,72 @@
+"""Where the rendered ground's crests lie, against the catalogue's rims as they are projected."""
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.simulation.render import Renderer
+
+FloatArray = npt.NDArray[np.float64]
+
+# Samples of the ground along a rim's normal.
+_SAMPLES = 17
+
+
+def crest_offsets_px(
+    renderer: Renderer,
+    catalog: Catalog,
+    gTb: FloatArray,
+    rows: npt.NDArray[np.int64],
+    count: int = 16,
+    reach_px: float = 1.6,
+) -> FloatArray:
+    """How far outside the projected rim the ground rises no more, along the rim's normals.
+
+    Found in the ground's own normals at the points where rays through the pixels meet it.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Its camera has neither mounting nor distortion.
+    catalog : Catalog
+    gTb : ndarray, shape (4, 4)
+        Pose of the camera.
+    rows : ndarray of int, shape (n,)
+        Craters.
+    count : int
+        Normals round each rim.
+    reach_px : float
+        Half length of the normals.
+
+    Returns
+    -------
+    ndarray, shape (n, count)
+        In the pixels of the renderer's camera; NaN where a normal has no crest.
+    """
+    theta = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    offsets = np.linspace(-reach_px, reach_px, _SAMPLES)
+    out = np.full((len(rows), count), np.nan)
+
+    def seen(row: int, angles: FloatArray) -> FloatArray:
+        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        points = catalog.centres[row] + c * catalog.axes[row, 0] + s * catalog.axes[row, 1]
+        return renderer.camera.project((points - gTb[:3, 3]) @ gTb[:3, :3])
+
+    for k, row in enumerate(rows.tolist()):
+        rim_px = seen(row, theta)
+        along = seen(row, theta + 1e-4) - rim_px
+        normal = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.linalg.norm(along, axis=1)[:, None]
+        normal *= np.sign(np.sum(normal * (rim_px - rim_px.mean(axis=0)), axis=1, keepdims=True))
+        px = rim_px[:, None] + offsets[:, None] * normal[:, None]
+        _, ground = renderer.ground_points(gTb, px.reshape(-1, 2))
+        local = (ground @ catalog.gRl[row]).reshape(count, _SAMPLES, 3)
+        outward = np.stack(
+            [np.cos(theta) / catalog.semi_major_m[row], np.sin(theta) / catalog.semi_minor_m[row]], axis=-1
+        )
+        rise = -np.einsum("aoi,ai->ao", local[:, :, :2], outward) / local[:, :, 2]
+        for a in range(count):
+            cross = np.flatnonzero((rise[a, :-1] > 0.0) & (rise[a, 1:] <= 0.0))
+            if len(cross):
+                i = cross[np.argmin(np.abs(offsets[cross]))]
+                out[k, a] = np.interp(0.0, -rise[a, i : i + 2], offsets[i : i + 2])
+    return out

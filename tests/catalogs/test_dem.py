@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+
+from craternav_fg import frames
+from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
+from craternav_fg.simulation.crests import crest_offsets_px
+from craternav_fg.simulation.relief import Relief, ReliefOptions
+from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import built_in_scenarios, load_scenario
+from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+from tests.shared_data import shared
+from tests.simulation import scene
+
+rasterio = pytest.importorskip("rasterio")
+MOON = "+proj=longlat +R=1737400 +no_defs"
+GLOBE = (-180.0, 90.0, 0.5, 0.5)
+ROWS = np.radians(90.0 - 0.5 * (np.arange(360) + 0.5))
+COLUMNS = np.radians(0.5 * (np.arange(720) + 0.5) - 180.0)
+
+
+def hills(lat, lon):
+    """Smooth on the sphere, also across the date line; m."""
+    return 900.0 * np.cos(3.0 * lat) * np.sin(7.0 * lon + 0.4) + 500.0 * np.sin(11.0 * lat)
+
+
+def write(path, values, corner=GLOBE, crs=MOON, **more):
+    west, north, dx, dy = corner
+    transform = rasterio.Affine(dx, 0.0, west, 0.0, -dy, north)
+    bands = np.atleast_3d(values.T).T
+    with rasterio.open(
+        path, "w", driver="GTiff", height=bands.shape[1], width=bands.shape[2], count=len(bands),
+        dtype=bands.dtype, crs=crs, transform=transform, **more,
+    ) as raster:  # fmt: skip
+        raster.write(bands)
+    return path
+
+
+@pytest.fixture(scope="module")
+def globe(tmp_path_factory):
+    values = hills(ROWS[:, None], COLUMNS[None]).astype(np.float32)
+    return write(tmp_path_factory.mktemp("dem") / "globe.tif", values)
+
+
+def test_heights_are_the_rasters(globe):
+    dem = read_dem(globe)
+    rng = np.random.default_rng(1)
+    lat, lon = rng.uniform(-1.5, 1.5, 500), rng.uniform(-np.pi, np.pi, 500)
+    lon[:50] = np.pi + rng.uniform(-0.01, 0.01, 50)
+    found = dem.heights_m(frames.up(lat, lon))
+    np.testing.assert_allclose(found, hills(lat, lon), atol=0.5)
+    np.testing.assert_allclose(read_dem(globe, 0.5).heights_m(frames.up(lat, lon)), 0.5 * found, atol=1e-3)
+
+
+def test_a_part_of_the_body_with_longitudes_to_the_east(tmp_path):
+    """From 340 to 370 deg, whole numbers with a scale."""
+    lat = np.radians(20.0 - 0.1 * (np.arange(300) + 0.5))
+    lon = np.radians(340.0 + 0.1 * (np.arange(300) + 0.5))
+    values = np.round(hills(lat[:, None], lon[None]) * 2.0).astype(np.int16)
+    path = write(tmp_path / "part.tif", values, (340.0, 20.0, 0.1, 0.1))
+    with rasterio.open(path, "r+") as raster:
+        raster.scales = (0.5,)
+    rng = np.random.default_rng(2)
+    lat, lon = np.radians(rng.uniform(-9.0, 19.0, 300)), np.radians(rng.uniform(-19.0, 9.0, 300))
+    np.testing.assert_allclose(read_dem(path).heights_m(frames.up(lat, lon)), hills(lat, lon), atol=0.5)
+
+
+BAD = {
+    "two bands": (lambda p: write(p, np.zeros((2, 8, 8), np.float32)), "one band, found 2"),
+    "projected": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=eqc +R=1737400 +units=m"),
+        "found projected ones",
+    ),
+    "no coordinates": (lambda p: write(p, np.zeros((8, 8), np.float32), crs=None), "found none"),
+    "holes": (lambda p: write(p, np.full((8, 8), -1, np.int16), nodata=-1), "64 points have none"),
+    "not a number": (lambda p: write(p, np.full((8, 8), np.nan, np.float32)), "64 points have none"),
+    "a line": (lambda p: write(p, np.zeros((2, 8), np.float32)), "found 2 x 8"),
+    "no raster": (lambda p: p.write_text("x"), "expected a GeoTIFF"),
+    "missing": (lambda p: None, "file is missing"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_what_is_no_elevation_model_is_named(case, tmp_path):
+    spoil, expected = BAD[case]
+    path = tmp_path / "dem.tif"
+    spoil(path)
+    with pytest.raises(InputError, match=expected) as caught:
+        read_dem(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_ground_is_the_models_and_craters_stand_in_it(globe):
+    relief = Relief(scene.MOON, scene.SITE[:, 2], ReliefOptions(slope=0.004), read_dem(globe))
+    options = CraterFieldOptions(focal_px=scene.FOCAL)
+    catalog = random_craters(np.random.default_rng(1), scene.MOON, scene.track(), options, relief)
+    renderer = Renderer(
+        scene.CAMERA, Terrain(catalog, relief, TerrainOptions()), RenderOptions(psf_sigma_px=0.0)
+    )
+    # The whole view is covered although the ground is not level with the sphere.
+    gTb = scene.pose(scene.place(-40e3, 3e3, 9e3), 10.0)
+    x, y = np.meshgrid(np.linspace(0.0, 1023.0, 40), np.linspace(0.0, 1023.0, 40))
+    ground, _ = renderer.ground_points(gTb, np.stack([x, y], axis=-1).reshape(-1, 2))
+    off = scene.MOON.altitude_m(ground) - hills(*frames.latitude_longitude(ground))
+    assert np.abs(np.median(off)) < 15.0
+    assert np.percentile(np.abs(off), 80.0) < 60.0
+    assert abs(hills(*frames.latitude_longitude(gTb[:3, 3]))) > 200.0
+    rows, _ = catalog.visible(scene.CAMERA, gTb, min_semi_minor_px=8.0, margin_px=4.0)
+    offsets = crest_offsets_px(renderer, catalog, gTb, rows)
+    assert len(rows) >= 8
+    assert np.nanmean(np.abs(offsets)) < 0.04
+
+
+def test_a_scenario_with_a_model(globe, tmp_path):
+    text = built_in_scenarios()["lunar_descent"].read_text().replace("slope = 0.012 ", "slope = 0.001 ")
+    case = tmp_path / "case.toml"
+    case.write_text(text.replace("[terrain]\n", '[terrain]\ndem = "globe.tif"\n'))
+    (tmp_path / "globe.tif").write_bytes(globe.read_bytes())
+    scenario = load_scenario(case)
+    small = {
+        "camera": scenario.camera.model_copy(update={"width_px": 96, "height_px": 96}),
+        "craters": scenario.craters.model_copy(update={"min_apparent_px": 6.0, "max_apparent_px": 30.0}),
+        "trajectory": scenario.trajectory.model_copy(update={"frame_interval_s": 300.0}),
+    }
+    data = Dataset.open(simulate(scenario.model_copy(update=small), tmp_path / "data"))
+    level = hills(data.catalog.latitude_rad, data.catalog.longitude_rad)
+    # Rims stand above the ground by less than a tenth of their radius, some on a larger one's flank.
+    off = np.abs(data.catalog.height_m - level) / data.catalog.semi_major_m
+    assert np.median(off) < 0.1
+    assert np.median(np.abs(level) / data.catalog.semi_major_m) > 0.12
+    assert data.image(1).std() > 2.0
+    plateau = write(tmp_path / "high.tif", np.full((8, 8), 5000.0, np.float32), (-180.0, 90.0, 45.0, 22.5))
+    high = scenario.terrain.model_copy(update={"dem": str(plateau)})
+    with pytest.raises(CraternavError, match="1000 m below the elevation model"):
+        simulate(scenario.model_copy(update={**small, "terrain": high}), tmp_path / "below")
+    assert not (tmp_path / "below").exists()
+
+
+def test_the_moon():
+    """South Pole-Aitken is deep, the highlands of the far side are high."""
+    dem = read_dem(shared("moon_dem.tif"), 0.5)
+    deep, high = dem.heights_m(frames.up(np.radians([-53.0, 5.0]), np.radians([-169.0, -158.0])))
+    assert deep < -3000.0
+    assert high > 3000.0

@@ -1,0 +1,177 @@
+"""`craternav detect`: its files, and what it says of bad input."""
+
+import csv
+import json
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from craternav_fg import cli
+from craternav_fg.dataset.foreign_images import read_foreign_image
+from craternav_fg.simulation.scenes import Ground, scene
+
+HEADER = [
+    "ellipseCenterX(px)", "ellipseCenterY(px)", "ellipseSemimajor(px)", "ellipseSemiminor(px)",
+    "ellipseRotation(deg)", "inputImage", "crater_classification",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def one():
+    return scene(3, Ground(size_px=640))
+
+
+@pytest.fixture
+def detect(monkeypatch, capsys):
+    """Run the command: exit code, standard output, standard error."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["craternav", "detect", *map(str, arguments)])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize("method", ["template", "canny"])
+def test_table_json_and_overlay_agree(one, detect, tmp_path, method):
+    path, table = tmp_path / "frame.png", tmp_path / "out" / "rims.csv"
+    cv2.imwrite(str(path), one.image)
+    code, output, _ = detect(path, "-o", table, "--method", method, "--json")
+    assert code == 0
+    result = json.loads(output)
+    with table.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    assert rows[0] == HEADER
+    assert len(rows) - 1 == len(result["rims"]) >= 5
+    for row, rim in zip(rows[1:], result["rims"], strict=True):
+        assert row[5:] == ["frame.png", "-1"]
+        keys = ("center_x_px", "center_y_px", "semi_major_px", "semi_minor_px", "rotation_deg")
+        assert [float(cell) for cell in row[:5]] == [rim[key] for key in keys]
+        assert -90.0 <= rim["rotation_deg"] <= 90.0
+        assert 0.0 < rim["quality"] <= 1.0
+        assert 0.0 < rim["center_sigma_px"] < 5.0
+    off_deg = (result["light_deg"] - np.rad2deg(one.light_rad) + 180.0) % 360.0 - 180.0
+    assert abs(off_deg) < 12.0
+    assert result["detect_ms"] > 0.0
+    overlay = cv2.imread(result["overlay"])
+    assert overlay.shape == (640, 640, 3)
+    # Colour where the rims are, none off them.
+    colour = np.ptp(overlay.astype(int), axis=2) > 20
+    best = result["rims"][0]
+    turn, tilt = np.linspace(0.0, 2.0 * np.pi, 60), np.deg2rad(best["rotation_deg"])
+    u, v = best["semi_major_px"] * np.cos(turn), best["semi_minor_px"] * np.sin(turn)
+    x = np.rint(best["center_x_px"] + u * np.cos(tilt) - v * np.sin(tilt)).astype(int)
+    y = np.rint(best["center_y_px"] + u * np.sin(tilt) + v * np.cos(tilt)).astype(int)
+    assert colour[y, x].mean() > 0.9
+    assert colour.mean() < 0.2
+
+
+def test_in_words(one, detect, tmp_path):
+    path = tmp_path / "frame.tif"
+    cv2.imwrite(str(path), one.image.astype(np.uint16) * 257)
+    code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--min-radius", 15, "--min-quality", 0.9)
+    assert code == 0
+    assert "rims, lit from" in output
+    assert str(tmp_path / "rims_overlay.png") in output
+    cv2.imwrite(str(path), np.full((300, 300), 90, np.uint8))
+    code, output, _ = detect(path, "-o", tmp_path / "rims.csv")
+    assert code == 0
+    assert output.startswith("no rims\n")
+    assert (tmp_path / "rims.csv").read_text(encoding="utf-8") == ",".join(HEADER) + "\n"
+
+
+def test_wrong_sun_is_one_line(one, detect, tmp_path):
+    path = tmp_path / "frame.png"
+    cv2.imwrite(str(path), one.image)
+    wrong = np.rad2deg(one.light_rad) + 180.0
+    code, output, error = detect(path, "-o", tmp_path / "rims.csv", "--sun", wrong)
+    assert code == 2
+    assert output == ""
+    assert error.count("\n") == 1
+    assert "frame.png: the light is said to come from" in error
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.png"]
+
+
+def _text(path):
+    path.write_text("no image", encoding="utf-8")
+
+
+def _cut(path):
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (99, 99), dtype=np.uint8))
+    path.write_bytes(path.read_bytes()[:-3000])
+
+
+def _huge(path):
+    Image.new("1", (6000, 6000)).save(path)
+
+
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda path: None, "expected an image file, found nothing"),
+        (lambda path: path.mkdir(), "found a folder"),
+        (lambda path: path.write_bytes(b""), "cannot be read as an image"),
+        (_text, "cannot be read as an image"),
+        (_cut, "cannot be read as an image"),
+        (_huge, "6000 x 6000 px are more than 25 million: crop it"),
+    ],
+    ids=["missing", "folder", "empty", "text", "cut", "huge"],
+)
+def test_what_is_no_image_is_one_line(detect, tmp_path, write, message):
+    path = tmp_path / "frame.png"
+    write(path)
+    code, output, error = detect(path, "-o", tmp_path / "rims.csv")
+    assert (code, output) == (2, "")
+    assert error.count("\n") == 1
+    assert f"{path}: " in error
+    assert message in error
+    assert not (tmp_path / "rims.csv").exists()
+
+
+def test_the_image_is_not_overwritten(one, detect, tmp_path):
+    path = tmp_path / "rims_overlay.png"
+    cv2.imwrite(str(path), one.image)
+    before = path.read_bytes()
+    for output in (path, tmp_path / "rims.csv"):
+        code, _, error = detect(path, "-o", output)
+        assert code == 2
+        assert "would be overwritten" in error
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("sun", ["nan", "inf"])
+def test_the_sun_is_a_direction(one, detect, tmp_path, sun):
+    path = tmp_path / "frame.png"
+    cv2.imwrite(str(path), one.image)
+    code, _, error = detect(path, "-o", tmp_path / "rims.csv", "--sun", sun)
+    assert code == 2
+    assert "expected an angle in degrees" in error
+
+
+@pytest.mark.parametrize(
+    ("mode", "suffix", "shape", "dtype"),
+    [
+        ("L", "png", (20, 30), np.uint8),
+        ("I;16", "png", (20, 30), np.uint16),
+        ("F", "tif", (20, 30), np.float32),
+        ("RGB", "jpg", (20, 30, 3), np.uint8),
+        ("RGBA", "png", (20, 30, 4), np.uint8),
+        ("P", "png", (20, 30, 3), np.uint8),
+        ("CMYK", "tif", (20, 30, 3), np.uint8),
+        ("1", "png", (20, 30), np.bool_),
+    ],
+)
+def test_formats(tmp_path, mode, suffix, shape, dtype):
+    path = tmp_path / f"image.{suffix}"
+    Image.new(mode, (30, 20)).save(path)
+    image = read_foreign_image(path)
+    assert image.shape == shape
+    assert image.dtype == dtype

@@ -1,0 +1,163 @@
+"""`craternav identify`: what it prints, and what it says of bad input."""
+
+import csv
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from craternav_fg import cli, frames
+from craternav_fg.bench.identification import SceneOptions, random_scene, synthetic_catalog
+from craternav_fg.catalogs.files import write_catalog
+from craternav_fg.dataset.sensor_files import camera_yaml
+from craternav_fg.simulation.scenes import MOON
+
+COLUMNS = [
+    "ellipseCenterX(px)", "ellipseCenterY(px)", "ellipseSemimajor(px)", "ellipseSemiminor(px)",
+    "ellipseRotation(deg)", "inputImage", "crater_classification",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    """A folder with catalogue, camera and rims of one view, and the view."""
+    folder = tmp_path_factory.mktemp("identify")
+    rng = np.random.default_rng(3)
+    catalog = synthetic_catalog(MOON, rng, count=6000)
+    write_catalog(folder / "craters.csv", catalog)
+    options = SceneOptions(sigma_px=0.5, altitudes_m=(300e3, 600e3))
+    scene = random_scene(catalog, options, rng, true_rims=(9, 40))
+    (folder / "sensor.yaml").write_text(camera_yaml(scene.camera, 1.0))
+    write_rims(folder / "rims.csv", scene.ellipses_px)
+    write_rims(folder / "mirrored.csv", scene.mirrored())
+    return folder, catalog, scene
+
+
+def write_rims(path, ellipses):
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        for x, y, a, b, angle in ellipses:
+            a, b, turn = (a, b, angle) if a >= b else (b, a, angle + 0.5 * np.pi)
+            writer.writerow([x, y, a, b, np.degrees(turn), "frame.png", -1])
+
+
+@pytest.fixture
+def identify(case, monkeypatch, capsys):
+    """Run the command on a table of rims: exit code, standard output, standard error."""
+
+    def run(rims, *arguments):
+        folder = case[0]
+        command = ["craternav", "identify", str(rims), "--camera", str(folder / "sensor.yaml")]
+        command += ["--catalog", str(folder / "craters.csv"), *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", command)
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_craters_and_pose(case, identify) -> None:
+    folder, catalog, scene = case
+    code, output, errors = identify(folder / "rims.csv", "--json")
+    assert code == 0
+    assert "none yet: built" in errors
+    found = json.loads(output)
+    assert found["status"] == "identified"
+    truth = [catalog.identifiers[row] if row >= 0 else None for row in scene.craters]
+    named = [(rim["crater"], true) for rim, true in zip(found["rims"], truth, strict=True) if rim["crater"]]
+    assert len(named) >= 7
+    assert all(name == true for name, true in named)
+    gP = np.array(found["pose"]["position_m"])
+    sigma = np.array(found["pose"]["position_sigma_m"])
+    assert (np.abs(gP - scene.gTb[:3, 3]) < 6.0 * sigma).all()
+    assert np.array(found["pose"]["covariance"]).shape == (6, 6)
+    assert found["log_probability_of_chance"] < -18.0
+    assert 0.0 < found["seconds"] < 60.0
+    # The index is loaded, and the attitude makes an answer more certain.
+    w, x, y, z = 2.0 * frames.to_quaternion_wxyz(scene.gTb[:3, :3])
+    code, output, errors = identify(folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--json")
+    assert (code, errors) == (0, "")
+    known = json.loads(output)
+    assert known["index"].endswith("loaded")
+    assert known["log_probability_of_chance"] < found["log_probability_of_chance"] - 3.0
+    code, output, _ = identify(folder / "rims.csv")
+    assert code == 0
+    assert "rims are craters of the catalogue" in output
+    assert all(name in output for name, _ in named)
+
+
+def test_identified_rims_are_what_pose_reads(case, identify, tmp_path, monkeypatch, capsys) -> None:
+    folder, _, scene = case
+    code, output, _ = identify(folder / "rims.csv", "-o", tmp_path / "matched.csv", "--json")
+    assert code == 0
+    assert len((tmp_path / "matched.csv").read_text().splitlines()) == 1 + sum(
+        rim["crater"] is not None for rim in json.loads(output)["rims"]
+    )
+    command = ["craternav", "pose", str(tmp_path / "matched.csv"), "--json"]
+    command += ["--camera", str(folder / "sensor.yaml"), "--catalog", str(folder / "craters.csv")]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code in (0, None)
+    found = json.loads(capsys.readouterr().out)
+    error = np.array(found["poses"][0]["position_m"]) - scene.gTb[:3, 3]
+    assert found["status"] == "solved"
+    assert (np.abs(error) < 6.0 * np.array(found["poses"][0]["position_sigma_m"])).all()
+
+
+def test_results_never_overwrite_what_they_are_from(case, identify) -> None:
+    folder, _, _ = case
+    before = (folder / "rims.csv").read_bytes()
+    code, _, errors = identify(folder / "rims.csv", "-o", folder / "rims.csv")
+    assert code == 2
+    assert "choose another --output" in errors
+    assert (folder / "rims.csv").read_bytes() == before
+
+
+def test_no_answer(case, identify) -> None:
+    code, output, errors = identify(case[0] / "mirrored.csv", "--json")
+    assert code == 2
+    found = json.loads(output)
+    assert (found["status"], found["pose"]) == ("no_answer", None)
+    assert all(rim["crater"] is None for rim in found["rims"])
+    assert "no pose explains the rims better than chance" in errors
+
+
+def test_bad_input(case, identify, tmp_path) -> None:
+    folder = case[0]
+    few = tmp_path / "few.csv"
+    write_rims(few, case[2].ellipses_px[:2])
+    outside, thin = case[2].ellipses_px[:4].copy(), case[2].ellipses_px[:4].copy()
+    outside[1, 0] = 4000.0
+    thin[2, 2:4] = [20.0, 0.01]
+    write_rims(tmp_path / "outside.csv", outside)
+    write_rims(tmp_path / "thin.csv", thin)
+    (tmp_path / "image.png").write_bytes(b"no image")
+    for arguments, said in (
+        ((few,), "too few rims: found 2 rims, expected 3 or more"),
+        ((tmp_path / "outside.csv",), "outside.csv:3: ellipseCenterX(px): expected a rim that reaches into"),
+        ((tmp_path / "thin.csv",), "thin.csv:4: ellipseSemiminor(px): expected 0.1 to"),
+        ((tmp_path / "none.csv",), "none.csv: file is missing"),
+        ((tmp_path / "image.png",), "image.png"),
+        ((folder / "rims.csv", "--attitude", "1,2,3"), "--attitude: expected 4 numbers"),
+        ((folder / "rims.csv", "--attitude", "0,0,0,0"), "--attitude: expected a quaternion, found zero"),
+        ((folder / "rims.csv", "--altitude-km", "50,10"), "--altitude-km: expected 0 < LEAST < LARGEST"),
+        (
+            (folder / "rims.csv", "--body-radius-m", "561400"),
+            "found one of Moon on 1737400 m, as BODY_RADIUS",
+        ),
+        ((folder / "rims.csv", "--index", few), "few.csv: expected a name that ends in .npz"),
+    ):
+        code, output, errors = identify(*arguments)
+        assert code == 2
+        assert output == ""
+        assert said in errors
+        assert "Traceback" not in errors
+    # An index never takes the place of another file.
+    assert few.read_text().startswith(COLUMNS[0])

@@ -1,0 +1,172 @@
+"""Errors of rims that outlast a frame: smoothers that know of them, and what becomes of those that do not."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from craternav_fg.dataset.measurements import read_measurements, write_measurements
+from craternav_fg.dataset.sun import SunVectors
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Estimator, Problem
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.correlated_errors import RimErrorOptions
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
+from craternav_fg.estimators.start import find_start
+from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.measurements import SHARED_SIZE, ArcSet, image_change
+from craternav_fg.trajectory import Trajectory
+from tests.descents import problem, scenario
+
+TRIALS = 8
+DECAY = 0.5
+
+
+def spoilt(p: Problem, truth: Trajectory, rng: np.random.Generator) -> Problem:
+    """Add to the rims errors of three times their sigma that last, and as large ones that all share."""
+    kept: dict[int, tuple[float, np.ndarray]] = {}
+    everyone = rng.standard_normal(SHARED_SIZE)
+    frames = []
+    for frame, gP in zip(p.frames, truth.gP, strict=True):
+        rims = frame.rims
+        A = 3.0 * np.linalg.cholesky(rims.covariance)
+        B = np.zeros((len(rims), 5, SHARED_SIZE))
+        B[:, :, :5] = A
+        chart = rims.chart + np.einsum("nij,j->ni", B, everyone)
+        for i, crater in enumerate(rims.craters.tolist()):
+            range_m = float(np.linalg.norm(p.catalog.centres[crater] - gP))
+            z = rng.standard_normal(5)
+            if crater in kept:
+                rho = np.exp(-abs(np.log(range_m / kept[crater][0])) / DECAY)
+                z = rho * kept[crater][1] + np.sqrt(1.0 - rho**2) * z
+            kept[crater] = range_m, z
+            chart[i] += A[i] @ z
+        total = rims.covariance + 2.0 * A @ np.swapaxes(A, 1, 2)
+        frames.append(
+            replace(frame, rims=replace(rims, chart=chart, covariance=total, correlated=A, shared=B))
+        )
+    return replace(p, frames=frames, start=find_start(p, frames))
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Trajectory]]:
+    folder = tmp_path_factory.mktemp("trials")
+    out = []
+    for trial in range(TRIALS):
+        p, truth = problem(folder, scenario(duration_s=40.0), trial)
+        out.append((spoilt(p, truth, np.random.default_rng(trial)), truth))
+    return out
+
+
+def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) -> float:
+    """At the middle of the descent."""
+    values = []
+    for p, truth in trials:
+        estimate = estimator.estimate(p)
+        assert estimate.pose_covariance is not None
+        values.append(nees(errors(estimate, truth).pose, estimate.pose_covariance)[len(truth) // 2])
+    return float(np.mean(values))
+
+
+KNOWING = GraphOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.02))
+
+
+@pytest.mark.parametrize("estimator", [BatchSmoother(KNOWING), OnlineSmoother(KNOWING)])
+def test_consistent_with_errors_that_last(
+    trials: list[tuple[Problem, Trajectory]], estimator: Estimator
+) -> None:
+    low, high = (chi2.ppf(q, 6 * TRIALS) / TRIALS for q in (0.001, 0.999))
+    assert low < mean_nees(estimator, trials) < high
+
+
+def test_too_sure_without(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """As if the same errors were new in every frame, and as if there were none beside the white ones."""
+    high = chi2.ppf(0.999, 6 * TRIALS) / TRIALS
+    assert mean_nees(BatchSmoother(GraphOptions(rim_errors=None)), trials) > high
+
+
+def test_the_bound_is_that_of_the_same_model(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """The smoothers' covariances, where they know of the errors; below those who do not."""
+    p, truth = trials[0]
+    bound = posterior_bound(p, p.frames, truth, RimErrorOptions(decay=DECAY))
+    finely = GraphOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.0))
+    for estimator, least in (
+        (BatchSmoother(finely), bound.smoothed),
+        (OnlineSmoother(finely), bound.filtered),
+    ):
+        estimate = estimator.estimate(p)
+        assert estimate.pose_covariance is not None
+        ratio = position_rms_m(estimate.pose_covariance) / position_rms_m(least)
+        np.testing.assert_allclose(ratio[2:], 1.0, atol=0.05)
+    bare = [replace(f, rims=replace(f.rims, correlated=None, shared=None)) for f in p.frames]
+    without = posterior_bound(p, bare, truth)
+    assert np.all(position_rms_m(without.smoothed) < 0.9 * position_rms_m(bound.smoothed))
+
+
+def test_what_lasts_counts_as_often_where_it_is_taken_as_new(
+    trials: list[tuple[Problem, Trajectory]],
+) -> None:
+    rims = trials[0][0].frames[0].rims
+    assert rims.correlated is not None
+    new = rims.inflate_correlated(3.0)
+    assert new.correlated is None
+    assert new.shared is None
+    once = rims.covariance - rims.uncorrelated_covariance
+    np.testing.assert_allclose(
+        new.covariance - rims.uncorrelated_covariance, 3.0 * once, rtol=1e-6, atol=1e-14
+    )
+    arcs = ArcSet(np.array([4]), (np.zeros((9, 2)),), (np.full(9, 3.0),), np.array([2.0]))
+    # The mean of nine: 9 / 9 of their own, 2^2 twice over of what they share.
+    assert np.mean(arcs.inflate_correlated(2.0).sigmas[0] ** 2) / 9 == pytest.approx(1.0 + 2.0 * 4.0)
+
+
+def test_errors_leave_the_lag_with_their_states(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """A crater that comes back after the lag begins anew."""
+    p, truth = trials[0]
+    blind = [
+        replace(f, rims=f.rims.take(f.rims.craters != 0)) if 3 < k < 12 else f for k, f in enumerate(p.frames)
+    ]
+    estimate = FixedLagSmoother(KNOWING, lag_s=8.0).estimate(replace(p, frames=blind))
+    assert np.linalg.norm(errors(estimate, truth).position_m[-1]) < 500.0
+
+
+def test_change_of_an_image() -> None:
+    round_one = np.array([0.1, -0.2, np.log(0.05), 0.0, np.log(0.05)])
+    larger = round_one + np.array([0.3, 0.0, 0.1, 0.0, 0.1])
+    assert image_change(round_one, larger) == pytest.approx(0.1)
+    assert image_change(larger, round_one) == pytest.approx(0.1)
+    # Squeezed by 20 % along an axis at 40 deg.
+    c, s = np.cos(0.7), np.sin(0.7)
+    R = np.array([[c, -s], [s, c]])
+    S = R @ np.diag([0.05**2, 0.04**2]) @ R.T
+    slant = [
+        0.0,
+        0.0,
+        0.5 * np.log(S[0, 0]),
+        S[0, 1] / S[0, 0],
+        0.5 * np.log(S[1, 1] - S[0, 1] ** 2 / S[0, 0]),
+    ]
+    assert image_change(round_one, np.array(slant)) == pytest.approx(np.log(1.25))
+
+
+@pytest.mark.parametrize("wrong", [{"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])
+def test_options_without_meaning(wrong: dict[str, float]) -> None:
+    with pytest.raises(EstimationError, match=next(iter(wrong))):
+        RimErrorOptions(**wrong)
+
+
+def test_round_trip(tmp_path: Path, trials: list[tuple[Problem, Trajectory]]) -> None:
+    """What lasts survives the disk."""
+    p, _ = trials[0]
+    write_measurements(tmp_path, p.frames, p.catalog)
+    stamps = np.array([f.stamp_ns for f in p.frames])
+    sun = SunVectors(stamps[:1], np.array([[1.0, 0.0, 0.0]]))
+    for one, again in zip(
+        p.frames, read_measurements(tmp_path, stamps, p.catalog, sun, np.zeros(3)), strict=True
+    ):
+        assert np.array_equal(one.rims.correlated, again.rims.correlated)
+        assert np.array_equal(one.rims.shared, again.rims.shared)

@@ -1,0 +1,123 @@
+"""Hard cases come to what their scenarios say: what goes wrong shows, and what answers it answers it."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+import pytest
+
+from craternav_fg.cli.terminal import calibrated_line
+from craternav_fg.dataset import Dataset
+from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.runs.store import read_residuals, write_run
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import FaultsSection, built_in_scenarios, load_scenario
+
+CASES = [name for name in built_in_scenarios() if load_scenario(name).expected]
+
+
+def test_every_hard_case_says_what_to_expect() -> None:
+    assert {name for name in built_in_scenarios() if name.startswith("hard_")} <= set(CASES)
+
+
+def check(name: str, folder: Path, trials: int) -> None:
+    case = load_scenario(name)
+    expected = case.expected
+    found: dict[str, list[dict[str, float]]] = {e: [] for e in expected}
+    for trial in range(trials):
+        data = Dataset.open(simulate(case, folder / str(trial), trial=trial))
+        result = reconstruct(data, list(expected))
+        for e in expected:
+            found[e].append(metrics(result.trajectories[e], data.truth).as_dict())  # type: ignore[arg-type]
+    for e, bounds in expected.items():
+        for figure, interval in bounds.model_dump(exclude_none=True).items():
+            mean = float(np.mean([each[figure] for each in found[e]]))
+            assert interval[0] <= mean <= interval[1], f"{name}: {figure} of {e} is {mean:.3g}"
+
+
+@pytest.mark.parametrize("name", ["hard_wrong_matches", "hard_mounting", "hard_map_errors"])
+def test_a_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
+    check(name, tmp_path, 2)
+
+
+def test_rims_fit_the_camera_as_it_was_found_to_be(tmp_path: Path) -> None:
+    data = Dataset.open(simulate(load_scenario("hard_mounting"), tmp_path / "data", trial=0))
+    result = reconstruct(data, ["smoother", "calibrating_smoother"])
+    (tmp_path / "run").mkdir()
+    summary = write_run(
+        tmp_path / "run", result, dataset="", camera=data.camera, catalog=data.catalog, truth=None,
+        times_s={}, wall_s=0.0,
+    )  # fmt: skip
+    assert summary["estimators"]["calibrating_smoother"]["rim_misfit_share"] < 0.01
+    found = read_residuals(tmp_path / "run")
+    chi2 = {
+        name: found.filter(pc.equal(found["estimator"], name))["chi2"].to_numpy().mean()
+        for name in result.trajectories
+    }
+    # They fit with it, and with the freedom better than without.
+    assert 3.0 < chi2["calibrating_smoother"] < chi2["smoother"]
+    assert calibrated_line(summary["estimators"]["calibrating_smoother"]["calibrated"]).startswith(
+        "the camera's mounting turned by "
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_every_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
+    check(name, tmp_path, 5)
+
+
+# What answers a fault, and its scenario; clean data are those of the scenario on which they all rest.
+ANSWERS = {"hard_wrong_matches": "gnc_smoother", "hard_mounting": "calibrating_smoother"}
+CLEAN = "measured_descent"
+
+
+def rms(scenario: str, estimator: str, folder: Path, trial: int) -> np.ndarray:
+    """Of the position, m, and of the attitude, deg."""
+    data = Dataset.open(simulate(load_scenario(scenario), folder / f"{scenario}_{trial}", trial=trial))
+    found = metrics(reconstruct(data, [estimator]).trajectories[estimator], data.truth)
+    return np.array([found.position_rms_m, found.attitude_rms_deg])
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_fault_costs_an_estimator_that_answers_it_little(name: str, tmp_path: Path) -> None:
+    # A trial with the fault differs from the clean one in nothing else, so few of them tell.
+    for trial in range(2):
+        faulty, clean = (rms(case, ANSWERS[name], tmp_path, trial) for case in (name, CLEAN))
+        assert (faulty <= 1.3 * clean).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_fault_that_is_answered_costs_little_beside_a_smoother_without_it(
+    name: str, tmp_path: Path
+) -> None:
+    # What a freedom costs, be there a fault or not, varies from trial to trial: it takes many to tell 1.3.
+    pairs = [
+        [
+            rms(case, estimator, tmp_path / str(trial), trial)[0]
+            for case, estimator in ((name, ANSWERS[name]), (CLEAN, "smoother"))
+        ]
+        for trial in range(40)
+    ]
+    answered, clean = np.mean(pairs, axis=0)
+    assert answered <= 1.3 * clean
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.2, 0.3, 0.4])
+def test_wrong_matches_cost_the_robust_smoother_nothing(share: float, tmp_path: Path) -> None:
+    case = load_scenario("measured_descent")
+    wrong = case.model_copy(update={"faults": FaultsSection(wrong_matches=share)})
+    rms_m = []
+    for trial in range(3):
+        row = []
+        for name, each in (("smoother", case), ("gnc_smoother", wrong)):
+            data = Dataset.open(simulate(each, tmp_path / name / str(trial), trial=trial))
+            found = metrics(reconstruct(data, [name]).trajectories[name], data.truth)
+            assert found.position_rms_m is not None
+            row.append(found.position_rms_m)
+        rms_m.append(row)
+    clean, robust = np.mean(rms_m, axis=0)
+    assert robust < 1.1 * clean

@@ -1,0 +1,84 @@
+"""What reconstruction makes of failures and of errors that repeat."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import craternav_fg.pipeline.reconstruct as module
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Problem
+from craternav_fg.measurements import SunTilt
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.pipeline.tracking import repeated
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.trajectory import Trajectory
+from tests.descents import scenario
+
+
+class Failing:
+    name = "failing"
+
+    def estimate(self, problem: Problem) -> Trajectory:
+        raise RuntimeError("on\npurpose. And much\nmore.")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return Dataset.open(simulate(scenario(duration_s=6.0), tmp_path_factory.mktemp("data") / "d"))
+
+
+def test_one_estimator_that_fails_does_not_take_the_others_along(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = module.estimator
+    monkeypatch.setattr(module, "estimator", lambda name: Failing() if name == "failing" else known(name))
+    result = reconstruct(data, ["failing", "dead_reckoning"])
+    assert list(result.trajectories) == ["dead_reckoning"]
+    assert result.failures == {"failing": "failing: on purpose"}
+    with pytest.raises(EstimationError, match="on purpose"):
+        reconstruct(data, ["failing"])
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("gV", np.nan, "gV of frame 2: expected finite numbers"),
+        ("gTb", np.inf, "gTb of frame 2: expected finite numbers"),
+        ("pose_covariance", -1e-9, "pose covariance of frame 2: expected positive variances"),
+    ],
+)
+def test_numbers_that_are_none_are_a_failure(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch, field: str, value: float, expected: str
+) -> None:
+    known = module.estimator
+
+    class Odd:
+        name = "odd"
+
+        def estimate(self, problem: Problem) -> Trajectory:
+            right = known("ekf").estimate(problem)
+            values = getattr(right, field).copy()
+            values[2].flat[0] = value
+            return dataclasses.replace(right, **{field: values})
+
+    monkeypatch.setattr(module, "estimator", lambda name: Odd() if name == "odd" else known(name))
+    result = reconstruct(data, ["odd", "dead_reckoning"])
+    assert list(result.trajectories) == ["dead_reckoning"]
+    assert result.failures == {"odd": f"odd: {expected}"}
+
+
+def test_reconstruction_does_not_look_at_the_truth(data: Dataset) -> None:
+    blind = reconstruct(dataclasses.replace(data, truth=None), ["smoother"])
+    seeing = reconstruct(data, ["smoother"])
+    assert np.array_equal(blind.trajectories["smoother"].gTb, seeing.trajectories["smoother"].gTb)
+
+
+def test_tilts_that_share_an_error_weigh_together_as_one() -> None:
+    sun = SunTilt(0.3, 0.1, np.zeros(2), np.ones(3))
+    each = repeated(sun, 75)
+    assert each is not None
+    information = 75 / each.sigma_rad**2
+    assert information == pytest.approx(1 / sun.sigma_rad**2)
+    assert repeated(None, 75) is None

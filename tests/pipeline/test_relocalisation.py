@@ -1,0 +1,237 @@
+"""Descents of which no beginning is known, and such as lose track."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from craternav_fg import frames
+from craternav_fg.catalogs.files import read_catalog, write_catalog
+from craternav_fg.dataset import Dataset, layout
+from craternav_fg.ellipse import centre_and_matrix_px, normalised_chart, pixel_chart
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Descent
+from craternav_fg.matching.gate import match_rims
+from craternav_fg.matching.identify.triple_index import TripleIndex
+from craternav_fg.measurements import RimSet
+from craternav_fg.pipeline.reconstruct import _joined, reconstruct
+from craternav_fg.pipeline.relocalisation import Relocaliser, earlier, find_initial
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import load_scenario
+from craternav_fg.vision.detect import find_rims
+from craternav_fg.vision.grey import on_8_bit_scale
+from tests.descents import scenario
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    case = scenario(duration_s=40.0)
+    return simulate(case, folder / "known"), simulate(case, folder / "lost", with_initial=False)
+
+
+def final_error_m(data, result, name="smoother"):
+    return float(np.linalg.norm(result.trajectories[name].gP[-1] - data.truth.gP[-1]))
+
+
+def descent_of(data: Dataset) -> Descent:
+    assert data.initial is not None
+    return Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
+
+
+def test_measured_rims_without_an_initial_state(folders):
+    known, lost = (Dataset.open(folder) for folder in folders)
+    assert known.initial is not None
+    assert lost.initial is None
+    assert "[initial]" not in (folders[1] / "dataset.toml").read_text()
+    for a, b in zip(known.measurements, lost.measurements, strict=True):
+        np.testing.assert_array_equal(a.rims.chart, b.rims.chart)
+    reference, result = (reconstruct(data, ["smoother", "online"]) for data in (known, lost))
+    assert (reference.origin, result.origin) == ("given", "found")
+    for name in ("smoother", "online"):
+        sigma_m = np.sqrt(np.trace(reference.trajectories[name].pose_covariance[-1][3:, 3:]))
+        away = result.trajectories[name].gP[-1] - reference.trajectories[name].gP[-1]
+        assert np.linalg.norm(away) < sigma_m
+        assert final_error_m(lost, result, name) < 4.0 * sigma_m
+
+
+def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, monkeypatch):
+    lost = Dataset.open(folders[1])
+    write_catalog(tmp_path / layout.LARGE_CRATERS, lost.catalog)
+    catalog = read_catalog(tmp_path / layout.LARGE_CRATERS, lost.body)
+    chart = lost.measurements[0].rims.chart
+    charts = pixel_chart(chart, lost.camera.pinhole)
+    _, S = centre_and_matrix_px(chart, lost.camera)
+    (b, a), turns = np.sqrt(np.linalg.eigvalsh(S)).T, np.linalg.eigh(S)[1][:, :, 1]
+    found = SimpleNamespace(
+        ellipses_px=np.column_stack([charts[:, :2], a, b, np.arctan2(turns[:, 1], turns[:, 0])]),
+        charts_px=charts,
+        covariance_px=np.tile(0.01 * np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]), (len(charts), 1, 1)),
+    )
+    data = dataclasses.replace(lost, path=tmp_path, catalog=catalog, measurements=None)
+    monkeypatch.setattr(Relocaliser, "_rims", lambda self, number: found)
+    relocaliser = Relocaliser(data)
+    first = relocaliser.locate(0)
+    kept = tmp_path / f"{layout.LARGE_CRATERS}.index.npz"
+    assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
+    assert kept.is_file()
+    assert relocaliser.index_said == f"{kept}: none yet: built"
+    monkeypatch.setattr(TripleIndex, "build", lambda catalog: pytest.fail("built again"))
+    np.testing.assert_array_equal(Relocaliser(data).locate(0).gTb, first.gTb)
+
+
+def test_too_few_frames_with_craters(folders):
+    lost = Dataset.open(folders[1])
+    empty = tuple(
+        dataclasses.replace(one, rims=RimSet.empty()) if k != 3 else one
+        for k, one in enumerate(lost.measurements)
+    )
+    with pytest.raises(
+        EstimationError, match=r"no initial state, and of .* the craters of 1 were identified"
+    ):
+        reconstruct(dataclasses.replace(lost, measurements=empty), ["smoother"])
+
+
+def test_an_initial_state_from_later_frames(folders):
+    known, lost = (Dataset.open(folder) for folder in folders)
+    late = tuple(
+        dataclasses.replace(one, rims=RimSet.empty()) if k < 4 else one
+        for k, one in enumerate(lost.measurements)
+    )
+    data = dataclasses.replace(lost, measurements=late)
+    looked: list[int] = []
+    initial = find_initial(data, Relocaliser(data), looked.append)
+    assert looked == [1, 2, 3, 4, 5, 6]
+    assert initial.stamp_ns == data.stamps_ns[0]
+    assert np.linalg.norm(initial.gTb[:3, 3] - known.truth.gP[0]) < initial.position_sigma_m
+    assert np.linalg.norm(initial.gV - known.truth.gV[0]) < initial.velocity_sigma_m_s
+    turn = frames.rotation_log(initial.gTb[:3, :3].T @ known.truth.gRb[0])
+    assert np.linalg.norm(turn) < initial.attitude_sigma_rad
+
+
+def test_earlier_states_lead_to_the_later_ones(folders):
+    data = Dataset.open(folders[0])
+    descent = descent_of(data)
+    later_ns = int(data.stamps_ns[7])
+    later = dataclasses.replace(descent.initial, stamp_ns=later_ns)
+    begin = earlier(descent, later, int(data.stamps_ns[0]))
+    state = dataclasses.replace(filter_state.prior(descent), gTb=begin.gTb, gV=begin.gV)
+    ahead = filter_state.propagate(state, descent, int(data.stamps_ns[0]), later_ns)
+    np.testing.assert_allclose(ahead.gTb[:3, 3], later.gTb[:3, 3], atol=1e-3)
+    np.testing.assert_allclose(ahead.gV, later.gV, atol=1e-5)
+    np.testing.assert_allclose(ahead.gTb[:3, :3], later.gTb[:3, :3], atol=1e-9)
+    assert begin.position_sigma_m > later.position_sigma_m
+
+
+def test_parts_of_a_trajectory_are_one(folders):
+    whole = reconstruct(Dataset.open(folders[0]), ["smoother"]).trajectories["smoother"]
+    cut = [
+        dataclasses.replace(
+            whole, rim_weights=None,
+            **{
+                name: getattr(whole, name)[part]
+                for name in ("stamps_ns", "gTb", "gV", "bias", "pose_covariance", "velocity_covariance",
+                             "bias_covariance")
+            },
+        )
+        for part in (slice(0, 4), slice(4, None))
+    ]  # fmt: skip
+    joined = _joined(cut)
+    np.testing.assert_array_equal(joined.gTb, whole.gTb)
+    np.testing.assert_array_equal(joined.pose_covariance, whole.pose_covariance)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    demo = load_scenario("lunar_descent")
+    trajectory = demo.trajectory.model_copy(update={"frame_interval_s": 10.0})
+    folder = tmp_path_factory.mktemp("rendered") / "d"
+    return Dataset.open(simulate(demo.model_copy(update={"trajectory": trajectory}), folder))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sigma_deg", "sigma_share", "sigma_least_m", "first_only"),
+    [
+        (0.1, 0.002, 0.0, False),
+        (2.0, 0.02, 0.0, False),
+        (25.0, 0.08, 0.0, True),
+        (2.0, 0.0, 1000.0, False),
+        (25.0, 0.0, 4000.0, False),
+    ],
+)
+def test_prior_matching_with_the_prior_wrong_by_three_sigma(
+    rendered: Dataset, sigma_deg, sigma_share, sigma_least_m, first_only
+):
+    """Rims found blindly in the demo's images; the data set's own prior, 25 deg and 4 km, is of the first.
+
+    A position's standard deviation is a share of the altitude, 50 to 4 km, or the same everywhere: then of
+    images with three rims of known craters, as two name no place among so many that are possible.
+    """
+    camera, catalog = rendered.camera, rendered.catalog
+    rng = np.random.default_rng(7)
+    right = wrong = real = 0
+    images = {k: find_rims(on_8_bit_scale(rendered.image(k), camera)) for k in range(0, len(rendered), 2)}
+    for number in [0] * 20 if first_only else images:
+        found = images[number]
+        charts, scale = normalised_chart(found.charts_px, camera.pinhole)
+        gTb = rendered.truth.gTb[number]
+        rows, true = catalog.visible(camera, gTb, min_semi_minor_px=3.0, margin_px=-1e4)
+        # A rim is a crater's when it lies within a few percent of its size: far nearer than any other's.
+        off = np.linalg.norm(charts[:, None, :2] - true[None, :, :2], axis=2) / np.exp(true[:, 2])
+        off = np.maximum(off, 0.5 * np.abs(charts[:, None, 2::2] - true[None, :, 2::2]).max(axis=2))
+        truth = np.where(off.min(axis=1) < 0.06, rows[off.argmin(axis=1)], -1)
+        if sigma_least_m > 0.0 and np.count_nonzero(truth >= 0) < 3:
+            continue
+        sigma_m = max(sigma_share * float(rendered.body.altitude_m(gTb[:3, 3])), sigma_least_m)
+        sigmas = np.repeat([np.radians(sigma_deg), sigma_m], 3)
+        e = rng.standard_normal(6)
+        e *= 3.0 / np.linalg.norm(e)
+        prior = gTb.copy()
+        prior[:3, :3] = gTb[:3, :3] @ frames.rotation_exp(sigmas[:3] * e[:3])
+        prior[:3, 3] += sigmas[3:] * e[3:]
+        covariances = found.covariance_px * np.outer(scale, scale)
+        answer = match_rims(charts, covariances, camera.pinhole, catalog, prior, np.diag(sigmas**2))
+        real += np.count_nonzero(truth >= 0)
+        right += np.count_nonzero((answer.craters == truth) & (truth >= 0))
+        wrong += np.count_nonzero((answer.craters >= 0) & (answer.craters != truth))
+    assert real > 150
+    assert right / real >= 0.98
+    assert wrong / (right + wrong) <= 0.002
+
+
+@pytest.mark.slow
+def test_images_without_an_initial_state_and_with_a_wrong_one(rendered: Dataset):
+    given = reconstruct(rendered, ["smoother"])
+    limit_m = 1.2 * final_error_m(rendered, given) + 0.5
+    lost = reconstruct(dataclasses.replace(rendered, initial=None), ["smoother"])
+    assert lost.origin == "found"
+    assert final_error_m(rendered, lost) < limit_m
+    gTb = rendered.initial.gTb.copy()
+    gTb[:3, 3] += [0.0, 30e3, 20e3]
+    wrong = dataclasses.replace(rendered, initial=dataclasses.replace(rendered.initial, gTb=gTb))
+    kidnapped = reconstruct(wrong, ["smoother"])
+    assert kidnapped.origin == "replaced"
+    assert final_error_m(rendered, kidnapped) < limit_m
+
+
+@pytest.mark.slow
+def test_lost_in_between(rendered: Dataset, monkeypatch: pytest.MonkeyPatch):
+    """Six dark images, and an accelerometer that is wrong by 2 g for 20 s of them."""
+    image = Dataset.image
+    monkeypatch.setattr(
+        Dataset, "image", lambda self, k: image(self, k) * (0 if 8 <= k < 12 else 1), raising=True
+    )
+    force = rendered.imu.accelerometer.copy()
+    time_s = 1e-9 * rendered.imu.stamps_ns
+    force[(time_s > 80.0) & (time_s < 100.0), 0] += 20.0
+    data = dataclasses.replace(rendered, imu=dataclasses.replace(rendered.imu, accelerometer=force))
+    result = reconstruct(data, ["smoother", "online"])
+    assert len(result.resumed) == 1
+    assert 12 <= result.resumed[0] <= 16
+    assert all(len(frame.rims) > 3 for frame in result.frames[result.resumed[0] : 22])
+    for name in ("smoother", "online"):
+        assert final_error_m(rendered, result, name) < 5.0
+        assert len(result.trajectories[name]) == len(data)

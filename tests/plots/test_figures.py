@@ -1,0 +1,50 @@
+"""Figures of odd runs: nothing to see is no reason to fail."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators.registry import ESTIMATORS
+from craternav_fg.plots import figures
+from craternav_fg.trajectory import Trajectory
+
+MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
+
+
+def one_crater() -> Catalog:
+    zero = np.zeros(1)
+    return Catalog(("C",), zero, zero, zero + 900.0, zero + 700.0, zero + 0.5, zero, MOON)
+
+
+def straight_down(frames_count: int, off: float = 0.0) -> Trajectory:
+    P = np.array([1.0, 0.0, 0.0]) * (MOON.radius_m + np.linspace(20e3, 5e3, frames_count)[:, None])
+    gTb = np.stack([frames.pose(frames.rotation_exp(np.full(3, 1e-3 * off)), p + off) for p in P])
+    stamps = np.arange(frames_count, dtype=np.int64) * 10**9
+    S = np.tile(np.eye(6), (frames_count, 1, 1))
+    V = np.full((frames_count, 3), off)
+    return Trajectory(stamps, gTb, V, np.zeros((frames_count, 6)), S, S[:, :3, :3], S)
+
+
+def test_each_estimator_has_a_colour_of_its_own() -> None:
+    colours = [figures.style(name)["color"] for name in (*ESTIMATORS, "somebody_else_s")]
+    assert len(set(colours)) == len(colours)
+
+
+@pytest.mark.parametrize("frames_count", [1, 2, 9])
+def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_count: int) -> None:
+    t, truth = straight_down(frames_count, off=1.0), straight_down(frames_count)
+    for number, figure in enumerate(
+        (
+            figures.draw_descent(t, None, one_crater(), MOON),
+            figures.draw_errors({"smoother": t}, truth, [0] * frames_count),
+            figures.draw_consistency({"smoother": t}, truth),
+            figures.draw_sigmas({"smoother": t}, [0] * frames_count),
+            figures.draw_bounds("smoother", t, truth),
+        )
+    ):
+        figures.save(figure, tmp_path / f"{number}.png")
+        assert (tmp_path / f"{number}.png").stat().st_size > 5000
