@@ -94,6 +94,32 @@ def half_extents(axes: FloatArray) -> FloatArray:
     return np.stack([np.hypot(a * c, b * s), np.hypot(a * s, b * c)], axis=-1)
 
 
+def shape_change(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Measure by how much the shapes of ellipses differ: the largest logarithm of a stretch, over directions.
+
+    An ellipse that is larger by 10 % has changed by 0.1, whatever its shape; one foreshortened by a factor c
+    has changed by |ln c|. Neither its place nor a common rotation matters.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (..., 5)
+        Charts, in the same coordinates.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Non-negative; zero for equal shapes.
+    """
+    # S = L L', L lower triangular: singular values of inv(L1) L2.
+    a = np.exp(after[..., 2] - before[..., 2])
+    d = np.exp(after[..., 4] - before[..., 4])
+    b = (after[..., 3] - before[..., 3]) * np.exp(after[..., 2] - before[..., 4])
+    half = 0.5 * np.log(a * d)
+    # Half the sum of squares over the product is cosh of the difference of the logarithms.
+    spread = 0.5 * np.arccosh(np.maximum(0.5 * (a * a + b * b + d * d) / (a * d), 1.0))
+    return np.asarray(np.abs(half) + spread)
+
+
 def _matrix_elements(charts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     sxx = np.exp(2.0 * charts[..., 2])
     sxy = charts[..., 3] * sxx

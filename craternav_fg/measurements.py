@@ -1,4 +1,4 @@
-"""What one image says: rims in the ellipse chart, arcs of rims as edge points, and the sun's tilt."""
+"""Measurements of one image: rims as ellipse charts, parts of rims as edge points, and the sun's tilt."""
 
 from dataclasses import dataclass, field, fields, replace
 
@@ -7,32 +7,12 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
-# In sigmas of what was measured: a shape expected further away is a worse guess than the measured one.
+# A predicted shape farther than this from the measured one, in standard deviations, is not believed.
 EXPECTED_SIGMAS = 5.0
-# Components of the error that all rims of a descent share.
+# Unknowns of the error that all rims of a descent share, see `vision.error_model.correlated`.
 SHARED_SIZE = 8
-
-
-def image_change(before: FloatArray, after: FloatArray) -> FloatArray:
-    """By how much the shapes of ellipses differ: the largest logarithm of a stretch, of any direction.
-
-    An image that is larger by 10 % has changed by 0.1, whatever its shape; one seen at another slant by the
-    logarithm of its foreshortening. Neither its place in the image nor the image's axes matter.
-
-    Parameters
-    ----------
-    before, after : ndarray, shape (..., 5)
-        Charts.
-    """
-    # S = L L', L lower triangular: singular values of inv(L1) L2.
-    a = np.exp(after[..., 2] - before[..., 2])
-    d = np.exp(after[..., 4] - before[..., 4])
-    b = (after[..., 3] - before[..., 3]) * np.exp(after[..., 2] - before[..., 4])
-    half = 0.5 * np.log(a * d)
-    # Half the sum of squares over the product is cosh of the difference of the logarithms.
-    spread = 0.5 * np.arccosh(np.maximum(0.5 * (a * a + b * b + d * d) / (a * d), 1.0))
-    return np.asarray(np.abs(half) + spread)
 
 
 @dataclass(frozen=True)
@@ -41,50 +21,61 @@ class RimQuality:
 
     Attributes
     ----------
-    gain : ndarray, shape (n,)
-        Shading gain: share by which a slope of 1 towards the light brightens the ground there.
+    slope_contrast : ndarray, shape (n,)
+        Relative change of the ground's brightness per unit slope, for a slope along the direction in which it
+        changes most (see `photometry`).
     found_share : ndarray, shape (n,)
-        Edge points that the fit kept, as a share of the places searched with enough gain.
+        Edge points that the fit kept, as a share of the places searched with enough contrast.
     arc_share : ndarray, shape (n,)
-        Part of the rim that the edge points cover.
+        Share of the rim that the edge points cover.
     rms_px : ndarray, shape (n,)
-        Of the edge points' distances to the ellipse.
+        Root mean square of the edge points' distances to the ellipse.
     outline_share : ndarray, shape (n,)
-        Root mean square of the rim's deviation from an ellipse, in radii; 0 where it is taken for one.
+        Root mean square of the rim's deviation from an ellipse, in radii; 0 where the rim was fitted as one.
     """
 
-    gain: FloatArray
+    slope_contrast: FloatArray
     found_share: FloatArray
     arc_share: FloatArray
     rms_px: FloatArray
     outline_share: FloatArray
 
-    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimQuality":
-        """Return that of some rims (a mask or indices)."""
+    def take(self, rows: BoolArray | IntArray) -> "RimQuality":
+        """Select the quality of some rims.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), or of int, shape (k,)
+            A mask or indices.
+        """
         return RimQuality(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True)
 class RimSet:
-    """The measured rims of one frame, matched to catalogue craters.
+    """Measured rims of one frame, matched to catalogue craters.
+
+    The error of a rim's chart has up to three independent parts: white (new in each frame), time-correlated
+    per crater (`correlated`) and common to all rims of a descent (`shared`).
 
     Attributes
     ----------
     craters : ndarray of int, shape (n,)
         Row of each rim's crater in the catalogue.
     chart : ndarray, shape (n, 5)
-        Ellipse chart y = [m_x, m_y, ln(S_xx)/2, S_xy/S_xx, ln(S_yy - S_xy^2/S_xx)/2] in normalised
-        image coordinates (EQUATIONS: "the chart to optimise in"); m is the image ellipse's centre.
+        Ellipse charts in normalised image coordinates, see `ellipse`; the first two are the centre of the
+        image ellipse, which is not the image of the crater's centre.
     covariance : ndarray, shape (n, 5, 5)
-        Covariance of the chart, from each rim's own fit and the systematic floor: of all its error.
+        Of the whole error of each chart.
     quality : RimQuality or None
         None when the rims were not measured in an image.
     correlated : ndarray, shape (n, 5, 5), optional
-        Root A of the part A A' of the covariance that a rim keeps from frame to frame: its error is A z with
-        z nearly the same in the next frame, so the columns belong to directions that are fixed to the
-        ground. None where no part is known to be kept.
+        Root A of the time-correlated part A A' of the covariance. The error is A z, with a z per crater that
+        hardly changes from frame to frame, so the columns belong to directions fixed to the ground. None when
+        no such part is known.
     shared : ndarray, shape (n, 5, 8), optional
-        Root of the part that all rims of a descent share: its error is A z with one z for all.
+        Root A of the common part: the error is A z, with one z for all rims and frames. None when no such
+        part is known.
     """
 
     craters: IntArray
@@ -97,8 +88,14 @@ class RimSet:
     def __len__(self) -> int:
         return len(self.craters)
 
-    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "RimSet":
-        """Return the rims of some rows (a mask or indices)."""
+    def take(self, rows: BoolArray | IntArray) -> "RimSet":
+        """Select some rims.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), or of int, shape (k,)
+            A mask or indices.
+        """
         quality = None if self.quality is None else self.quality.take(rows)
         correlated, shared = (None if A is None else A[rows] for A in (self.correlated, self.shared))
         return RimSet(
@@ -107,7 +104,7 @@ class RimSet:
 
     @property
     def uncorrelated_covariance(self) -> FloatArray:
-        """Covariance (n, 5, 5) without its lasting parts."""
+        """Covariance (n, 5, 5) of the white part of the error alone."""
         out = self.covariance
         for A in (self.correlated, self.shared):
             if A is not None:
@@ -115,12 +112,18 @@ class RimSet:
         return out
 
     def expected_at(self, charts: FloatArray) -> "RimSet":
-        """Return the same rims with the covariances that they had if these charts (n, 5) were the true ones.
+        """Evaluate the covariances at predicted charts instead of the measured ones.
 
-        A fit takes its covariance at what it measured. Errors of edge points are in the image, so a rim
-        measured too small is given a larger error of its logarithm and less weight: on average all seem too
-        large. Here errors of S = L L' are kept in the units of L, not in those of its logarithm. Rims whose
-        chart is not finite, or of a shape that the measured one contradicts, stay as they are.
+        A fit evaluates its covariance at what it measured. Edge points have the same error in pixels whatever
+        the size of the rim, so a rim measured too small gets a larger error of its logarithmic size and less
+        weight than one measured too large: a weighted mean is biased towards large rims. Here the error of
+        S = L L' is kept fixed in the units of L instead. Rims keep their covariance where the predicted chart
+        is not finite or its shape contradicts the measured one (`EXPECTED_SIGMAS`).
+
+        Parameters
+        ----------
+        charts : ndarray, shape (n, 5)
+            Predicted charts, in normalised image coordinates.
         """
         off = self.chart[:, 2:] - charts[:, 2:]
         white = np.linalg.solve(self.covariance[:, 2:, 2:], off[..., None])[..., 0]
@@ -135,21 +138,30 @@ class RimSet:
         correlated, shared = (None if A is None else T @ A for A in (self.correlated, self.shared))
         return replace(self, covariance=covariance, correlated=correlated, shared=shared)
 
-    def inflate_correlated(self, frames: float) -> "RimSet":
-        """Return the rims for those who take what lasts as new in each frame: it counts `frames` times."""
+    def inflate_correlated(self, factor: float) -> "RimSet":
+        """Treat the correlated parts of the error as white, with their variance multiplied by a factor.
+
+        An estimator that has no variables for them would average them out over the frames that show a crater;
+        with a factor of about the number of such frames it does not. The result has no correlated parts.
+
+        Parameters
+        ----------
+        factor : float
+            Variance inflation; 1 leaves the whole covariance as it is.
+        """
         out = self.covariance
         for A in (self.correlated, self.shared):
             if A is not None:
-                out = out + (frames - 1.0) * A @ np.swapaxes(A, 1, 2)
+                out = out + (factor - 1.0) * A @ np.swapaxes(A, 1, 2)
         return RimSet(self.craters, self.chart, out, self.quality)
 
     def centres(self) -> "CentreSet":
-        """Return the image ellipses' centres alone: what centre-based navigation measures."""
+        """Reduce the rims to the centres of the image ellipses: what centre-based navigation measures."""
         return CentreSet(self.craters, self.chart[:, :2], self.covariance[:, :2, :2])
 
     @classmethod
     def empty(cls) -> "RimSet":
-        """Return a frame without craters."""
+        """Make the set of a frame without craters."""
         return cls(np.empty(0, dtype=np.int64), np.empty((0, 5)), np.empty((0, 5, 5)))
 
 
@@ -164,6 +176,7 @@ class CentreSet:
     points : ndarray, shape (n, 2)
         Normalised image coordinates.
     covariance : ndarray, shape (n, 2, 2)
+        Of the points.
     """
 
     craters: IntArray
@@ -176,7 +189,7 @@ class CentreSet:
 
 @dataclass(frozen=True)
 class ArcSet:
-    """Edge points of rims of which too little is seen for an ellipse: below about a third.
+    """Edge points of rims of which too little is seen to fit an ellipse: less than about a third.
 
     Attributes
     ----------
@@ -185,53 +198,65 @@ class ArcSet:
     points : tuple of n ndarray, shapes (m_i, 2)
         Edge points, normalised image coordinates.
     sigmas : tuple of n ndarray, shapes (m_i,)
-        Standard deviations along the rim's normal, normalised, of what is independent from point to point
-        and from frame to frame.
-    lasting : ndarray, shape (n,), optional
-        Standard deviation of an error that the points of an arc share and keep from frame to frame, outward,
-        normalised. None where no part is known to be kept.
+        Standard deviations of the points' white errors, normalised, along the rim's normal: independent from
+        point to point and from frame to frame.
+    correlated_sigmas : ndarray, shape (n,), optional
+        Standard deviation of each arc's time-correlated error, normalised: an outward shift that its points
+        share and that hardly changes from frame to frame. None when no such part is known.
     """
 
     craters: IntArray
     points: tuple[FloatArray, ...]
     sigmas: tuple[FloatArray, ...]
-    lasting: FloatArray | None = None
+    correlated_sigmas: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
 
-    def take(self, rows: npt.NDArray[np.bool_] | IntArray) -> "ArcSet":
-        """Return the arcs of some rows (a mask or indices)."""
+    def take(self, rows: BoolArray | IntArray) -> "ArcSet":
+        """Select some arcs.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), or of int, shape (k,)
+            A mask or indices.
+        """
         chosen = np.arange(len(self))[rows].tolist()
         return ArcSet(
             self.craters[rows],
             tuple(self.points[i] for i in chosen),
             tuple(self.sigmas[i] for i in chosen),
-            None if self.lasting is None else self.lasting[rows],
+            None if self.correlated_sigmas is None else self.correlated_sigmas[rows],
         )
 
     @classmethod
     def empty(cls) -> "ArcSet":
-        """Return a frame without arcs."""
+        """Make the set of a frame without arcs."""
         return cls(np.empty(0, dtype=np.int64), (), ())
 
-    def inflate_correlated(self, frames: float) -> "ArcSet":
-        """Return the arcs for those who take what lasts as new in each frame: it counts `frames` times.
+    def inflate_correlated(self, factor: float) -> "ArcSet":
+        """Treat the time-correlated error as white, with its variance multiplied by a factor.
 
-        The points' errors are then independent, and so large that their mean is as uncertain as it is.
+        The points' errors are then independent, and so much larger that the variance of their mean is what it
+        was with the shared error.
+
+        Parameters
+        ----------
+        factor : float
+            Variance inflation, see `RimSet.inflate_correlated`.
         """
-        if self.lasting is None:
+        if self.correlated_sigmas is None:
             return self
         sigmas = tuple(
-            np.sqrt(sigma**2 + frames * len(sigma) * shared**2)
-            for sigma, shared in zip(self.sigmas, self.lasting, strict=True)
+            np.sqrt(sigma**2 + factor * len(sigma) * shared**2)
+            for sigma, shared in zip(self.sigmas, self.correlated_sigmas, strict=True)
         )
         return ArcSet(self.craters, self.points, sigmas)
 
 
 @dataclass(frozen=True)
 class SunTilt:
-    """Tilt of the ground's illumination in one image.
+    """Direction of the sun along the ground, as an angle in one image.
 
     Attributes
     ----------
@@ -240,10 +265,10 @@ class SunTilt:
     sigma_rad : float
         Its standard deviation.
     point : ndarray, shape (2,)
-        Image point, normalised, at which it holds.
+        Image point at which the angle was measured, normalised image coordinates.
     direction : ndarray, shape (3,)
-        The direction in g whose image it is: the sun's along the level ground at that point,
-        s - (s.n) n, not necessarily a unit vector.
+        The direction in g whose image the tilt is: the sun's direction s along the locally flat terrain at
+        that point, s - (s.n) n with the unit normal n. Not necessarily a unit vector.
     """
 
     tilt_rad: float
@@ -254,7 +279,7 @@ class SunTilt:
 
 @dataclass(frozen=True)
 class FrameMeasurement:
-    """All that one image says.
+    """Everything measured in one image.
 
     Attributes
     ----------
@@ -263,7 +288,7 @@ class FrameMeasurement:
     rims : RimSet
         Possibly empty.
     sun : SunTilt or None
-        None when the image does not tell.
+        None when the image does not show the direction of the light.
     arcs : ArcSet
         Possibly empty.
     """
@@ -273,8 +298,14 @@ class FrameMeasurement:
     sun: SunTilt | None
     arcs: ArcSet = field(default_factory=ArcSet.empty)
 
-    def inflate_correlated(self, frames: float) -> "FrameMeasurement":
-        """Return the measurement for those who take what lasts as new in each frame: see `RimSet`."""
+    def inflate_correlated(self, factor: float) -> "FrameMeasurement":
+        """Treat the correlated errors of rims and arcs as white, see `RimSet.inflate_correlated`.
+
+        Parameters
+        ----------
+        factor : float
+            Variance inflation.
+        """
         return replace(
-            self, rims=self.rims.inflate_correlated(frames), arcs=self.arcs.inflate_correlated(frames)
+            self, rims=self.rims.inflate_correlated(factor), arcs=self.arcs.inflate_correlated(factor)
         )

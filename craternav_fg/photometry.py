@@ -1,7 +1,10 @@
-"""How bright level ground is, and how a slope changes it: the Lunar-Lambert law.
+"""Brightness of the ground and how a slope changes it: the Lunar-Lambert law.
 
-I = 2 L mu0 / (mu0 + mu) + (1 - L) mu0, mu0 and mu the cosines of incidence and emission, L falling
+I = 2 L mu0 / (mu0 + mu) + (1 - L) mu0, where mu0 and mu are the cosines of incidence and emission and L falls
 with the phase angle (McEwen 1991, Icarus 92, 298).
+
+The slope contrast is the relative change of brightness per unit slope (rise over run), dI / (I dslope). As a
+vector G along the ground it points towards the light: ground that rises along G faces away and is darker.
 """
 
 import numpy as np
@@ -9,36 +12,50 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+# Least cosine of incidence and of emission: nearer to grazing the law divides by next to nothing.
+_LEAST_COSINE = 0.01
+
 
 def lunar_lambert_share(phase_rad: FloatArray) -> FloatArray:
-    """Share L of the Lommel-Seeliger term at a phase angle, McEwen's cubic."""
+    """Compute the share L of the Lommel-Seeliger term by McEwen's cubic.
+
+    Parameters
+    ----------
+    phase_rad : ndarray, shape (...)
+        Phase angle: between the directions towards the sun and towards the camera.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        0 to 1.
+    """
     g = np.rad2deg(phase_rad)
     return np.asarray(np.clip(1.0 - 0.019 * g + 2.42e-4 * g**2 - 1.46e-6 * g**3, 0.0, 1.0))
 
 
 def level_ground(normals: FloatArray, sun: FloatArray, view: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Brightness of level ground and the slope's effect on it.
+    """Compute the brightness of level ground and its slope contrast.
 
     Parameters
     ----------
     normals : ndarray, shape (n, 3)
-        Outward unit normals of the ground.
+        Outward unit normals of the ground, in any frame.
     sun : ndarray, shape (3,)
         Unit vector towards the sun, same frame.
     view : ndarray, shape (n, 3)
-        Unit vectors from the ground to the camera.
+        Unit vectors from the ground towards the camera, same frame.
 
     Returns
     -------
     brightness : ndarray, shape (n,)
-        Of level ground, up to a common factor; 0 where the sun is down.
-    gain : ndarray, shape (n, 3)
-        Tangent vectors G = (dI/dmu0 s + dI/dmu v) / I: a height gradient grad h changes the
-        brightness by the share -G . grad h. Zero where the sun is down.
+        Of level ground, up to a common factor; 0 where the sun or the camera is below the horizon.
+    slope_contrast : ndarray, shape (n, 3)
+        Vectors G = (dI/dmu0 s + dI/dmu v) / I, tangent to the ground: a height gradient grad h changes the
+        brightness by the share -G . grad h. Zero where the brightness is.
     """
     mu0 = normals @ sun
     mu = np.sum(normals * view, axis=-1)
-    lit = (mu0 > 0.01) & (mu > 0.01)
+    lit = (mu0 > _LEAST_COSINE) & (mu > _LEAST_COSINE)
     m0, m = np.where(lit, mu0, 1.0), np.where(lit, mu, 1.0)
     share = lunar_lambert_share(np.arccos(np.clip(view @ sun, -1.0, 1.0)))
     total = m0 + m
@@ -47,5 +64,5 @@ def level_ground(normals: FloatArray, sun: FloatArray, view: FloatArray) -> tupl
     d1 = -2.0 * share * m0 / total**2
     s_t = sun - mu0[:, None] * normals
     v_t = view - mu[:, None] * normals
-    gain = (d0[:, None] * s_t + d1[:, None] * v_t) / brightness[:, None]
-    return np.where(lit, brightness, 0.0), np.where(lit[:, None], gain, 0.0)
+    contrast = (d0[:, None] * s_t + d1[:, None] * v_t) / brightness[:, None]
+    return np.where(lit, brightness, 0.0), np.where(lit[:, None], contrast, 0.0)

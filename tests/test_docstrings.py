@@ -69,7 +69,7 @@ def raised(node: Function) -> set[str]:
 def faults(name: str, node: Function, is_property: bool) -> Iterator[str]:
     text = ast.get_docstring(node) or ""
     found = sections(text)
-    arguments = [a for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
     arrays = [a.arg for a in arguments if a.annotation and ARRAY.search(ast.unparse(a.annotation))]
     returns = ast.unparse(node.returns) if node.returns else ""
     gives = bool(ARRAY.search(returns)) and not returns.startswith(("Iterator", "Callable"))

@@ -42,14 +42,14 @@ def test_what_a_measured_shape_contradicts_is_not_expected() -> None:
     assert_allclose(rims.expected_at(elsewhere).covariance[1, 2, 2], (size * sigma) ** 2, rtol=1e-12)
 
 
-def test_arcs_keep_what_lasts_when_some_are_taken() -> None:
+def test_arcs_keep_their_correlated_errors_when_some_are_taken() -> None:
     """Without it the rest would count as far better than they are."""
     points = tuple(np.full((n, 2), 0.1 * n) for n in (3, 4, 5))
     sigmas = tuple(np.full(n, 1e-4) for n in (3, 4, 5))
     arcs = ArcSet(np.array([7, 8, 9]), points, sigmas, np.array([1e-3, 2e-3, 3e-3]))
     some = arcs.take(np.array([True, False, True]))
-    assert some.lasting is not None
-    assert_allclose(some.lasting, [1e-3, 3e-3])
+    assert some.correlated_sigmas is not None
+    assert_allclose(some.correlated_sigmas, [1e-3, 3e-3])
     every = arcs.inflate_correlated(2.0).sigmas
     for one, whole in zip(some.inflate_correlated(2.0).sigmas, (every[0], every[2]), strict=True):
         assert_allclose(one, whole)

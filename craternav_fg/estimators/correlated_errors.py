@@ -15,8 +15,9 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
-from craternav_fg.measurements import SHARED_SIZE, RimSet, image_change
+from craternav_fg.measurements import SHARED_SIZE, RimSet
 from factors.conic_shape import ChartError
 
 FloatArray = npt.NDArray[np.float64]
@@ -35,7 +36,7 @@ class RimErrorOptions:
     Attributes
     ----------
     decay : float
-        Change of a rim's image, see `measurements.image_change`, over which the correlation of its error
+        Change of a rim's image, see `ellipse.shape_change`, over which the correlation of its error
         falls to 1/e.
     step : float
         Change below which the error is taken to be the same variable: 0 makes one for every rim of every
@@ -105,7 +106,7 @@ class RimErrorStates:
                     and not (values.exists(track.key) or holds(track.key))
                 ):
                     track = None
-                change = np.inf if track is None else float(image_change(track.chart, chart))
+                change = np.inf if track is None else float(shape_change(track.chart, chart))
                 if track is None or change > self._options.step:
                     key = self._next(None if track is None else track.key, change, graph, values)
                     track = _Track(key, chart)

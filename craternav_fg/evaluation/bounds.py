@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.correlated_errors import SIZE, VARIANCE_INFLATION, RimErrorOptions
 from craternav_fg.estimators.ekf.measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
-from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, image_change
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 
@@ -156,7 +157,7 @@ class _Beside:
         for crater, row in self.first.items():
             correlation = 0.0
             if crater in columns:
-                change = float(image_change(before[crater], self._charts[crater]))
+                change = float(shape_change(before[crater], self._charts[crater]))
                 correlation = np.exp(-change / self._lasting.decay)
             for j in range(SIZE):
                 if crater in columns:

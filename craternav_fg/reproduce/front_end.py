@@ -102,7 +102,7 @@ def front_end(measured: sets.Sets, options: ReproduceOptions) -> Reproduction:
     note = (
         f"Rendered images with seeds of their own ({counted}; 512 px for the sun's tilt, else "
         "1024): the Moon "
-        "from 50 km, rims from 12 px semi-minor axis at a shading gain above 0.5. As printed: Canny edges, "
+        "from 50 km, rims from 12 px semi-minor axis at a slope contrast above 0.5. As printed: Canny edges, "
         "the paper's way; corrected: found without a prior; efficient: measured from a "
         "predicted pose, wrong by "
         "1.5 px and 0.1 %. What is judged is ours; "

@@ -97,7 +97,7 @@ def table1(measured: Sets) -> Reproduction:
         "or craters, no sizes, and a detector that it only cites (Yu et al. 2014); none of that can be had. "
         "Here they stand beside rendered images of the Moon from 50 km whose rims are known: "
         "camera off nadir by "
-        "up to 30 deg, sun 10 to 60 deg high, rims from 12 px semi-minor axis at a shading gain above 0.5, "
+        "up to 30 deg, sun 10 to 60 deg high, rims from 12 px semi-minor axis at a slope contrast above 0.5, "
         "outlines on their ellipses (fine) or 3 % rms off them (irregular). As printed: Canny edges, grouped "
         "to arcs and paired by the light, the paper's way; corrected: the blind detector, which matches a "
         "rendered crater and takes the edge at the crest; efficient: measured from a predicted pose. Canny "

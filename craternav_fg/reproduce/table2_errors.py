@@ -57,7 +57,8 @@ def _run_image(batch: Batch, image: int) -> dict[str, float]:
     true_px = pixel_chart(true, one.camera)
     ellipse = axes_of_chart(true_px)[0]
     record = {
-        "altitude_km": float(batch.altitude_km), "image": float(image), "gain": float(one.gain[0]),
+        "altitude_km": float(batch.altitude_km), "image": float(image),
+        "slope_contrast": float(one.slope_contrast[0]),
         "semi_major_px": float(ellipse[2]), "semi_minor_px": float(ellipse[3]),
     }  # fmt: skip
     found = {CANNY: canny_rim(one, 0), BLIND: _blind(one, ellipse), GUIDED: _guided(one, rng)}

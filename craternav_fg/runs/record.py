@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.pipeline.reconstruct import Progress, Reconstruction, reconstruct
 from craternav_fg.plots import figures
 from craternav_fg.plots.overlays import FOLDER, contact_sheet, write_overlays
 from craternav_fg.runs.store import write_run
-from craternav_fg.pipeline.reconstruct import Progress, Reconstruction, reconstruct
 
 OVERVIEW_FRAMES = 3
 

@@ -50,6 +50,8 @@ METRICS = "metrics.json"
 FILTER = "ekf"
 STATES = "states.parquet"
 RESIDUALS = "residuals.parquet"
+# What columns of residuals.parquet were called in runs of version 0.1.
+_FORMER_COLUMNS = {"gain": "slope_contrast"}
 TRUTH = "truth"
 # Squared whitened residual of a rim, of 5 components, beyond which no noise explains it: 7 sigma.
 MISFIT = 50.0
@@ -239,9 +241,10 @@ def read_residuals(folder: Path) -> pa.Table:
     if not path.is_file():
         raise InputError(path, "is missing from the run")
     try:
-        return pq.read_table(path)
+        table = pq.read_table(path)
     except (pa.ArrowInvalid, OSError) as error:
         raise InputError(path, f"is damaged: {error}") from None
+    return table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
 
 
 def _states(trajectories: Mapping[str, Trajectory]) -> pa.Table:

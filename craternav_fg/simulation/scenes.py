@@ -21,9 +21,9 @@ FloatArray = npt.NDArray[np.float64]
 MOON = Body("Moon", 1_737_400.0, 4.902_800_118e12, (0.0, 0.0, 2.661_7e-6))
 ALTITUDE_M = 50e3
 FOCAL_PX = 512 / np.tan(np.radians(22))
-# Rims that must be found: at least this semi-minor axis and this gain, whole in the image.
+# Rims that must be found: at least this semi-minor axis and this slope contrast, whole in the image.
 LEAST_PX = 12.0
-LEAST_GAIN = 0.5
+LEAST_SLOPE_CONTRAST = 0.5
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Scene:
         As in `FoundRims`; also those that are small or cut by the border.
     craters : ndarray of int, shape (n,)
         Their rows in the catalogue.
-    gain : ndarray, shape (n,)
-        Shading gain at each.
+    slope_contrast : ndarray, shape (n,)
+        Relative change of brightness per unit slope at each, see `photometry`.
     light_rad : float
         Direction in the image, from x towards y, from which the light comes.
     """
@@ -86,7 +86,7 @@ class Scene:
     sun_g: FloatArray
     ellipses_px: FloatArray
     craters: npt.NDArray[np.int64]
-    gain: FloatArray
+    slope_contrast: FloatArray
     light_rad: float
 
     @property
@@ -104,7 +104,7 @@ class Scene:
         half_y = np.hypot(a * np.sin(angle), b * np.cos(angle))
         height, width = self.image.shape
         whole = (x > half_x) & (x + half_x < width - 1) & (y > half_y) & (y + half_y < height - 1)
-        return np.asarray(whole & (b >= LEAST_PX) & (self.gain > LEAST_GAIN))
+        return np.asarray(whole & (b >= LEAST_PX) & (self.slope_contrast > LEAST_SLOPE_CONTRAST))
 
 
 def scene(seed: int, ground: Ground | None = None) -> Scene:

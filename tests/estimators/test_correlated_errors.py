@@ -18,7 +18,7 @@ from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import SHARED_SIZE, ArcSet, image_change
+from craternav_fg.measurements import SHARED_SIZE, ArcSet
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 
@@ -132,25 +132,6 @@ def test_errors_leave_the_lag_with_their_states(trials: list[tuple[Problem, Traj
     ]
     estimate = FixedLagSmoother(KNOWING, lag_s=8.0).estimate(replace(p, frames=blind))
     assert np.linalg.norm(errors(estimate, truth).position_m[-1]) < 500.0
-
-
-def test_change_of_an_image() -> None:
-    round_one = np.array([0.1, -0.2, np.log(0.05), 0.0, np.log(0.05)])
-    larger = round_one + np.array([0.3, 0.0, 0.1, 0.0, 0.1])
-    assert image_change(round_one, larger) == pytest.approx(0.1)
-    assert image_change(larger, round_one) == pytest.approx(0.1)
-    # Squeezed by 20 % along an axis at 40 deg.
-    c, s = np.cos(0.7), np.sin(0.7)
-    R = np.array([[c, -s], [s, c]])
-    S = R @ np.diag([0.05**2, 0.04**2]) @ R.T
-    slant = [
-        0.0,
-        0.0,
-        0.5 * np.log(S[0, 0]),
-        S[0, 1] / S[0, 0],
-        0.5 * np.log(S[1, 1] - S[0, 1] ** 2 / S[0, 0]),
-    ]
-    assert image_change(round_one, np.array(slant)) == pytest.approx(np.log(1.25))
 
 
 @pytest.mark.parametrize("wrong", [{"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.measurements import RimSet, image_change
+from craternav_fg.ellipse import shape_change
+from craternav_fg.measurements import RimSet
 from craternav_fg.vision.error_model.correlated import in_plane_slopes
 
 FloatArray = npt.NDArray[np.float64]
@@ -32,7 +33,7 @@ class UsualOptions:
     outline_share : float
         Those of frames whose median rim deviates by more from an ellipse, in radii.
     memory : float
-        Change of a rim's image (`measurements.image_change`) over which a frame's weight falls to 1/e.
+        Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e.
     """
 
     outline_share: float = 0.003
@@ -112,7 +113,7 @@ class PooledErrors:
         before = self._craters.get(crater)
         if before is None:
             return _Crater(1.0 + _OTHERS, _OTHERS * others[0] + lasting, _OTHERS * others[1] + white, chart)
-        kept = np.exp(-float(image_change(before.chart, chart)) / self._options.memory)
+        kept = np.exp(-float(shape_change(before.chart, chart)) / self._options.memory)
         return _Crater(
             1.0 + kept * before.weight, kept * before.lasting + lasting, kept * before.white + white, chart
         )

@@ -1,0 +1,13 @@
+"""Runs of earlier versions are read under today's column names."""
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from craternav_fg.runs.store import RESIDUALS, read_residuals
+
+
+def test_the_slope_contrast_is_read_under_its_former_name(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"crater_id": ["A"], "gain": [0.7], "rms_px": [0.2]}), tmp_path / RESIDUALS)
+    assert read_residuals(tmp_path).to_pylist() == [{"crater_id": "A", "slope_contrast": 0.7, "rms_px": 0.2}]
