@@ -4,12 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Two test processes: a worker count that also fits a 2-core machine.
 WORKERS ?= 2
+# Minutes after which `make test-slow` begins no further test.
+SLOW_MIN ?= 25
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format clean
+.PHONY: help demo test test-slow test-all lint format clean
 
 help:  ## list the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):[^#]*## /make \1\t/'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /make \1\t/'
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
@@ -27,14 +29,22 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 demo: $(VENV)/.core  ## simulate a lunar descent, reconstruct it, compare the estimators (runs/demo)
 	$(BIN)/craternav demo
 
-test: $(VENV)/.dev  ## run every test and the notebooks
+test: $(VENV)/.dev  ## run the tests and the notebooks, but for the slow ones
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-lint: $(VENV)/.dev  ## style, types, import contract
+# The tests go to the processes one at a time, so that they are begun in order.
+test-slow: $(VENV)/.dev  ## run slow tests for 25 minutes (SLOW_MIN), beginning elsewhere every hour
+	$(BIN)/python -m pytest -n $(WORKERS) --dist load --maxschedchunk 1 -m slow --slow-budget-min $(SLOW_MIN)
+
+test-all: $(VENV)/.dev  ## run every test, the slow ones too: hours
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "slow or not slow"
+
+lint: $(VENV)/.dev  ## style, types, import contract, docstrings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -q tests/test_docstrings.py
 
 format: $(VENV)/.dev  ## rewrite the code in the house style
 	$(BIN)/ruff check --fix .
