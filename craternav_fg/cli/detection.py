@@ -11,9 +11,10 @@ import typer
 
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import out, say
+from craternav_fg.dataset.ellipses import detections_as_plain_data, write_detected_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.plots.detections import rims_json, write_overlay, write_rims_csv
+from craternav_fg.plots.detections import write_overlay
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
 
@@ -69,10 +70,11 @@ def detect(
     except EstimationError as error:
         raise InputError(image, f"{error}; leave out --sun to go by the image") from error
     detect_ms = 1e3 * (time.perf_counter() - began_s)
-    write_rims_csv(output, rims, image.name)
+    write_detected_ellipses(output, rims.ellipses_px, image.name)
     write_overlay(overlay, pixels, rims)
     if as_json:
-        result = {"image": str(image), "method": method.value, "detect_ms": detect_ms, **rims_json(rims)}
+        found = detections_as_plain_data(rims.ellipses_px, rims.covariance_px, rims.quality, rims.light_rad)
+        result = {"image": str(image), "method": method.value, "detect_ms": detect_ms, **found}
         out.print_json(json.dumps({**result, "csv": str(output), "overlay": str(overlay)}))
         return
     light = "" if math.isnan(rims.light_rad) else f", lit from {math.degrees(rims.light_rad) % 360.0:.0f} deg"

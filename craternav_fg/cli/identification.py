@@ -15,7 +15,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.cli.app import JsonOption, app, numbers_of
 from craternav_fg.cli.catalog_reading import CatalogBodyOption, read_any_catalog
 from craternav_fg.cli.terminal import err, out, say
-from craternav_fg.dataset.ellipses import read_ellipses, write_matched
+from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
@@ -70,7 +70,7 @@ def identify(
     found = identify_rims(ellipses, sensor, ready, known, options)
     values = _plain(found, ellipses, craters.body)
     if output is not None and found.identified:
-        write_matched(output, ellipses, found.craters)
+        write_matched_ellipses(output, ellipses, found.craters)
     if as_json:
         out.print_json(json.dumps({**values, "index": said or f"{path}: loaded"}, allow_nan=False))
     else:

@@ -10,10 +10,11 @@ from craternav_fg.body import Body
 from craternav_fg.cli.app import JsonOption, app, numbers_of
 from craternav_fg.cli.catalog_reading import CatalogBodyOption, warn, warn_of
 from craternav_fg.cli.terminal import out, show_poses
+from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.resection.efficient import solve
-from craternav_fg.resection.files import SIGMA_RANGE_PX, as_plain_data, read_rims, resection_problem
+from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
 from craternav_fg.resection.problem import Status
 from craternav_fg.resection.robust import solve_robustly
 

@@ -1,16 +1,27 @@
-"""Tables of ellipses fitted to the rims of an image, in the columns that `craternav detect` writes."""
+"""Tables of ellipses fitted to the rims of one image, in the columns of NASA's crater detection challenge.
+
+Three tables have these columns: ellipses of unknown craters, which `craternav identify` reads; detected ones
+with the image's name, which `craternav detect` writes; and matched ones with the identifier of the crater,
+which `craternav identify` writes and `craternav pose` reads. Pixel (0, 0) is the centre of the top-left
+pixel, and an ellipse is given by centre, semi-axes and rotation of the major axis, from the image's x axis
+towards its y axis.
+"""
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.columns import ID
-from craternav_fg.files import write_whole
+from craternav_fg.ellipse import half_extents
+from craternav_fg.errors import InputError
+from craternav_fg.files import replacing
 from craternav_fg.tables import Column, Table, read_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -21,8 +32,41 @@ MAJOR = "ellipseSemimajor(px)"
 MINOR = "ellipseSemiminor(px)"
 ROTATION = "ellipseRotation(deg)"
 ELLIPSE = (CENTRE_X, CENTRE_Y, MAJOR, MINOR, ROTATION)
-_SMALLEST_AXIS_PX = 0.1
-_LARGEST_IMAGES = 10
+IMAGE = "inputImage"
+CLASSIFICATION = "crater_classification"
+SIGMA = "sigma_px"
+# The challenge's code for a state of degradation that is not given.
+NOT_CLASSIFIED = -1
+# Accepted standard deviations of edge points, px: beyond them the covariance of a fit is rounding errors.
+SIGMA_RANGE_PX = (1e-6, 1e3)
+# Accepted semi-axes: a tenth of a pixel, to this many times the longer side of the image.
+_MIN_SEMI_AXIS_PX = 0.1
+_MAX_SEMI_AXIS_IMAGES = 10
+
+
+@dataclass(frozen=True)
+class MatchedEllipses:
+    """Ellipses with the craters they are matched to.
+
+    Attributes
+    ----------
+    table : Table
+        What was read, to name file and line of a row.
+    ellipses_px : ndarray, shape (n, 5)
+        Centre x, y, semi-axes a >= b, px, and direction of a, rad.
+    craters : tuple of str, length n
+        Identifiers.
+    sigmas_px : ndarray, shape (n,), or None
+        Standard deviation of each rim's edge points along its normal; None without such a column.
+    """
+
+    table: Table
+    ellipses_px: FloatArray
+    craters: tuple[str, ...]
+    sigmas_px: FloatArray | None
+
+    def __len__(self) -> int:
+        return len(self.craters)
 
 
 def read_ellipses(path: Path, camera: Camera) -> FloatArray:
@@ -31,65 +75,153 @@ def read_ellipses(path: Path, camera: Camera) -> FloatArray:
     Parameters
     ----------
     path : Path
-        CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
-        ellipseRotation(deg) (of the major axis, from the image's x axis towards its y axis). Further columns
-        are not read.
+        CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px) and
+        ellipseRotation(deg). Further columns are not read.
     camera : Camera
+        Whose image it is.
 
     Returns
     -------
     ndarray, shape (n, 5)
-        Centre, semi-axes a >= b, angle of a, rad; possibly no rows.
+        Centre x, y, semi-axes a >= b, px, and direction of a, rad; possibly no rows.
 
     Raises
     ------
     InputError
         Naming file, line and column: a value out of range, a rim outside the image.
     """
-    table = read_table(path, tuple(Column(name) for name in ELLIPSE), others=True)
-    check_axes(table, camera)
-    x, y, a, b, turn = table.numbers(*ELLIPSE).T
-    angle = np.radians(turn)
-    half = np.stack(
-        [np.hypot(a * np.cos(angle), b * np.sin(angle)), np.hypot(a * np.sin(angle), b * np.cos(angle))]
-    )
-    check_inside(table, np.stack([x, y], axis=-1), half.T, camera)
-    return np.column_stack([x, y, a, b, angle])
+    return _ellipses(read_table(path, tuple(Column(name) for name in ELLIPSE), others=True), camera)
 
 
-def write_matched(path: Path, ellipses_px: FloatArray, craters: Sequence[str | None]) -> None:
-    """Write the ellipses whose crater is known, with it, as `craternav pose` reads them; whole or not at all.
+def read_matched_ellipses(path: Path, camera: Camera) -> MatchedEllipses:
+    """Read ellipses with the craters they are matched to.
 
     Parameters
     ----------
     path : Path
-    ellipses_px : ndarray, shape (n, 5)
-        See `read_ellipses`.
-    craters : sequence of str or None, length n
+        CSV with the columns of `read_ellipses`, CRATER_ID and optionally sigma_px. Further columns are not
+        read.
+    camera : Camera
+        Whose image it is.
+
+    Raises
+    ------
+    InputError
+        As `read_ellipses`; also when there is no row, or a crater twice.
     """
+    columns = (*(Column(name) for name in ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True))
+    table = read_table(path, columns, others=True)
+    if not len(table):
+        raise InputError(path, "expected at least one rim, found none")
+    ellipses = _ellipses(table, camera)
+    sigmas: FloatArray | None = table.columns.get(SIGMA)
+    if sigmas is not None:
+        _check_range(table, SIGMA, SIGMA_RANGE_PX)
+    craters = tuple(table.columns[ID])
+    seen: dict[str, int] = {}
+    for row, crater in enumerate(craters):
+        if crater in seen:
+            first = table.line(seen[crater])
+            table.fail(row, ID, f"expected each crater once, found {crater!r} again, first in line {first}")
+        seen[crater] = row
+    return MatchedEllipses(table, ellipses, craters, sigmas)
+
+
+def write_matched_ellipses(path: Path, ellipses_px: FloatArray, craters: Sequence[str | None]) -> None:
+    """Write the ellipses whose crater is known, as `read_matched_ellipses` reads them.
+
+    Parameters
+    ----------
+    path : Path
+        The file appears whole or not at all.
+    ellipses_px : ndarray, shape (n, 5)
+        As `read_ellipses` returns them.
+    craters : sequence of str or None, length n
+        Identifiers; rows without one are left out.
+    """
+    known = [row for row, crater in enumerate(craters) if crater is not None]
+    _write(path, (ID,), ellipses_px[known], ([craters[row]] for row in known), decimals=4)
+
+
+def write_detected_ellipses(path: Path, ellipses_px: FloatArray, image_name: str) -> None:
+    """Write the ellipses found in an image, in the columns of NASA's crater detection challenge.
+
+    Parameters
+    ----------
+    path : Path
+        The file appears whole or not at all.
+    ellipses_px : ndarray, shape (n, 5)
+        As `read_ellipses` returns them, best first.
+    image_name : str
+        Name of the image's file.
+    """
+    added = ([image_name, NOT_CLASSIFIED] for _ in ellipses_px)
+    _write(path, (IMAGE, CLASSIFICATION), ellipses_px, added, decimals=3)
+
+
+def detections_as_plain_data(
+    ellipses_px: FloatArray, charts_covariance_px: FloatArray, quality: FloatArray, light_rad: float
+) -> dict[str, Any]:
+    """Turn the ellipses found in an image into lists and numbers, for JSON.
+
+    Parameters
+    ----------
+    ellipses_px : ndarray, shape (n, 5)
+        As `read_ellipses` returns them, best first.
+    charts_covariance_px : ndarray, shape (n, 5, 5)
+        Covariances of their charts in pixels.
+    quality : ndarray, shape (n,)
+        From 0 to 1: how surely each is the rim of a crater.
+    light_rad : float
+        Direction in the image, from x towards y, towards the light; NaN when unknown.
+    """
+    keys = ("center_x_px", "center_y_px", "semi_major_px", "semi_minor_px")
+    rows = []
+    for ellipse, covariance, good in zip(ellipses_px, charts_covariance_px, quality, strict=True):
+        row = {key: round(float(value), 3) for key, value in zip(keys, ellipse, strict=False)}
+        row["rotation_deg"] = round(float(np.rad2deg(ellipse[4])), 3)
+        row["quality"] = round(float(good), 4)
+        row["center_sigma_px"] = round(float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))), 3)
+        rows.append(row)
+    light_deg = None if np.isnan(light_rad) else round(float(np.rad2deg(light_rad)), 1)
+    return {"light_deg": light_deg, "rims": rows}
+
+
+def _write(
+    path: Path,
+    added_columns: Sequence[str],
+    ellipses_px: FloatArray,
+    added: Iterable[Sequence[object]],
+    *,
+    decimals: int,
+) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*ELLIPSE, ID))
-    for (x, y, a, b, angle), crater in zip(ellipses_px, craters, strict=True):
-        if crater is not None:
-            writer.writerow([*(f"{value:.4f}" for value in (x, y, a, b, np.degrees(angle))), crater])
-    write_whole(path, text.getvalue().encode())
+    writer.writerow((*ELLIPSE, *added_columns))
+    for (x, y, a, b, angle), cells in zip(ellipses_px, added, strict=True):
+        writer.writerow([*(f"{value:.{decimals}f}" for value in (x, y, a, b, np.rad2deg(angle))), *cells])
+    with replacing(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
 
 
-def check_axes(table: Table, camera: Camera) -> None:
-    """Refuse axes that no image shows, and that arithmetic does not survive."""
-    largest = _LARGEST_IMAGES * max(camera.width_px, camera.height_px)
+def _ellipses(table: Table, camera: Camera) -> FloatArray:
+    """Ellipses (n, 5) of a table, checked; see `read_ellipses`."""
+    largest = _MAX_SEMI_AXIS_IMAGES * max(camera.width_px, camera.height_px)
     for name in (MINOR, MAJOR):
-        check_range(table, name, (_SMALLEST_AXIS_PX, largest))
+        _check_range(table, name, (_MIN_SEMI_AXIS_PX, largest))
     for row in np.flatnonzero(table.columns[MINOR] > table.columns[MAJOR]).tolist():
         table.fail(
             row, MINOR,
             f"expected at most the semi-major axis {table.columns[MAJOR][row]:g}, "
             f"found {table.columns[MINOR][row]:g}",
         )  # fmt: skip
+    ellipses = table.numbers(*ELLIPSE)
+    ellipses[:, 4] = np.radians(ellipses[:, 4])
+    _check_inside(table, ellipses, camera)
+    return ellipses
 
 
-def check_range(table: Table, name: str, limits: tuple[float, float]) -> None:
+def _check_range(table: Table, name: str, limits: tuple[float, float]) -> None:
     """Refuse values of a column, px, that are out of range."""
     least, most = limits
     values = table.columns[name]
@@ -97,14 +229,15 @@ def check_range(table: Table, name: str, limits: tuple[float, float]) -> None:
         table.fail(row, name, f"expected {least:g} to {most:g} px, found {values[row]:g}")
 
 
-def check_inside(table: Table, centre_px: FloatArray, half_px: FloatArray, camera: Camera) -> None:
-    """Refuse rims of centres and half extents (n, 2) that do not reach into the image."""
+def _check_inside(table: Table, ellipses_px: FloatArray, camera: Camera) -> None:
+    """Refuse ellipses (n, 5) that do not reach into the image."""
     size = np.array([camera.width_px, camera.height_px])
-    outside = (centre_px + half_px < -0.5) | (centre_px - half_px > size - 0.5)
+    centre, half = ellipses_px[:, :2], half_extents(ellipses_px)
+    outside = (centre + half < -0.5) | (centre - half > size - 0.5)
     for row in np.flatnonzero(outside.any(axis=1)).tolist():
         axis = int(np.argmax(outside[row]))
         table.fail(
             row, (CENTRE_X, CENTRE_Y)[axis],
             f"expected a rim that reaches into the {size[0]} x {size[1]} image, found its centre at "
-            f"{centre_px[row, axis]:g}",
+            f"{centre[row, axis]:g}",
         )  # fmt: skip

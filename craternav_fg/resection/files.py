@@ -14,10 +14,9 @@ from craternav_fg.catalogs.columns import ID
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.dataset.ellipses import ELLIPSE, check_axes, check_inside, check_range
+from craternav_fg.dataset.ellipses import MatchedEllipses, read_matched_ellipses
 from craternav_fg.dataset.measurements import ground_sun_direction
-from craternav_fg.ellipse import centre_and_matrix_px, chart_of_axes, normalised_chart
-from craternav_fg.errors import InputError
+from craternav_fg.ellipse import chart_of_axes, normalised_chart
 from craternav_fg.measurements import SunTilt
 from craternav_fg.resection.edge_fit import fit_covariance
 from craternav_fg.resection.problem import (
@@ -29,12 +28,9 @@ from craternav_fg.resection.problem import (
     StaticPose,
     Status,
 )
-from craternav_fg.tables import Column, Table, read_table
 
 FloatArray = npt.NDArray[np.float64]
 
-SIGMA = "sigma_px"
-SIGMA_RANGE_PX = (1e-6, 1e3)
 # Of an angle's standard deviation.
 _SIGMA_RANGE_DEG = (1e-6, 360.0)
 
@@ -75,27 +71,10 @@ def read_rims(
         Naming file, line and column: no rows, a value out of range, a rim outside the image, a crater
         twice or not in the catalogue.
     """
-    table = read_table(
-        path,
-        (*(Column(name) for name in ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True)),
-        others=True,
-    )
-    if not len(table):
-        raise InputError(path, "expected at least one rim, found none")
-    check_axes(table, camera)
-    if SIGMA in table.columns:
-        check_range(table, SIGMA, SIGMA_RANGE_PX)
-    catalog, report = _craters(table, catalog_path, body)
-    n = len(table)
-    sigmas = table.columns[SIGMA] if SIGMA in table.columns else np.full(n, sigma_px)
-    charts = np.array(
-        [
-            normalised_chart(chart_of_axes([x, y, a, b, np.radians(turn)]), camera)[0]
-            for x, y, a, b, turn in table.numbers(*ELLIPSE).tolist()
-        ]
-    )
-    centres, S = centre_and_matrix_px(charts, camera)
-    check_inside(table, centres, np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1)), camera)
+    matched = read_matched_ellipses(path, camera)
+    catalog, report = _craters(matched, catalog_path, body)
+    sigmas = np.full(len(matched), sigma_px) if matched.sigmas_px is None else matched.sigmas_px
+    charts, _ = normalised_chart(chart_of_axes(matched.ellipses_px), camera)
     covariances = np.array(
         [
             fit_covariance(chart, camera, float(sigma), edge_points)
@@ -194,20 +173,13 @@ def _pose(problem: ResectionProblem, pose: StaticPose, body: Body) -> dict[str, 
     }
 
 
-def _craters(table: Table, path: Path, body: Body | None) -> tuple[Catalog, ImportReport]:
+def _craters(matched: MatchedEllipses, path: Path, body: Body | None) -> tuple[Catalog, ImportReport]:
     """Look up the craters of the rims."""
     catalog, report = import_catalog(path, body)
     known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
     reasons = {row.identifier: f"line {row.line}: {row.reason}" for row in report.skipped}
-    rows: list[int] = []
-    seen: dict[str, int] = {}
-    for k, identifier in enumerate(table.columns[ID]):
-        if identifier in seen:
-            first = table.line(seen[identifier])
-            table.fail(k, ID, f"expected each crater once, found {identifier!r} again, first in line {first}")
-        seen[identifier] = k
+    for k, identifier in enumerate(matched.craters):
         if identifier not in known:
             why = f" ({reasons[identifier]})" if identifier in reasons else ""
-            table.fail(k, ID, f"expected a crater of {path}, found {identifier!r}{why}")
-        rows.append(known[identifier])
-    return catalog.take(np.array(rows)), report
+            matched.table.fail(k, ID, f"expected a crater of {path}, found {identifier!r}{why}")
+    return catalog.take(np.array([known[identifier] for identifier in matched.craters])), report
