@@ -62,20 +62,26 @@ def detect(
     if sun_deg is not None and not math.isfinite(sun_deg):
         raise InputError("--sun", f"expected an angle in degrees, found {sun_deg}")
     pixels = read_foreign_image(image)
-    light_rad = None if sun_deg is None else math.radians(sun_deg)
+    sun_angle_rad = None if sun_deg is None else math.radians(sun_deg)
     began_s = time.perf_counter()
     try:
         blind = BlindOptions(min_radius_px=min_radius_px, min_quality=min_quality)
-        rims = METHODS[method](pixels, light_rad, blind)
+        rims = METHODS[method](pixels, sun_angle_rad, blind)
     except EstimationError as error:
         raise InputError(image, f"{error}; leave out --sun to go by the image") from error
     detect_ms = 1e3 * (time.perf_counter() - began_s)
     write_detected_ellipses(output, rims.ellipses_px, image.name)
     write_overlay(overlay, pixels, rims)
     if as_json:
-        found = detections_as_plain_data(rims.ellipses_px, rims.covariance_px, rims.quality, rims.light_rad)
+        found = detections_as_plain_data(
+            rims.ellipses_px, rims.covariance_px, rims.quality, rims.sun_angle_rad
+        )
         result = {"image": str(image), "method": method.value, "detect_ms": detect_ms, **found}
         out.print_json(json.dumps({**result, "csv": str(output), "overlay": str(overlay)}))
         return
-    light = "" if math.isnan(rims.light_rad) else f", lit from {math.degrees(rims.light_rad) % 360.0:.0f} deg"
+    light = (
+        ""
+        if math.isnan(rims.sun_angle_rad)
+        else f", lit from {math.degrees(rims.sun_angle_rad) % 360.0:.0f} deg"
+    )
     say(f"{len(rims) or 'no'} rims{light}\n{output}\n{overlay}")

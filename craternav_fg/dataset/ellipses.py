@@ -160,7 +160,7 @@ def write_detected_ellipses(path: Path, ellipses_px: FloatArray, image_name: str
 
 
 def detections_as_plain_data(
-    ellipses_px: FloatArray, charts_covariance_px: FloatArray, quality: FloatArray, light_rad: float
+    ellipses_px: FloatArray, charts_covariance_px: FloatArray, quality: FloatArray, sun_angle_rad: float
 ) -> dict[str, Any]:
     """Turn the ellipses found in an image into lists and numbers, for JSON.
 
@@ -172,7 +172,7 @@ def detections_as_plain_data(
         Covariances of their charts in pixels.
     quality : ndarray, shape (n,)
         From 0 to 1: how surely each is the rim of a crater.
-    light_rad : float
+    sun_angle_rad : float
         Direction in the image, from x towards y, towards the light; NaN when unknown.
     """
     keys = ("center_x_px", "center_y_px", "semi_major_px", "semi_minor_px")
@@ -183,7 +183,7 @@ def detections_as_plain_data(
         row["quality"] = round(float(good), 4)
         row["center_sigma_px"] = round(float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))), 3)
         rows.append(row)
-    light_deg = None if np.isnan(light_rad) else round(float(np.rad2deg(light_rad)), 1)
+    light_deg = None if np.isnan(sun_angle_rad) else round(float(np.rad2deg(sun_angle_rad)), 1)
     return {"light_deg": light_deg, "rims": rows}
 
 

@@ -32,8 +32,8 @@ def write_overlay(path: Path, image: npt.NDArray[np.generic], rims: FoundRims) -
         # Four fractional bits: rims are known to parts of a pixel.
         fixed = np.rint(16.0 * points).astype(np.int32)
         cv2.polylines(canvas, [fixed], True, colour, width, cv2.LINE_AA, 4)
-    if not np.isnan(rims.light_rad):
-        direction = np.array([np.cos(rims.light_rad), np.sin(rims.light_rad)])
+    if not np.isnan(rims.sun_angle_rad):
+        direction = np.array([np.cos(rims.sun_angle_rad), np.sin(rims.sun_angle_rad)])
         reach = 0.06 * min(size)
         middle = np.array([1.5 * reach, 1.5 * reach])
         ends = [tuple(int(k) for k in np.rint(middle + sign * reach * direction)) for sign in (1.0, -1.0)]

@@ -59,7 +59,7 @@ def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> Flo
     u = (column - x) / np.exp(log_x)
     v = (row - y - shear * (column - x)) / np.exp(log_y)
     g = gradient[row, column]
-    towards = g @ [np.cos(one.light_rad), np.sin(one.light_rad)]
+    towards = g @ [np.cos(one.sun_angle_rad), np.sin(one.sun_angle_rad)]
     keep = (np.abs(np.hypot(u, v) - 1.0) < _NEAR) & (towards > _LEAST_COSINE * np.linalg.norm(g, axis=1))
     # Neighbours' errors go together: the fit wants them in their order along the rim.
     order = np.flatnonzero(keep)[np.argsort(np.arctan2(v[keep], u[keep]))]

@@ -82,7 +82,7 @@ def _blind(one: Scene, ellipse: FloatArray) -> FloatArray | None:
     """Chart (5,), px, that the blind detector has for the true rim."""
     try:
         # In the whole image many craters tell where the light is; here there is one.
-        rims = find_rims(one.image, one.light_rad)
+        rims = find_rims(one.image, one.sun_angle_rad)
     except EstimationError:
         # The specks around a lone crater can outvote it.
         return None

@@ -75,7 +75,7 @@ class Scene:
         Their rows in the catalogue.
     slope_contrast : ndarray, shape (n,)
         Relative change of brightness per unit slope at each, see `photometry`.
-    light_rad : float
+    sun_angle_rad : float
         Direction in the image, from x towards y, from which the light comes.
     """
 
@@ -87,7 +87,7 @@ class Scene:
     ellipses_px: FloatArray
     craters: npt.NDArray[np.int64]
     slope_contrast: FloatArray
-    light_rad: float
+    sun_angle_rad: float
 
     @property
     def range_m(self) -> float:

@@ -15,9 +15,9 @@ FloatArray = npt.NDArray[np.float64]
 
 _MAD_TO_SIGMA = 1.4826
 # Points further than this from the others, in standard deviations, are other edges'.
-_OUTLIER = 3.5
+_OUTLIER_SIGMAS = 3.5
 # Error of points on fine rims, px, that their own scatter may understate.
-_LEAST_SCATTER_PX = 0.1
+_MIN_SCATTER_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def judge(
         A = line[kept] / ratio[kept, None]
         smooth = line @ np.linalg.lstsq(A, distance[kept] / ratio[kept], rcond=None)[0]
         off = (distance - smooth) / ratio
-        least = _LEAST_SCATTER_PX / float(np.mean(ratio))
+        least = _MIN_SCATTER_PX / float(np.mean(ratio))
         scatter = max(_MAD_TO_SIGMA * float(np.median(np.abs(off[kept]))), least)
-        kept = np.abs(off) < _OUTLIER * scatter
+        kept = np.abs(off) < _OUTLIER_SIGMAS * scatter
         if np.count_nonzero(kept) < options.min_points:
             return None
     own = scatter * ratio[kept]

@@ -7,15 +7,15 @@ import numpy.typing as npt
 ImageArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
-SATURATED = 255.0
+SATURATED_BRIGHTNESS = 255.0
 # Brighter than this, of 255, counts as saturated in `edges`.
-_BRIGHTEST = 249.0
+_MAX_VALID_BRIGHTNESS = 249.0
 # Weights of red, green and blue.
-_LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+_RGB_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 # An image whose bright end is below the first is stretched until it is at the second.
-_DIM, _BRIGHT = 100.0, 200.0
+_DIM_BRIGHTNESS, _STRETCHED_BRIGHTNESS = 100.0, 200.0
 # Pixels that tell the dark and the bright end.
-_SAMPLE = 40_000
+_MAX_SAMPLED_PIXELS = 40_000
 
 
 def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
@@ -47,24 +47,26 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     holes = ~np.isfinite(values).all(axis=2)
     if channels in (2, 4):
         holes |= values[..., -1] == 0.0
-    out = values[..., :3] @ _LUMA if channels >= 3 else values[..., 0]
+    out = values[..., :3] @ _RGB_WEIGHTS if channels >= 3 else values[..., 0]
     out = np.ascontiguousarray(np.where(holes, np.float32(np.nan), out))
     valid = out[~holes]
     if len(valid) == 0:
         return out
-    low, high = (float(v) for v in np.percentile(valid[:: max(1, len(valid) // _SAMPLE)], [0.5, 99.5]))
+    low, high = (
+        float(v) for v in np.percentile(valid[:: max(1, len(valid) // _MAX_SAMPLED_PIXELS)], [0.5, 99.5])
+    )
     top = float(valid.max())
     # A plateau at the top is saturation, whatever the number of bits.
     saturated = out >= top if np.count_nonzero(valid == top) > max(4, 1e-4 * len(valid)) else out > np.inf
-    if raw.dtype == np.uint8 and high >= _DIM:
-        saturated &= out > _BRIGHTEST
+    if raw.dtype == np.uint8 and high >= _DIM_BRIGHTNESS:
+        saturated &= out > _MAX_VALID_BRIGHTNESS
     else:
         base = min(low, 0.0)
-        scale = _BRIGHT / (high - base) if high > base else 1.0
-        out = np.clip((out - np.float32(base)) * np.float32(scale), 0.0, _BRIGHTEST)
+        scale = _STRETCHED_BRIGHTNESS / (high - base) if high > base else 1.0
+        out = np.clip((out - np.float32(base)) * np.float32(scale), 0.0, _MAX_VALID_BRIGHTNESS)
         if not high > low:
             saturated[:] = False
-    out[saturated] = SATURATED
+    out[saturated] = SATURATED_BRIGHTNESS
     return np.asarray(out, dtype=np.float32)
 
 

@@ -17,9 +17,9 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.vision.brightness import brightness, filled
-from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_light, gather
+from craternav_fg.vision.candidates import distinct, find_candidates
+from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_sun_angle, gather
 from craternav_fg.vision.ellipse_fit import FitFailure, RimFit, fit_rim
-from craternav_fg.vision.places import distinct, find_places
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
@@ -27,16 +27,16 @@ ImageArray = npt.NDArray[np.float32]
 # Gaussian blur before gradients are taken.
 _BLUR_PX = 1.2
 # Canny's thresholds, as shares of the gradient's 98 % quantile, and the least of the upper one, of 255.
-_LOW, _HIGH, _QUANTILE, _LEAST_STEP = 0.25, 0.6, 98.0, 4.0
+_LOW_THRESHOLD_SHARE, _HIGH_THRESHOLD_SHARE, _GRADIENT_PERCENTILE, _MIN_BRIGHTNESS_STEP = 0.25, 0.6, 98.0, 4.0
 # Least cosine between an edge's gradient and the light.
-_MIN_COSINE = 0.2
+_MIN_SUN_COSINE = 0.2
 _MIN_ARC_POINTS = 8
 # Two arcs of a crater: ratio of their radii; distance of their centres, and how far the line between their
 # middles is off the light, in radii.
-_MAX_RATIO, _MAX_CENTRES, _MAX_ASIDE = 2.0, 0.8, 0.7
+_MAX_RADIUS_RATIO, _MAX_CENTRE_DISTANCE_RADII, _MAX_LATERAL_OFFSET_RADII = 2.0, 0.8, 0.7
 # Largest scatter of the points about the ellipse: pixels, share of the semi-minor axis.
 _MAX_SCATTER = (0.5, 0.05)
-_MIN_COVERED, _MAX_AXIS_RATIO = 0.45, 2.2
+_MIN_COVERED_SHARE, _MAX_AXIS_RATIO = 0.45, 2.2
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class _Arc:
 
 
 def find_rims_canny(
-    image: npt.NDArray[np.generic], light_rad: float | None = None, options: BlindOptions | None = None
+    image: npt.NDArray[np.generic], sun_angle_rad: float | None = None, options: BlindOptions | None = None
 ) -> FoundRims:
     """Find crater rims as `detect.find_rims` does, from Canny edges.
 
     Parameters
     ----------
-    image, light_rad, options
+    image, sun_angle_rad, options
         See `detect.find_rims`; of the options those of sizes, light, fit and least quality count.
 
     Returns
@@ -72,12 +72,12 @@ def find_rims_canny(
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
     largest = options.max_radius_share * min(pixels.shape)
-    places = find_places(everywhere, options.min_radius_px, largest, options.min_correlation)
-    places = distinct(places, options.max_places)
-    nothing = float("nan") if light_rad is None else float(light_rad)
+    places = find_candidates(everywhere, options.min_radius_px, largest, options.min_correlation)
+    places = distinct(places, options.max_candidates)
+    nothing = float("nan") if sun_angle_rad is None else float(sun_angle_rad)
     if len(places) == 0:
         return gather([], [], [], nothing)
-    light, certain = agreed_light(places, light_rad)
+    light, certain = agreed_sun_angle(places, sun_angle_rad)
     if not certain:
         return gather([], [], [], light)
     arcs = _arcs(everywhere, np.isnan(pixels), light, options.min_radius_px, largest)
@@ -96,7 +96,7 @@ def find_rims_canny(
 def _arcs(
     image: ImageArray,
     holes: npt.NDArray[np.bool_],
-    light_rad: float,
+    sun_angle_rad: float,
     min_radius_px: float,
     max_radius_px: float,
 ) -> list[_Arc]:
@@ -106,11 +106,23 @@ def _arcs(
     gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
     strength = cv2.magnitude(gx, gy)
     # Canny takes gradients as 16-bit integers: quarters of the Sobel sum are enough.
-    high = max(_HIGH * float(np.percentile(strength, _QUANTILE)), _LEAST_STEP / 8.0)
+    high = max(
+        _HIGH_THRESHOLD_SHARE * float(np.percentile(strength, _GRADIENT_PERCENTILE)),
+        _MIN_BRIGHTNESS_STEP / 8.0,
+    )
     whole = [np.rint(32.0 * g).clip(-32000, 32000).astype(np.int16) for g in (gx, gy)]
-    edge = cv2.Canny(whole[0], whole[1], 32.0 * _LOW / _HIGH * high, 32.0 * high, L2gradient=True) > 0
-    towards = np.cos(light_rad) * gx + np.sin(light_rad) * gy
-    edge &= (towards > _MIN_COSINE * strength) & ~holes
+    edge = (
+        cv2.Canny(
+            whole[0],
+            whole[1],
+            32.0 * _LOW_THRESHOLD_SHARE / _HIGH_THRESHOLD_SHARE * high,
+            32.0 * high,
+            L2gradient=True,
+        )
+        > 0
+    )
+    towards = np.cos(sun_angle_rad) * gx + np.sin(sun_angle_rad) * gy
+    edge &= (towards > _MIN_SUN_COSINE * strength) & ~holes
     count, label = cv2.connectedComponents(edge.astype(np.uint8), connectivity=8)
     y, x = np.nonzero(label)
     order = np.argsort(label[y, x], kind="stable")
@@ -142,12 +154,12 @@ def _circle(points: FloatArray) -> tuple[FloatArray, float]:
     return middle + solution[:2], float(np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 0.0)))
 
 
-def _pairs(arcs: list[_Arc], light_rad: float) -> list[tuple[_Arc, _Arc]]:
+def _pairs(arcs: list[_Arc], sun_angle_rad: float) -> list[tuple[_Arc, _Arc]]:
     """Shadowed and lit walls that may belong together."""
     dark, lit = [a for a in arcs if a.outward], [a for a in arcs if not a.outward]
     if not dark or not lit:
         return []
-    s = np.array([np.cos(light_rad), np.sin(light_rad)])
+    s = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
     radius = [np.array([a.radius for a in side]) for side in (dark, lit)]
     centre = [np.array([a.centre for a in side]) for side in (dark, lit)]
     middle = [np.array([a.points.mean(axis=0) for a in side]) for side in (dark, lit)]
@@ -157,11 +169,11 @@ def _pairs(arcs: list[_Arc], light_rad: float) -> list[tuple[_Arc, _Arc]]:
     step = middle[0][:, None] - middle[1]
     along, aside = step @ s, np.abs(step @ np.array([-s[1], s[0]]))
     good = (
-        (ratio < np.log(_MAX_RATIO))
-        & (apart < _MAX_CENTRES * size)
+        (ratio < np.log(_MAX_RADIUS_RATIO))
+        & (apart < _MAX_CENTRE_DISTANCE_RADII * size)
         & (along > 0.8 * size)
         & (along < 2.4 * size)
-        & (aside < _MAX_ASIDE * size)
+        & (aside < _MAX_LATERAL_OFFSET_RADII * size)
     )
     return [(dark[i], lit[j]) for i, j in zip(*np.nonzero(good), strict=True)]
 
@@ -169,7 +181,7 @@ def _pairs(arcs: list[_Arc], light_rad: float) -> list[tuple[_Arc, _Arc]]:
 def _plausible(fit: RimFit, options: BlindOptions, largest: float) -> bool:
     _, _, major, minor, _ = axes_of_chart(fit.chart_px[None])[0]
     return bool(
-        fit.arc_share >= max(_MIN_COVERED, options.min_quality)
+        fit.arc_share >= max(_MIN_COVERED_SHARE, options.min_quality)
         and fit.rms_px < _MAX_SCATTER[0] + _MAX_SCATTER[1] * minor
         and 0.5 * options.min_radius_px < minor
         and major < min(largest, _MAX_AXIS_RATIO * minor)

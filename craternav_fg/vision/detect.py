@@ -1,6 +1,6 @@
 """Crater rims in an image of which nothing is known: no pose, no catalogue, no camera.
 
-Places that look like a lit bowl (see `places`) agree on where the light comes from, which tells a
+Candidates that look like a lit bowl (see `places`) agree on where the light comes from, which tells a
 cratered image from noise. Those that agree are traced and fitted as if they had been predicted (see
 `edges` and `ellipse_fit`), from circles, and judged by what the fit says of them.
 """
@@ -13,10 +13,17 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.errors import EstimationError
-from craternav_fg.vision import crest, edges
+from craternav_fg.vision import crater_profile, edges
 from craternav_fg.vision.brightness import brightness, filled
+from craternav_fg.vision.candidates import (
+    Candidates,
+    common_sun_angle,
+    distinct,
+    find_candidates,
+    illuminated_from,
+    local_sun_angles,
+)
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, refine_rim
-from craternav_fg.vision.places import Places, common_light, distinct, find_places, lit_from, local_light
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
@@ -34,15 +41,15 @@ class BlindOptions:
         Radius of the largest, as a share of the image's shorter side.
     min_correlation : float
         Least correlation with the canonical crater.
-    max_places : int
+    max_candidates : int
         Of more places that look like craters the best are looked at.
-    max_light_deviation_rad : float
+    max_sun_deviation_rad : float
         A place lit from further away than this from the common direction is none.
     psf_px : float
         Standard deviation of the point-spread function: its effect on the edge is removed.
     min_quality : float
         Least quality of a rim when enough places agree on the light.
-    lone_quality : float
+    min_quality_sun_unknown : float
         The same when there are too few places to agree on anything.
     fit : FitOptions
         Of the ellipse fit, with the systematic floor.
@@ -51,11 +58,11 @@ class BlindOptions:
     min_radius_px: float = 8.0
     max_radius_share: float = 0.45
     min_correlation: float = 0.6
-    max_places: int = 1000
-    max_light_deviation_rad: float = float(np.deg2rad(40.0))
+    max_candidates: int = 1000
+    max_sun_deviation_rad: float = float(np.deg2rad(40.0))
     psf_px: float = 0.7
     min_quality: float = 0.5
-    lone_quality: float = 0.95
+    min_quality_sun_unknown: float = 0.95
     fit: FitOptions = field(default_factory=lambda: FitOptions(floor_px=0.05, outline_share=0.003))
 
     def __post_init__(self) -> None:
@@ -78,10 +85,10 @@ class FoundRims:
         Of the charts.
     quality : ndarray, shape (n,)
         0 to 1: how surely each is a crater's rim, about its probability on rendered ground.
-    lights_rad : ndarray, shape (n,)
+    local_sun_angles_rad : ndarray, shape (n,)
         Direction in the image, from x towards y, from which the light comes at each, as its walls and its
         neighbours' show.
-    light_rad : float
+    sun_angle_rad : float
         The same of the whole image, found or given; NaN when the image leaves it open.
     """
 
@@ -89,51 +96,51 @@ class FoundRims:
     charts_px: FloatArray
     covariance_px: FloatArray
     quality: FloatArray
-    lights_rad: FloatArray
-    light_rad: float
+    local_sun_angles_rad: FloatArray
+    sun_angle_rad: float
 
     def __len__(self) -> int:
         return len(self.ellipses_px)
 
 
 # Fewer places cannot tell a common light from chance.
-_MIN_VOTES = 12
+_MIN_VOTERS = 12
 # Share of the votes for the common light: over a half on cratered ground, this by chance, and so much more
 # over the root of their number; to contradict what is known of the light it must be surer.
-_CHANCE_SHARE, _SPREAD, _SURE_SPREAD = 0.22, 1.0, 2.0
+SUN_VOTE_CHANCE_SHARE, SUN_VOTE_MARGIN, SUN_VOTE_CONTRADICTION_MARGIN = 0.22, 1.0, 2.0
 # The light is taken to be the same over this share of the image.
-_LIGHT_REACH = 0.25
+_SUN_REACH_SHARE = 0.25
 # The rendered craters' gain is this much above that of the canonical crater that looks like them.
-_GAIN_FACTOR = 1.3
+CONTRAST_FACTOR = 1.3
 # The best places tell the gain.
-_GAIN_PLACES = 20
+_CONTRAST_CANDIDATES = 20
 # Darker level ground, of 255, has no contrast to offer.
-_DARK = 6.0
+_MIN_BRIGHTNESS = 6.0
 # Level ground around a crater: rings of these radii.
-_RINGS = np.array([1.5, 1.75, 2.0])[:, None]
-_TURN = 2.0 * np.pi * np.arange(32) / 32.0
+_GROUND_RING_RADII = np.array([1.5, 1.75, 2.0])[:, None]
+_RING_ANGLES_RAD = 2.0 * np.pi * np.arange(32) / 32.0
 # Half length of the normals along which a rim is traced, one after the other: pixels, share of the radius.
-_REACHES = ((2.0, 0.35), (1.5, 0.14))
+_NORMAL_REACHES = ((2.0, 0.35), (1.5, 0.14))
 # Smoothing along the normals: share of the radius, pixels.
-_SMOOTH = (0.02, 0.4)
+_SMOOTHING = (0.02, 0.4)
 # Least gain of a searched normal; least step of an edge for a gain of 1, and in standard deviations of noise.
-_MIN_GAIN, _MIN_STEP, _STEP_SIGMAS = 0.12, 0.02, 3.0
+_MIN_SLOPE_CONTRAST, _MIN_STEP, _STEP_SIGMAS = 0.12, 0.02, 3.0
 # Relative standard deviation of the level ground's brightness.
-_LEVEL_SIGMA = 0.05
+_BRIGHTNESS_SIGMA = 0.05
 # Least share of the normals inside the image and with gain, and of those with an edge.
-_MIN_TRIED, _MIN_FOUND = 0.3, 0.35
+_MIN_TRIED_SHARE, _MIN_FOUND_SHARE = 0.3, 0.35
 # Rim further from its place than this share of the radius is another's.
-_MAX_MOVE = 0.6
+_MAX_SHIFT_RADII = 0.6
 # Logistic regression of right and wrong fits on rendered ground (smooth, irregular and textured), on rough
 # ground without craters and on noise: weights of correlation, share of the normals that agree, scatter in
 # radii, share of the rim covered.
-_WEIGHTS, _OFFSET = np.array([32.0, 6.5, -50.0, 6.9]), -30.4
+QUALITY_WEIGHTS, QUALITY_OFFSET = np.array([32.0, 6.5, -50.0, 6.9]), -30.4
 # Smoother rims are no better, real ones are rough.
-_LEAST_SCATTER = 0.02
+QUALITY_MIN_SCATTER_RADII = 0.02
 
 
 def find_rims(
-    image: npt.NDArray[np.generic], light_rad: float | None = None, options: BlindOptions | None = None
+    image: npt.NDArray[np.generic], sun_angle_rad: float | None = None, options: BlindOptions | None = None
 ) -> FoundRims:
     """Find crater rims.
 
@@ -141,7 +148,7 @@ def find_rims(
     ----------
     image : ndarray, shape (H, W) or (H, W, channels)
         See `brightness`.
-    light_rad : float, optional
+    sun_angle_rad : float, optional
         Direction in the image, from x towards y, from which the light comes; found in the image if not
         given.
     options : BlindOptions, optional
@@ -156,42 +163,47 @@ def find_rims(
     ValueError
         When the array is no image.
     EstimationError
-        When the image's craters are clearly lit from elsewhere than `light_rad`, and have the better rims
+        When the image's craters are clearly lit from elsewhere than `sun_angle_rad`, and have the better rims
         under that light.
     """
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
     largest = options.max_radius_share * min(pixels.shape)
-    places = find_places(everywhere, options.min_radius_px, largest, options.min_correlation)
-    places = distinct(places, options.max_places)
+    places = find_candidates(everywhere, options.min_radius_px, largest, options.min_correlation)
+    places = distinct(places, options.max_candidates)
     if len(places) == 0:
-        return gather([], [], [], light_rad if light_rad is not None else float("nan"))
+        return gather([], [], [], sun_angle_rad if sun_angle_rad is not None else float("nan"))
     noise = edges.noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
     try:
-        light, certain = agreed_light(places, light_rad)
+        light, certain = agreed_sun_angle(places, sun_angle_rad)
     except EstimationError:
-        # Places are no rims yet: those within one large shadow agree, too, and have none.
-        assert light_rad is not None
-        given = _found(pixels, places, float(light_rad), False, noise, options)
-        other = _found(pixels, places, common_light(places)[0], True, noise, options)
+        # Candidates are no rims yet: those within one large shadow agree, too, and have none.
+        assert sun_angle_rad is not None
+        given = _found(pixels, places, float(sun_angle_rad), False, noise, options)
+        other = _found(pixels, places, common_sun_angle(places)[0], True, noise, options)
         if given.quality.sum() < other.quality.sum():
             raise
         return given
-    if not certain and len(places) >= _MIN_VOTES:
+    if not certain and len(places) >= _MIN_VOTERS:
         places = places.take(np.zeros(0, dtype=np.int64))
     return _found(pixels, places, light, certain, noise, options)
 
 
 def _found(
-    pixels: ImageArray, places: Places, light_rad: float, certain: bool, noise: float, options: BlindOptions
+    pixels: ImageArray,
+    places: Candidates,
+    sun_angle_rad: float,
+    certain: bool,
+    noise: float,
+    options: BlindOptions,
 ) -> FoundRims:
     """Rims at those places that seem to be lit from about a direction."""
-    least = options.min_quality if certain else max(options.lone_quality, options.min_quality)
-    places = places.take(lit_from(places, light_rad, options.max_light_deviation_rad))
+    least = options.min_quality if certain else max(options.min_quality_sun_unknown, options.min_quality)
+    places = places.take(illuminated_from(places, sun_angle_rad, options.max_sun_deviation_rad))
     if len(places) == 0:
-        return gather([], [], [], light_rad)
-    lights = local_light(places, _LIGHT_REACH * max(pixels.shape))
-    gain = _GAIN_FACTOR * float(np.median(places.gain[:_GAIN_PLACES]))
+        return gather([], [], [], sun_angle_rad)
+    lights = local_sun_angles(places, _SUN_REACH_SHARE * max(pixels.shape))
+    gain = CONTRAST_FACTOR * float(np.median(places.gain[:_CONTRAST_CANDIDATES]))
     camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
     fits: list[RimFit] = []
     quality: list[float] = []
@@ -202,42 +214,44 @@ def _found(
             fits.append(fit[0])
             quality.append(fit[1])
             at_rims.append(float(lights[k]))
-    return gather(fits, quality, at_rims, light_rad)
+    return gather(fits, quality, at_rims, sun_angle_rad)
 
 
-def agreed_light(places: Places, light_rad: float | None) -> tuple[float, bool]:
+def agreed_sun_angle(places: Candidates, sun_angle_rad: float | None) -> tuple[float, bool]:
     """Direction of the light, rad, and whether the places show one.
 
     Parameters
     ----------
-    places : Places
+    places : Candidates
         At least one.
-    light_rad : float, optional
+    sun_angle_rad : float, optional
         What is known of it.
 
     Raises
     ------
     EstimationError
-        When many places agree on another direction than `light_rad`.
+        When many places agree on another direction than `sun_angle_rad`.
     """
-    common, share = common_light(places)
-    enough = len(places) >= _MIN_VOTES
-    excess = (share - _CHANCE_SHARE) * np.sqrt(len(places))
-    certain = bool(enough and excess > _SPREAD)
-    if light_rad is None:
+    common, share = common_sun_angle(places)
+    enough = len(places) >= _MIN_VOTERS
+    excess = (share - SUN_VOTE_CHANCE_SHARE) * np.sqrt(len(places))
+    certain = bool(enough and excess > SUN_VOTE_MARGIN)
+    if sun_angle_rad is None:
         return common, certain
-    off = abs(float(np.angle(np.exp(1j * (common - light_rad)))))
+    off = abs(float(np.angle(np.exp(1j * (common - sun_angle_rad)))))
     if off < np.deg2rad(45.0):
-        return float(light_rad), certain
-    if certain and excess > _SURE_SPREAD:
-        seen, given = (float(np.rad2deg(a)) % 360.0 for a in (common, light_rad))
+        return float(sun_angle_rad), certain
+    if certain and excess > SUN_VOTE_CONTRADICTION_MARGIN:
+        seen, given = (float(np.rad2deg(a)) % 360.0 for a in (common, sun_angle_rad))
         raise EstimationError(
             f"the light is said to come from {given:.0f} deg, the craters are lit from {seen:.0f} deg"
         )
-    return float(light_rad), False
+    return float(sun_angle_rad), False
 
 
-def gather(fits: list[RimFit], quality: list[float], lights_rad: list[float], light_rad: float) -> FoundRims:
+def gather(
+    fits: list[RimFit], quality: list[float], local_sun_angles_rad: list[float], sun_angle_rad: float
+) -> FoundRims:
     """Put rims together, best first, those left out that are a better one's again."""
     order = np.argsort(-np.array(quality), kind="stable")
     charts = np.array([fits[i].chart_px for i in order]).reshape(-1, 5)
@@ -251,15 +265,15 @@ def gather(fits: list[RimFit], quality: list[float], lights_rad: list[float], li
             kept.append(i)
     rows = [int(order[i]) for i in kept]
     covariance = np.array([fits[i].covariance for i in rows]).reshape(-1, 5, 5)
-    of_rims = np.array([quality, lights_rad]).reshape(2, -1)[:, rows]
-    return FoundRims(ellipses[kept], charts[kept], covariance, of_rims[0], of_rims[1], light_rad)
+    of_rims = np.array([quality, local_sun_angles_rad]).reshape(2, -1)[:, rows]
+    return FoundRims(ellipses[kept], charts[kept], covariance, of_rims[0], of_rims[1], sun_angle_rad)
 
 
 def _trace(
     image: ImageArray,
-    places: Places,
+    places: Candidates,
     k: int,
-    light_rad: float,
+    sun_angle_rad: float,
     gain: float,
     noise: float,
     camera: Camera,
@@ -268,49 +282,50 @@ def _trace(
     """Fit the rim at a place, from a circle, and its quality; None when there is none."""
     radius = float(places.radius_px[k])
     chart = np.array([*places.xy_px[k], np.log(radius), 0.0, np.log(radius)])
-    direction = np.array([np.cos(light_rad), np.sin(light_rad)])
+    direction = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
     fit: RimFit | FitFailure = FitFailure.NO_ELLIPSE
     tried = 0
     ellipse = replace(options.fit, outline_share=0.0)
-    for reach_px, reach_share in _REACHES:
+    for reach_px, reach_share in _NORMAL_REACHES:
         size = float(np.exp(0.5 * (chart[2] + chart[4])))
         level = ring_level(image, chart)
-        if not level > _DARK:
+        if not level > _MIN_BRIGHTNESS:
             return None
         # The crater's radius towards the light, in the image.
         u = direction[0] / np.exp(chart[2])
         v = (direction[1] - chart[3] * direction[0]) / np.exp(chart[4])
         count = int(np.clip(2.0 * size, 56, 160))
         points, ratio, lever, tried, _ = edges.trace_rim(
-            image, chart, gain * direction / np.hypot(u, v), level, reach_px + reach_share * size, *_SMOOTH,
-            options.psf_px, _MIN_GAIN, _MIN_STEP, _STEP_SIGMAS * np.sqrt(2.0) * noise / level, count,
-            crest.crossing_table(), crest.BLUR, crest.GAIN, camera.lens,
+            image, chart, gain * direction / np.hypot(u, v), level, reach_px + reach_share * size,
+            *_SMOOTHING, options.psf_px, _MIN_SLOPE_CONTRAST, _MIN_STEP,
+            _STEP_SIGMAS * np.sqrt(2.0) * noise / level, count, crater_profile.crossing_table(),
+            crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, camera.lens,
         )  # fmt: skip
-        if tried < _MIN_TRIED * count or len(points) < _MIN_FOUND * tried:
+        if tried < _MIN_TRIED_SHARE * count or len(points) < _MIN_FOUND_SHARE * tried:
             return None
-        fit = refine_rim(points, chart, camera, ellipse, ratio, lever, _LEVEL_SIGMA)
+        fit = refine_rim(points, chart, camera, ellipse, ratio, lever, _BRIGHTNESS_SIGMA)
         if isinstance(fit, FitFailure):
             return None
         chart = fit.chart_px
     assert isinstance(fit, RimFit)
     # The quality is that of an ellipse, the outline would explain other edges away.
-    outlined = refine_rim(points, chart, camera, options.fit, ratio, lever, _LEVEL_SIGMA)
+    outlined = refine_rim(points, chart, camera, options.fit, ratio, lever, _BRIGHTNESS_SIGMA)
     if isinstance(outlined, FitFailure):
         return None
     minor = float(axes_of_chart(chart[None])[0, 3])
     moved = float(np.hypot(*(chart[:2] - places.xy_px[k])))
-    if minor < 0.5 * radius or moved > _MAX_MOVE * radius:
+    if minor < 0.5 * radius or moved > _MAX_SHIFT_RADII * radius:
         return None
-    scatter = max(fit.rms_px / minor, _LEAST_SCATTER)
+    scatter = max(fit.rms_px / minor, QUALITY_MIN_SCATTER_RADII)
     evidence = np.array([places.correlation[k], fit.point_count / tried, scatter, fit.arc_share])
-    return outlined, float(1.0 / (1.0 + np.exp(-(_WEIGHTS @ evidence + _OFFSET))))
+    return outlined, float(1.0 / (1.0 + np.exp(-(QUALITY_WEIGHTS @ evidence + QUALITY_OFFSET))))
 
 
 def ring_level(image: ImageArray, chart_px: FloatArray) -> float:
     """Brightness of the ground around a rim: the median of rings; 0 where the image has none of them."""
-    c, s = np.exp(chart_px[2]) * np.cos(_TURN), np.exp(chart_px[4]) * np.sin(_TURN)
-    columns = np.rint(chart_px[0] + _RINGS * c).astype(np.int64).ravel()
-    rows = np.rint(chart_px[1] + _RINGS * (chart_px[3] * c + s)).astype(np.int64).ravel()
+    c, s = np.exp(chart_px[2]) * np.cos(_RING_ANGLES_RAD), np.exp(chart_px[4]) * np.sin(_RING_ANGLES_RAD)
+    columns = np.rint(chart_px[0] + _GROUND_RING_RADII * c).astype(np.int64).ravel()
+    rows = np.rint(chart_px[1] + _GROUND_RING_RADII * (chart_px[3] * c + s)).astype(np.int64).ravel()
     inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
     values = image[rows[inside], columns[inside]]
     values = np.sort(values[np.isfinite(values)])

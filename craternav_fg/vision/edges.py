@@ -22,14 +22,14 @@ FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
 # Of 255: brighter is no brightness.
-_SATURATED = 250.0
+_SATURATED_BRIGHTNESS = 250.0
 # The second smoothing, in units of the first, under which the crossing's displacement is observed.
-_WIDER = 2.2
+_SECOND_SMOOTHING_FACTOR = 2.2
 # Below this share of the rim's largest gain, errors of the level and of the rim's own direction, which
 # the prediction does not know, outweigh the noise of the pixels.
-_FLAT_GAIN = 0.35
+_FLAT_CONTRAST_SHARE = 0.35
 # Trust in the canonical crater before that, px^2 of observed displacement.
-_BLUNTNESS_WEIGHT = 0.1
+_BLUNTNESS_PRIOR_PX2 = 0.1
 
 
 def noise_level(image: ImageArray) -> float:
@@ -256,8 +256,9 @@ def _crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray
 @njit(cache=True, error_model="numpy")
 def trace_rim(
     image: ImageArray, chart_px: FloatArray, gain_px: FloatArray, level: float, reach_px: float,
-    smooth_share: float, smooth_px: float, psf_px: float, min_gain: float, min_step: float, noise_step: float,
-    count: int, bias: FloatArray, bias_share: FloatArray, bias_gain: FloatArray, lens: FloatArray,
+    smooth_share: float, smooth_px: float, psf_px: float, min_slope_contrast: float, min_step: float,
+    noise_step: float, count: int, bias: FloatArray, bias_share: FloatArray, bias_gain: FloatArray,
+    lens: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:  # fmt: skip
     """Edge points of one rim.
 
@@ -277,7 +278,7 @@ def trace_rim(
         Gaussian smoothing along the normal: smooth_share of the radius, at least smooth_px.
     psf_px : float
         Standard deviation of the point-spread function.
-    min_gain : float
+    min_slope_contrast : float
         Least |gain| of a normal that is searched.
     min_step : float
         Least step of brightness across the edge, relative to the level, for a gain of 1.
@@ -313,7 +314,7 @@ def trace_rim(
     gains = np.empty(count)
     more = np.empty(count)
     found, tried, largest = 0, 0, 0.0
-    dot, square = _BLUNTNESS_WEIGHT, _BLUNTNESS_WEIGHT
+    dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
     q = np.empty(6)
     bent = distorts(lens)
     shrinks = 1.0
@@ -321,7 +322,7 @@ def trace_rim(
         rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
         h = q[4]
         gain = -(gain_px[0] * q[2] + gain_px[1] * q[3]) / h
-        if np.abs(gain) < min_gain:
+        if np.abs(gain) < min_slope_contrast:
             continue
         if bent:
             shrinks = through_lens(q, lens)
@@ -375,11 +376,11 @@ def trace_rim(
         brightest = 0.0
         for j in range(int(where) - n_side, int(where) + n_side + 2):
             brightest = max(brightest, level * (1.0 + sign * raw[j]))
-        if brightest > _SATURATED:
+        if brightest > _SATURATED_BRIGHTNESS:
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
         shift = h * _interpolate(bias, bias_share, bias_gain, blur, gain)
-        wide = _WIDER * smooth
+        wide = _SECOND_SMOOTHING_FACTOR * smooth
         again = _crossing_near(raw, where, n_side + n_side // 2, _gaussian(wide / step))
         if not np.isnan(again):
             blur = np.sqrt(wide * wide + psf_px * psf_px) / h
@@ -402,7 +403,7 @@ def trace_rim(
         found += 1
     bluntness = dot / square
     for i in range(found):
-        flat = _FLAT_GAIN * largest / gains[i]
+        flat = _FLAT_CONTRAST_SHARE * largest / gains[i]
         ratio[i] *= np.sqrt(1.0 + flat * flat) / gains[i]
         t = first[i] - bluntness * more[i]
         points[i, 0] += t * normal[i, 0]

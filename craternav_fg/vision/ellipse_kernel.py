@@ -9,33 +9,33 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
-_TUKEY = 4.685
+_TUKEY_SIGMAS = 4.685
 _MAD_TO_SIGMA = 1.4826
-_GENTLE_ROUNDS = 5
-_SCALE_ROUNDS = 15
-_WEIGHT_ROUNDS = 22
+_CAUCHY_ITERATIONS = 5
+_SCALE_ITERATIONS = 15
+_WEIGHT_ITERATIONS = 22
 # Moments of Tukey's psi for a Gaussian error e of standard deviation 1, relative to m = E[psi']: of its
 # variance E[psi^2]/m^2, E[psi' e^2]/m, E[psi psi' e]/m^2 and Var[psi']/m^2. All but the last are 1 for least
 # squares.
-_SPREAD, _CURVED, _MIXED, _UNEVEN = 1.0526, 0.4428, 0.5720, 0.1597
+_PSI_VARIANCE, _PSI_CURVATURE, _PSI_MIXED, _PSI_SLOPE_VARIANCE = 1.0526, 0.4428, 0.5720, 0.1597
 # Relative variance of the scatter's estimate, times the number of points (2 for least squares).
-_SCATTER = 2.33
+_SCALE_VARIANCE = 2.33
 # Harmonics of an outline that is no ellipse: lower ones would be another ellipse. Amplitudes fall with the
 # order, as outlines of craters are red; this much of the variance is in each of the two of an order.
 FIRST_HARMONIC, LAST_HARMONIC = 3, 8
-_ORDERS = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
-HARMONIC_SHARE = (1.0 / _ORDERS**2) / np.sum(0.5 / _ORDERS**2)
+_HARMONIC_ORDERS = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
+HARMONIC_VARIANCE_SHARE = (1.0 / _HARMONIC_ORDERS**2) / np.sum(0.5 / _HARMONIC_ORDERS**2)
 # The outline's variance is told by few harmonics, partly seen: its inverse's mean is larger than its mean's.
-_OUTLINE_SPREAD = 1.4
-_MAX_OUTLINE = 0.15
+_OUTLINE_VARIANCE_FACTOR = 1.4
+_MAX_OUTLINE_RADII = 0.15
 # What the points say of the lever's unknown, those of little gain most, is wrong by so many times the
 # outline's deviation in radii: by 0.010 on rendered ground with outlines 2 % off an ellipse and worn crests,
 # where the fits claim 0.004; by 0.003 on ellipses.
-_MISLED = 0.5
+BRIGHTNESS_ERROR_PER_OUTLINE = 0.5
 # Unknowns: 5 of the ellipse, the lever's, its slopes across and along the light, then harmonics.
-_LEVER, _ACROSS, _ALONG, _OUTLINE = 5, 6, 7, 8
+_BRIGHTNESS, _SLOPE_ACROSS, _SLOPE_ALONG, _OUTLINE = 5, 6, 7, 8
 # Variance of an unknown that is held.
-_HELD = 1e-12
+_HELD_VARIANCE = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
@@ -148,7 +148,7 @@ def _point_row(
     much of its distance from the centre.
     """
     d = signed_distance(px, py, y, n, w)
-    w[_LEVER] = -(n[0] * lever[0] + n[1] * lever[1])
+    w[_BRIGHTNESS] = -(n[0] * lever[0] + n[1] * lever[1])
     ea, es = np.exp(y[2]), np.exp(y[4])
     x = px - y[0]
     u, v = x / ea, (py - y[1] - y[3] * x) / es
@@ -156,8 +156,8 @@ def _point_row(
     c1, s1 = u / r, v / r
     tu, tv = toward[0] / ea, (toward[1] - y[3] * toward[0]) / es
     t = np.sqrt(tu * tu + tv * tv) + 1e-300
-    w[_ACROSS] = w[_LEVER] * (c1 * tv - s1 * tu) / t
-    w[_ALONG] = w[_LEVER] * (c1 * tu + s1 * tv) / t
+    w[_SLOPE_ACROSS] = w[_BRIGHTNESS] * (c1 * tv - s1 * tu) / t
+    w[_SLOPE_ALONG] = w[_BRIGHTNESS] * (c1 * tu + s1 * tv) / t
     h = n[0] * x + n[1] * (py - y[1]) - d
     c, s = c1, s1
     k = 1
@@ -261,9 +261,9 @@ def _second_order_bias(
                 leverage += base[i] * weight[i] * J[a] * C[a, b] * J[b]
                 KCJ += K[a] * C[a, b] * J[b]
         variance = 1.0 / base[i]
-        scale = 0.5 * _SPREAD * trace - _MIXED * KCJ + 0.5 * _CURVED * c * variance
+        scale = 0.5 * _PSI_VARIANCE * trace - _PSI_MIXED * KCJ + 0.5 * _PSI_CURVATURE * c * variance
         for a in range(5):
-            total[a] += base[i] * weight[i] * (J[a] * scale + M[a] * variance * (1.0 - _MIXED * leverage))
+            total[a] += base[i] * weight[i] * (J[a] * scale + M[a] * variance * (1.0 - _PSI_MIXED * leverage))
     out = np.zeros(5)
     for a in range(5):
         for b in range(5):
@@ -320,7 +320,7 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
     count, m = rows.shape
     jump, power = np.empty(count - 1), 0.0
     for i in range(count):
-        power += min(abs(r[i]), _TUKEY * sigma) ** 2
+        power += min(abs(r[i]), _TUKEY_SIGMAS * sigma) ** 2
         if i > 0:
             jump[i - 1] = abs(r[i] - r[i - 1])
     own = 0.5 * (_MAD_TO_SIGMA * _ordered(jump)[(count - 1) // 2]) ** 2
@@ -335,10 +335,10 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
         rest = N[j, j]
         for a in range(5):
             rest -= N[j, a] * column[a]
-        left += HARMONIC_SHARE[j - _OUTLINE] * rest
+        left += HARMONIC_VARIANCE_SHARE[j - _OUTLINE] * rest
     # What the errors' own mean square may be by chance is no outline.
     own *= count + 2.0 * np.sqrt(2.0 * count)
-    return min(max(power - own, 0.0) / left, _MAX_OUTLINE**2)
+    return min(max(power - own, 0.0) / left, _MAX_OUTLINE_RADII**2)
 
 
 @njit(cache=True, error_model="numpy")
@@ -355,7 +355,7 @@ def fit(
     the points say; 0 leaves no room for any.
     """
     count = points.shape[0]
-    size_all = _OUTLINE + (len(HARMONIC_SHARE) if outline_share > 0.0 else 0)
+    size_all = _OUTLINE + (len(HARMONIC_VARIANCE_SHARE) if outline_share > 0.0 else 0)
     y = start.copy()
     cov = np.zeros((5, 5))
     base = 1.0 / (ratio * ratio)
@@ -367,9 +367,9 @@ def fit(
     # The unknowns beside the ellipse and their prior variances. A slope along the light does what a change of
     # size does: it is an uncertainty, but what would be found of it were other errors.
     other = np.zeros(size_all)
-    prior = np.full(size_all, _HELD)
-    prior[_LEVER] = lever_sigma * lever_sigma
-    prior[_ACROSS] = max(lever_slope * lever_slope, _HELD)
+    prior = np.full(size_all, _HELD_VARIANCE)
+    prior[_BRIGHTNESS] = lever_sigma * lever_sigma
+    prior[_SLOPE_ACROSS] = max(lever_slope * lever_slope, _HELD_VARIANCE)
     outline2 = outline_share * outline_share
     L = np.zeros((size_all, size_all))
     unit = np.zeros(size_all)
@@ -377,29 +377,29 @@ def fit(
     for iteration in range(30):
         for i in range(count):
             d[i] = _point_row(points[i, 0], points[i, 1], lever[i], toward, y, n, rows[i])
-            for j in range(_LEVER, size_all):
+            for j in range(_BRIGHTNESS, size_all):
                 d[i] += rows[i, j] * other[j]
             r[i] = d[i] * np.sqrt(base[i])
         # With a scale that follows the points' order the weights can go round for ever.
-        if iteration < _SCALE_ROUNDS:
+        if iteration < _SCALE_ITERATIONS:
             sigma = max(_MAD_TO_SIGMA * _ordered(np.abs(r))[count // 2], min_scatter)
         for i in range(count):
-            t = r[i] / (_TUKEY * sigma)
+            t = r[i] / (_TUKEY_SIGMAS * sigma)
             # The first rounds down-weigh only: a poor start must not throw the good points away. The last
             # leave the weights as they are.
-            if iteration < _GENTLE_ROUNDS:
+            if iteration < _CAUCHY_ITERATIONS:
                 weight[i] = 1.0 / (1.0 + (r[i] / sigma) ** 2)
-            elif iteration < _WEIGHT_ROUNDS:
+            elif iteration < _WEIGHT_ITERATIONS:
                 weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
-        if size_all > _OUTLINE and iteration == _GENTLE_ROUNDS:
+        if size_all > _OUTLINE and iteration == _CAUCHY_ITERATIONS:
             outline2 += _outline_variance(rows, r, base, sigma)
             for j in range(_OUTLINE, size_all):
-                prior[j] = outline2 * HARMONIC_SHARE[j - _OUTLINE]
+                prior[j] = outline2 * HARMONIC_VARIANCE_SHARE[j - _OUTLINE]
         # The outline's variance is known from here on.
-        used = _OUTLINE if iteration < _GENTLE_ROUNDS else size_all
+        used = _OUTLINE if iteration < _CAUCHY_ITERATIONS else size_all
         L = np.zeros((used, used))
         N, grad = _normal_equations(rows, used, d, base, weight)
-        for j in range(_LEVER, used):
+        for j in range(_BRIGHTNESS, used):
             N[j, j] += sigma * sigma / prior[j]
             grad[j] += sigma * sigma / prior[j] * other[j]
         if not _factorised(N, L):
@@ -411,9 +411,9 @@ def fit(
         damp = min(1.0, 0.5 * size / (length + 1e-300))
         for a in range(5):
             y[a] += damp * step[a]
-        for j in range(_LEVER, used):
+        for j in range(_BRIGHTNESS, used):
             other[j] += damp * step[j]
-        if iteration > _GENTLE_ROUNDS and length < 1e-4:
+        if iteration > _CAUCHY_ITERATIONS and length < 1e-4:
             break
     # A robust cycle of a few thousandths of a pixel is as good as convergence.
     if not (length < 0.01 and np.abs(y[3]) < 20.0):
@@ -423,15 +423,15 @@ def fit(
     level = points.copy()
     for i in range(count):
         d[i] = _point_row(points[i, 0], points[i, 1], lever[i], toward, y, n, rows[i])
-        if rows[i, _LEVER] != 0.0:
-            moved = rows[i, _LEVER] * other[_LEVER] + rows[i, _ACROSS] * other[_ACROSS]
+        if rows[i, _BRIGHTNESS] != 0.0:
+            moved = rows[i, _BRIGHTNESS] * other[_BRIGHTNESS] + rows[i, _SLOPE_ACROSS] * other[_SLOPE_ACROSS]
             d[i] += moved
-            level[i] -= moved / rows[i, _LEVER] * lever[i]
+            level[i] -= moved / rows[i, _BRIGHTNESS] * lever[i]
         whole = d[i] * np.sqrt(base[i])
         for j in range(_OUTLINE, size_all):
             d[i] += rows[i, j] * other[j]
         r[i] = d[i] * np.sqrt(base[i])
-        t = r[i] / (_TUKEY * sigma)
+        t = r[i] / (_TUKEY_SIGMAS * sigma)
         weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
         if weight[i] > 0.0:
             kept += 1
@@ -445,18 +445,18 @@ def fit(
     # Covariance of an M-estimate: psi's mean square over its mean slope squared.
     sigma2 = psi2 * count / (slope * slope)
     fitted = 5.0
-    for j in range(_ACROSS, size_all):
+    for j in range(_SLOPE_ACROSS, size_all):
         unit[:] = 0.0
         unit[j] = 1.0
         fitted += max(0.0, 1.0 - sigma2 * _solved(L, unit)[j] / prior[j])
-    white2 = sigma2 * count / (count - fitted) / _SPREAD
+    white2 = sigma2 * count / (count - fitted) / _PSI_VARIANCE
     # With Huber's correction for few points, and right in its inverse's mean: it is itself an estimate.
-    sigma2 *= count / (count - fitted - _SCATTER) * (1.0 + fitted * _UNEVEN / count) ** 2
+    sigma2 *= count / (count - fitted - _SCALE_VARIANCE) * (1.0 + fitted * _PSI_SLOPE_VARIANCE / count) ** 2
     sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
     N, _ = _normal_equations(rows, size_all, d, base, np.ones(count))
-    prior[_ALONG] = prior[_ACROSS]
-    for j in range(_LEVER, size_all):
-        N[j, j] += sigma2 / (prior[j] * (_OUTLINE_SPREAD if j >= _OUTLINE else 1.0))
+    prior[_SLOPE_ALONG] = prior[_SLOPE_ACROSS]
+    for j in range(_BRIGHTNESS, size_all):
+        N[j, j] += sigma2 / (prior[j] * (_OUTLINE_VARIANCE_FACTOR if j >= _OUTLINE else 1.0))
     C, noise = np.empty((5, 5)), np.empty((5, 5))
     if not (_inverse_block(N, C) and _inverse_block(np.ascontiguousarray(N[:6, :6]), noise)):
         return False, y, cov, cov, cov[0], 0.0, kept, 0.0, 0.0
@@ -464,9 +464,11 @@ def fit(
     if not _factorised(N, L):
         return False, y, cov, cov, cov[0], 0.0, kept, 0.0, 0.0
     unit[:] = 0.0
-    unit[_LEVER] = 1.0
+    unit[_BRIGHTNESS] = 1.0
     joint = _solved(L, unit)
-    misled = min(_MISLED * np.sqrt(outline2), lever_sigma) / joint[_LEVER] * joint[:5]
+    misled = (
+        min(BRIGHTNESS_ERROR_PER_OUTLINE * np.sqrt(outline2), lever_sigma) / joint[_BRIGHTNESS] * joint[:5]
+    )
     arc = _covered(points, weight, y, max_gap_rad)
     # A hardly determined ellipse has no second-order expansion; it is refused by its covariance.
     if sigma2 * max(C[2, 2], C[4, 4]) < 0.06:

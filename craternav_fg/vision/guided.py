@@ -18,14 +18,14 @@ from craternav_fg.ellipse import pixel_chart
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.photometry import level_ground
-from craternav_fg.vision import crest, edges
+from craternav_fg.vision import crater_profile, edges
 from craternav_fg.vision.arcs import judge
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, RimFit, refine_rim
 from craternav_fg.vision.error_model.correlated import correlated_roots
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
-from craternav_fg.vision.level_map import LevelMap
 from craternav_fg.vision.pose_correction import corrected_pose, squared_distance, variance_factor
+from craternav_fg.vision.reference_brightness import ReferenceBrightness
 from craternav_fg.vision.sun import measure_sun_tilt
 from factors.kernels import conic
 
@@ -36,16 +36,16 @@ ImageArray = npt.NDArray[np.float32]
 _Trace = tuple[FloatArray, FloatArray, FloatArray, int]
 
 # Darker level ground, of 255, has no contrast to offer.
-_DARK = 6.0
+_MIN_BRIGHTNESS = 6.0
 # The common shift needs no more rims than these.
-_SEARCHED_RIMS = 60
-_ANGLES: FloatArray = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False, dtype=np.float64)
+_MAX_SEARCHED_RIMS = 60
+_SEARCH_ANGLES_RAD: FloatArray = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False, dtype=np.float64)
 # Fewer rims cannot prove a prediction wrong.
 _MIN_LOST_RIMS = 3
 # Outlines deviate from ellipses where they do by so many times what is expected before.
-_IRREGULAR = 10.0
+_IRREGULARITY_FACTOR = 10.0
 # Steps across the rim are taken over this share of the radius to both sides.
-_STEP_SHARE = 0.12
+_STEP_REACH_SHARE = 0.12
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class GuidedFrontEnd:
         self.camera = camera
         self.catalog = catalog
         self.options = options or GuidedOptions()
-        self._bias = crest.crossing_table()
+        self._bias = crater_profile.crossing_table()
 
     def measure(
         self,
@@ -143,7 +143,7 @@ class GuidedFrontEnd:
         prior = rotate_position_block(pose_covariance, gTb[:3, :3].T)
         grey = on_8_bit_scale(image, self.camera)
         pixels = np.ascontiguousarray(grey, dtype=np.float32)
-        levels = LevelMap(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
+        levels = ReferenceBrightness(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
         result = self._attempt(pixels, gTb, prior, sun_g, levels)
         if 2 * len(result.rims) < result.expected and result.expected >= _MIN_LOST_RIMS:
             # The prediction may be worse than its covariance says; several rims must agree to that.
@@ -159,7 +159,9 @@ class GuidedFrontEnd:
         arcs = self._arcs(pixels, result, sun_g, levels)
         return FrameMeasurement(stamp_ns, result.rims, sun, arcs)
 
-    def _arcs(self, image: ImageArray, result: "_Result", sun_g: FloatArray, levels: LevelMap) -> ArcSet:
+    def _arcs(
+        self, image: ImageArray, result: "_Result", sun_g: FloatArray, levels: ReferenceBrightness
+    ) -> ArcSet:
         """Trace the rims that no ellipse was fitted to, where the pose of the others puts them."""
         opt = self.options
         # A few rims alone can be wrong together.
@@ -179,7 +181,9 @@ class GuidedFrontEnd:
             traced, ratio, _, tried = self._trace(image, scene, i, opt.second_reach)
             if len(traced) < opt.arcs.min_found_share * tried:
                 continue
-            lasting_px = opt.lasting.arc_px + np.hypot(opt.lasting.arc_share, outline) * minor_px
+            lasting_px = (
+                opt.correlated_errors.arc_px + np.hypot(opt.correlated_errors.arc_share, outline) * minor_px
+            )
             arc = judge(
                 traced,
                 ratio,
@@ -198,7 +202,12 @@ class GuidedFrontEnd:
         return ArcSet(rows, tuple(points), tuple(sigmas), np.array(lasting))
 
     def _attempt(
-        self, image: ImageArray, gTb: FloatArray, prior: FloatArray, sun_g: FloatArray, levels: LevelMap
+        self,
+        image: ImageArray,
+        gTb: FloatArray,
+        prior: FloatArray,
+        sun_g: FloatArray,
+        levels: ReferenceBrightness,
     ) -> "_Result":
         """Measure the rims, taking `prior`, the covariance of the body's right twist, at its word."""
         opt = self.options
@@ -231,7 +240,7 @@ class GuidedFrontEnd:
         gTb: FloatArray,
         prior: FloatArray,
         sun_g: FloatArray,
-        levels: LevelMap,
+        levels: ReferenceBrightness,
         common: FloatArray,
         radius_px: float,
     ) -> FloatArray:
@@ -275,14 +284,14 @@ class GuidedFrontEnd:
         keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, 5))
         rows, systematic = scene.rows[keep], factor * fitted.systematic[keep]
         covariance, level = covariance[keep], np.sqrt(factor) * fitted.level[keep]
-        lasting = self.options.lasting
+        lasting = self.options.correlated_errors
         correlated, shared = correlated_roots(
             systematic, level, rows, pose, sun_g, self.camera, self.catalog, lasting
         )
         # What a crater keeps is part of it already, and the level that it shares.
         covariance = covariance + shared @ np.swapaxes(shared, 1, 2)
-        covariance -= lasting.level_share * level[:, :, None] * level[:, None, :]
-        covariance = covariance + lasting.rough_share * (factor - 1.0) * systematic
+        covariance -= lasting.brightness_share * level[:, :, None] * level[:, None, :]
+        covariance = covariance + lasting.excess_white_share * (factor - 1.0) * systematic
         quality = fitted.quality.take(keep)
         return _Result(
             RimSet(rows, chart[keep], covariance, quality, correlated, shared), pose, spread, expected
@@ -296,7 +305,9 @@ class GuidedFrontEnd:
         """Differentiate the rims' centres, px, for the body's right twist: (n, 2, 6)."""
         return np.array([[self.camera.fx_px], [self.camera.fy_px]]) * scene.jacobians[:, :2]
 
-    def _predict(self, rows: IntArray, gTb: FloatArray, sun_g: FloatArray, levels: LevelMap) -> "_Scene":
+    def _predict(
+        self, rows: IntArray, gTb: FloatArray, sun_g: FloatArray, levels: ReferenceBrightness
+    ) -> "_Scene":
         """Predict rims from a pose; all of `rows` are taken to be visible."""
         centres = self.catalog.centres[rows]
         charts, H, seen = conic.chart_jacobian(gTb, self.camera.bTc, centres, self.catalog.axes[rows])
@@ -312,7 +323,7 @@ class GuidedFrontEnd:
         gain_px = (gain_c[:, :2] - points * gain_c[:, 2:]) * (radius_m / centres_c[:, 2])[:, None]
         gain_px *= [self.camera.fx_px, self.camera.fy_px]
         level = brightness * levels.ratio(points)
-        lit = level > _DARK
+        lit = level > _MIN_BRIGHTNESS
         return _Scene(
             rows[lit], charts[lit], pixel_chart(charts[lit], self.camera), np.linalg.norm(gain[lit], axis=-1),
             np.ascontiguousarray(gain_px[lit]), level[lit], H[lit], levels.noise,
@@ -321,7 +332,9 @@ class GuidedFrontEnd:
     def _common_shift(self, image: ImageArray, scene: "_Scene", radius_px: float) -> FloatArray:
         """One shift (2,) of all rims, px: coarse to fine on sun-signed brightness steps."""
         minor = np.exp(np.minimum(scene.charts_px[:, 2], scene.charts_px[:, 4]))
-        order = np.argsort(-minor * np.linalg.norm(scene.gain_px, axis=-1), kind="stable")[:_SEARCHED_RIMS]
+        order = np.argsort(-minor * np.linalg.norm(scene.gain_px, axis=-1), kind="stable")[
+            :_MAX_SEARCHED_RIMS
+        ]
         start = np.zeros(2)
         radius = radius_px
         for factor in (4, 2, 1):
@@ -340,8 +353,8 @@ class GuidedFrontEnd:
             lens[:2] /= factor
             lens[2:4] = (lens[2:4] + 0.5) / factor - 0.5
             best, _ = edges.search_shift(
-                small, charts, scene.gain_px[order] / factor, scene.level[order], _ANGLES, start / factor,
-                radius / factor, 1.0, _STEP_SHARE, 1.0, lens,
+                small, charts, scene.gain_px[order] / factor, scene.level[order], _SEARCH_ANGLES_RAD,
+                start / factor, radius / factor, 1.0, _STEP_REACH_SHARE, 1.0, lens,
             )  # fmt: skip
             start = best * factor
             radius = 1.5 * factor
@@ -358,8 +371,8 @@ class GuidedFrontEnd:
             reach = min(reach_px[i], half)
             step = max(0.5, reach / 8.0)
             out[i], _ = edges.search_shift(
-                image, scene.charts_px[one], scene.gain_px[one], scene.level[one], _ANGLES, shift, reach,
-                step, _STEP_SHARE, 1.0, self.camera.lens,
+                image, scene.charts_px[one], scene.gain_px[one], scene.level[one], _SEARCH_ANGLES_RAD, shift,
+                reach, step, _STEP_REACH_SHARE, 1.0, self.camera.lens,
             )  # fmt: skip
         return out
 
@@ -369,18 +382,18 @@ class GuidedFrontEnd:
         minor_px = _minor_px(scene, i)
         return edges.trace_rim(
             image, scene.charts_px[i], scene.gain_px[i], scene.level[i], reach[0] + reach[1] * minor_px,
-            opt.smooth_share, opt.smooth_px, self.camera.psf_sigma_px, opt.min_gain, opt.min_step,
+            opt.smooth_share, opt.smooth_px, self.camera.psf_sigma_px, opt.min_slope_contrast, opt.min_step,
             opt.step_sigmas * np.sqrt(2.0) * scene.noise / scene.level[i], _normals(minor_px), self._bias,
-            crest.BLUR, crest.GAIN, self.camera.lens,
+            crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, self.camera.lens,
         )[:4]  # fmt: skip
 
     def _fit(self, scene: "_Scene", i: int, trace: _Trace, options: FitOptions) -> RimFit | FitFailure:
         """Fit one rim of a scene to what `_trace` gave."""
         opt = self.options
-        slope = opt.level_slope_px * _minor_px(scene, i)
+        slope = opt.brightness_slope_per_px * _minor_px(scene, i)
         return refine_rim(
-            trace[0], scene.charts_px[i], self.camera, options, trace[1], trace[2], opt.level_sigma, slope,
-            scene.gain_px[i],
+            trace[0], scene.charts_px[i], self.camera, options, trace[1], trace[2], opt.brightness_sigma,
+            slope, scene.gain_px[i],
         )  # fmt: skip
 
     def _fit_all(self, image: ImageArray, scene: "_Scene", reach: tuple[float, float]) -> "_Fitted":
@@ -403,7 +416,7 @@ class GuidedFrontEnd:
         # One rim's points tell its outline's deviation poorly, and what seems an ellipse by chance is given
         # too much weight; the frame's other rims tell better.
         shares = np.array([fit.outline_share for fit in fits])
-        if len(fits) and np.median(shares) > _IRREGULAR * opt.fit.outline_share:
+        if len(fits) and np.median(shares) > _IRREGULARITY_FACTOR * opt.fit.outline_share:
             usual2 = np.mean(shares**2)
             for k, i in enumerate(found):
                 missing = np.sqrt(max(usual2 - shares[k] ** 2, 0.0))

@@ -21,10 +21,10 @@ class GuidedOptions:
     smooth_px, smooth_share : float
         Smoothing along the rim's normals: smooth_px, at least smooth_share radii. Less texture and
         noise, but more of the crest's asymmetry to remove.
-    level_sigma : float
+    brightness_sigma : float
         Relative standard deviation of the level ground's brightness at a single rim: regional slope,
         albedo. It is estimated beside the ellipse.
-    level_slope_px : float
+    brightness_slope_per_px : float
         The same of its change, per pixel: ground that bends under a crater, large craters that spoil the map
         of level ground.
     max_shift_px : float
@@ -32,7 +32,7 @@ class GuidedOptions:
         prediction's covariance says.
     shift_sigmas : float
         Searched radius in standard deviations of the predicted rims.
-    min_gain : float
+    min_slope_contrast : float
         Least shading gain across a rim part that is searched.
     min_step : float
         Least relative step of brightness across an edge, for a gain of 1.
@@ -47,7 +47,7 @@ class GuidedOptions:
         pixels, and share of the semi-minor axis.
     gate_probability : float
         A true rim passes the chi-square gate with this probability.
-    lasting : CorrelatedErrorOptions
+    correlated_errors : CorrelatedErrorOptions
         What of the rims' errors outlasts a frame.
     fit : FitOptions
         Of the ellipse fit, with the systematic floor and the deviation of outlines that is expected before
@@ -62,11 +62,11 @@ class GuidedOptions:
     margin_px: float = 3.0
     smooth_px: float = 0.4
     smooth_share: float = 0.02
-    level_sigma: float = 0.02
-    level_slope_px: float = 1e-4
+    brightness_sigma: float = 0.02
+    brightness_slope_per_px: float = 1e-4
     max_shift_px: float = 48.0
     shift_sigmas: float = 3.5
-    min_gain: float = 0.12
+    min_slope_contrast: float = 0.12
     min_step: float = 0.02
     step_sigmas: float = 3.0
     min_found_share: float = 0.55
@@ -75,7 +75,7 @@ class GuidedOptions:
     first_reach: tuple[float, float] = (2.5, 0.12)
     second_reach: tuple[float, float] = (1.5, 0.08)
     gate_probability: float = 0.9999
-    lasting: CorrelatedErrorOptions = field(default_factory=CorrelatedErrorOptions)
+    correlated_errors: CorrelatedErrorOptions = field(default_factory=CorrelatedErrorOptions)
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
     arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)
@@ -84,14 +84,14 @@ class GuidedOptions:
 # For images that nobody fuses: what all rims share matters where it does not average out over frames; of one
 # image a fit's own covariance is honest.
 SINGLE_IMAGE = GuidedOptions(
-    lasting=CorrelatedErrorOptions(
-        rough_share=0.0,
-        toward_px=0.0,
-        lit_px=0.0,
-        along_px=0.0,
-        along_share=0.0,
+    correlated_errors=CorrelatedErrorOptions(
+        excess_white_share=0.0,
+        camera_shift_px=0.0,
+        sun_shift_px=0.0,
+        stretch_px=0.0,
+        stretch_share=0.0,
         size_px=0.0,
         size_share=0.0,
-        level_share=0.0,
+        brightness_share=0.0,
     )
 )

@@ -11,7 +11,7 @@ FloatArray = npt.NDArray[np.float64]
 # The scatter of fewer rims about one pose says little about their covariances.
 _MIN_RIMS = 6
 # Weights that change by less are right.
-_SETTLED = 1e-3
+_WEIGHT_TOLERANCE = 1e-3
 
 
 def squared_distance(residual: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -46,7 +46,7 @@ def corrected_pose(
         weight = 1.0 / (1.0 + off2 / max(1.0, 2.0 * float(np.median(off2)))) ** 2
         N = information + np.einsum("n,nij->ij", weight, each)
         delta = np.linalg.solve(N, weight @ pull - information @ moved)
-        if np.max(np.abs(weight - last)) < _SETTLED:
+        if np.max(np.abs(weight - last)) < _WEIGHT_TOLERANCE:
             break
         last = weight
     out = pose.copy()

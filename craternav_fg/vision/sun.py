@@ -22,17 +22,17 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SunTilt
 from craternav_fg.photometry import level_ground
-from craternav_fg.vision.bowls import light_turn
 from craternav_fg.vision.grey import GreyArray
+from craternav_fg.vision.wall_shading import sun_azimuth_offset
 
 FloatArray = npt.NDArray[np.float64]
 
 # A prediction worse than this does not tell one side from the other.
-_SENSE_RAD = 0.5
+_MAX_SENSE_SIGMA_RAD = 0.5
 # Fewer craters than these are no better than the relief.
 _MIN_CRATERS = 3
 # Effect of an attitude error on the tilt, through the foreshortening.
-_ATTITUDE_SHARE = 0.5
+_TILT_PER_ATTITUDE_ERROR = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class SunOptions:
         Side of the blocks whose scatter tells the standard deviation.
     min_blocks : int
         Fewer usable blocks say nothing.
-    min_gain : float
+    min_slope_contrast : float
         Least shading gain of a usable block.
     min_emission : float
         Least cosine of a usable block's emission angle.
@@ -67,7 +67,7 @@ class SunOptions:
     blur_px: float = 1.5
     block_px: int = 64
     min_blocks: int = 12
-    min_gain: float = 0.15
+    min_slope_contrast: float = 0.15
     min_emission: float = 0.25
     min_anisotropy: float = 0.08
     min_contrast: float = 0.002
@@ -128,7 +128,7 @@ def measure_sun_tilt(
         return None
     turn, sigma = 0.0, np.inf
     if craters is not None and len(craters) >= _MIN_CRATERS:
-        turn, sigma = light_turn(image.astype(np.float32), camera, craters, gTb, sun_g)
+        turn, sigma = sun_azimuth_offset(image.astype(np.float32), camera, craters, gTb, sun_g)
         floor_rad, oblique_rad = options.crater_floor_rad, options.crater_floor_oblique_rad
     if not np.isfinite(sigma):
         turn, sigma = _relief_turn(image, camera, body, gRc, gPc, sun_g, options, attitude_sigma_rad)
@@ -137,7 +137,7 @@ def measure_sun_tilt(
         return None
     range_m = float(np.linalg.norm(gPc - foot[0]))
     sine = float(np.linalg.norm(np.cross(normal, gPc - foot[0]))) / range_m
-    systematic = (floor_rad, oblique_rad * sine, _ATTITUDE_SHARE * attitude_sigma_rad)
+    systematic = (floor_rad, oblique_rad * sine, _TILT_PER_ATTITUDE_ERROR * attitude_sigma_rad)
     sigma = float(np.linalg.norm([sigma, *systematic]))
     measured = frames.rotation_exp(normal * turn) @ azimuth
     s = gRc.T @ measured
@@ -164,7 +164,7 @@ def _relief_turn(
     if blocks is None or len(blocks[0]) < options.min_blocks:
         return 0.0, np.inf
     turn, sigma, sign = _axis(*blocks, options)
-    known = attitude_sigma_rad < _SENSE_RAD
+    known = attitude_sigma_rad < _MAX_SENSE_SIGMA_RAD
     if (sign == 0.0 and not known) or (sign < 0.0 and known):
         return 0.0, np.inf
     return (turn if sign >= 0.0 else turn + np.pi), sigma
@@ -220,7 +220,7 @@ def _block_gradients(
     keep = (
         hit
         & (np.sum(normals * view, axis=-1) > options.min_emission)
-        & (strength > options.min_gain)
+        & (strength > options.min_slope_contrast)
         & (contrast > options.min_contrast)
         & (level < 245.0)
     )

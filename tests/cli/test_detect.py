@@ -58,7 +58,7 @@ def test_table_json_and_overlay_agree(one, detect, tmp_path, method):
         assert -90.0 <= rim["rotation_deg"] <= 90.0
         assert 0.0 < rim["quality"] <= 1.0
         assert 0.0 < rim["center_sigma_px"] < 5.0
-    off_deg = (result["light_deg"] - np.rad2deg(one.light_rad) + 180.0) % 360.0 - 180.0
+    off_deg = (result["light_deg"] - np.rad2deg(one.sun_angle_rad) + 180.0) % 360.0 - 180.0
     assert abs(off_deg) < 12.0
     assert result["detect_ms"] > 0.0
     overlay = cv2.imread(result["overlay"])
@@ -91,7 +91,7 @@ def test_in_words(one, detect, tmp_path):
 def test_wrong_sun_is_one_line(one, detect, tmp_path):
     path = tmp_path / "frame.png"
     cv2.imwrite(str(path), one.image)
-    wrong = np.rad2deg(one.light_rad) + 180.0
+    wrong = np.rad2deg(one.sun_angle_rad) + 180.0
     code, output, error = detect(path, "-o", tmp_path / "rims.csv", "--sun", wrong)
     assert code == 2
     assert output == ""

@@ -58,7 +58,7 @@ def test_light_covariance_and_quality(scenes):
     chi2 = []
     for one in scenes:
         rims = find_rims(one.image)
-        off = np.angle(np.exp(1j * (rims.light_rad - one.light_rad)))
+        off = np.angle(np.exp(1j * (rims.sun_angle_rad - one.sun_angle_rad)))
         assert abs(off) < np.deg2rad(12.0)
         assert np.all(np.diff(rims.quality) <= 0.0)
         assert np.all((rims.quality >= BlindOptions().min_quality) & (rims.quality <= 1.0))
@@ -170,16 +170,16 @@ def test_saturated_image_gives_rims_of_craters_only(one):
 
 def test_known_light_gives_the_same_rims(one):
     reference = find_rims(one.image)
-    rims = find_rims(one.image, one.light_rad + np.deg2rad(15.0))
+    rims = find_rims(one.image, one.sun_angle_rad + np.deg2rad(15.0))
     assert found_again(rims, reference) >= 0.95
-    assert rims.light_rad == pytest.approx(one.light_rad + np.deg2rad(15.0))
+    assert rims.sun_angle_rad == pytest.approx(one.sun_angle_rad + np.deg2rad(15.0))
 
 
 @DETECTORS
 @pytest.mark.parametrize("wrong_deg", [90.0, 180.0, -90.0])
 def test_wrong_light_is_noticed(one, detector, wrong_deg):
     with pytest.raises(EstimationError, match=r"the craters are lit from \d+ deg"):
-        detector(one.image, one.light_rad + np.deg2rad(wrong_deg))
+        detector(one.image, one.sun_angle_rad + np.deg2rad(wrong_deg))
 
 
 def test_turned_image_has_turned_rims(one):
@@ -256,6 +256,6 @@ def test_places_in_one_large_shadow_do_not_outvote_the_light():
     rng = np.random.default_rng([12, 77])
     view = draw_view(rng, 10e3, int(rng.integers(2**31)))
     one, _ = photograph(view, rng, TerrainOptions(cells=1024))
-    rims = find_rims(one.image, one.light_rad)
+    rims = find_rims(one.image, one.sun_angle_rad)
     assert len(rims) > 0
-    assert rims.light_rad == one.light_rad
+    assert rims.sun_angle_rad == one.sun_angle_rad

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crest, edges
+from craternav_fg.vision import crater_profile, edges
 
 LEVEL = 100.0
 CENTRE = np.array([61.3, 58.8])
 CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
 # Gain towards -x: walls facing +x, on the left, are dark.
 GAIN = np.array([-20.0, 0.0])
-NO_BIAS = np.zeros((len(crest.BLUR), len(crest.GAIN)))
+NO_BIAS = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_CONTRASTS)))
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
@@ -27,7 +27,7 @@ def rim_image(centre=CENTRE, contrast=0.5):
     return (LEVEL * (1.0 + contrast * gx / np.hypot(gx, gy) * shape)).astype(np.float32)
 
 
-def trace(image, chart=CHART, min_gain=0.12, level=LEVEL):
+def trace(image, chart=CHART, min_slope_contrast=0.12, level=LEVEL):
     return edges.trace_rim(
         image,
         chart,
@@ -37,13 +37,13 @@ def trace(image, chart=CHART, min_gain=0.12, level=LEVEL):
         0.02,
         0.4,
         0.0,
-        min_gain,
+        min_slope_contrast,
         0.02,
         0.0,
         72,
         NO_BIAS,
-        crest.BLUR,
-        crest.GAIN,
+        crater_profile.BLUR_RADII,
+        crater_profile.SLOPE_CONTRASTS,
         PLAIN,
     )
 
@@ -65,7 +65,7 @@ def test_points_lie_on_the_rim_though_predicted_beside_it():
 
 
 def test_no_points_where_the_light_runs_along_the_rim():
-    points, ratio, _, tried, _ = trace(rim_image(), min_gain=0.5)
+    points, ratio, _, tried, _ = trace(rim_image(), min_slope_contrast=0.5)
     assert 40 <= tried < 60
     x = points - CENTRE
     normals = np.column_stack([x[:, 0] / 400.0, x[:, 1] / 289.0])
@@ -125,17 +125,17 @@ def test_common_shift(shift):
 def test_crest_table_against_a_rendered_crater(gain, blur):
     """Blur the canonical crater's brightness along a line and look where it meets the level."""
     rho = np.linspace(0.2, 2.0, 9001)
-    slope = crest.slopes(rho)
+    slope = crater_profile.slopes(rho)
     assert abs(np.interp(1.0, rho, slope)) < 1e-6
     light = np.maximum((1.0 + gain * slope) / np.sqrt(1.0 + slope**2), 0.0)
     x = np.linspace(0.8, 1.3, 501)
     weight = np.exp(-0.5 * ((x[:, None] - rho) / blur) ** 2)
     excess = np.sign(gain) * (weight @ light / weight.sum(axis=1) - 1.0)
     crossing = x[np.flatnonzero((excess[:-1] > 0.0) & (excess[1:] <= 0.0))[0]]
-    table = crest.crossing_table()
-    i = int(np.argmin(np.abs(crest.BLUR - blur)))
-    j = int(np.argmin(np.abs(crest.GAIN - gain)))
-    at = np.interp(blur, crest.BLUR, table[:, j])
-    assert crest.GAIN[j] == gain
+    table = crater_profile.crossing_table()
+    i = int(np.argmin(np.abs(crater_profile.BLUR_RADII - blur)))
+    j = int(np.argmin(np.abs(crater_profile.SLOPE_CONTRASTS - gain)))
+    at = np.interp(blur, crater_profile.BLUR_RADII, table[:, j])
+    assert crater_profile.SLOPE_CONTRASTS[j] == gain
     assert abs(table[i, j] - at) < 0.02
     assert abs(at - (crossing - 1.0)) < 0.003

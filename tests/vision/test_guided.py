@@ -221,7 +221,9 @@ def test_what_lasts_is_the_systematic_part_on_the_ground(view):
     """The floor of the centre and its share, and no more than the whole."""
     catalog, gTb, sun_g, image = view
     options = GuidedOptions(
-        level_slope_px=0.0, fit=FitOptions(), lasting=replace(CorrelatedErrorOptions(), own_share=0.64)
+        brightness_slope_per_px=0.0,
+        fit=FitOptions(),
+        correlated_errors=replace(CorrelatedErrorOptions(), crater_share=0.64),
     )
     rims = (
         GuidedFrontEnd(scene.camera(), catalog, options)
@@ -243,7 +245,7 @@ def test_what_all_rims_share_follows_camera_and_light():
     rng = np.random.default_rng(6)
     catalog = scene.craters(rng)
     options = CorrelatedErrorOptions(
-        lit_px=0.3, toward_px=0.0, along_px=0.0, along_share=0.0, size_share=0.01
+        sun_shift_px=0.3, camera_shift_px=0.0, stretch_px=0.0, stretch_share=0.0, size_share=0.01
     )
     rows = np.arange(len(catalog))
     none = np.tile(1e-9 * np.eye(5), (len(rows), 1, 1))
@@ -269,7 +271,7 @@ def test_the_level_of_the_ground_errs_in_part_for_all_rims_alike():
     rng = np.random.default_rng(7)
     catalog = scene.craters(rng)
     rows = np.arange(len(catalog))
-    options = CorrelatedErrorOptions(own_share=1.0, level_share=0.3)
+    options = CorrelatedErrorOptions(crater_share=1.0, brightness_share=0.3)
     level = 1e-3 * rng.normal(size=(len(rows), 5))
     of_level = level[:, :, None] * level[:, None, :]
     systematic = np.tile(1e-8 * np.eye(5), (len(rows), 1, 1)) + of_level

@@ -62,4 +62,4 @@ def detect_rims(image: GreyArray, camera: Camera, options: BlindOptions = COARSE
     charts_px = found.charts_px[order]
     charts, scale = normalised_chart(charts_px, camera)
     covariance = found.covariance_px[order] * np.outer(scale, scale)
-    return Detections(charts_px, charts, covariance, found.lights_rad[order])
+    return Detections(charts_px, charts, covariance, found.local_sun_angles_rad[order])

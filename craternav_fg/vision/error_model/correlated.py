@@ -32,39 +32,39 @@ class CorrelatedErrorOptions:
 
     Attributes
     ----------
-    own_share : float
+    crater_share : float
         Part of a rim's systematic variance (`RimFit.systematic`) that its crater keeps. The rest is new in
         each frame: the gaps in an outline, its neighbours, the pixels' grid are not the same in each.
-    rough_share : float
+    excess_white_share : float
         Part of the systematic variance that is new in each frame besides, where a frame's rims scatter more
         than they say: for each unit by which their variance, that of the median rim, is larger than that. On
         rough ground many rims are worse than the median, and near ones alike: of use to those who fuse
         frames; 0 is honest for a single image.
-    toward_px : float
+    camera_shift_px : float
         Common shift of rims towards the camera, seen along the ground: px for a camera at the horizon, that
         grows with the sine of the angle to the vertical, and as much that grows with its cube.
-    lit_px : float
+    sun_shift_px : float
         Common shift of rims towards the light, px for a sun at the horizon.
-    along_px, along_share : float
+    stretch_px, stretch_share : float
         Common growth of the radius along the line of sight, seen along the ground, for a camera at the
         horizon: px, and radii. Grows with the sine's square.
     size_px, size_share : float
         Common growth of the radius: px, and radii.
-    level_share : float
+    brightness_share : float
         Part of the variance of `RimFit.level` that all rims have in common.
     arc_px, arc_share : float
         Error of an arc's edge points that they share and keep: px, and radii.
     """
 
-    own_share: float = 0.7
-    rough_share: float = 2.0
-    toward_px: float = 0.1
-    lit_px: float = 0.05
-    along_px: float = 0.1
-    along_share: float = 0.004
+    crater_share: float = 0.7
+    excess_white_share: float = 2.0
+    camera_shift_px: float = 0.1
+    sun_shift_px: float = 0.05
+    stretch_px: float = 0.1
+    stretch_share: float = 0.004
     size_px: float = 0.05
     size_share: float = 0.002
-    level_share: float = 0.4
+    brightness_share: float = 0.4
     arc_px: float = 0.2
     arc_share: float = 0.004
 
@@ -125,8 +125,8 @@ def correlated_roots(
     centres, axes = catalog.centres[rows], catalog.axes[rows]
     slopes = in_plane_slopes(rows, gTb, camera, catalog)
     inverse = np.linalg.inv(slopes)
-    own = systematic - options.level_share * level[:, :, None] * level[:, None, :]
-    on_ground = options.own_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
+    own = systematic - options.brightness_share * level[:, :, None] * level[:, None, :]
+    on_ground = options.crater_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
     correlated = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
     length_m = np.linalg.norm(axes, axis=-1)
     view = camera.gTc(gTb)[:3, 3] - centres
@@ -142,13 +142,13 @@ def correlated_roots(
     stretch = np.stack([x * x, x * y, y * y], axis=-1)
     px = 1.0 / radius_px[:, None]
     errors = np.zeros((len(rows), 5, SHARED_SIZE))
-    errors[:, :2, 0] = options.toward_px * px * toward
-    errors[:, :2, 1] = options.toward_px * px * sine2 * toward
-    errors[:, :2, 2] = options.lit_px * px * lit
-    errors[:, 2:, 3] = options.along_px * px * stretch
-    errors[:, 2:, 4] = options.along_share * stretch
+    errors[:, :2, 0] = options.camera_shift_px * px * toward
+    errors[:, :2, 1] = options.camera_shift_px * px * sine2 * toward
+    errors[:, :2, 2] = options.sun_shift_px * px * lit
+    errors[:, 2:, 3] = options.stretch_px * px * stretch
+    errors[:, 2:, 4] = options.stretch_share * stretch
     errors[:, [2, 4], 5] = options.size_px * px
     errors[:, [2, 4], 6] = options.size_share
     shared = slopes @ errors
-    shared[:, :, 7] = np.sqrt(options.level_share) * level
+    shared[:, :, 7] = np.sqrt(options.brightness_share) * level
     return correlated, shared

@@ -21,22 +21,22 @@ from craternav_fg.vision.error_model.correlated import in_plane_slopes
 FloatArray = npt.NDArray[np.float64]
 
 # As many frames as what the rims of the present one err by in the mean counts for.
-_OTHERS = 2.0
+PRIOR_FRAMES = 2.0
 
 
 @dataclass(frozen=True)
-class UsualOptions:
+class PoolingOptions:
     """Which rims are given their usual covariances.
 
     Attributes
     ----------
-    outline_share : float
+    min_outline_share : float
         Those of frames whose median rim deviates by more from an ellipse, in radii.
     memory : float
         Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e.
     """
 
-    outline_share: float = 0.003
+    min_outline_share: float = 0.003
     memory: float = 1.0
 
 
@@ -57,10 +57,10 @@ class PooledErrors:
     ----------
     camera : Camera
     catalog : Catalog
-    options : UsualOptions, optional
+    options : PoolingOptions, optional
     """
 
-    def __init__(self, camera: Camera, catalog: Catalog, options: UsualOptions = UsualOptions()) -> None:
+    def __init__(self, camera: Camera, catalog: Catalog, options: PoolingOptions = PoolingOptions()) -> None:
         self._camera = camera
         self._catalog = catalog
         self._options = options
@@ -81,7 +81,7 @@ class PooledErrors:
         quality = rims.quality
         if rims.correlated is None or quality is None or len(rims) == 0:
             return rims
-        if np.median(quality.outline_share) <= self._options.outline_share:
+        if np.median(quality.outline_share) <= self._options.min_outline_share:
             return rims
         slopes = in_plane_slopes(rims.craters, gTb, self._camera, self._catalog)
         inverse = np.linalg.inv(slopes)
@@ -112,7 +112,12 @@ class PooledErrors:
         """Give a crater's sums with those of a frame; it begins with the mean of the frame's rims."""
         before = self._craters.get(crater)
         if before is None:
-            return _Crater(1.0 + _OTHERS, _OTHERS * others[0] + lasting, _OTHERS * others[1] + white, chart)
+            return _Crater(
+                1.0 + PRIOR_FRAMES,
+                PRIOR_FRAMES * others[0] + lasting,
+                PRIOR_FRAMES * others[1] + white,
+                chart,
+            )
         kept = np.exp(-float(shape_change(before.chart, chart)) / self._options.memory)
         return _Crater(
             1.0 + kept * before.weight, kept * before.lasting + lasting, kept * before.white + white, chart

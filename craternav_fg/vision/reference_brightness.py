@@ -11,10 +11,10 @@ from craternav_fg.vision.edges import noise_level
 FloatArray = npt.NDArray[np.float64]
 
 # An image has at least so many blocks along a side; fewer in all tell no quadratic.
-_BLOCKS, _MIN_BLOCKS = 6, 24
+_MIN_BLOCKS_PER_SIDE, _MIN_BLOCKS_QUADRATIC = 6, 24
 
 
-class LevelMap:
+class ReferenceBrightness:
     """Ratio of an image's brightness to the Lunar-Lambert law's on level ground, smooth over the image.
 
     A quadratic in the image coordinates through the medians of blocks, under a redescending loss:
@@ -51,7 +51,7 @@ class LevelMap:
     ) -> None:
         self.noise = noise_level(image)
         gTc = camera.gTc(gTb)
-        block_px = min(block_px, max(2 * (min(image.shape) // (2 * _BLOCKS)), 2))
+        block_px = min(block_px, max(2 * (min(image.shape) // (2 * _MIN_BLOCKS_PER_SIDE)), 2))
         rows, columns = image.shape[0] // block_px, image.shape[1] // block_px
         blocks = image[: rows * block_px : 2, : columns * block_px : 2]
         side = block_px // 2
@@ -71,7 +71,7 @@ class LevelMap:
         keep = hit & (brightness > 0.02) & (median < 250.0)
         self._coefficients = np.zeros(6)
         ratio = median[keep] / brightness[keep]
-        if len(ratio) >= _MIN_BLOCKS:
+        if len(ratio) >= _MIN_BLOCKS_QUADRATIC:
             self._coefficients = _robust_quadratic(_powers(points[keep]), ratio)
         elif len(ratio) > 0:
             self._coefficients[0] = np.median(ratio)

@@ -17,16 +17,16 @@ from craternav_fg.photometry import level_ground
 FloatArray = npt.NDArray[np.float64]
 
 # Rings on the wall: below the crest, where texture and the outline count, and above the flat floor.
-_RINGS = np.array([0.6, 0.7, 0.8])
-_TURN = 2.0 * np.pi * (np.arange(48) + 0.5) / 48.0
+_WALL_RING_RADII = np.array([0.6, 0.7, 0.8])
+_RING_ANGLES_RAD = 2.0 * np.pi * (np.arange(48) + 0.5) / 48.0
 # Scatter of single craters' directions, rad, before they are seen, and how many craters that counts for.
-_SCATTER_RAD, _SCATTER_COUNT = float(np.deg2rad(2.0)), 3.0
+_PRIOR_SCATTER_RAD, _PRIOR_SCATTER_COUNT = float(np.deg2rad(2.0)), 3.0
 # Brighter than this, of 255, is saturated; so much of a wall may be: like a shadow it lies alike on both
 # sides of the light's direction.
-_BRIGHTEST, _MAX_SATURATED = 250.0, 0.35
+_SATURATED_BRIGHTNESS, _MAX_SATURATED_SHARE = 250.0, 0.35
 
 
-def light_turn(
+def sun_azimuth_offset(
     image: npt.NDArray[np.float32], camera: Camera, craters: Catalog, gTb: FloatArray, sun_g: FloatArray
 ) -> tuple[float, float]:
     """Turn of the light's azimuth against its prediction, about the ground's normal, and its scatter.
@@ -52,8 +52,8 @@ def light_turn(
     """
     centres, gRl, gTc = craters.centres, craters.gRl, camera.gTc(gTb)
     a, b = craters.semi_major_m[:, None], craters.semi_minor_m[:, None]
-    c, s = np.cos(_TURN), np.sin(_TURN)
-    u, v = np.outer(_RINGS, c).ravel(), np.outer(_RINGS, s).ravel()
+    c, s = np.cos(_RING_ANGLES_RAD), np.sin(_RING_ANGLES_RAD)
+    u, v = np.outer(_WALL_RING_RADII, c).ravel(), np.outer(_WALL_RING_RADII, s).ravel()
     points = (
         centres[:, None] + (a * u)[..., None] * gRl[:, None, :, 0] + (b * v)[..., None] * gRl[:, None, :, 1]
     )
@@ -67,11 +67,11 @@ def light_turn(
     normals = gRl[:, :, 2]
     _, gain = level_ground(normals, sun_g, view)
     # The wall that rises towards the light is the dark one.
-    along = -a * np.mean(value * np.tile(c, len(_RINGS)), axis=1, keepdims=True) * gRl[:, :, 0]
-    along -= b * np.mean(value * np.tile(s, len(_RINGS)), axis=1, keepdims=True) * gRl[:, :, 1]
+    along = -a * np.mean(value * np.tile(c, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 0]
+    along -= b * np.mean(value * np.tile(s, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 1]
     turn = np.arctan2(np.sum(np.cross(gain, along) * normals, axis=1), np.sum(gain * along, axis=1))
-    saturated = np.mean(value > _BRIGHTEST, axis=1)
-    turn = turn[np.isfinite(turn) & (saturated < _MAX_SATURATED) & (np.linalg.norm(gain, axis=1) > 0.0)]
+    saturated = np.mean(value > _SATURATED_BRIGHTNESS, axis=1)
+    turn = turn[np.isfinite(turn) & (saturated < _MAX_SATURATED_SHARE) & (np.linalg.norm(gain, axis=1) > 0.0)]
     if len(turn) == 0:
         return float("nan"), float("inf")
     # About their middle direction, which has no end as the median of angles has.
@@ -81,7 +81,10 @@ def light_turn(
     for _ in range(10):
         found = 1.4826 * float(np.median(np.abs(off - best)))
         scatter = float(
-            np.sqrt((len(off) * found**2 + _SCATTER_COUNT * _SCATTER_RAD**2) / (len(off) + _SCATTER_COUNT))
+            np.sqrt(
+                (len(off) * found**2 + _PRIOR_SCATTER_COUNT * _PRIOR_SCATTER_RAD**2)
+                / (len(off) + _PRIOR_SCATTER_COUNT)
+            )
         )
         weight = 1.0 / (1.0 + ((off - best) / (2.0 * scatter)) ** 2) ** 2
         best = float(weight @ off / weight.sum())

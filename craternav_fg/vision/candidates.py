@@ -1,4 +1,4 @@
-"""Places in an image that look like a lit bowl, wherever the light comes from.
+"""Candidates in an image that look like a lit bowl, wherever the light comes from.
 
 A bowl under oblique light is a dipole of brightness, dark towards the sun. The canonical crater (see
 `crest`) under light along x and along y gives two templates; the image's correlations with them tell by
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.vision import crest
+from craternav_fg.vision import crater_profile
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
@@ -24,22 +24,22 @@ IntArray = npt.NDArray[np.int64]
 # Radii of the templates at the resolution at which they are correlated; each octave of radii has its own.
 TEMPLATE_RADII_PX = 6.0 * 2.0 ** (np.arange(4) / 4.0)
 # The correlation is highest for a template smaller than the crater by this factor.
-_SIZE_BIAS = 1.07
+TEMPLATE_SIZE_FACTOR = 1.07
 # The templates end at this many radii.
-_SUPPORT = 1.45
+_TEMPLATE_REACH_RADII = 1.45
 # Smallest relative contrast and, of 255, brightness step of a place: less is sensor noise on bare ground.
-_LEAST_CONTRAST = 0.01
-_LEAST_STEP = 0.5
+_MIN_RELATIVE_CONTRAST = 0.01
+_MIN_BRIGHTNESS_STEP = 0.5
 # The local level is a mean over about this many of the octave's largest radii.
-_LEVEL_RADII = 4.0
+_MEAN_WINDOW_RADII = 4.0
 # Width of the votes for the light's direction.
-_VOTE_RAD = float(np.deg2rad(30.0))
-_VOTERS = 300
+_VOTE_WIDTH_RAD = float(np.deg2rad(30.0))
+_MAX_VOTERS = 300
 
 
 @dataclass(frozen=True)
-class Places:
-    """Places that look like craters, best first.
+class Candidates:
+    """Candidates that look like craters, best first.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Places:
     radius_px : ndarray, shape (n,)
     correlation : ndarray, shape (n,)
         With the canonical crater, 0 to 1.
-    light_rad : ndarray, shape (n,)
+    sun_angle_rad : ndarray, shape (n,)
         Direction in the image, from x towards y, from which each seems to be lit.
     gain : ndarray, shape (n,)
         Shading gain (see `photometry`) with which the canonical crater would look alike.
@@ -56,23 +56,23 @@ class Places:
     xy_px: FloatArray
     radius_px: FloatArray
     correlation: FloatArray
-    light_rad: FloatArray
+    sun_angle_rad: FloatArray
     gain: FloatArray
 
     def __len__(self) -> int:
         return len(self.radius_px)
 
-    def take(self, rows: IntArray | npt.NDArray[np.bool_]) -> "Places":
+    def take(self, rows: IntArray | npt.NDArray[np.bool_]) -> "Candidates":
         """Give some of them."""
-        return Places(
-            self.xy_px[rows], self.radius_px[rows], self.correlation[rows], self.light_rad[rows],
+        return Candidates(
+            self.xy_px[rows], self.radius_px[rows], self.correlation[rows], self.sun_angle_rad[rows],
             self.gain[rows],
         )  # fmt: skip
 
 
-def find_places(
+def find_candidates(
     image: ImageArray, min_radius_px: float, max_radius_px: float, min_correlation: float
-) -> Places:
+) -> Candidates:
     """Find places of craters of a range of radii.
 
     Parameters
@@ -84,7 +84,7 @@ def find_places(
 
     Returns
     -------
-    Places
+    Candidates
         Neighbours of the same size among them: see `distinct`.
     """
     found: list[FloatArray] = [np.empty((0, 6))]
@@ -97,7 +97,7 @@ def find_places(
         scale = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
         for radius, row in _octave(small, min_correlation):
             row[:, :2] = (row[:, :2] + 0.5) * scale - 0.5
-            row[:, 2] = _SIZE_BIAS * radius * factor
+            row[:, 2] = TEMPLATE_SIZE_FACTOR * radius * factor
             found.append(row)
         factor *= 2.0
     all_of = np.concatenate(found)
@@ -105,37 +105,39 @@ def find_places(
     # Of equally good ones the larger: there are fewer, and they say more.
     worth = all_of[:, 3] * (all_of[:, 2] / min_radius_px) ** 0.15
     all_of = all_of[np.argsort(-worth, kind="stable")]
-    return Places(all_of[:, :2], *np.ascontiguousarray(all_of[:, 2:].T))
+    return Candidates(all_of[:, :2], *np.ascontiguousarray(all_of[:, 2:].T))
 
 
-def distinct(places: Places, count: int) -> Places:
+def distinct(places: Candidates, count: int) -> Candidates:
     """Give the first `count` places, without those beside an earlier one of about its size."""
     return places.take(_distinct(np.ascontiguousarray(places.xy_px), places.radius_px, count))
 
 
-def common_light(places: Places) -> tuple[float, float]:
+def common_sun_angle(places: Candidates) -> tuple[float, float]:
     """Direction from which most places seem to be lit, and the share of all votes for it."""
     weight = places.correlation**4
-    voters = np.argsort(-weight, kind="stable")[:_VOTERS]
-    angle, weight = places.light_rad[voters], weight[voters]
+    voters = np.argsort(-weight, kind="stable")[:_MAX_VOTERS]
+    angle, weight = places.sun_angle_rad[voters], weight[voters]
     off = _turn(angle[:, None] - angle[None])
-    support = np.maximum(1.0 - np.abs(off) / _VOTE_RAD, 0.0) @ weight
+    support = np.maximum(1.0 - np.abs(off) / _VOTE_WIDTH_RAD, 0.0) @ weight
     best = int(np.argmax(support))
-    near = weight * (np.abs(off[best]) < _VOTE_RAD)
+    near = weight * (np.abs(off[best]) < _VOTE_WIDTH_RAD)
     common = angle[best] - float(off[best] @ near / near.sum())
     return float(_turn(np.array(common))), float(near.sum() / weight.sum())
 
 
-def lit_from(places: Places, light_rad: float, max_deviation_rad: float) -> npt.NDArray[np.bool_]:
+def illuminated_from(
+    places: Candidates, sun_angle_rad: float, max_deviation_rad: float
+) -> npt.NDArray[np.bool_]:
     """Tell which places seem to be lit from about a direction."""
-    return np.asarray(np.abs(_turn(places.light_rad - light_rad)) < max_deviation_rad)
+    return np.asarray(np.abs(_turn(places.sun_angle_rad - sun_angle_rad)) < max_deviation_rad)
 
 
-def local_light(places: Places, reach_px: float) -> FloatArray:
+def local_sun_angles(places: Candidates, reach_px: float) -> FloatArray:
     """Direction of the light at each place from its own dipole and its neighbours'."""
     step = places.xy_px[:, None] - places.xy_px[None]
     weight = np.exp(-0.5 * np.sum(step**2, axis=-1) / reach_px**2) * places.correlation**4
-    x, y = weight @ np.cos(places.light_rad), weight @ np.sin(places.light_rad)
+    x, y = weight @ np.cos(places.sun_angle_rad), weight @ np.sin(places.sun_angle_rad)
     return np.asarray(np.arctan2(y, x))
 
 
@@ -147,11 +149,11 @@ def _turn(angle: FloatArray) -> FloatArray:
 def _templates(index: int) -> tuple[ImageArray, ImageArray, ImageArray, float]:
     """Kernels of the gain under light along x and along y, of the mean, and the dipole's rms at gain 1."""
     radius = float(TEMPLATE_RADII_PX[index])
-    half = int(np.ceil(_SUPPORT * TEMPLATE_RADII_PX[-1]))
+    half = int(np.ceil(_TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
     x, y = np.meshgrid(np.arange(-half, half + 1.0), np.arange(-half, half + 1.0))
     rho = np.hypot(x, y) / radius
-    inside = rho < _SUPPORT
-    slope = crest.slopes(np.clip(rho, 0.02, _SUPPORT))
+    inside = rho < _TEMPLATE_REACH_RADII
+    slope = crater_profile.slopes(np.clip(rho, 0.02, _TEMPLATE_REACH_RADII))
     profile = np.where(inside, slope / np.maximum(rho * radius, 0.5), 0.0)
     square = float(np.sum((profile * x) ** 2))
     count = np.count_nonzero(inside)
@@ -173,12 +175,12 @@ def _spectra(index: int, rows: int, columns: int) -> tuple[ImageArray, ...]:
 
 def _octave(image: ImageArray, min_correlation: float) -> list[tuple[float, FloatArray]]:
     """For each template's radius: rows of x, y, nothing yet, correlation, light, gain of the peaks."""
-    reach = _LEVEL_RADII * float(TEMPLATE_RADII_PX[-1])
+    reach = _MEAN_WINDOW_RADII * float(TEMPLATE_RADII_PX[-1])
     side = (2 * int(reach / 2.0) + 1,) * 2
     level = cv2.blur(cv2.blur(image, side), side).astype(np.float32)
-    least = np.maximum(level, np.float32(_LEAST_STEP / _LEAST_CONTRAST))
+    least = np.maximum(level, np.float32(_MIN_BRIGHTNESS_STEP / _MIN_RELATIVE_CONTRAST))
     relative = (image - level) / least
-    pad = int(np.ceil(_SUPPORT * TEMPLATE_RADII_PX[-1]))
+    pad = int(np.ceil(_TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
     rows, columns = (cv2.getOptimalDFTSize(n + 2 * pad) for n in image.shape)
     border = (pad, rows - image.shape[0] - pad, pad, columns - image.shape[1] - pad)
     spectra = []
@@ -199,7 +201,7 @@ def _octave(image: ImageArray, min_correlation: float) -> list[tuple[float, Floa
         along_x, along_y, disc = _spectra(index, rows, columns)
         gx, gy = filtered(spectra[0], along_x), filtered(spectra[0], along_y)
         mean, square = filtered(spectra[0], disc), filtered(spectra[1], disc)
-        rms2 = np.maximum(square - mean * mean, 0.0) + np.float32(2.0 * _LEAST_CONTRAST**2)
+        rms2 = np.maximum(square - mean * mean, 0.0) + np.float32(2.0 * _MIN_RELATIVE_CONTRAST**2)
         gain2 = gx * gx + gy * gy
         share2 = gain2 / rms2
         unit = np.float32(_templates(index)[3])

@@ -18,12 +18,12 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 # A fresh simple crater: depth 0.2 and rim height 0.04 of the diameter (Pike 1977).
-DEPTH = 0.32
-RIM = 0.08
-ROUND = 0.04
+BOWL_DEPTH_RADII = 0.32
+RIM_HEIGHT_RADII = 0.08
+CREST_ROUNDING_RADII = 0.04
 
-BLUR = np.linspace(0.0, 0.24, 13)
-GAIN = np.linspace(-4.0, 4.0, 17)
+BLUR_RADII = np.linspace(0.0, 0.24, 13)
+SLOPE_CONTRASTS = np.linspace(-4.0, 4.0, 17)
 
 
 def slopes(rho: FloatArray) -> FloatArray:
@@ -34,29 +34,32 @@ def slopes(rho: FloatArray) -> FloatArray:
 
 @cache
 def crossing_table() -> FloatArray:
-    """Outward displacement of the crossing in radii, shape (len(BLUR), len(GAIN))."""
+    """Outward displacement of the crossing in radii, shape (len(BLUR_RADII), len(SLOPE_CONTRASTS))."""
     step = 0.002
     rho = np.arange(0.3, 1.9, step)
     slope = slopes(rho)
-    table = np.zeros((len(BLUR), len(GAIN)))
-    for j, gain in enumerate(GAIN):
+    table = np.zeros((len(BLUR_RADII), len(SLOPE_CONTRASTS)))
+    for j, gain in enumerate(SLOPE_CONTRASTS):
         # The sign of a vanishing gain does not matter, its limit does.
         g = gain if gain != 0.0 else 1e-3
         excess = np.maximum(1.0 + g * slope, 0.0) / np.sqrt(1.0 + slope**2) - 1.0
-        for i, blur in enumerate(BLUR):
+        for i, blur in enumerate(BLUR_RADII):
             table[i, j] = _crossing(rho, np.sign(g) * _blurred(excess, blur / step)) - 1.0
     # At zero gain the slope's square is all there is: take the mean of the neighbours.
-    middle = len(GAIN) // 2
+    middle = len(SLOPE_CONTRASTS) // 2
     table[:, middle] = 0.5 * (table[:, middle - 1] + table[:, middle + 1])
     table.flags.writeable = False
     return table
 
 
 def _raw_slope(rho: FloatArray) -> FloatArray:
-    bowl = -DEPTH + (DEPTH + RIM) * rho**2
-    apron = RIM * rho**-3.0
-    share = 1.0 / (1.0 + np.exp(np.clip((bowl - apron) / ROUND, -60.0, 60.0)))
-    return np.asarray(share * 2.0 * (DEPTH + RIM) * rho - (1.0 - share) * 3.0 * RIM * rho**-4.0)
+    bowl = -BOWL_DEPTH_RADII + (BOWL_DEPTH_RADII + RIM_HEIGHT_RADII) * rho**2
+    apron = RIM_HEIGHT_RADII * rho**-3.0
+    share = 1.0 / (1.0 + np.exp(np.clip((bowl - apron) / CREST_ROUNDING_RADII, -60.0, 60.0)))
+    return np.asarray(
+        share * 2.0 * (BOWL_DEPTH_RADII + RIM_HEIGHT_RADII) * rho
+        - (1.0 - share) * 3.0 * RIM_HEIGHT_RADII * rho**-4.0
+    )
 
 
 def _crest_radius() -> float:
