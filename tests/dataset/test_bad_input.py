@@ -245,7 +245,7 @@ def test_an_image_cut_in_the_middle_is_found_when_it_is_read(folder):
 
 def test_images_are_not_needed_beside_rims(rims_folder):
     assert not (rims_folder.path / layout.IMAGES).exists()
-    assert Dataset.open(rims_folder.path).rims is not None
+    assert Dataset.open(rims_folder.path).measurements is not None
 
 
 def spoiled(change):
@@ -297,7 +297,7 @@ def covariance_with(cross, mirrored):
 
 def test_covariances_may_differ_from_symmetric_ones_by_rounding(rims_folder):
     covariance_with(3e-21, -2e-21)(rims_folder)
-    assert Dataset.open(rims_folder.path).rims is not None
+    assert Dataset.open(rims_folder.path).measurements is not None
     covariance_with(3e-7, 2e-7)(rims_folder)
     with pytest.raises(InputError, match="symmetric"):
         Dataset.open(rims_folder.path)

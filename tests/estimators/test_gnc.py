@@ -140,8 +140,8 @@ def test_the_plain_smoother_needs_it(demo: Dataset) -> None:
 
 
 def test_without_wrong_matches_it_is_the_smoother(demo: Dataset) -> None:
-    assert demo.rims is not None
-    p = problem(demo, list(demo.rims)[:12])
+    assert demo.measurements is not None
+    p = problem(demo, list(demo.measurements)[:12])
     plain, robust = BatchSmoother().estimate(p), GncSmoother().estimate(p)
     assert (~used(robust)).sum() <= 1
     assert robust.pose_covariance is not None
@@ -216,9 +216,9 @@ def test_rims_that_agree_with_one_another_are_kept() -> None:
 
 
 def test_a_rim_is_of_one_crater_that_is_free_and_fits(demo: Dataset) -> None:
-    assert demo.rims is not None
+    assert demo.measurements is not None
     assert demo.truth is not None
-    rims, gTb = demo.rims[5].rims, np.ascontiguousarray(demo.truth.gTb[5])
+    rims, gTb = demo.measurements[5].rims, np.ascontiguousarray(demo.truth.gTb[5])
     n = len(rims)
     assert n >= 4
 

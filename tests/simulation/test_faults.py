@@ -90,16 +90,16 @@ def test_each_fault_changes_what_it_should_and_nothing_else(tmp_path: Path) -> N
     assert plain.truth is not None
     assert late.truth is not None
     assert lost.truth is not None
-    assert plain.rims is not None
-    assert late.rims is not None
-    assert dark.rims is not None
+    assert plain.measurements is not None
+    assert late.measurements is not None
+    assert dark.measurements is not None
     # The truth is that of the stamps; the rims are those of half a second, and some 75 m, later.
     assert_array_equal(late.truth.gTb, plain.truth.gTb)
     assert_array_equal(late.imu.gyro, plain.imu.gyro)
-    shift = np.abs(late.rims[0].rims.chart[0] - plain.rims[0].rims.chart[0])
+    shift = np.abs(late.measurements[0].rims.chart[0] - plain.measurements[0].rims.chart[0])
     assert np.max(shift) > 1e-3
     kept = np.isin(plain.stamps_ns, lost.stamps_ns)
     assert_array_equal(plain.stamps_ns[~kept] * 1e-9, [2.0, 4.0])
     assert_array_equal(lost.truth.gTb, plain.truth.gTb[kept])
-    assert all(f.sun is None for f in dark.rims)
-    assert_array_equal(dark.rims[0].rims.chart, plain.rims[0].rims.chart)
+    assert all(f.sun is None for f in dark.measurements)
+    assert_array_equal(dark.measurements[0].rims.chart, plain.measurements[0].rims.chart)

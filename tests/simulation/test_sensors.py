@@ -114,7 +114,7 @@ def test_the_covariance_of_a_chart_is_that_of_fits_to_noisy_points():
 
 def test_measured_rims_scatter_about_the_truth_as_they_say(case3):
     errors, tilts = [], []
-    for frame, gTb in zip(case3.rims, case3.truth.gTb, strict=True):
+    for frame, gTb in zip(case3.measurements, case3.truth.gTb, strict=True):
         rows, charts = case3.catalog.visible(case3.camera, gTb, min_semi_minor_px=4.0)
         np.testing.assert_array_equal(rows, frame.rims.craters)
         root = np.linalg.inv(np.linalg.cholesky(frame.rims.covariance))
@@ -137,7 +137,7 @@ def test_paper_case3_shows_three_craters_then_one(case3):
     assert altitude[0] == pytest.approx(100e3)
     assert altitude[-1] == pytest.approx(10e3)
     assert len(case3) == 301
-    seen = np.array([len(frame.rims) for frame in case3.rims])
+    seen = np.array([len(frame.rims) for frame in case3.measurements])
     assert set(seen[altitude > 26.1e3]) == {3}
     assert set(seen[altitude < 26.0e3]) == {1}
     assert not (case3.path / "mav0/cam0/data").exists()
@@ -146,7 +146,7 @@ def test_paper_case3_shows_three_craters_then_one(case3):
 def test_a_tilt_tells_nothing_of_the_true_position(case3):
     """The direction of a tilt follows from sun, catalogue and initial estimate alone."""
     prior = case3.initial.gTb[:3, 3]
-    for frame in case3.rims[::50]:
+    for frame in case3.measurements[::50]:
         expected = ground_sun_direction(
             case3.sun.at(frame.stamp_ns), case3.catalog, frame.rims.craters, prior
         )
@@ -161,10 +161,10 @@ def test_a_trial_determines_its_data(tmp_path):
     )
     np.testing.assert_array_equal(first.imu.gyro, again.imu.gyro)
     np.testing.assert_array_equal(first.initial.gTb, again.initial.gTb)
-    np.testing.assert_array_equal(first.rims[-1].rims.chart, again.rims[-1].rims.chart)
+    np.testing.assert_array_equal(first.measurements[-1].rims.chart, again.measurements[-1].rims.chart)
     assert not np.array_equal(first.imu.gyro, other.imu.gyro)
     assert not np.array_equal(first.initial.gTb, other.initial.gTb)
-    assert not np.array_equal(first.rims[-1].rims.chart, other.rims[-1].rims.chart)
+    assert not np.array_equal(first.measurements[-1].rims.chart, other.measurements[-1].rims.chart)
     # Truth does not depend on the errors.
     np.testing.assert_array_equal(first.truth.gTb, other.truth.gTb)
 
