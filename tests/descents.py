@@ -4,7 +4,7 @@ from pathlib import Path
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.start import find_start
+from craternav_fg.estimators.start import make_problem
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Crater, CraterList, Scenario, load_scenario
 from craternav_fg.trajectory import Trajectory
@@ -50,8 +50,6 @@ def scenario(*, duration_s: float = 100.0, craters: int = 5, **sections: object)
 def problem(folder: Path, case: Scenario, trial: int) -> tuple[Problem, Trajectory]:
     """Simulate a trial, write it, read it back; the truth is for the test alone."""
     data = Dataset.open(simulate(case, folder / f"trial{trial}", trial=trial))
-    descent = Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
     assert data.measurements is not None
     assert data.truth is not None
-    start = find_start(descent, data.measurements)
-    return Problem(**vars(descent), start=start, frames=data.measurements), data.truth
+    return make_problem(Descent.of(data), data.measurements), data.truth

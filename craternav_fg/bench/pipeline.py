@@ -73,7 +73,7 @@ def _fly(dataset: Dataset, images: list[ImageArray]) -> FloatArray:
     initial = replace(
         dataset.initial, gTb=truth.gTb[0], attitude_sigma_rad=START_RAD, position_sigma_m=START_M
     )
-    descent = Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, initial)
+    descent = Descent.of(dataset, initial)
     front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
     session = OnlineSession(descent)
     rows = []

@@ -149,11 +149,7 @@ def _run(task: TrialTask, folder: Path) -> TrialResult:
     result = reconstruct(dataset, task.estimators)
     truth = dataset.truth
     assert truth is not None
-    assert dataset.initial is not None
-    descent = Descent(
-        dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
-    )
-    bound = posterior_bound(descent, result.frames, truth)
+    bound = posterior_bound(Descent.of(dataset), result.frames, truth)
     common = {
         "stamp_ns": truth.stamps_ns,
         "altitude_m": dataset.body.altitude_m(truth.gP),

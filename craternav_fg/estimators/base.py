@@ -10,6 +10,8 @@ import numpy.typing as npt
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import EstimationError
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -19,7 +21,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Start:
-    """The common start of all estimators: a maximum a posteriori pose.
+    """The start that all estimators share: a maximum a posteriori pose.
 
     Attributes
     ----------
@@ -28,7 +30,7 @@ class Start:
     pose_covariance : ndarray, shape (6, 6)
         Its Gaussian covariance: attitude (rotation vector in b, rad), then position (in g, m).
     frame : int
-        Number of that frame; before it, the prior and the IMU are all there is.
+        Index of that frame; before it there are only the prior and the IMU.
     """
 
     gTb: FloatArray
@@ -38,7 +40,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Descent:
-    """What is known of a descent before any image is looked at.
+    """What is known of a descent before any image is taken into account.
 
     Attributes
     ----------
@@ -58,6 +60,30 @@ class Descent:
     imu_noise: ImuNoise
     initial: InitialState
 
+    @staticmethod
+    def of(dataset: Dataset, initial: InitialState | None = None) -> "Descent":
+        """Take from a data set what is known of its descent.
+
+        Parameters
+        ----------
+        dataset : Dataset
+        initial : InitialState, optional
+            In place of the data set's own.
+
+        Returns
+        -------
+        Descent
+
+        Raises
+        ------
+        EstimationError
+            When neither the caller nor the data set gives an initial state.
+        """
+        known = initial or dataset.initial
+        if known is None:
+            raise EstimationError("expected an initial state: the data set has none")
+        return Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, known)
+
 
 @dataclass(frozen=True)
 class Problem(Descent):
@@ -66,7 +92,7 @@ class Problem(Descent):
     Attributes
     ----------
     start : Start
-        Whoever begins from its covariance must not use its frame again.
+        An estimator that begins from its covariance must not use its frame again.
     frames : sequence of FrameMeasurement
         In the order of time; the first one's stamp is the initial state's.
     """

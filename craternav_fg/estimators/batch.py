@@ -16,7 +16,6 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
 from craternav_fg.estimators.correlated_errors import RimErrorStates
 from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.estimators.ekf.measurement import weighed
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -30,6 +29,7 @@ from craternav_fg.estimators.graph import (
     push_interval,
     state_stamps,
 )
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
 from craternav_fg.frames import rotate_position_block
@@ -95,7 +95,7 @@ class BatchSmoother:
     def _optimum(
         self, problem: Problem, values: gtsam.Values, numbers: Sequence[int]
     ) -> tuple[FactorGraph, gtsam.Values]:
-        """Optimise roughly, then with the rims weighed where that expects them."""
+        """Optimise roughly, then with the rims with_predicted_covariances where that expects them."""
         if self.options.rims == "centre":
             return optimum(problem, self.options, values)
         graph = build_graph(problem, self.options, values)
@@ -103,7 +103,7 @@ class BatchSmoother:
         letter = Y if self.options.calibration.of_exposure else X
         poses = [values.atPose3(letter(number)).matrix() for number in numbers]
         frames = [
-            weighed(f, gTb, problem.camera, problem.catalog)
+            with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
         ]
         return optimum(replace(problem, frames=frames), self.options, values, graph.intervals)

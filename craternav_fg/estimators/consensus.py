@@ -17,10 +17,11 @@ import numpy.typing as npt
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
-from craternav_fg.estimators.ekf.fusion import Update, fuse_updates
-from craternav_fg.estimators.ekf.measurement import linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.ekf.fusion import fuse_updates
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.linearisation import LinearMeasurement, linearise_rims, linearise_sun
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.start import find_start
 from craternav_fg.measurements import FrameMeasurement, RimSet
 
@@ -145,7 +146,7 @@ def _track(problem: Problem, start: Start, frames: Sequence[FrameMeasurement], l
         mask, more = agreeing(A, residual, usable, state.covariance[POSE, POSE], limit2)
         cost += more
         kept.append(mask)
-        updates = [Update(A[i], residual[i]) for i in np.flatnonzero(mask)]
+        updates = [LinearMeasurement(A[i], residual[i]) for i in np.flatnonzero(mask)]
         sun = linearise_sun(state.gTb, frame.sun, problem.camera)
         if sun is not None:
             updates.append(sun)
@@ -159,7 +160,7 @@ def _linearised(
     descent: Descent, frame: FrameMeasurement, gTb: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     camera, catalog = descent.camera, descent.catalog
-    rims = weighed(frame, gTb, camera, catalog).rims.inflate_correlated(VARIANCE_INFLATION)
+    rims = with_predicted_covariances(frame, gTb, camera, catalog).rims.inflate_correlated(VARIANCE_INFLATION)
     return linearise_rims(gTb, rims, camera, catalog, model="chart", noise="measured")
 
 

@@ -18,10 +18,11 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
 from craternav_fg.estimators.consensus import Track, robust_track
-from craternav_fg.estimators.ekf.measurement import linearise_arcs, weighed
 from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
+from craternav_fg.estimators.linearisation import linearise_arcs
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import ArcSet, RimSet
@@ -135,7 +136,7 @@ class GncSmoother:
             rims = replace(frame.rims, craters=taken).take(taken != NO_CRATER)
             arcs = self._fitting(problem, frame.arcs, gTb, state.covariance[POSE, POSE])
             kept = replace(frame, rims=rims, arcs=arcs)
-            frames.append(weighed(kept, gTb, problem.camera, problem.catalog))
+            frames.append(with_predicted_covariances(kept, gTb, problem.camera, problem.catalog))
         graph, values = optimum(replace(problem, frames=frames), options, decided.values, decided.intervals)
         return replace(
             trajectory(problem, options, graph, values, numbers),

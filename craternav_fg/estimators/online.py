@@ -14,7 +14,6 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.correlated_errors import RimErrorStates
-from craternav_fg.estimators.ekf.measurement import weighed
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -28,6 +27,7 @@ from craternav_fg.estimators.graph import (
     state_stamps,
 )
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -160,7 +160,7 @@ class OnlineSession:
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
         # Of the prediction, and no later pose's: the rims' weights may not depend on what they measured.
-        frame = weighed(frame, state.gTb, self._descent.camera, self._descent.catalog)
+        frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
         add_frame(
             graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
             holds=self._solver.tree.valueExists,
@@ -191,7 +191,7 @@ class OnlineSession:
         self._frame_numbers.append(last)
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
-        """Update the solver; the graph begins with the factors of its intervals."""
+        """LinearMeasurement the solver; the graph begins with the factors of its intervals."""
         time_s = 1e-9 * (stamp_ns - self._descent.initial.stamp_ns)
         trees = self._solver.trees
         slots: list[int] = []

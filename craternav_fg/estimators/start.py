@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from craternav_fg.estimators import filter_state
-from craternav_fg.estimators.base import Descent, Start
+from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.frames import rotate_position_block
@@ -69,3 +69,28 @@ def find_start(
     posterior = np.linalg.inv(information * np.outer(scales, scales)) * np.outer(scales, scales)
     gTb = np.ascontiguousarray(values.atPose3(X(0)).matrix())
     return Start(gTb, rotate_position_block(posterior, gTb[:3, :3]), number)
+
+
+def make_problem(
+    descent: Descent, frames: Sequence[FrameMeasurement], options: GraphOptions = GraphOptions()
+) -> Problem:
+    """State the problem that estimators solve: a descent, its frames and the start that `find_start` gives.
+
+    Parameters
+    ----------
+    descent : Descent
+    frames : sequence of FrameMeasurement
+        At least one.
+    options : GraphOptions
+        Of the start.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    ValueError
+        When the IMU log does not reach the start's frame.
+    """
+    return Problem(**vars(descent), start=find_start(descent, frames, options), frames=frames)

@@ -15,7 +15,8 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.correlated_errors import SIZE, VARIANCE_INFLATION, RimErrorOptions
-from craternav_fg.estimators.ekf.measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -178,7 +179,7 @@ def _information(
 ) -> FloatArray:
     """Give the information that a frame has of the state and what is beside it."""
     camera, catalog = descent.camera, descent.catalog
-    frame = weighed(frame, gTb, camera, catalog)
+    frame = with_predicted_covariances(frame, gTb, camera, catalog)
     rims = frame.rims
     white = replace(rims, covariance=rims.uncorrelated_covariance)
     A, _, usable = linearise_rims(gTb, white, camera, catalog, model="chart", noise="measured")

@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.ekf.measurement import linearise_arcs, linearise_rims, linearise_sun, weighed
 from craternav_fg.estimators.filter_state import POSE, FilterState
+from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.evaluation.consistency import mean_interval
 
 FloatArray = npt.NDArray[np.float64]
@@ -116,7 +117,12 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
         gTb, P = predicted.gTb, predicted.covariance[POSE, POSE]
         camera, catalog = problem.camera, problem.catalog
         A, residual, usable = linearise_rims(
-            gTb, weighed(frame, gTb, camera, catalog).rims, camera, catalog, model="chart", noise="measured"
+            gTb,
+            with_predicted_covariances(frame, gTb, camera, catalog).rims,
+            camera,
+            catalog,
+            model="chart",
+            noise="measured",
         )
         parts = [(RIMS, a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
         parts += [(RIMS, one.A, one.residual) for one in linearise_arcs(gTb, seen.arcs, camera, catalog)]

@@ -12,7 +12,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.registry import DEFAULT, estimator
-from craternav_fg.estimators.start import find_start
+from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.relocalisation import Relocaliser, find_initial
 from craternav_fg.pipeline.tracking import Tracker
@@ -115,7 +115,7 @@ def reconstruct(
         initial = find_initial(
             dataset, relocaliser, lambda done: report("identified frames", done, len(dataset))
         )
-    descent = Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, initial)
+    descent = Descent.of(dataset, initial)
     predicted: FloatArray | None = None
     if dataset.measurements is None:
         front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
@@ -173,8 +173,7 @@ def _problems(
     ends = [first for first, _ in arcs[1:]] + [len(frames)]
     for (first, initial), end in zip(arcs, ends, strict=True):
         part = replace(descent, initial=initial)
-        start = find_start(part, frames[first:end])
-        out.append(Problem(**vars(part), start=start, frames=frames[first:end]))
+        out.append(make_problem(part, frames[first:end]))
     return out
 
 

@@ -188,7 +188,7 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     spread_m2 = first.pose_covariance[3:, 3:] + second.pose_covariance[3:, 3:]
     velocity_m_s = float(np.sqrt(np.trace(spread_m2) / 3.0)) / interval_s
     state = initial_at(first_ns, first, np.zeros(3), velocity_m_s)
-    descent = Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, state)
+    descent = Descent.of(dataset, state)
     gV = np.zeros(3)
     for _ in range(_ITERATIONS):
         ahead = filter_state.propagate(_moving(descent, first.gTb, gV), descent, first_ns, second_ns)

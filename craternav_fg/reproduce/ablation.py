@@ -13,8 +13,8 @@ from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import DistributedEkf, ekf_paper
 from craternav_fg.estimators.ekf.fusion import Rule
-from craternav_fg.estimators.ekf.measurement import MeasurementModel, NoiseModel
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.linearisation import MeasurementModel, NoiseModel
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.plots.figures import COLOURS

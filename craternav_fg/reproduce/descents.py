@@ -24,7 +24,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.registry import RETROSPECTIVE
-from craternav_fg.estimators.start import find_start
+from craternav_fg.estimators.start import make_problem
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.simulation.scenario import simulate as simulate_trial
@@ -73,12 +73,7 @@ def one_problem(scenario: Scenario, number: int) -> tuple[Problem, Trajectory]:
         dataset = Dataset.open(simulate_trial(scenario, Path(folder) / "dataset", trial=number))
     assert dataset.truth is not None
     assert dataset.measurements is not None
-    assert dataset.initial is not None
-    descent = Descent(
-        dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, dataset.initial
-    )
-    start = find_start(descent, dataset.measurements)
-    return Problem(**vars(descent), start=start, frames=dataset.measurements), dataset.truth
+    return make_problem(Descent.of(dataset), dataset.measurements), dataset.truth
 
 
 def table(results: Sequence[TrialResult]) -> pa.Table:

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.estimators.ekf.measurement import PAPER_NOISE
+from craternav_fg.estimators.linearisation import PAPER_NOISE
 from craternav_fg.reproduce import image_drawing
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.rows import Reproduction

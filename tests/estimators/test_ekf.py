@@ -12,8 +12,9 @@ from craternav_fg import frames
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper
-from craternav_fg.estimators.ekf.fusion import Update, fuse_updates
-from craternav_fg.estimators.ekf.measurement import inflation, linearise_rims, linearise_sun, weighed
+from craternav_fg.estimators.ekf.fusion import fuse_updates
+from craternav_fg.estimators.linearisation import LinearMeasurement, linearise_rims, linearise_sun
+from craternav_fg.estimators.measurement_weighting import noise_inflation, with_predicted_covariances
 from craternav_fg.measurements import RimSet, SunTilt
 from factors.kernels import conic, sun
 from tests.estimators.small_descent import (
@@ -45,7 +46,7 @@ def problem(world):
 def central_update(state, frame, problem):
     """Stack all measurements and apply Joseph's form, in states scaled by their sigmas."""
     T, camera, catalog = state.gTb, problem.camera, problem.catalog
-    frame = weighed(frame, T, camera, catalog)
+    frame = with_predicted_covariances(frame, T, camera, catalog)
     rows = frame.rims.craters
     y, J, _ = conic.chart_jacobian(T, camera.bTc, catalog.centres[rows], catalog.axes[rows])
     n = len(rows)
@@ -98,7 +99,7 @@ def test_sub_filters_that_share_a_prior_fuse_as_their_covariances_say(problem):
         problem.start.gTb, frame.rims, problem.camera, problem.catalog, model="chart", noise="measured"
     )
     assert usable.all()
-    updates = [Update(a, b) for a, b in zip(A, r, strict=True)]
+    updates = [LinearMeasurement(a, b) for a, b in zip(A, r, strict=True)]
     n = len(updates)
     singles = [fuse_updates(prior, [u], "exact") for u in updates]
     s = np.sqrt(np.diag(prior))
@@ -189,7 +190,7 @@ def test_inflated_noise_meets_the_limit():
     rng = np.random.default_rng(3)
     A, P = rng.normal(size=(5, 6)), np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     r = 20.0 * rng.normal(size=5)
-    (sigmas, sound), (factor, untouched) = inflation(np.stack([A, A]), np.stack([r, 0.01 * r]), P, 4.5)
+    (sigmas, sound), (factor, untouched) = noise_inflation(np.stack([A, A]), np.stack([r, 0.01 * r]), P, 4.5)
     assert sigmas == pytest.approx(np.sqrt(r @ np.linalg.solve(A @ P @ A.T + np.eye(5), r)))
     limited = r @ np.linalg.solve(A @ P @ A.T + factor * np.eye(5), r)
     assert np.sqrt(limited) == pytest.approx(4.5)
@@ -353,7 +354,7 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
     )
     scale = np.sqrt(np.diag(prior.covariance))
     root = np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
-    rims = weighed(frame, prior.gTb, problem.camera, problem.catalog).rims
+    rims = with_predicted_covariances(frame, prior.gTb, problem.camera, problem.catalog).rims
     white = np.linalg.inv(np.linalg.cholesky(rims.covariance))
     rows = frame.rims.craters
 

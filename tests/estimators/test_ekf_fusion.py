@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.stats import chi2
 
-from craternav_fg.estimators.ekf.fusion import Update, combine, fuse_updates
+from craternav_fg.estimators.ekf.fusion import combine, fuse_updates
+from craternav_fg.estimators.linearisation import LinearMeasurement
 
 
 def linear_toy(rule, runs=100, steps=15, filters=3, seed=0):
@@ -25,13 +26,15 @@ def linear_toy(rule, runs=100, steps=15, filters=3, seed=0):
                 own = [(F @ a, F @ p @ F.T + Q) for a, p in own]
                 updated = []
                 for (a, p), h, zi in zip(own, H, z, strict=True):
-                    d, p1 = fuse_updates(p, [Update(h, zi - h @ a)], "exact")
+                    d, p1 = fuse_updates(p, [LinearMeasurement(h, zi - h @ a)], "exact")
                     updated.append((a + d, p1))
                 own = updated
                 x, P = combine(np.array([a for a, _ in own]), np.array([p for _, p in own]))
             else:
                 x, P = F @ x, F @ P @ F.T + Q
-                d, P = fuse_updates(P, [Update(h, zi - h @ x) for h, zi in zip(H, z, strict=True)], rule)
+                d, P = fuse_updates(
+                    P, [LinearMeasurement(h, zi - h @ x) for h, zi in zip(H, z, strict=True)], rule
+                )
                 x = x + d
             e = truth - x
             out[run, step] = e @ np.linalg.solve(P, e)

@@ -20,7 +20,7 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.consensus import agreeing, robust_track
 from craternav_fg.estimators.gnc import GncSmoother, truncated_weights
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.start import find_start
+from craternav_fg.estimators.start import make_problem
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -58,8 +58,7 @@ def first(data: Dataset, frames_count: int) -> Dataset:
 
 
 def problem(data: Dataset, measured: list[FrameMeasurement]) -> Problem:
-    descent = Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
-    return Problem(**vars(descent), start=find_start(descent, measured), frames=measured)
+    return make_problem(Descent.of(data), measured)
 
 
 def nearest_other(catalog: Catalog, crater: int) -> int:

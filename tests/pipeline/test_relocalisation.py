@@ -36,11 +36,6 @@ def final_error_m(data, result, name="smoother"):
     return float(np.linalg.norm(result.trajectories[name].gP[-1] - data.truth.gP[-1]))
 
 
-def descent_of(data: Dataset) -> Descent:
-    assert data.initial is not None
-    return Descent(data.body, data.camera, data.catalog, data.imu, data.imu_noise, data.initial)
-
-
 def test_measured_rims_without_an_initial_state(folders):
     known, lost = (Dataset.open(folder) for folder in folders)
     assert known.initial is not None
@@ -113,7 +108,7 @@ def test_an_initial_state_from_later_frames(folders):
 
 def test_earlier_states_lead_to_the_later_ones(folders):
     data = Dataset.open(folders[0])
-    descent = descent_of(data)
+    descent = Descent.of(data)
     later_ns = int(data.stamps_ns[7])
     later = dataclasses.replace(descent.initial, stamp_ns=later_ns)
     begin = earlier(descent, later, int(data.stamps_ns[0]))

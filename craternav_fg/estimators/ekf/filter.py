@@ -10,17 +10,17 @@ import numpy.typing as npt
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
-from craternav_fg.estimators.ekf.fusion import Rule, Update, combine, fuse_updates
-from craternav_fg.estimators.ekf.measurement import (
+from craternav_fg.estimators.ekf.fusion import Rule, combine, fuse_updates
+from craternav_fg.estimators.filter_state import POSE, FilterState, right_jacobian
+from craternav_fg.estimators.linearisation import (
+    LinearMeasurement,
     MeasurementModel,
     NoiseModel,
-    inflation,
     linearise_arcs,
     linearise_rims,
     linearise_sun,
-    weighed,
 )
-from craternav_fg.estimators.filter_state import POSE, FilterState, right_jacobian
+from craternav_fg.estimators.measurement_weighting import noise_inflation, with_predicted_covariances
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 
@@ -141,7 +141,7 @@ class DistributedEkf:
         covariance = prior.covariance
         rims = frame.rims
         if options.noise == "measured":
-            rims = weighed(frame, prior.gTb, problem.camera, problem.catalog).rims
+            rims = with_predicted_covariances(frame, prior.gTb, problem.camera, problem.catalog).rims
         factors: FloatArray | None = None
         for _ in range(options.iterations):
             point = prior if not delta.any() else prior.moved(delta, covariance)
@@ -160,7 +160,9 @@ class DistributedEkf:
                 rims, keep, factors = self._weights(rims, A, residual, usable, prior)
                 A, residual, usable = A[keep], residual[keep], usable[keep]
             root = np.sqrt(factors)
-            updates = [Update(A[i] / root[i], residual[i] / root[i]) for i in np.flatnonzero(usable)]
+            updates = [
+                LinearMeasurement(A[i] / root[i], residual[i] / root[i]) for i in np.flatnonzero(usable)
+            ]
             updates += [
                 _relative(arc, J, delta)
                 for arc in linearise_arcs(point.gTb, frame.arcs, problem.camera, problem.catalog)
@@ -188,7 +190,7 @@ class DistributedEkf:
         options = self.options
         limit = np.inf if options.limit_sigmas is None else options.limit_sigmas
         gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
-        sigmas, factors = inflation(A, residual, prior.covariance[POSE, POSE], limit)
+        sigmas, factors = noise_inflation(A, residual, prior.covariance[POSE, POSE], limit)
         keep = usable & (sigmas <= gate)
         # When all rims disagree with the prediction, it is the prediction that is suspect.
         if not keep.any():
@@ -196,15 +198,15 @@ class DistributedEkf:
         return rims.take(keep), keep, factors[keep]
 
 
-def _relative(update: Update, J: FloatArray, delta: FloatArray) -> Update:
+def _relative(update: LinearMeasurement, J: FloatArray, delta: FloatArray) -> LinearMeasurement:
     """Refer a measurement linearised at a moved pose to the prior's error."""
     A = update.A.copy()
     A[:, :3] = A[:, :3] @ J
-    return Update(A, update.residual + A @ delta[POSE])
+    return LinearMeasurement(A, update.residual + A @ delta[POSE])
 
 
-def _with(update: Update, sun: Update) -> Update:
-    return Update(np.vstack([update.A, sun.A]), np.concatenate([update.residual, sun.residual]))
+def _with(update: LinearMeasurement, sun: LinearMeasurement) -> LinearMeasurement:
+    return LinearMeasurement(np.vstack([update.A, sun.A]), np.concatenate([update.residual, sun.residual]))
 
 
 def _combined(states: list[FilterState]) -> FilterState:

@@ -7,30 +7,15 @@ identity, whatever the states' units.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.estimators.linearisation import LinearMeasurement
+
 FloatArray = npt.NDArray[np.float64]
 Rule = Literal["paper-fed-back", "exact", "covariance-intersection"]
-
-
-@dataclass(frozen=True)
-class Update:
-    """A sub-filter's measurement, linear and whitened: residual = A error + white unit noise.
-
-    Attributes
-    ----------
-    A : ndarray, shape (m, k)
-        For the first k entries of the error state; the others don't enter.
-    residual : ndarray, shape (m,)
-        Measured minus predicted at the prior's mean, whitened.
-    """
-
-    A: FloatArray
-    residual: FloatArray
 
 
 def square_root(covariance: FloatArray) -> FloatArray:
@@ -46,7 +31,7 @@ def square_root(covariance: FloatArray) -> FloatArray:
 
 
 def fuse_updates(
-    covariance: FloatArray, updates: Sequence[Update], rule: Rule
+    covariance: FloatArray, updates: Sequence[LinearMeasurement], rule: Rule
 ) -> tuple[FloatArray, FloatArray]:
     """Fuse sub-filters that each updated the same prior with their own measurement.
 
@@ -54,7 +39,7 @@ def fuse_updates(
     ----------
     covariance : ndarray, shape (n, n)
         Of the common prior.
-    updates : sequence of Update
+    updates : sequence of LinearMeasurement
         One per sub-filter, at least one, all on the same k first states.
     rule : {"exact", "paper-fed-back", "covariance-intersection"}
         "exact": information sum Lambda_i - (N - 1) Lambda_prior, equal to one central update.

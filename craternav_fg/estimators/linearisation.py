@@ -1,6 +1,6 @@
-"""The filter's measurements, linearised and whitened: rims (ellipse chart or eq. (19)) and sun tilt."""
+"""Measurements of a frame, linearised at a pose and whitened: rims, arcs of rims, sun tilt."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.estimators.ekf.fusion import Update
-from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet, SunTilt
+from craternav_fg.measurements import ArcSet, RimSet, SunTilt
 from factors.kernels import conic, rim, robust, shape, sun
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,16 +23,20 @@ NoiseModel = Literal["measured", "fixed"]
 PAPER_NOISE = np.diag([2.5e-5, 1.5e-4, 2.5e-5, 1.5e-6, 1.5e-6, 1.5e-8])
 
 
-def weighed(frame: FrameMeasurement, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FrameMeasurement:
-    """Return a frame with its rims' covariances taken where a pose (4, 4) expects them.
+@dataclass(frozen=True)
+class LinearMeasurement:
+    """A linear, whitened measurement: residual = A error + white unit noise.
 
-    The pose should rest on other frames: then the weights do not depend on the rims' own errors, see
-    `RimSet.expected_at`.
+    Attributes
+    ----------
+    A : ndarray, shape (m, k)
+        Derivatives in the first k entries of the error state; the others do not enter.
+    residual : ndarray, shape (m,)
+        Measured minus predicted at the linearisation point, whitened.
     """
-    rows = frame.rims.craters
-    gTb = np.ascontiguousarray(gTb)
-    charts, _ = conic.project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    return replace(frame, rims=frame.rims.expected_at(charts))
+
+    A: FloatArray
+    residual: FloatArray
 
 
 def linearise_rims(
@@ -113,7 +116,9 @@ def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tu
     return white[:, :, :6], white[:, :, 6]
 
 
-def linearise_arcs(gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catalog) -> list[Update]:
+def linearise_arcs(
+    gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catalog
+) -> list[LinearMeasurement]:
     """Linearise arcs at a pose: for each that the pose can see, its edge points' whitened distances."""
     updates = []
     for row, points, sigmas in zip(arcs.craters, arcs.points, arcs.sigmas, strict=True):
@@ -124,11 +129,11 @@ def linearise_arcs(gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catal
         )  # fmt: skip
         if J.any():
             J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T
-            updates.append(Update(J, -e))
+            updates.append(LinearMeasurement(J, -e))
     return updates
 
 
-def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> Update | None:
+def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> LinearMeasurement | None:
     """Linearise the sun's tilt at a pose, whitened, on attitude and position; None when it says nothing."""
     if measured is None:
         return None
@@ -139,43 +144,4 @@ def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> 
         return None
     J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T
     residual = np.array([sun.wrap(measured.tilt_rad - tilt)])
-    return Update(J / measured.sigma_rad, residual / measured.sigma_rad)
-
-
-def inflation(
-    A: FloatArray, residual: FloatArray, covariance: FloatArray, limit: float
-) -> tuple[FloatArray, FloatArray]:
-    """Normalised innovations of whitened measurements, and the noise factors that limit them.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, m, 6)
-    residual : ndarray, shape (n, m)
-    covariance : ndarray, shape (6, 6)
-        Of the prior's pose error.
-    limit : float
-        Largest normalised innovation, in sigmas.
-
-    Returns
-    -------
-    innovation_sigmas : ndarray, shape (n,)
-        sqrt(r' (A P A' + I)^-1 r).
-    factor : ndarray, shape (n,)
-        The f >= 1 by which to multiply each noise covariance so that this is at most the limit; it
-        bounds a measurement's influence as Huber's loss does.
-    """
-    predicted = A @ covariance @ np.swapaxes(A, 1, 2)
-    solved = np.linalg.solve(predicted + np.eye(A.shape[1]), residual[:, :, None])[:, :, 0]
-    squared = np.sum(residual * solved, axis=1)
-    factor = np.ones(len(A))
-    for i in np.flatnonzero(squared > limit * limit):
-        values, vectors = np.linalg.eigh(predicted[i])
-        values = np.maximum(values, 0.0)
-        parts = (vectors.T @ residual[i]) ** 2
-        # Convex and falling in the factor: Newton from the left cannot overshoot.
-        for _ in range(50):
-            excess = float(np.sum(parts / (values + factor[i]))) - limit * limit
-            if excess <= 1e-9 * limit * limit:
-                break
-            factor[i] += excess / float(np.sum(parts / (values + factor[i]) ** 2))
-    return np.sqrt(squared), factor
+    return LinearMeasurement(J / measured.sigma_rad, residual / measured.sigma_rad)
