@@ -319,7 +319,7 @@ def test_tilt_of_the_sun_is_not_that_of_the_ground_azimuth(elevation_deg: float,
         gRc = np.diag([1.0, -1.0, -1.0]) @ (tilt * turn).as_matrix()
         elevation = np.radians(elevation_deg)
         ground = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        sun_c, ground_c = gRc.T @ (ground + [0.0, 0.0, np.sin(elevation)]), gRc.T @ ground
+        sun_c, ground_c = gRc.T @ np.append(ground[:2], np.sin(elevation)), gRc.T @ ground
         # Within 20 degrees of the axis.
         u, v = np.tan(np.radians(20.0)) * rng.uniform(-1.0, 1.0, 2)
         shown = np.arctan2(ground_c[1] - v * ground_c[2], ground_c[0] - u * ground_c[2])
