@@ -23,12 +23,11 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import DEFAULT, ESTIMATORS, ON_REQUEST, estimator
 from craternav_fg.files import replacing_folder
-from craternav_fg.runs.record import write_reconstruction
-from craternav_fg.runs.store import CONTENTS, MARKER, read_run
+from craternav_fg.runs.execute import execute_run
+from craternav_fg.runs.read import read_run
+from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
 from craternav_fg.simulation.scenario_file import load_scenario
-
-DEMO_DATASET = "dataset"
 
 EstimatorOption = Annotated[
     list[str] | None,
@@ -54,14 +53,14 @@ def demo(
     case = load_scenario(scenario)
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
         simulate_scenario(
-            case, folder / DEMO_DATASET, progress=lambda done, total: report("simulated frames", done, total)
+            case, folder / DATASET, progress=lambda done, total: report("simulated frames", done, total)
         )
         simulated_s = time.perf_counter() - began_s
-        summary = write_reconstruction(
-            Dataset.open(folder / DEMO_DATASET),
+        summary = execute_run(
+            Dataset.open(folder / DATASET),
             folder,
             DEFAULT,
-            label=DEMO_DATASET,
+            label=DATASET,
             began_s=began_s,
             earlier_s={"simulation": simulated_s},
             progress=report,
@@ -113,14 +112,14 @@ def reconstruct(
         estimator(name)
     if data.resolve().is_relative_to(output.resolve()):
         raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
-    if (data / MARKER).is_file() and (data / DEMO_DATASET).is_dir():
-        raise InputError(data, f"expected a data set, found a run: its data set is {data / DEMO_DATASET}")
+    if (data / MARKER).is_file() and (data / DATASET).is_dir():
+        raise InputError(data, f"expected a data set, found a run: its data set is {data / DATASET}")
     dataset = Dataset.open(data)
     every = overlay_every or int(overlays)
     if every and dataset.measurements is not None:
         raise InputError(data, "has measured rims: expected images for --overlays")
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, bar() as report:
-        summary = write_reconstruction(
+        summary = execute_run(
             dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report,
             overlay_every=every,
         )  # fmt: skip

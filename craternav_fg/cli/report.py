@@ -14,7 +14,7 @@ from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.report.recording import write_recording
 from craternav_fg.report.run_page import run_page
-from craternav_fg.runs.store import read_run
+from craternav_fg.runs.read import read_run
 
 REPORT = "report.html"
 

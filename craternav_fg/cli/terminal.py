@@ -23,7 +23,8 @@ from rich.table import Table
 from rich.text import Text
 
 from craternav_fg.pipeline.reconstruct import Progress as Report
-from craternav_fg.runs.store import METRICS, Run
+from craternav_fg.runs.read import Run
+from craternav_fg.runs.store import METRICS
 
 err = Console(stderr=True)
 out = Console()
@@ -144,7 +145,7 @@ def calibrated_line(found: dict[str, Any]) -> str:
 def _warnings(summary: dict[str, Any]) -> list[str]:
     """Tell what a user of the run must know before believing it."""
     out = [f"no trajectory of {message}" for message in summary["failures"].values()]
-    shares = {name: values["rim_misfit_share"] for name, values in summary["estimators"].items()}
+    shares = {name: values["rim_outlier_share"] for name, values in summary["estimators"].items()}
     astray = [
         f"{name} ({100.0 * share:.0f} %)"
         for name, share in shares.items()

@@ -24,7 +24,7 @@ from craternav_fg.plots.figures import save
 
 FloatArray = npt.NDArray[np.float64]
 
-FOLDER = "overlays"
+
 SHEET_FRAMES = 12
 _SHEET_COLUMNS = 4
 # Okabe and Ito's: bright ones on dark ground, told apart by hue and by line.

@@ -15,7 +15,7 @@ from craternav_fg.ellipse import points_on
 from craternav_fg.errors import CraternavError
 from craternav_fg.files import replacing
 from craternav_fg.plots import figures
-from craternav_fg.runs.store import Run, read_residuals
+from craternav_fg.runs.read import Run, read_residuals
 
 FloatArray = npt.NDArray[np.float64]
 

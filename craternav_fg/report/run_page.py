@@ -12,7 +12,8 @@ from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section
 from craternav_fg.report.pictures import frame_pictures
 from craternav_fg.report.residuals import crater_table, draw_residuals
 from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
-from craternav_fg.runs.store import MARKER, Run, read_residuals
+from craternav_fg.runs.read import Run, read_residuals
+from craternav_fg.runs.store import MARKER
 
 # Errors along one descent hang together: only an ANEES beyond these says something of a single run.
 DOUBTFUL_ANEES = (2.0, 15.0)

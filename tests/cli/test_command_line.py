@@ -20,7 +20,7 @@ from craternav_fg.cli.descents import reconstruct
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import DEFAULT
-from craternav_fg.runs.store import read_run
+from craternav_fg.runs.read import read_run
 from craternav_fg.simulation.scenario_file import load_scenario
 
 FIELDS = {
@@ -34,7 +34,7 @@ FIELDS = {
     "rpe_deg",
     "anees",
     "frames",
-    "rim_misfit_share",
+    "rim_outlier_share",
 }
 
 
@@ -262,7 +262,7 @@ def test_simulate_and_one_estimator_from_measured_rims(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)["estimators"]
     assert list(result) == ["ekf"]
-    assert result["ekf"]["rim_misfit_share"] < 0.01
+    assert result["ekf"]["rim_outlier_share"] < 0.01
     assert "sigma" not in done.stderr
     none = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "other", "--overlays")
     assert none.returncode == 2

@@ -25,7 +25,7 @@ from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.runs.store import write_run
+from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import MeasurementSection, load_scenario
 from craternav_fg.trajectory import Trajectory
@@ -266,8 +266,8 @@ def test_rejected_matches_are_named_in_the_run(tmp_path: Path, demo: Dataset) ->
     assert_array_equal([row["weight"] for row in own], np.concatenate(right).astype(float))
     assert data.measurements is not None
     true = [data.catalog.identifiers[row] for frame in data.measurements for row in frame.rims.craters]
-    assert [row["taken_for"] or row["crater_id"] for row in own] == true
-    assert [row["taken_for"] is None for row in own] == np.concatenate(right).tolist()
+    assert [row["reassociated_with"] or row["crater_id"] for row in own] == true
+    assert [row["reassociated_with"] is None for row in own] == np.concatenate(right).tolist()
     assert all(row["weight"] is None for row in table if row["estimator"] == "dead_reckoning")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
-from craternav_fg.runs.record import write_reconstruction
+from craternav_fg.runs.execute import execute_run
 from craternav_fg.simulation.scenario import simulate
 from tests.descents import scenario
 
@@ -21,7 +21,7 @@ def made_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "run"
     folder.mkdir()
     data = simulate(scenario(duration_s=10.0), folder / "dataset")
-    write_reconstruction(Dataset.open(data), folder, ESTIMATORS, label="dataset", began_s=time.perf_counter())
+    execute_run(Dataset.open(data), folder, ESTIMATORS, label="dataset", began_s=time.perf_counter())
     (folder / "overlays").mkdir()
     for number in range(3):
         picture = np.full((40, 1400, 3), 60 * number, np.uint8)

@@ -11,7 +11,7 @@ from selenium.webdriver.common.keys import Keys
 
 from craternav_fg.report.page import write_page
 from craternav_fg.report.run_page import run_page
-from craternav_fg.runs.store import read_run
+from craternav_fg.runs.read import read_run
 
 CHROMIUM = shutil.which("chromium")
 DRIVER = shutil.which("chromedriver")

@@ -8,7 +8,7 @@ import pytest
 
 from craternav_fg.errors import CraternavError
 from craternav_fg.report.recording import write_recording
-from craternav_fg.runs.store import read_run
+from craternav_fg.runs.read import read_run
 
 
 def test_a_recording_holds_trajectories_craters_camera_and_rims(made_run: Path, tmp_path: Path) -> None:

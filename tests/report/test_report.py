@@ -20,7 +20,7 @@ from craternav_fg.report.page import write_page
 from craternav_fg.report.residuals import crater_table
 from craternav_fg.report.run_page import run_page
 from craternav_fg.report.svg import inline_svg
-from craternav_fg.runs.store import read_run
+from craternav_fg.runs.read import read_run
 
 
 class Reader(html.parser.HTMLParser):

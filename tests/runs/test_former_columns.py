@@ -5,7 +5,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from craternav_fg.runs.store import RESIDUALS, read_residuals
+from craternav_fg.runs.read import read_residuals
+from craternav_fg.runs.store import RESIDUALS
 
 
 def test_the_slope_contrast_is_read_under_its_former_name(tmp_path: Path) -> None:

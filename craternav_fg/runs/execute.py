@@ -1,4 +1,4 @@
-"""A run: reconstruct a data set and write all that comes out of it."""
+"""Reconstruct a data set and write everything that comes out of it into a run's folder."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -6,20 +6,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.pipeline.reconstruct import Progress, Reconstruction, reconstruct
 from craternav_fg.plots import figures
-from craternav_fg.plots.overlays import FOLDER, contact_sheet, write_overlays
-from craternav_fg.runs.store import write_run
+from craternav_fg.plots.overlays import contact_sheet, write_overlays
+from craternav_fg.runs import store
+from craternav_fg.runs.write import write_run
 
+# Frames beside one another in the overview.
 OVERVIEW_FRAMES = 3
 
 
-def write_reconstruction(
+def execute_run(
     dataset: Dataset,
     folder: Path,
-    names: Sequence[str],
+    estimators: Sequence[str],
     *,
     label: str,
     began_s: float,
@@ -34,27 +37,35 @@ def write_reconstruction(
     dataset : Dataset
     folder : Path
         See `craternav_fg.runs.store` for what is written.
-    names : sequence of str
-        Estimators.
+    estimators : sequence of str
+        Names, the first of which the figures of a single trajectory show.
     label : str
-        Where the data set is, as run.toml tells it.
+        Path of the data set that run.toml names, absolute or relative to `folder`.
     began_s : float
         `time.perf_counter()` at the beginning of the whole command.
     earlier_s : mapping of str to float, optional
-        Wall times of what the command did before.
+        Wall times of earlier steps of the command.
     progress : callable, optional
     overlay_every : int
-        Frames with their rims drawn on them are written, each of so many; 0: none.
+        Write an overlay of every Nth frame; 0 writes none.
 
     Returns
     -------
     dict
-        What metrics.json holds.
+        Contents of metrics.json.
+
+    Raises
+    ------
+    EstimationError
+        When a name is unknown, or every estimator fails.
+    InputError
+        When an image cannot be read.
     """
-    result = reconstruct(dataset, names, progress=progress)
-    _draw(dataset, result, folder / "figures")
+    result = reconstruct(dataset, estimators, progress=progress)
+    for name, figure in _figures(dataset, result).items():
+        figures.save(figure, folder / store.FIGURES / f"{name}.png")
     if overlay_every and dataset.measurements is None:
-        write_overlays(dataset, result, folder / FOLDER, overlay_every, progress)
+        write_overlays(dataset, result, folder / store.OVERLAYS, overlay_every, progress)
     return write_run(
         folder,
         result,
@@ -67,9 +78,9 @@ def write_reconstruction(
     )
 
 
-def _draw(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
-    best = next(iter(result.trajectories))
-    trajectory = result.trajectories[best]
+def _figures(dataset: Dataset, result: Reconstruction) -> dict[str, Figure]:
+    """Draw the figures that the data set allows, by the names of their files."""
+    first, trajectory = next(iter(result.trajectories.items()))
     drawn = {"descent": figures.draw_descent(trajectory, dataset.truth, dataset.catalog, dataset.body)}
     rims = [len(frame.rims) for frame in result.frames]
     if dataset.truth is None:
@@ -77,7 +88,7 @@ def _draw(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
     else:
         drawn["errors"] = figures.draw_errors(result.trajectories, dataset.truth, rims)
         drawn["consistency"] = figures.draw_consistency(result.trajectories, dataset.truth)
-        drawn[f"bounds_{best}"] = figures.draw_bounds(best, trajectory, dataset.truth)
+        drawn[f"bounds_{first}"] = figures.draw_bounds(first, trajectory, dataset.truth)
     if dataset.measurements is None:
         rows = np.linspace(0, len(dataset) - 1, min(OVERVIEW_FRAMES, len(dataset))).astype(int)
         images = [(dataset.image(int(k)), result.frames[k]) for k in rows]
@@ -85,5 +96,4 @@ def _draw(dataset: Dataset, result: Reconstruction, folder: Path) -> None:
             images, result.trajectories, dataset.truth, dataset.camera, dataset.body
         )
         drawn["contact_sheet"] = contact_sheet(dataset, result)
-    for name, figure in drawn.items():
-        figures.save(figure, folder / f"{name}.png")
+    return drawn

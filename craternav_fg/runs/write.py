@@ -1,0 +1,178 @@
+"""Write a run's folder, all but its figures."""
+
+import importlib.metadata
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import tomli_w
+
+import craternav_fg
+from craternav_fg import frames
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.evaluation.innovations import Innovations, innovations
+from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.pipeline.reconstruct import Reconstruction
+from craternav_fg.runs import store
+from craternav_fg.runs.columns import list_column
+from craternav_fg.runs.residuals import outlier_share, rim_residuals
+from craternav_fg.trajectory import Calibrated, Trajectory
+
+# The estimator whose innovations are looked at.
+FILTER = "ekf"
+# Software whose version the results depend on.
+_PACKAGES = ("gtsam", "numpy", "numba")
+
+
+def write_run(
+    folder: Path,
+    result: Reconstruction,
+    *,
+    dataset: str,
+    camera: Camera,
+    catalog: Catalog,
+    truth: Trajectory | None,
+    times_s: Mapping[str, float],
+    wall_s: float,
+) -> dict[str, Any]:
+    """Write a run into an existing folder, all but its figures.
+
+    Parameters
+    ----------
+    folder : Path
+    result : Reconstruction
+    dataset : str
+        Path of the data set, absolute or relative to the run's folder.
+    camera : Camera
+    catalog : Catalog
+    truth : Trajectory or None
+        Ground truth, for the errors.
+    times_s : mapping of str to float
+        Wall time of each step.
+    wall_s : float
+        Wall time of the whole command so far.
+
+    Returns
+    -------
+    dict
+        Contents of metrics.json.
+    """
+    estimators: dict[str, dict[str, Any]] = {
+        name: dict(metrics(t, truth).as_dict()) for name, t in result.trajectories.items()
+    }
+    residuals = rim_residuals(result.trajectories, result.frames, camera, catalog)
+    for name, trajectory in result.trajectories.items():
+        estimators[name]["rim_outlier_share"] = outlier_share(residuals, name)
+        if trajectory.calibrated is not None:
+            estimators[name]["calibrated"] = _calibrated(trajectory.calibrated, catalog)
+    summary = {
+        "wall_s": wall_s,
+        "times_s": dict(times_s),
+        "craters_per_frame": [len(frame.rims) for frame in result.frames],
+        "craters_expected_per_frame": result.expected_rims,
+        "initial_state": result.origin,
+        "resumed_at_frames": list(result.resumed),
+        "failures": dict(result.failures),
+        "index": result.index_said,
+        "innovations": _innovations(result),
+        "estimators": estimators,
+    }
+    (folder / store.METRICS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    trajectories = dict(result.trajectories) if truth is None else {store.TRUTH: truth, **result.trajectories}
+    for name, trajectory in trajectories.items():
+        write_tum(folder / f"{name}.tum", trajectory)
+    pq.write_table(_states(trajectories), folder / store.STATES)
+    pq.write_table(residuals, folder / store.RESIDUALS)
+    (folder / store.MARKER).write_bytes(_description(dataset, result).encode())
+    return summary
+
+
+def _description(dataset: str, result: Reconstruction) -> str:
+    """Text of run.toml."""
+    values = {
+        "craternav_fg": craternav_fg.__version__,
+        # A name on disk that is no UTF-8 cannot stand in TOML: its odd bytes are escaped, the run is kept.
+        "dataset": dataset.encode("utf-8", "backslashreplace").decode(),
+        "estimators": list(result.trajectories),
+        "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
+        "options": _without_none(result.options),
+    }
+    return "# What was run, on what, and how.\n" + tomli_w.dumps(values)
+
+
+def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out options that are None, which TOML cannot write."""
+    return {
+        key: _without_none(value) if isinstance(value, Mapping) else value
+        for key, value in values.items()
+        if value is not None
+    }
+
+
+def _innovations(result: Reconstruction) -> dict[str, Any] | None:
+    """NIS of the filter's innovations by sensor, which need no truth; None without that filter."""
+    if FILTER not in result.trajectories:
+        return None
+    found = Innovations.joined(innovations(problem, ekf().states(problem)) for problem in result.problems)
+    return {"filter": FILTER, "nis": found.as_dict()} if found.sensor else None
+
+
+def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
+    """Give the estimated calibration as plain data, craters by their identifiers."""
+    out: dict[str, Any] = {}
+    if found.mounting_rad is not None:
+        out["mounting_deg"], out["mounting_sigma_deg"] = (
+            np.degrees(part).tolist() for part in found.mounting_rad
+        )
+    if found.image_delay_s is not None:
+        out["image_delay_s"], out["image_delay_sigma_s"] = found.image_delay_s
+    if found.map_errors is not None:
+        out["map_errors"] = {
+            catalog.identifiers[row]: {"error": error.tolist(), "sigma": sigma.tolist()}
+            for row, (error, sigma) in found.map_errors.items()
+        }
+    return out
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory in evo's TUM format: time in s, position in m, quaternion x y z w.
+
+    Parameters
+    ----------
+    path : Path
+    trajectory : Trajectory
+    """
+    q = np.roll(frames.to_quaternion_wxyz(trajectory.gRb), -1, axis=1)
+    rows = []
+    for stamp, P, quaternion in zip(trajectory.stamps_ns, trajectory.gP, q, strict=True):
+        seconds, rest = divmod(int(stamp), 1_000_000_000)
+        numbers = " ".join(repr(float(x)) for x in (*P, *quaternion))
+        rows.append(f"{seconds}.{rest:09d} {numbers}\n")
+    path.write_text("".join(rows), encoding="ascii")
+
+
+def _states(trajectories: Mapping[str, Trajectory]) -> pa.Table:
+    """States and covariances of all trajectories, one row per estimator and frame."""
+    parts = []
+    for name, t in trajectories.items():
+        k = len(t)
+        columns = {
+            "estimator": pa.array([name] * k),
+            "stamp_ns": pa.array(t.stamps_ns),
+            "position_m": list_column(t.gP),
+            "quaternion_wxyz": list_column(frames.to_quaternion_wxyz(t.gRb)),
+            "velocity_m_s": list_column(t.gV),
+            "bias": list_column(t.bias),
+        }
+        for field, size in (("pose_covariance", 6), ("velocity_covariance", 3), ("bias_covariance", 6)):
+            covariance = getattr(t, field)
+            missing = pa.nulls(k, pa.list_(pa.float64(), size**2))
+            columns[field] = missing if covariance is None else list_column(covariance.reshape(k, size**2))
+        parts.append(pa.table(columns))
+    return pa.concat_tables(parts)
