@@ -199,12 +199,23 @@ def test_images_and_rims_exclude_each_other(tmp_path):
         write_dataset(tmp_path / "data", **parts(rng))
 
 
-def test_a_long_imu_log_is_read_fast(tmp_path):
+def processor_time_s(read):
+    """Least of three."""
+    times = []
+    for _ in range(3):
+        begin = time.process_time()
+        read()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def test_a_long_imu_log_is_not_read_row_by_row(tmp_path):
+    """Not slower than numpy's compiled reader; a loop over the rows takes many times as long."""
     n = 60_000
     rng = np.random.default_rng(10)
-    stamps = 10_000_000 * np.arange(n)
     path = tmp_path / "data.csv"
-    write_table(path, layout.IMU_COLUMNS, [stamps, *rng.standard_normal((6, n))], comment=True)
-    begin = time.perf_counter()
+    columns = [10_000_000 * np.arange(n), *rng.standard_normal((6, n))]
+    write_table(path, layout.IMU_COLUMNS, columns, comment=True)
     assert len(read_table(path, layout.IMU_COLUMNS)) == n
-    assert time.perf_counter() - begin < 1.0
+    ours_s = processor_time_s(lambda: read_table(path, layout.IMU_COLUMNS))
+    assert ours_s < 2.0 * processor_time_s(lambda: np.loadtxt(path, delimiter=","))

@@ -1,4 +1,4 @@
-"""Errors of rims that outlast a frame: smoothers that know of them, and what becomes of those that do not."""
+"""Time-correlated errors of rims: smoothers with variables for them are consistent, others are not."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ DECAY = 0.5
 
 
 def spoilt(p: Problem, truth: Trajectory, rng: np.random.Generator) -> Problem:
-    """Add to the rims errors of three times their sigma that last, and as large ones that all share."""
+    """Add to the rims time-correlated errors of three times their sigma, and as large ones that all share."""
     kept: dict[int, tuple[float, np.ndarray]] = {}
     everyone = rng.standard_normal(SHARED_SIZE)
     frames = []
@@ -107,21 +107,34 @@ def test_the_bound_is_that_of_the_same_model(trials: list[tuple[Problem, Traject
     assert np.all(position_rms_m(without.smoothed) < 0.9 * position_rms_m(bound.smoothed))
 
 
-def test_what_lasts_counts_as_often_where_it_is_taken_as_new(
-    trials: list[tuple[Problem, Trajectory]],
-) -> None:
-    rims = trials[0][0].frames[0].rims
+def test_inflated_rims_have_the_variance_of_their_mean(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """Of several frames with the same correlated errors, each taken as white: that of simulated means."""
+    frames, draws = 6, 20_000
+    rng = np.random.default_rng(3)
+    rims = trials[0][0].frames[0].rims.take(np.array([0]))
     assert rims.correlated is not None
-    new = rims.inflate_correlated(3.0)
-    assert new.correlated is None
-    assert new.shared is None
-    once = rims.covariance - rims.uncorrelated_covariance
-    np.testing.assert_allclose(
-        new.covariance - rims.uncorrelated_covariance, 3.0 * once, rtol=1e-6, atol=1e-14
-    )
-    arcs = ArcSet(np.array([4]), (np.zeros((9, 2)),), (np.full(9, 3.0),), np.array([2.0]))
-    # The mean of nine: 9 / 9 of their own, 2^2 twice over of what they share.
-    assert np.mean(arcs.inflate_correlated(2.0).sigmas[0] ** 2) / 9 == pytest.approx(1.0 + 2.0 * 4.0)
+    assert rims.shared is not None
+    inflated = rims.inflate_correlated(frames)
+    assert inflated.correlated is None
+    assert inflated.shared is None
+    white = np.linalg.cholesky(rims.uncorrelated_covariance[0])
+    own = rng.standard_normal((draws, 5)) @ rims.correlated[0].T
+    everyone = rng.standard_normal((draws, SHARED_SIZE)) @ rims.shared[0].T
+    noise = np.mean([rng.standard_normal((draws, 5)) @ white.T for _ in range(frames)], axis=0)
+    # In units of what the inflated covariance says of the mean: the identity.
+    scaled = np.linalg.solve(np.linalg.cholesky(inflated.covariance[0] / frames), (own + everyone + noise).T)
+    np.testing.assert_allclose(np.cov(scaled), np.eye(5), atol=0.05)
+
+
+def test_inflated_arcs_have_the_variance_of_their_mean() -> None:
+    """As for rims, of all edge points of an arc in so many frames."""
+    frames, draws, points = 4, 20_000, 9
+    rng = np.random.default_rng(4)
+    arcs = ArcSet(np.array([4]), (np.zeros((points, 2)),), (np.full(points, 3.0),), np.array([2.0]))
+    shared = 2.0 * rng.standard_normal(draws)
+    mean = shared + 3.0 * rng.standard_normal((draws, frames * points)).mean(axis=1)
+    claimed = np.mean(arcs.inflate_correlated(frames).sigmas[0] ** 2) / (frames * points)
+    assert np.var(mean) == pytest.approx(claimed, rel=0.05)
 
 
 def test_errors_leave_the_lag_with_their_states(trials: list[tuple[Problem, Trajectory]]) -> None:
@@ -141,7 +154,7 @@ def test_options_without_meaning(wrong: dict[str, float]) -> None:
 
 
 def test_round_trip(tmp_path: Path, trials: list[tuple[Problem, Trajectory]]) -> None:
-    """What lasts survives the disk."""
+    """Correlated errors survive the disk."""
     p, _ = trials[0]
     write_measurements(tmp_path, p.frames, p.catalog)
     stamps = np.array([f.stamp_ns for f in p.frames])
