@@ -1,4 +1,4 @@
-"""CSV tables with named columns: read fast, refused with file, line and column."""
+"""CSV and Parquet tables: a file that is not what it must be is refused with file, line and column."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,8 +11,10 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
 import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
 
 from craternav_fg.errors import InputError
+from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -178,6 +180,62 @@ def write_table(path: Path, columns: Sequence[Column], data: Sequence[Any], *, c
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(("#" if comment else "") + ",".join(column.heading for column in columns) + "\n")
         csv.writer(stream, lineterminator="\n").writerows(zip(*texts, strict=True))
+
+
+def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a Parquet file, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    columns : sequence of str, optional
+        Only these, as far as they are there.
+
+    Returns
+    -------
+    pyarrow.Table
+
+    Raises
+    ------
+    InputError
+        When the file is missing, of another kind, or damaged: its checksums are verified.
+    """
+    if not path.is_file():
+        raise InputError(path, "file is missing")
+    try:
+        about = pq.read_metadata(path)
+        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
+    # Pages have checksums, the numbers of their values have none.
+    groups = [about.row_group(k) for k in range(about.num_row_groups)]
+    whole = sum(group.num_rows for group in groups) == about.num_rows and all(
+        group.column(k).num_values == group.num_rows
+        for group in groups
+        for k in range(group.num_columns)
+        # A list has as many values as it likes.
+        if "." not in group.column(k).path_in_schema
+    )
+    if not whole:
+        raise InputError(path, "is damaged: expected a value per row in each column, found another number")
+    return table
+
+
+def write_parquet(path: Path, table: pa.Table) -> None:
+    """Write a Parquet file with checksums, whole or not at all; numbers read back exactly.
+
+    Parameters
+    ----------
+    path : Path
+    table : pyarrow.Table
+
+    Raises
+    ------
+    InputError
+        When it cannot be written; a file of that name stays what it was.
+    """
+    with replacing(path) as temporary:
+        pq.write_table(table, temporary, use_dictionary=False, write_page_checksum=True)
 
 
 class _EmptyCellError(Exception):

@@ -9,11 +9,11 @@ import pyarrow as pa
 import pyarrow.compute as pa_compute
 import pyarrow.parquet as pq
 
+from craternav_fg import tables
 from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import StatedBody, settled
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
-from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,11 +44,7 @@ def write_parquet(path: Path, catalog: Catalog) -> None:
         [(_ID, pa.string()), *((name, pa.float64()) for name in _NUMBERS)],
         metadata={_KEY: json.dumps(about).encode()},
     )
-    with replacing(path) as temporary:
-        pq.write_table(
-            pa.Table.from_arrays(arrays, schema=schema), temporary, use_dictionary=False,
-            write_page_checksum=True,
-        )  # fmt: skip
+    tables.write_parquet(path, pa.Table.from_arrays(arrays, schema=schema))
 
 
 def read_parquet(path: Path, body: Body | None) -> Catalog:
@@ -66,13 +62,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
         When it is no such file, of another body, or a value is out of range.
     """
     body, _ = settled(path, body, _stated(path))
-    try:
-        table = pq.read_table(path, columns=[_ID, *_NUMBERS], page_checksum_verification=True)
-        whole = _is_whole(pq.read_metadata(path))
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"cannot be read: {' '.join(str(error).split())}") from None
-    if not whole:
-        raise InputError(path, "is damaged: expected a value per row in each column, found another number")
+    table = tables.read_parquet(path, [_ID, *_NUMBERS])
     for name in (_ID, *_NUMBERS):
         if name not in table.column_names:
             found = ", ".join(pq.read_schema(path).names)
@@ -109,14 +99,6 @@ def _stated(path: Path) -> StatedBody:
     if about.get("format") != FORMAT:
         raise InputError(path, f"expected format {FORMAT}, found {about.get('format')}: import it again")
     return stated
-
-
-def _is_whole(about: pq.FileMetaData) -> bool:
-    """Whether each column has as many values as there are rows: pages have checksums, their numbers none."""
-    groups = [about.row_group(k) for k in range(about.num_row_groups)]
-    return sum(group.num_rows for group in groups) == about.num_rows and all(
-        group.column(k).num_values == group.num_rows for group in groups for k in range(group.num_columns)
-    )
 
 
 def _check(path: Path, values: dict[str, FloatArray], body: Body) -> None:

@@ -92,14 +92,24 @@ over all frames, in steps of at most 0.1 s::
 
     #timestamp,p_RS_R_x [m],...,q_RS_w [],...,v_RS_R_x [m s^-1],...,b_w_RS_S_x [rad s^-1],...
 
-`rims.parquet` (optional): measured rims; when it is there, no image is read. Columns: `timestamp` (int64,
-a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance` (25 doubles), see
-`craternav_fg.measurements.RimSet`; and, if known, the roots of what of it lasts: `correlated` (25 doubles),
-`shared` (35 doubles), row by row. Beside it `sun_tilts.csv` (optional), at most one row for a frame: the
-tilt, its standard deviation and the image point, normalised, at which it holds::
+`rims.parquet` (optional): measured rims, one row per rim; when it is there, no image is read. Columns:
+`timestamp` (int64, a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance`
+(25 doubles, row by row), see `craternav_fg.measurements.RimSet`. Optional are the roots of the correlated
+parts of the covariance, row by row: `correlated` (5 x 5 doubles) and `shared` (5 x 8 doubles); and how well
+the rim was seen (doubles, all or none of them): `slope_contrast`, `found_share`, `arc_share`, `rms_px`,
+`outline_share`, see `RimQuality`. An optional value may be null for all rims of a frame.
 
-    #timestamp [ns],tilt [rad],sigma [rad],u,v
-    0,0.945,0.1745,0.0123,-0.0456
+`arcs.parquet` (optional, beside it): edge points of rims that are seen in part, one row per rim. Columns:
+`timestamp`, `crater_id`, `points` (a list of pairs of doubles, normalised image coordinates), `sigmas` (a
+list of doubles, one for each point) and, optionally, `correlated_sigma` (double), see `ArcSet`.
+
+`sun_tilts.csv` (optional, beside it), at most one row for a frame: the tilt of the sun's direction along the
+ground, its standard deviation, the image point, normalised, at which it holds, and the direction in g whose
+image it is. Without the last three columns the direction is the sun's along the locally flat terrain amid
+the frame's craters::
+
+    #timestamp [ns],tilt [rad],sigma [rad],u,v,direction_x,direction_y,direction_z
+    0,0.945,0.1745,0.0123,-0.0456,0.36,0.48,0.0
 """
 
 from craternav_fg.tables import Column
@@ -111,6 +121,7 @@ CRATERS = "craters.csv"
 LARGE_CRATERS = "craters.parquet"
 SUN = "sun.csv"
 RIMS = "rims.parquet"
+ARCS = "arcs.parquet"
 TILTS = "sun_tilts.csv"
 CAMERA_SENSOR = "mav0/cam0/sensor.yaml"
 CAMERA_DATA = "mav0/cam0/data.csv"
@@ -119,7 +130,7 @@ IMU_SENSOR = "mav0/imu0/sensor.yaml"
 IMU_DATA = "mav0/imu0/data.csv"
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
-CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, TILTS, "mav0")
+CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, ARCS, TILTS, "mav0")
 
 STAMP = "timestamp"
 _STAMP_NS = Column(STAMP, "integer", "ns")
@@ -151,10 +162,12 @@ TRUTH_COLUMNS = (
 SUN_VECTOR = ("s_x", "s_y", "s_z")
 SUN_COLUMNS = (_STAMP_NS, *(Column(name) for name in SUN_VECTOR))
 
+TILT_DIRECTION = ("direction_x", "direction_y", "direction_z")
 TILT_COLUMNS = (
     _STAMP_NS,
     Column("tilt", unit="rad"),
     Column("sigma", unit="rad"),
     Column("u"),
     Column("v"),
+    *(Column(name, optional=True) for name in TILT_DIRECTION),
 )

@@ -41,7 +41,7 @@ def write_dataset(
     sun: SunVectors,
     stamps_ns: IntArray,
     images: Iterable[ImageArray] | None = None,
-    rims: Sequence[FrameMeasurement] | None = None,
+    measurements: Sequence[FrameMeasurement] | None = None,
     truth: Trajectory | None = None,
 ) -> Path:
     """Write a data set that `Dataset.open` reads; numbers read back exactly.
@@ -56,7 +56,7 @@ def write_dataset(
         Of the frames.
     images : iterable of ndarray of uint8 or, above 8 bits, uint16, shape (height, width), optional
         One per frame, taken one at a time.
-    rims : sequence of FrameMeasurement, length k, optional
+    measurements : sequence of FrameMeasurement, length k, optional
         Given in place of images.
     truth : Trajectory, optional
 
@@ -70,18 +70,18 @@ def write_dataset(
     InputError
         When the folder holds something else.
     ValueError
-        When neither or both of images and rims are given, or their number is not that of the stamps.
+        When neither or both of images and measurements are given, or their number is not that of the stamps.
     """
-    if (images is None) == (rims is None):
-        raise ValueError("give either images or rims")
+    if (images is None) == (measurements is None):
+        raise ValueError("give either images or measurements")
     with replacing_folder(folder, marker=layout.DESCRIPTION, ours=layout.CONTENTS) as temporary:
         for name in (layout.IMAGES, layout.IMU_DATA):
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
         names = [f"{stamp}.png" for stamp in stamps_ns]
-        if rims is not None:
-            if len(rims) != len(stamps_ns):
-                raise ValueError(f"{len(rims)} measurements for {len(stamps_ns)} stamps")
-            write_measurements(temporary, rims, catalog)
+        if measurements is not None:
+            if len(measurements) != len(stamps_ns):
+                raise ValueError(f"{len(measurements)} measurements for {len(stamps_ns)} stamps")
+            write_measurements(temporary, measurements, catalog)
         if images is not None:
             (temporary / layout.IMAGES).mkdir()
             for name, image in zip(names, images, strict=True):

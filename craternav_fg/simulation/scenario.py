@@ -148,7 +148,7 @@ def simulate(
         sun=sun,
         stamps_ns=stamps,
         images=None if scenario.render is None else images(),
-        rims=None if scenario.measurements is None else list(rims(scenario.measurements)),
+        measurements=None if scenario.measurements is None else list(rims(scenario.measurements)),
         truth=Trajectory(stamps, motion.gTb, motion.gV, bias[np.searchsorted(imu.stamps_ns, stamps)]),
     )
 

@@ -17,7 +17,9 @@ def with_images(tmp_path_factory):
 @pytest.fixture(scope="session")
 def with_rims(tmp_path_factory):
     rng = np.random.default_rng(6)
-    return write_dataset(tmp_path_factory.mktemp("rims") / "data", rims=random_rims(rng), **parts(rng))
+    return write_dataset(
+        tmp_path_factory.mktemp("rims") / "data", measurements=random_rims(rng), **parts(rng)
+    )
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """Small data sets, numbers as awkward as they come, and ways to spoil them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import SunVectors
 from craternav_fg.imu import ImuLog, ImuNoise
-from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet, SunTilt
 from craternav_fg.trajectory import InitialState, Trajectory
 
 START_NS = 1_403_636_579_763_555_584
@@ -75,10 +75,21 @@ def random_images(rng: np.random.Generator) -> list[Any]:
 
 
 def random_rims(rng: np.random.Generator) -> list[FrameMeasurement]:
+    """Three frames with 0, 1 and 2 rims; the first has an arc, the last has all that a rim can have."""
     out = []
     for k, stamp in enumerate(FRAMES_NS.tolist()):
-        root = rng.standard_normal((k, 5, 5)) * 1e-3
+        root = rng.standard_normal((k, 5, 18)) * 1e-3
         rims = RimSet(np.arange(k), rng.standard_normal((k, 5)), root @ np.swapaxes(root, 1, 2))
-        sun = None if k == 1 else SunTilt(-3.0, 0.17, rng.standard_normal(2), np.zeros(3))
-        out.append(FrameMeasurement(stamp, rims, sun))
+        if k == 2:
+            # The first columns of the root are the correlated parts.
+            quality = RimQuality(*rng.uniform(0.0, 1.0, (5, 2)))
+            correlated, shared = root[:, :, :5].copy(), root[:, :, 5:13].copy()
+            rims = replace(rims, quality=quality, correlated=correlated, shared=shared)
+        sun = None if k == 1 else SunTilt(-3.0, 0.17, rng.standard_normal(2), rng.standard_normal(3))
+        arcs = ArcSet.empty()
+        if k < 2:
+            points = tuple(rng.standard_normal((m, 2)) for m in (3 + k,))
+            sigmas = tuple(rng.uniform(1e-4, 1e-3, len(one)) for one in points)
+            arcs = ArcSet(np.array([1]), points, sigmas, np.array([2e-4]) if k else None)
+        out.append(FrameMeasurement(stamp, rims, sun, arcs))
     return out

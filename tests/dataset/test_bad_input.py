@@ -248,18 +248,30 @@ def test_images_are_not_needed_beside_rims(rims_folder):
     assert Dataset.open(rims_folder.path).measurements is not None
 
 
-def spoiled(change):
+def spoiled(change, name=layout.RIMS):
     def spoil(folder):
-        table = pq.read_table(folder.path / layout.RIMS).to_pylist()
-        schema = pq.read_schema(folder.path / layout.RIMS)
+        table = pq.read_table(folder.path / name).to_pylist()
+        schema = pq.read_schema(folder.path / name)
         change(table)
-        pq.write_table(pa.Table.from_pylist(table, schema), folder.path / layout.RIMS)
+        pq.write_table(pa.Table.from_pylist(table, schema), folder.path / name)
 
     return spoil
 
 
-def set_cell(row, name, value):
-    return spoiled(lambda rows: rows[row].__setitem__(name, value))
+def set_cell(row, column, value, name=layout.RIMS):
+    return spoiled(lambda rows: rows[row].__setitem__(column, value), name)
+
+
+def set_arc(row, column, value):
+    return set_cell(row, column, value, layout.ARCS)
+
+
+def changed(change, name=layout.RIMS):
+    return lambda folder: pq.write_table(change(pq.read_table(folder.path / name)), folder.path / name)
+
+
+def floats(table, name):
+    return table.set_column(table.column_names.index(name), name, table[name].cast(pa.float32()))
 
 
 RIM_CASES = {
@@ -268,10 +280,58 @@ RIM_CASES = {
     "unknown stamp": (set_cell(1, "timestamp", 5), [layout.RIMS, "timestamp", "5"]),
     "empty cell": (set_cell(1, "crater_id", None), [layout.RIMS, "crater_id", "empty"]),
     "nan": (set_cell(1, "chart", [0.0, 0.0, np.nan, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
+    "no number": (set_cell(1, "chart", [0.0, 0.0, None, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "covariance": (set_cell(1, "covariance", [0.0] * 25), [layout.RIMS, "covariance", "positive definite"]),
     "rim twice": (spoiled(lambda rows: rows.append(rows[0])), [layout.RIMS, "once"]),
+    "missing column": (changed(lambda t: t.drop_columns(["chart"])), [layout.RIMS, "chart", "missing"]),
+    "unknown column": (
+        changed(lambda t: t.append_column("colour", pa.nulls(len(t)))),
+        [layout.RIMS, "colour", "unknown"],
+    ),
+    "single precision": (changed(lambda t: floats(t, "rms_px")), [layout.RIMS, "rms_px", "double", "float"]),
+    "part too large": (set_cell(1, "correlated", [1.0] * 25), [layout.RIMS, "correlated", "less than"]),
+    "part not finite": (set_cell(1, "shared", [np.inf] * 40), [layout.RIMS, "shared", "row 2", "finite"]),
+    "part of some rims": (
+        set_cell(1, "shared", None),
+        [layout.RIMS, "shared", "row 2 has none"],
+    ),
+    "quality of some rims": (set_cell(1, "rms_px", None), [layout.RIMS, "rms_px", "row 2 has none"]),
+    "quality in part": (
+        spoiled(lambda rows: [row.__setitem__("rms_px", None) for row in rows]),
+        [layout.RIMS, "rms_px", "same rows as in slope_contrast"],
+    ),
+    "quality without a column": (
+        changed(lambda t: t.drop_columns(["arc_share"])),
+        [layout.RIMS, "arc_share", "missing beside slope_contrast"],
+    ),
+    "negative quality": (set_cell(2, "arc_share", -0.1), [layout.RIMS, "arc_share", "row 3", "-0.1"]),
+    "arcs no Parquet": (lambda f: (f.path / layout.ARCS).write_text("x"), [layout.ARCS, "Parquet"]),
+    "arc of a crater with a rim": (set_arc(1, "crater_id", "A-1"), [layout.ARCS, "crater_id", "'A-1'"]),
+    "arc of an unknown crater": (set_arc(0, "crater_id", "C"), [layout.ARCS, "crater_id", "row 1", "'C'"]),
+    "arc of an unknown stamp": (set_arc(0, "timestamp", 5), [layout.ARCS, "timestamp", "5"]),
+    "arc twice": (spoiled(lambda rows: rows.append(rows[0]), layout.ARCS), [layout.ARCS, "once"]),
+    "arc without points": (
+        spoiled(lambda rows: rows[0].update(points=[], sigmas=[]), layout.ARCS),
+        [layout.ARCS, "sigmas", "row 1", "0 points"],
+    ),
+    "arc with few sigmas": (set_arc(0, "sigmas", [1e-3]), [layout.ARCS, "sigmas", "row 1", "found 1 for 3"]),
+    "arc with sigma zero": (set_arc(0, "sigmas", [1e-3, 0.0, 1.0]), [layout.ARCS, "sigmas", "row 1", "more"]),
+    "arc not finite": (set_arc(0, "points", [[0.0, np.nan]] * 3), [layout.ARCS, "points", "row 1", "finite"]),
+    "arc of half points": (set_arc(0, "points", [[0.0, 1.0], None, None]), [layout.ARCS, "points", "row 1"]),
+    "negative correlated sigma": (
+        set_arc(1, "correlated_sigma", -1.0),
+        [layout.ARCS, "correlated_sigma", "row 2", "-1"],
+    ),
     "tilt's sigma": (cell(layout.TILTS, 2, 2, "0.0"), [f"{layout.TILTS}:2", "sigma", "0.0"]),
-    "tilt's stamp": (cell(layout.TILTS, 2, 0, "7"), [layout.TILTS, "timestamp", "7"]),
+    "tilt's stamp": (cell(layout.TILTS, 2, 0, "7"), [f"{layout.TILTS}:2", "timestamp", "7"]),
+    "tilt without direction": (
+        lambda f: f.edit_line(layout.TILTS, 2, lambda cells: [",".join([*cells[:5], "0", "0", "0"])]),
+        [f"{layout.TILTS}:2", "direction_x", "zero"],
+    ),
+    "tilt with half a direction": (
+        edit(layout.TILTS, ",direction_z", ",comment"),
+        [layout.TILTS, "comment"],
+    ),
 }
 
 
@@ -292,7 +352,7 @@ def test_bad_rims_are_named(case, rims_folder):
 def covariance_with(cross, mirrored):
     covariance = np.diag([1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
     covariance[0, 1], covariance[1, 0] = cross, mirrored
-    return set_cell(1, "covariance", covariance.ravel().tolist())
+    return set_cell(0, "covariance", covariance.ravel().tolist())
 
 
 def test_covariances_may_differ_from_symmetric_ones_by_rounding(rims_folder):

@@ -43,3 +43,5 @@ def test_the_tables(example):
     sun = read_table(example(layout.SUN), layout.SUN_COLUMNS)
     assert np.linalg.norm(sun.numbers(*layout.SUN_VECTOR)[0]) == pytest.approx(1.0, abs=1e-15)
     assert len(read_table(example(layout.CAMERA_DATA), layout.CAMERA_COLUMNS)) == 2
+    tilts = read_table(example(layout.TILTS), layout.TILT_COLUMNS)
+    assert np.linalg.norm(tilts.numbers(*layout.TILT_DIRECTION)[0]) == pytest.approx(0.6)

@@ -1,12 +1,14 @@
 import shutil
 import time
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from craternav_fg.dataset import Dataset, SunVectors, layout, write_dataset
 from craternav_fg.errors import InputError
+from craternav_fg.measurements import RimQuality
 from craternav_fg.tables import read_table, write_table
 from tests.dataset.samples import FRAMES_NS, START_NS, parts, random_images, random_rims
 
@@ -88,27 +90,80 @@ def test_a_copy_of_what_was_read_reads_the_same(with_images, tmp_path):
     exact(second.truth.gTb, first.truth.gTb)
 
 
-def test_rims_read_back_as_they_were(tmp_path):
+def exact_all(found, expected):
+    """Compare all that a dataclass holds, whatever fields it may get."""
+    if is_dataclass(expected):
+        assert type(found) is type(expected)
+        for field in fields(expected):
+            exact_all(getattr(found, field.name), getattr(expected, field.name))
+    elif isinstance(expected, tuple):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            exact_all(one, other)
+    elif isinstance(expected, np.ndarray):
+        exact(found, expected)
+    else:
+        assert found == expected
+
+
+def test_measurements_read_back_as_they_were(tmp_path):
     rng = np.random.default_rng(8)
-    given, rims = parts(rng), random_rims(rng)
-    write_dataset(tmp_path / "data", rims=rims, **given)
+    given, measured = parts(rng), random_rims(rng)
+    write_dataset(tmp_path / "data", measurements=measured, **given)
     data = Dataset.open(tmp_path / "data")
-    assert len(data.measurements) == len(data) == 3
-    for found, expected in zip(data.measurements, rims, strict=True):
-        assert found.stamp_ns == expected.stamp_ns
-        exact(found.rims.craters, expected.rims.craters)
-        exact(found.rims.chart, expected.rims.chart)
-        exact(found.rims.covariance, expected.rims.covariance)
-        assert (found.sun is None) == (expected.sun is None)
+    assert len(data) == 3
+    exact_all(data.measurements, tuple(measured))
+    again = write_dataset(tmp_path / "again", measurements=data.measurements, **given)
+    exact_all(Dataset.open(again).measurements, tuple(measured))
+
+
+def test_rims_are_read_in_the_catalogues_order(tmp_path):
+    rng = np.random.default_rng(8)
+    given, measured = parts(rng), random_rims(rng)
+    turned = [replace(f, rims=f.rims.take(np.arange(len(f.rims))[::-1])) for f in measured]
+    write_dataset(tmp_path / "data", measurements=turned, **given)
+    exact_all(Dataset.open(tmp_path / "data").measurements, tuple(measured))
+
+
+def without_columns(path, *names):
+    table = pq.read_table(path)
+    pq.write_table(table.drop_columns(list(names)), path)
+
+
+def test_files_of_version_0_1_are_read(rims_folder):
+    """They have no arcs, no quality, no direction of the tilt, and call the correlated part persistent."""
+    expected = Dataset.open(rims_folder.path).measurements
+    rims, tilts = rims_folder.path / layout.RIMS, rims_folder.path / layout.TILTS
+    without_columns(rims, *(field.name for field in fields(RimQuality)))
+    table = pq.read_table(rims)
+    names = ["persistent" if name == "correlated" else name for name in table.column_names]
+    pq.write_table(table.rename_columns(names), rims)
+    (rims_folder.path / layout.ARCS).unlink()
+    rows = [line.split(",")[:5] for line in tilts.read_text().splitlines()]
+    tilts.write_text("".join(",".join(row) + "\n" for row in rows))
+    data = Dataset.open(rims_folder.path)
+    for found, whole in zip(data.measurements, expected, strict=True):
+        exact_all(found.rims, replace(whole.rims, quality=None))
+        assert len(found.arcs) == 0
+        assert (found.sun is None) == (whole.sun is None)
         if found.sun is not None:
             assert (found.sun.tilt_rad, found.sun.sigma_rad) == (-3.0, 0.17)
-            exact(found.sun.point, expected.sun.point)
+            exact(found.sun.point, whole.sun.point)
             # Along the ground below the craters seen, or below the initial position.
             craters = found.rims.craters
             up = data.catalog.normals[craters].sum(axis=0) if len(craters) else data.initial.gTb[:3, 3]
             assert abs(found.sun.direction @ up) < 1e-6 * np.linalg.norm(up)
             # Still towards the sun.
             assert found.sun.direction @ data.sun.at(found.stamp_ns) > 0.0
+
+
+def test_charts_and_covariances_alone_are_enough(rims_folder):
+    expected = Dataset.open(rims_folder.path).measurements
+    path = rims_folder.path / layout.RIMS
+    pq.write_table(pq.read_table(path, columns=["timestamp", "crater_id", "chart", "covariance"]), path)
+    for found, whole in zip(Dataset.open(rims_folder.path).measurements, expected, strict=True):
+        exact_all(found.rims, replace(whole.rims, quality=None, correlated=None, shared=None))
+        exact_all(found.arcs, whole.arcs)
 
 
 def test_truth_at_other_times_is_interpolated(folder):

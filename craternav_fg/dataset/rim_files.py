@@ -1,0 +1,361 @@
+"""Measured rims on disk: `rims.parquet`, ellipse charts, and `arcs.parquet`, edge points of partly seen rims.
+
+`layout` describes the columns. Rows of a frame are read in the order of the catalogue.
+"""
+
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import layout
+from craternav_fg.errors import InputError
+from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
+from craternav_fg.tables import read_parquet, write_parquet
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+_KEYS = [("timestamp", pa.int64()), ("crater_id", pa.string())]
+_RIMS = pa.schema([*_KEYS, ("chart", pa.list_(pa.float64(), 5)), ("covariance", pa.list_(pa.float64(), 25))])
+# Roots of the correlated parts of the covariance, with their columns.
+_ROOTS = {"correlated": 5, "shared": SHARED_SIZE}
+_QUALITY = tuple(field.name for field in fields(RimQuality))
+_PART_SHAPES: dict[str, tuple[int, ...]] = {
+    **{name: (5, width) for name, width in _ROOTS.items()},
+    **dict.fromkeys(_QUALITY, ()),
+}
+_RIM_PARTS = pa.schema(
+    [
+        (name, pa.list_(pa.float64(), int(np.prod(shape))) if shape else pa.float64())
+        for name, shape in _PART_SHAPES.items()
+    ]
+)
+# Names of columns in files of version 0.1.
+_FORMER_COLUMNS = {"persistent": "correlated"}
+_ARCS = pa.schema(
+    [*_KEYS, ("points", pa.list_(pa.list_(pa.float64(), 2))), ("sigmas", pa.list_(pa.float64()))]
+)
+_ARC_PARTS = pa.schema([("correlated_sigma", pa.float64())])
+# Largest asymmetry of a covariance, in products of standard deviations: components that are nearly
+# independent have cross terms of rounding errors.
+_MAX_ASYMMETRY = 1e-9
+
+
+def write_rims(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog) -> None:
+    """Write the rims of all frames; numbers read back exactly.
+
+    Parameters
+    ----------
+    path : Path
+    frames : sequence of FrameMeasurement
+    catalog : Catalog
+        Of their craters.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    sets = [frame.rims for frame in frames]
+    columns = {
+        **_key_columns(frames, [rims.craters for rims in sets], catalog),
+        "chart": _vectors(np.concatenate([rims.chart for rims in sets]), 5),
+        "covariance": _vectors(np.concatenate([rims.covariance for rims in sets]), 25),
+    }
+    for name, width in _ROOTS.items():
+        roots = [getattr(rims, name) for rims in sets]
+        if any(A is not None for A in roots):
+            full = [
+                np.zeros((len(rims), 5, width)) if A is None else A
+                for rims, A in zip(sets, roots, strict=True)
+            ]
+            columns[name] = _vectors(np.concatenate(full), 5 * width, _unknown(sets, roots))
+    qualities = [rims.quality for rims in sets]
+    if any(quality is not None for quality in qualities):
+        for name in _QUALITY:
+            values = [
+                np.zeros(len(rims)) if quality is None else getattr(quality, name)
+                for rims, quality in zip(sets, qualities, strict=True)
+            ]
+            columns[name] = pa.array(np.concatenate(values), pa.float64(), mask=_unknown(sets, qualities))
+    write_parquet(path, pa.table(columns))
+
+
+def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]:
+    """Read the rims of all frames.
+
+    Parameters
+    ----------
+    path : Path
+    stamps_ns : ndarray of int, shape (k,)
+        Of the frames, increasing.
+    catalog : Catalog
+
+    Returns
+    -------
+    list of RimSet, length k
+        Empty for frames without a row.
+
+    Raises
+    ------
+    InputError
+        Naming the column: for a file of another form, unknown frames or craters, a crater twice in a frame,
+        values that are not finite, matrices that are no covariances, a part of the covariance or a quality
+        that is given for some rims of a frame only.
+    """
+    table = _read(path, _RIMS, _RIM_PARTS)
+    rows, craters = _frame_rows(path, table, stamps_ns), _craters(path, table, catalog)
+    charts, covariances = _numbers(path, table, "chart", (5,)), _numbers(path, table, "covariance", (5, 5))
+    parts = {
+        name: _part(path, table, name, shape, rows)
+        for name, shape in _PART_SHAPES.items()
+        if name in table.column_names
+    }
+    _check_covariances(path, covariances, {name: parts[name].values for name in _ROOTS if name in parts})
+    _check_quality(path, {name: parts[name] for name in _QUALITY if name in parts})
+    out = []
+    for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
+        seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
+        roots = {name: seen.pop(name) for name in _ROOTS if name in seen}
+        quality = RimQuality(**seen) if seen else None
+        out.append(RimSet(craters[own], charts[own], covariances[own], quality, **roots))
+    return out
+
+
+def write_arcs(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog) -> None:
+    """Write the arcs of all frames; numbers read back exactly.
+
+    Parameters
+    ----------
+    path : Path
+    frames : sequence of FrameMeasurement
+    catalog : Catalog
+        Of their craters.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    sets = [frame.arcs for frame in frames]
+    points = [points.tolist() for arcs in sets for points in arcs.points]
+    sigmas = [sigmas.tolist() for arcs in sets for sigmas in arcs.sigmas]
+    columns = {
+        **_key_columns(frames, [arcs.craters for arcs in sets], catalog),
+        "points": pa.array(points, _ARCS.field("points").type),
+        "sigmas": pa.array(sigmas, _ARCS.field("sigmas").type),
+    }
+    shared = [arcs.correlated_sigmas for arcs in sets]
+    if any(sigmas is not None for sigmas in shared):
+        values = [
+            np.zeros(len(arcs)) if sigmas is None else sigmas
+            for arcs, sigmas in zip(sets, shared, strict=True)
+        ]
+        mask = _unknown(sets, shared)
+        columns["correlated_sigma"] = pa.array(np.concatenate(values), pa.float64(), mask=mask)
+    write_parquet(path, pa.table(columns))
+
+
+def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[ArcSet]:
+    """Read the arcs of all frames.
+
+    Parameters
+    ----------
+    path : Path
+    stamps_ns : ndarray of int, shape (k,)
+        Of the frames, increasing.
+    catalog : Catalog
+
+    Returns
+    -------
+    list of ArcSet, length k
+        Empty for frames without a row.
+
+    Raises
+    ------
+    InputError
+        Naming the column: as `read_rims`; also for an arc without points, or with another number of standard
+        deviations than points.
+    """
+    table = _read(path, _ARCS, _ARC_PARTS)
+    rows, craters = _frame_rows(path, table, stamps_ns), _craters(path, table, catalog)
+    points = _lists(path, table, "points", 2)
+    sigmas = _lists(path, table, "sigmas", 1)
+    for row, (places, deviations) in enumerate(zip(points, sigmas, strict=True)):
+        if not len(places) or len(places) != len(deviations):
+            found = f"{len(deviations)} for {len(places)} points"
+            raise InputError(path, f"row {row + 1}: expected one per point, found {found}", column="sigmas")
+        if deviations.min() <= 0.0:
+            problem = f"row {row + 1}: expected more than 0, found {deviations.min():g}"
+            raise InputError(path, problem, column="sigmas")
+    shared = None
+    if "correlated_sigma" in table.column_names:
+        shared = _part(path, table, "correlated_sigma", (), rows)
+        _require(path, "correlated_sigma", shared.values >= 0.0, shared.values, "at least 0")
+    return [
+        ArcSet(
+            craters[own],
+            tuple(points[i] for i in own),
+            tuple(sigmas[i].ravel() for i in own),
+            shared.values[own] if shared is not None and shared.known[own].any() else None,
+        )
+        for own in _rows_of_frames(path, rows, craters, len(stamps_ns))
+    ]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """An optional column: values (n, ...), and whether each row has one."""
+
+    values: FloatArray
+    known: BoolArray
+
+
+def _key_columns(
+    frames: Sequence[FrameMeasurement], craters: Sequence[IntArray], catalog: Catalog
+) -> dict[str, pa.Array]:
+    """Stamps and identifiers of the rows of all frames."""
+    stamps = [frame.stamp_ns for frame, rows in zip(frames, craters, strict=True) for _ in rows]
+    identifiers = [catalog.identifiers[row] for rows in craters for row in rows]
+    return {"timestamp": pa.array(stamps, pa.int64()), "crater_id": pa.array(identifiers, pa.string())}
+
+
+def _unknown(sets: Sequence[Sized], parts: Sequence[object]) -> BoolArray:
+    """Mask of the rows of all frames whose frame lacks a part."""
+    return np.concatenate(
+        [np.full(len(rows), part is None) for rows, part in zip(sets, parts, strict=True)]
+    ).astype(np.bool_)
+
+
+def _vectors(values: FloatArray, size: int, mask: BoolArray | None = None) -> pa.Array:
+    flat = pa.array(values.ravel(), pa.float64())
+    return pa.FixedSizeListArray.from_arrays(flat, size, mask=None if mask is None else pa.array(mask))
+
+
+def _read(path: Path, required: pa.Schema, parts: pa.Schema) -> pa.Table:
+    """Read a table that has the required columns and any of the parts."""
+    table = read_parquet(path)
+    table = table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
+    for name in table.column_names:
+        if name not in required.names and name not in parts.names:
+            raise InputError(path, "unknown column", column=name)
+    for field in [*required, *(field for field in parts if field.name in table.column_names)]:
+        if field.name not in table.column_names:
+            raise InputError(path, "column is missing", column=field.name)
+        found = table.schema.field(field.name).type
+        if found != field.type:
+            raise InputError(path, f"expected the type {field.type}, found {found}", column=field.name)
+        if field.name in required.names and table[field.name].null_count:
+            raise InputError(path, "expected no empty cells", column=field.name)
+    return table
+
+
+def _numbers(path: Path, table: pa.Table, name: str, shape: tuple[int, ...]) -> FloatArray:
+    """Finite numbers (n, *shape) of a column, zeros where it is empty."""
+    column = table[name].combine_chunks()
+    values = column.drop_null()
+    numbers = values.flatten() if shape else values
+    out = np.zeros((len(table), *shape))
+    filled = column.is_valid().to_numpy(zero_copy_only=False)
+    out[filled] = np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64).reshape(-1, *shape)
+    bad = np.flatnonzero(~np.isfinite(out).reshape(len(out), -1).all(axis=1))
+    if len(bad):
+        raise InputError(path, f"expected finite numbers, row {bad[0] + 1} has others", column=name)
+    return out
+
+
+def _lists(path: Path, table: pa.Table, name: str, width: int) -> list[FloatArray]:
+    """Finite numbers of a column of lists, each (m, width)."""
+    out = []
+    for row, values in enumerate(table[name]):
+        flat = values.values.flatten() if width > 1 else values.values
+        numbers = np.asarray(flat.to_numpy(zero_copy_only=False), dtype=np.float64)
+        if not np.isfinite(numbers).all() or len(numbers) != width * len(values):
+            raise InputError(path, f"expected finite numbers, row {row + 1} has others", column=name)
+        out.append(numbers.reshape(-1, width).copy())
+    return out
+
+
+def _part(path: Path, table: pa.Table, name: str, shape: tuple[int, ...], frame_rows: IntArray) -> _Part:
+    """Read an optional column, of which the rows of one frame have all a value, or none."""
+    known = table[name].is_valid().to_numpy().astype(np.bool_)
+    mixed = np.isin(frame_rows, frame_rows[known]) & ~known
+    if mixed.any():
+        row = int(np.flatnonzero(mixed)[0]) + 1
+        problem = f"expected a value for all rows of a frame or for none, row {row} has none"
+        raise InputError(path, problem, column=name)
+    return _Part(_numbers(path, table, name, shape), known)
+
+
+def _require(path: Path, name: str, good: BoolArray, values: FloatArray, expected: str) -> None:
+    bad = np.flatnonzero(~good)
+    if len(bad):
+        row = int(bad[0])
+        raise InputError(path, f"row {row + 1}: expected {expected}, found {values[row]:g}", column=name)
+
+
+def _check_covariances(path: Path, covariances: FloatArray, roots: dict[str, FloatArray]) -> None:
+    """Refuse matrices (n, 5, 5) that are no covariances, or less than their parts."""
+    if not len(covariances):
+        return
+    sigmas = np.sqrt(np.abs(np.diagonal(covariances, axis1=1, axis2=2)))
+    skew = np.abs(covariances - np.swapaxes(covariances, 1, 2))
+    symmetric = np.all(skew <= _MAX_ASYMMETRY * sigmas[:, :, None] * sigmas[:, None, :])
+    if not symmetric or np.linalg.eigvalsh(covariances)[:, 0].min() <= 0.0:
+        raise InputError(path, "expected symmetric positive definite matrices", column="covariance")
+    white = covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((5, 5)))
+    if roots and np.linalg.eigvalsh(white)[:, 0].min() <= 0.0:
+        problem = "expected parts that are less than the whole covariance"
+        raise InputError(path, problem, column=next(iter(roots)))
+
+
+def _check_quality(path: Path, parts: dict[str, _Part]) -> None:
+    """Refuse measures of quality below 0, and some without the others."""
+    if not parts:
+        return
+    first = next(iter(parts))
+    for name in _QUALITY:
+        if name not in parts:
+            raise InputError(path, f"column is missing beside {first}", column=name)
+        values, known = parts[name].values, parts[name].known
+        _require(path, name, values >= 0.0, values, "at least 0")
+        if not np.array_equal(known, parts[first].known):
+            raise InputError(path, f"expected values in the same rows as in {first}", column=name)
+
+
+def _craters(path: Path, table: pa.Table, catalog: Catalog) -> IntArray:
+    """Rows of the catalogue."""
+    known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
+    craters = np.empty(len(table), dtype=np.int64)
+    for i, identifier in enumerate(table["crater_id"].to_pylist()):
+        if identifier not in known:
+            raise InputError(path, f"row {i + 1}: {identifier!r} is not in the catalogue", column="crater_id")
+        craters[i] = known[identifier]
+    return craters
+
+
+def _frame_rows(path: Path, table: pa.Table, frames_ns: IntArray) -> IntArray:
+    """Index of each row's frame."""
+    stamps = table["timestamp"].to_numpy()
+    rows = np.minimum(np.searchsorted(frames_ns, stamps), len(frames_ns) - 1)
+    unknown = np.flatnonzero(frames_ns[rows] != stamps)
+    if len(unknown):
+        raise InputError(
+            path, f"{stamps[unknown[0]]} is no stamp of {layout.CAMERA_DATA}", column="timestamp"
+        )
+    return rows
+
+
+def _rows_of_frames(path: Path, frame_rows: IntArray, craters: IntArray, count: int) -> list[IntArray]:
+    """Rows of each frame, in the order of the catalogue; no crater may be there twice."""
+    order = np.lexsort((craters, frame_rows))
+    frame, crater = frame_rows[order], craters[order]
+    if np.any((np.diff(frame) == 0) & (np.diff(crater) == 0)):
+        raise InputError(path, "expected each crater once in a frame, found one twice")
+    return np.split(order, np.searchsorted(frame, np.arange(1, count)))
