@@ -1,48 +1,20 @@
-"""How well and how fast craters are found without a prior, on rendered ground whose rims are known."""
+"""Speed and accuracy of blind detection, in rendered images whose rims are known."""
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.evaluation.detection import match
-from craternav_fg.simulation.scenes import HARD, LEAST_PX, Scene, scene
+from craternav_fg.reproduce.detection_accuracy import accuracy
+from craternav_fg.simulation.scenes import HARD, scene
 from craternav_fg.vision.canny import find_rims_canny
-from craternav_fg.vision.detect import FoundRims, find_rims
-
-Detector = Callable[[npt.NDArray[np.uint8]], FoundRims]
+from craternav_fg.vision.detect import find_rims
 
 REPETITIONS = 3
 
 
-def accuracy(scenes: list[Scene], detector: Detector) -> dict[str, float]:
-    """Recall, precision and mean absolute errors, px, over all scenes.
-
-    A detection below `LEAST_PX` that matches nothing does not count: uncatalogued craters are as small.
-    """
-    hits, missed, false = 0, 0, 0
-    errors = []
-    for one in scenes:
-        found = detector(one.image).ellipses_px
-        result = match(found, one.ellipses_px, one.wanted, found[:, 3] >= LEAST_PX)
-        hits += len(result.centre_px)
-        missed += len(result.missed)
-        false += len(result.false)
-        errors.append(np.stack([result.centre_px, result.semi_major_px, result.semi_minor_px]))
-    centre, major, minor = np.abs(np.concatenate(errors, axis=1)).mean(axis=1)
-    return {
-        "rims": hits + missed,
-        "recall": hits / max(hits + missed, 1),
-        "precision": hits / max(hits + false, 1),
-        "centre_px": float(centre),
-        "semi_major_px": float(major),
-        "semi_minor_px": float(minor),
-    }
-
-
 def detect_ms(images: int = 6) -> dict[str, float]:
-    """Measure both detectors on plain ground, and the better one on hard ground.
+    """Measure both detectors on plain terrain, and the better one on overlapping craters in rough terrain.
 
     Parameters
     ----------
@@ -51,9 +23,10 @@ def detect_ms(images: int = 6) -> dict[str, float]:
 
     Returns
     -------
-    dict
-        `detect_ms`, the median duration on plain ground, and the figures of `accuracy` under the prefixes
-        `detect_`, `detect_hard_` and `detect_canny_`.
+    dict of str to float
+        `detect_ms`, the median duration on plain terrain, and the figures of
+        `craternav_fg.reproduce.detection_accuracy.accuracy` under the prefixes `detect_`, `detect_hard_` and
+        `detect_canny_`.
     """
     plain = [scene(seed) for seed in range(images)]
     hard = [scene(seed, HARD) for seed in range(images)]
@@ -67,7 +40,7 @@ def detect_ms(images: int = 6) -> dict[str, float]:
 
 
 def _duration_ms(image: npt.NDArray[np.uint8]) -> float:
-    """Duration of one detection: the shortest of a few, the others were disturbed."""
+    """Duration of one detection: the shortest of a few, as other programs disturb the rest."""
     durations = []
     for _ in range(REPETITIONS):
         began_s = time.perf_counter()

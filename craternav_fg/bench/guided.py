@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from craternav_fg.reproduce.guided_rims import FAR, HELD_OUT, NEAR, accuracy, predicted, sun_tilts
+from craternav_fg.reproduce.guided_accuracy import FAR, HELD_OUT, NEAR, accuracy, predicted, sun_tilts
 from craternav_fg.simulation.scenes import IRREGULAR, Ground, Scene, scene
 from craternav_fg.vision.guided import GuidedFrontEnd
 

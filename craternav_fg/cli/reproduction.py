@@ -10,7 +10,7 @@ from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import bar, out, say
 from craternav_fg.files import replacing_folder
 from craternav_fg.reproduce import run as reproduction
-from craternav_fg.reproduce.options import SEMI_AXES_M, ReproduceOptions
+from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.terminal import tables
 
 
@@ -28,7 +28,7 @@ def reproduce(
     ] = (10.0, 100.0),
     semi_axes: Annotated[
         tuple[float, float], typer.Option(help="Least and largest semi-axis of rims, figs. 11 to 14, m.")
-    ] = SEMI_AXES_M,
+    ] = ReproduceOptions.semi_axes_m,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of an edge point, px.")] = 1.0,
     arc: Annotated[float, typer.Option(help="Part of each rim that shows, of 1.")] = 1.0,
     trials: Annotated[int, typer.Option(help="Trials at each altitude and point.")] = 100,

@@ -4,10 +4,11 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.reproduce import drawing
-from craternav_fg.reproduce.paper_scenes import CAMERA, Scene, flat_axes, ground_point, matched, tilted_camera
-from craternav_fg.reproduce.rows import Reproduction, Row, verdict
+from craternav_fg.reproduce import line_plots
+from craternav_fg.reproduce.edge_points import matched
+from craternav_fg.reproduce.results import Reproduction, Row, verdict
 from craternav_fg.resection.paper.equations import PaperRims
+from craternav_fg.simulation.flat_scenes import CAMERA, FlatScene, flat_axes, ground_point, tilted_camera
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
@@ -17,23 +18,23 @@ TILTS_DEG = (5, 10, 15, 20, 25, 30)
 ALTITUDES = (50, 40, 30, 20, 15, 10, 7, 5)
 
 
-def boresight_scene(altitude: float, tilt_rad: float) -> Scene:
+def boresight_scene(altitude: float, tilt_rad: float) -> FlatScene:
     """Put a circle of radius 1 on the optical axis of a tilted camera."""
     gTc = tilted_camera(altitude, tilt_rad)
     centre = ground_point(gTc, np.zeros(2))[None]
     axes = flat_axes(1.0, 1.0, 0.0)[None]
     charts, _ = conic.project_rims(gTc, np.eye(4), centre, axes)
-    return Scene(gTc, centre, axes, charts)
+    return FlatScene(gTc, centre, axes, charts)
 
 
-def deviations_deg(scene: Scene) -> FloatArray:
+def deviations_deg(scene: FlatScene) -> FloatArray:
     """Angles (n,) between the image ellipses' centres and the craters' centres."""
     true = (scene.centres - scene.gTc[:3, 3]) @ scene.gTc[:3, :3]
     image = np.column_stack([scene.charts[:, :2], np.ones(len(scene.charts))])
     return _angles_deg(image, true)
 
 
-def printed_deviations_deg(scene: Scene) -> FloatArray:
+def printed_deviations_deg(scene: FlatScene) -> FloatArray:
     """Compute the same (n,) from the image conics and the plane's normal alone, eqs. (4) and (9)."""
     seen = PaperRims(matched(scene, scene.charts, np.repeat(np.eye(5)[None], len(scene.charts), 0)).rims)
     return _angles_deg(seen.image_centres, seen.true_centres(scene.gTc[:3, :3]))
@@ -99,6 +100,6 @@ def fig02() -> Reproduction:
         "Deviation of the line of sight to a crater's centre over the altitude",
         rows,
         note,
-        drawing.draw_deviation(np.array(TILTS_DEG), np.array(ALTITUDES), values, pixel_deg),
+        line_plots.draw_deviation(np.array(TILTS_DEG), np.array(ALTITUDES), values, pixel_deg),
         pa.Table.from_pylist(records),
     )

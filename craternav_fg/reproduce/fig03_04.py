@@ -6,15 +6,16 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.reproduce import drawing
+from craternav_fg.reproduce import line_plots
+from craternav_fg.reproduce.edge_points import matched
 from craternav_fg.reproduce.fig02 import ALTITUDES, TILTS_DEG, deviations_deg
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.paper_scenes import matched, random_triple
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.rows import Reproduction, Row, verdict
+from craternav_fg.reproduce.results import Reproduction, Row, verdict
 from craternav_fg.resection.least_squares import minimise
 from craternav_fg.resection.paper.centres import centre_pose
 from craternav_fg.resection.paper.equations import PaperRims, edges
+from craternav_fg.simulation.flat_scenes import random_triple
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -106,7 +107,7 @@ def fig03(data: pa.Table) -> Reproduction:
         "Position error by three image centres over the altitude, no noise",
         rows,
         note,
-        drawing.draw_centre_error(np.array(TILTS_DEG), np.array(ALTITUDES), centres),
+        line_plots.draw_centre_error(np.array(TILTS_DEG), np.array(ALTITUDES), centres),
         data,
     )
 
@@ -145,6 +146,6 @@ def fig04(data: pa.Table) -> Reproduction:
         "Position error by three image centres over the deviation of the line of sight",
         rows,
         note,
-        drawing.draw_error_over_deviation(np.array(FIG04_ALTITUDES), deviation, error),
+        line_plots.draw_error_over_deviation(np.array(FIG04_ALTITUDES), deviation, error),
         data,
     )

@@ -7,9 +7,11 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from craternav_fg.reproduce import drawing
-from craternav_fg.reproduce import static_pose as runs
-from craternav_fg.reproduce.conditions import (
+from craternav_fg.reproduce import fig11_14_trials as trials
+from craternav_fg.reproduce import line_plots
+from craternav_fg.reproduce.fig11_14_notes import compared_with_three, efficiency, fine_noise
+from craternav_fg.reproduce.fig11_14_notes import note as note_of
+from craternav_fg.reproduce.fig11_14_statistics import (
     CENTRES,
     EDGES,
     MEAN,
@@ -20,22 +22,20 @@ from craternav_fg.reproduce.conditions import (
     Condition,
     Equation,
 )
-from craternav_fg.reproduce.fig11_14_notes import compared_with_three, efficiency, fine_noise
-from craternav_fg.reproduce.fig11_14_notes import note as note_of
+from craternav_fg.reproduce.fig11_14_trials import altitudes_km
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import Reproduction, Row
-from craternav_fg.reproduce.static_pose import altitudes_km
+from craternav_fg.reproduce.results import Reproduction, Row
 
 # Noise at which eq. (23) reaches the paper's error of two craters.
 FINE_NOISE_PX = 0.01
 _SET_UP = ("noise_px", "points", "arc")
 
 _STYLE = {
-    runs.CENTRES: ("centres (10)", "#D55E00", "s"),
-    runs.EDGES: ("edges (13)", "#E69F00", "o"),
-    runs.TWO: ("two craters (23)", "#CC79A7", "D"),
-    runs.SHAPES: ("(19), unweighted", "#009E73", "^"),
-    runs.EFFICIENT: ("efficient", "#0072B2", "v"),
+    trials.CENTRES: ("centres (10)", "#D55E00", "s"),
+    trials.EDGES: ("edges (13)", "#E69F00", "o"),
+    trials.TWO: ("two craters (23)", "#CC79A7", "D"),
+    trials.SHAPES: ("(19), unweighted", "#009E73", "^"),
+    trials.EFFICIENT: ("efficient", "#0072B2", "v"),
 }
 
 
@@ -58,7 +58,7 @@ def draw_up(
     name : str
         fig11 to fig14.
     data : pyarrow.Table
-        Trials of `static_pose.simulate`: of two craters for fig13 and fig14.
+        Trials of `fig11_14_trials.simulate`: of two craters for fig13 and fig14.
     options : ReproduceOptions
     three : pyarrow.Table, optional
         Trials of three craters, with which fig13 compares.
@@ -131,23 +131,23 @@ def _draw(
 ) -> Figure:  # fmt: skip
     series = {}
     methods = [e.corrected for e in (*main, *others)]
-    for method in (*methods, runs.EFFICIENT):
+    for method in (*methods, trials.EFFICIENT):
         legend, colour, marker = _STYLE[method]
-        shown = method == runs.EFFICIENT or method in methods[: len(main)]
+        shown = method == trials.EFFICIENT or method in methods[: len(main)]
         values = [c.values(method) for c in conditions.values()]
         mean = np.array([v.mean() if len(v) else np.nan for v in values])
         low, high = (
             np.array([np.quantile(v, q) if len(v) else np.nan for v in values]) for q in (0.16, 0.84)
         )
-        series[legend] = drawing.Series(
+        series[legend] = line_plots.Series(
             colour, marker, "-" if shown else ":", mean, low if shown else None, high if shown else None
         )
     bound = np.array([c.bound(MEAN) for c in conditions.values()], dtype=np.float64)
-    series["bound"] = drawing.Series("k", "", "--", bound)
+    series["bound"] = line_plots.Series("k", "", "--", bound)
     paper = [(km, *values) for km, values in printed.items() if km in conditions]
     first = next(iter(conditions.values())).columns
     title = (
         f"{first['craters'][0]:g} craters, {first['noise_px'][0]:g} px, {len(first['trial'])} trials an "
         "altitude; bars: 16 to 84 %"
     )
-    return drawing.draw_errors(np.array(list(conditions)), series, label, title, paper)
+    return line_plots.draw_errors(np.array(list(conditions)), series, label, title, paper)

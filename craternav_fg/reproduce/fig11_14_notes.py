@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 import pyarrow as pa
 
-from craternav_fg.reproduce import static_pose as runs
-from craternav_fg.reproduce.conditions import (
+from craternav_fg.reproduce import fig11_14_trials as trials
+from craternav_fg.reproduce.fig11_14_statistics import (
     CENTRES,
     EDGES,
     MEAN,
@@ -15,7 +15,7 @@ from craternav_fg.reproduce.conditions import (
     Condition,
 )
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import number
+from craternav_fg.reproduce.results import number
 
 
 def efficiency(conditions: Mapping[float, Condition]) -> str:
@@ -44,7 +44,7 @@ def efficiency(conditions: Mapping[float, Condition]) -> str:
 
 def _ratios(km: float, condition: Condition) -> str:
     """Efficient solver's rms by the bound's at an altitude, over the trials and each by its own."""
-    error, bound = condition.values(runs.EFFICIENT) ** 2, condition.bounds() ** 2
+    error, bound = condition.values(trials.EFFICIENT) ** 2, condition.bounds() ** 2
     parts = []
     for e, b in ((error, bound), (error / bound, np.ones(len(bound)))):
         square = e.mean() / b.mean()
@@ -93,7 +93,7 @@ def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
         median = float(np.median(off)) / 1e3
         far = f"{median:.2g} km off" if median < 1e6 else "without end"
         where = (
-            f", {far} in the median of the first {runs.PRINTED_TRIALS} trials of each altitude, which are "
+            f", {far} in the median of the first {trials.PRINTED_TRIALS} trials of each altitude, which are "
             "all that the column as printed holds."
         )
     return (
@@ -110,17 +110,17 @@ def _note_fig11(
 ) -> str:  # fmt: skip
     low, high = min(conditions), max(conditions)
     ratio = {
-        km: _mean(conditions[km], runs.CENTRES) / _mean(conditions[km], runs.EDGES) for km in (low, high)
+        km: _mean(conditions[km], trials.CENTRES) / _mean(conditions[km], trials.EDGES) for km in (low, high)
     }
     arcs = {km: float(np.median(conditions[km].columns["arc_bound_rms_m"])) for km in (low, high)}
-    medians = {km: float(np.median(conditions[km].values(runs.EDGES))) for km in (low, high)}
+    medians = {km: float(np.median(conditions[km].values(trials.EDGES))) for km in (low, high)}
     text = (
-        f"{_printed_sign(conditions, runs.EDGES_PRINTED)}Eq. (13) then has "
-        f"{_values(conditions, runs.EDGES)} (medians {number(medians[low])} and "
+        f"{_printed_sign(conditions, trials.EDGES_PRINTED)}Eq. (13) then has "
+        f"{_values(conditions, trials.EDGES)} (medians {number(medians[low])} and "
         f"{number(medians[high])} m: a few weak triples make the mean). "
     )
     if {low, high} <= set(printed):
-        slope = _mean(conditions[high], runs.EDGES) / _mean(conditions[low], runs.EDGES)
+        slope = _mean(conditions[high], trials.EDGES) / _mean(conditions[low], trials.EDGES)
         text += (
             f"The paper prints {printed[low][0]:g} and {printed[high][0]:g} m. Its error grows by "
             f"{printed[high][0] / printed[low][0]:.2g} over these altitudes, ours by {slope:.2g} and the "
@@ -144,15 +144,15 @@ def _note_fig12(
 ) -> str:  # fmt: skip
     low, high = min(conditions), max(conditions)
     growth = _mean(conditions[high]) / _mean(conditions[low])
-    centres = [_mean(conditions[km], runs.CENTRES) for km in (low, high)]
+    centres = [_mean(conditions[km], trials.CENTRES) for km in (low, high)]
     return (
         "The paper's text prints no number of this figure; it says that the attitude error falls as the "
         "altitude rises. With noise that is constant in pixels that cannot be of a good estimate: the "
         f"bound grows by {growth:.2g}, since from higher up the craters fill less of the image, and a turn "
-        f"is told less well from a shift. Eq. (13) has {_values(conditions, runs.EDGES)}, the efficient "
-        f"solver {_values(conditions, runs.EFFICIENT)}. The error of the centres (10), which comes from the "
-        f"deviation of fig. 2, {'does fall' if centres[1] < centres[0] else 'does not fall either'}: "
-        f"{_values(conditions, runs.CENTRES)}. "
+        f"is told less well from a shift. Eq. (13) has {_values(conditions, trials.EDGES)}, the efficient "
+        f"solver {_values(conditions, trials.EFFICIENT)}. The error of the centres (10), which comes from "
+        f"the deviation of fig. 2, {'does fall' if centres[1] < centres[0] else 'does not fall either'}: "
+        f"{_values(conditions, trials.CENTRES)}. "
     )
 
 
@@ -162,8 +162,8 @@ def _note_fig13(
 ) -> str:  # fmt: skip
     high = max(conditions)
     text = (
-        f"{_printed_sign(conditions, runs.TWO_PRINTED)}Eq. (23), in km and with |q| = 1 (its rows have "
-        f"different units, and nothing weighs them), then has {_values(conditions, runs.TWO)}. "
+        f"{_printed_sign(conditions, trials.TWO_PRINTED)}Eq. (23), in km and with |q| = 1 (its rows have "
+        f"different units, and nothing weighs them), then has {_values(conditions, trials.TWO)}. "
     )
     if high in printed:
         bound = _mean(conditions[high])
@@ -190,8 +190,8 @@ def compared_with_three(
     low, high = min(conditions), max(conditions)
     parts = []
     for km in (low, high):
-        centres = Condition(three, 1e3 * km, options.noise_px, "m").statistic(runs.CENTRES, MEAN)
-        two = conditions[km].statistic(runs.TWO, MEAN)
+        centres = Condition(three, 1e3 * km, options.noise_px, "m").statistic(trials.CENTRES, MEAN)
+        two = conditions[km].statistic(trials.TWO, MEAN)
         if centres is not None and two is not None:
             word = "smaller" if two < centres else "larger"
             parts.append(f"{word} at {km:g} km ({number(two)} and {number(centres)} m)")
@@ -205,10 +205,10 @@ def _note_fig14(
     conditions: Mapping[float, Condition], options: ReproduceOptions,
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
-    text = f"Eq. (23) has {_values(conditions, runs.TWO)}. "
+    text = f"Eq. (23) has {_values(conditions, trials.TWO)}. "
     for km, (mean, _) in printed.items():
         if km in conditions and conditions[km].counted.any():
-            bound, corrected = _mean(conditions[km]), _mean(conditions[km], runs.TWO)
+            bound, corrected = _mean(conditions[km]), _mean(conditions[km], trials.TWO)
             text += (
                 f"The paper's largest mean, {mean:g} deg at {km:g} km, cannot be had: at "
                 f"{options.noise_px:g} px an efficient estimator errs by {bound:.3g} deg, "

@@ -7,10 +7,18 @@ from matplotlib.figure import Figure
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.evaluation.consistency import Anees, anees_by_altitude, over_altitude
 from craternav_fg.plots.figures import COLOURS
-from craternav_fg.reproduce import descents, drawing
-from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents, rms_ratio
+from craternav_fg.reproduce import fig15_18_trials, line_plots
 from craternav_fg.reproduce.fig15_18_notes import one_trial_note, trials_note, without
-from craternav_fg.reproduce.rows import NO_NUMBER, Reproduction, Row, known, number
+from craternav_fg.reproduce.fig15_18_trials import (
+    CENTRES,
+    FILTER,
+    ONLINE,
+    PAPERS,
+    SMOOTHER,
+    Descents,
+    rms_ratio,
+)
+from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, known, number
 
 # What the paper prints: of one trial at 26 km; of thirty at 10 km, "less than".
 ONE_TRIAL_KM, LAST_KM = 26.0, 10.0
@@ -36,7 +44,7 @@ def draw_up(name: str, data: pa.Table) -> Reproduction:
     name : str
         fig15 to fig18.
     data : pyarrow.Table
-        Of `descents.simulate`.
+        Of `fig15_18_trials.simulate`.
     """
     unit, quantity = ("m", "position") if name in ("fig15", "fig17") else ("deg", "attitude")
     every = Descents(data, unit)
@@ -59,7 +67,7 @@ def draw_up(name: str, data: pa.Table) -> Reproduction:
 
 def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
     """Errors at altitudes: of the filters, and in retrospect."""
-    found = {one: trials.of(one) for one in descents.ESTIMATORS}
+    found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     rows = []
     for km in ALTITUDES_KM:
         k = trials.at(km)
@@ -113,7 +121,7 @@ def _told(verdict: str, trials: Descents, *names: str) -> str:
 
 def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
     """Row by row what the estimators are worth to each other and to the bound."""
-    found = {one: trials.of(one) for one in descents.ESTIMATORS}
+    found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     count = f"{len(trials.numbers)} trials"
     ratio = {
         one: known(over_altitude(found[one].rms / found[one].bound, trials.altitude_km)) for one in found
@@ -161,7 +169,7 @@ def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
 
 def _consistency(name: str, trials: Descents) -> list[Row]:
     """ANEES over all, and bin by bin."""
-    found = {one: trials.of(one) for one in descents.ESTIMATORS}
+    found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     edges = [1e3 * km for km in BINS_KM]
     altitude_m = 1e3 * trials.altitude_km
     bins = {
@@ -209,14 +217,14 @@ def _draw(name: str, trials: Descents, quantity: str) -> Figure:
     for one, label in LABELS.items():
         found = trials.of(one)
         if len(found.trials):
-            lines[label] = drawing.Line(COLOURS[one], "-", found.rms)
-    lines["bound (PCRB), online"] = drawing.Line("k", "--", trials.bound(FILTERED_BOUND))
-    lines["bound (PCRB), in retrospect"] = drawing.Line("k", ":", trials.bound(SMOOTHED_BOUND))
+            lines[label] = line_plots.Line(COLOURS[one], "-", found.rms)
+    lines["bound (PCRB), online"] = line_plots.Line("k", "--", trials.bound(FILTERED_BOUND))
+    lines["bound (PCRB), in retrospect"] = line_plots.Line("k", ":", trials.bound(SMOOTHED_BOUND))
     single = len(trials.numbers) == 1
     kind = "error" if single else "error, RMS"
     paper = (ONE_TRIAL_KM, PRINTED[name], "paper") if single else (LAST_KM, PRINTED[name], "paper: below")
     title = "one descent" if single else f"{len(trials.numbers)} descents, each with its own terrain"
-    return drawing.draw_descent(
+    return line_plots.draw_descent(
         trials.altitude_km, lines, np.asarray(trials.craters.mean(axis=0)),
         f"{quantity} {kind}, {trials.unit}", title, paper,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from craternav_fg.campaign.trial import FILTERED_BOUND
-from craternav_fg.reproduce.descents import (
+from craternav_fg.reproduce.fig15_18_trials import (
     CENTRES,
     CONVERGED_DEG,
     CONVERGED_M,
@@ -17,7 +17,7 @@ from craternav_fg.reproduce.descents import (
     Descents,
     rms_ratio,
 )
-from craternav_fg.reproduce.rows import known, number
+from craternav_fg.reproduce.results import known, number
 
 _SET_UP = (
     "Initial errors of 4 km, 5 m/s, 25 deg and 5 deg/s, sun tilt of 10 deg, edges of 1 px, as the paper has "

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.reproduce import image_drawing
-from craternav_fg.reproduce import rendered_sets as sets
-from craternav_fg.reproduce.empty_images import gradient_images, noise_images
+from craternav_fg.reproduce import image_plots
+from craternav_fg.reproduce import table1_trials as sets
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import Reproduction, Row
+from craternav_fg.reproduce.results import Reproduction, Row
+from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED, image_row
 from craternav_fg.reproduce.table1 import RATE, TABLE1, errors_px, share_found
-from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, image_row
+from craternav_fg.simulation.empty_images import gradient_images, noise_images
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import find_rims
 
@@ -121,7 +121,7 @@ def front_end(measured: sets.Sets, options: ReproduceOptions) -> Reproduction:
         "Figures that the front end must hold",
         rows,
         note,
-        image_drawing.draw_limits(labels, shares, holds),
+        image_plots.draw_limits(labels, shares, holds),
         pa.Table.from_pylist(records),
     )
 

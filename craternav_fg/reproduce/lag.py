@@ -13,10 +13,10 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.incremental import FixedLagIsam
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
-from craternav_fg.reproduce.descents import one_problem, scenario_of
+from craternav_fg.reproduce.fig15_18_trials import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.rows import Reproduction, Row, number
+from craternav_fg.reproduce.results import Reproduction, Row, number
 from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]

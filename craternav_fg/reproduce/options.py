@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 from craternav_fg.errors import CraternavError
+from craternav_fg.simulation.flat_scenes import SEMI_AXES_M
 
 # No ellipse fit is of use on arcs shorter than about a third of the rim.
 LEAST_ARC = 0.35
-# Range of the rims' semi-axes in cases one and two.
-SEMI_AXES_M = (500.0, 2500.0)
 # From higher up rims have semi-axes under 3 px, and ellipses of their points fail.
 HIGHEST_KM_OF_SEMI_AXIS_M = 0.4
 

@@ -19,21 +19,13 @@ import craternav_fg
 from craternav_fg.errors import CraternavError
 from craternav_fg.plots.figures import save
 from craternav_fg.reproduce import (
-    descents,
-    rendered_sets,
-    static_pose,
-)
-from craternav_fg.reproduce import (
-    fig03_04 as centres,
-)
-from craternav_fg.reproduce import (
-    fig11_14 as pose_figures,
-)
-from craternav_fg.reproduce import (
-    fig15_18 as descent_figures,
-)
-from craternav_fg.reproduce import (
-    table2_errors as edge_parameters,
+    fig03_04,
+    fig11_14,
+    fig11_14_trials,
+    fig15_18,
+    fig15_18_trials,
+    table1_trials,
+    table2_trials,
 )
 from craternav_fg.reproduce.ablation import ablation
 from craternav_fg.reproduce.fig02 import fig02
@@ -42,7 +34,7 @@ from craternav_fg.reproduce.front_end import front_end
 from craternav_fg.reproduce.lag import lag
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress
-from craternav_fg.reproduce.rows import NUMBERS, Reproduction, number
+from craternav_fg.reproduce.results import NUMBERS, Reproduction, number
 from craternav_fg.reproduce.table1 import TABLE1, table1
 from craternav_fg.reproduce.table2 import table2
 
@@ -89,30 +81,30 @@ def reproduce(
     if "fig02" in names:
         out.append(fig02())
     if {"fig03", "fig04"} & set(names):
-        data = centres.simulate(options, progress)
-        out += [figure(data) for figure in (centres.fig03, centres.fig04) if figure.__name__ in names]
+        data = fig03_04.simulate(options, progress)
+        out += [figure(data) for figure in (fig03_04.fig03, fig03_04.fig04) if figure.__name__ in names]
     if "table2" in names:
-        out.append(table2(edge_parameters.simulate(options, progress), options))
+        out.append(table2(table2_trials.simulate(options, progress), options))
     if "fig10" in names:
         out.append(fig10(options))
     if {"table1", "front_end"} & set(names):
-        kinds = rendered_sets.KINDS if "front_end" in names else tuple(TABLE1)
-        measured = rendered_sets.simulate(options, kinds, progress)
+        kinds = table1_trials.KINDS if "front_end" in names else tuple(TABLE1)
+        measured = table1_trials.simulate(options, kinds, progress)
         out += [table1(measured)] if "table1" in names else []
         out += [front_end(measured, options)] if "front_end" in names else []
     three: pa.Table | None = None
     if {"fig11", "fig12"} & set(names):
-        three = static_pose.simulate(options, options.craters, progress=progress)
-        out += [pose_figures.draw_up(name, three, options) for name in ("fig11", "fig12") if name in names]
+        three = fig11_14_trials.simulate(options, options.craters, progress=progress)
+        out += [fig11_14.draw_up(name, three, options) for name in ("fig11", "fig12") if name in names]
     if {"fig13", "fig14"} & set(names):
-        two = static_pose.simulate(options, 2, pose_figures.fine_conditions(options), progress)
+        two = fig11_14_trials.simulate(options, 2, fig11_14.fine_conditions(options), progress)
         compared = three if options.craters == 3 else None
         out += [
-            pose_figures.draw_up(name, two, options, compared) for name in ("fig13", "fig14") if name in names
+            fig11_14.draw_up(name, two, options, compared) for name in ("fig13", "fig14") if name in names
         ]
     if set(DESCENTS) & set(names):
-        trials = descents.simulate(options, progress)
-        out += [descent_figures.draw_up(name, trials) for name in DESCENTS if name in names]
+        trials = fig15_18_trials.simulate(options, progress)
+        out += [fig15_18.draw_up(name, trials) for name in DESCENTS if name in names]
     if "lag" in names:
         out.append(lag(options, progress))
     if "ablation" in names:

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.reproduce import image_drawing
-from craternav_fg.reproduce.rendered_sets import ERRORS, FINE, ROUGH, Sets
-from craternav_fg.reproduce.rows import Reproduction, verdict
-from craternav_fg.reproduce.ways import CANNY, GUIDED, WAYS, image_row
+from craternav_fg.reproduce import image_plots
+from craternav_fg.reproduce.results import Reproduction, verdict
+from craternav_fg.reproduce.rim_methods import CANNY, GUIDED, METHODS, image_row
+from craternav_fg.reproduce.table1_trials import ERRORS, FINE, ROUGH, Sets
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def table1(measured: Sets) -> Reproduction:
     """Errors of detected rims, fine and irregular shapes, and the share detected."""
     rims = measured.rims
     groups = np.array(rims["set"].to_pylist())
-    errors = {kind: {way: errors_px(rims, kind, way) for way in WAYS} for kind in TABLE1}
+    errors = {kind: {way: errors_px(rims, kind, way) for way in METHODS} for kind in TABLE1}
     rows = []
     for kind, printed in TABLE1.items():
         where = f"{kind} shape, {np.sum(groups == kind)} rims"
@@ -76,7 +76,7 @@ def table1(measured: Sets) -> Reproduction:
                 ("average", np.mean, printed[k][0], scatter),
                 ("maximum", np.max, printed[k][1], 0.0),
             ):
-                values = {way: _statistic(errors[kind][way][k], function) for way in WAYS}
+                values = {way: _statistic(errors[kind][way][k], function) for way in METHODS}
                 words = judged(paper, values[CANNY], values[GUIDED], error)
                 rows.append(
                     image_row(
@@ -85,7 +85,7 @@ def table1(measured: Sets) -> Reproduction:
                     )
                 )  # fmt: skip
     for kinds in ((FINE,), (ROUGH,), (FINE, ROUGH)):
-        rates = {way: share_found(rims, kinds, way) for way in WAYS}
+        rates = {way: share_found(rims, kinds, way) for way in METHODS}
         rate = RATE if len(kinds) > 1 else None
         where = f"{kinds[0]} shape" if rate is None else "both groups"
         words = judged(rate, rates[CANNY], rates[GUIDED])
@@ -113,6 +113,6 @@ def table1(measured: Sets) -> Reproduction:
         "Errors of rims found in images, fine and irregular shapes",
         rows,
         note,
-        image_drawing.draw_rim_errors(errors, TABLE1),
+        image_plots.draw_rim_errors(errors, TABLE1),
         rims.filter(pa.array(np.isin(groups, list(TABLE1)))),
     )

@@ -5,12 +5,12 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.estimators.linearisation import PAPER_NOISE
-from craternav_fg.reproduce import image_drawing
+from craternav_fg.reproduce import image_plots
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import Reproduction
+from craternav_fg.reproduce.results import Reproduction
+from craternav_fg.reproduce.rim_methods import CANNY, GUIDED, METHODS, image_row
 from craternav_fg.reproduce.table1 import judged
-from craternav_fg.reproduce.table2_errors import CENTRAL, PARAMETERS
-from craternav_fg.reproduce.ways import CANNY, GUIDED, WAYS, image_row
+from craternav_fg.reproduce.table2_trials import CENTRAL, PARAMETERS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _SUSPECT = {(50, name) for name in "ABC"}
 
 def table2(data: pa.Table, options: ReproduceOptions) -> Reproduction:
     """Give the standard deviations of the conic coefficients' errors by altitude."""
-    deviations, central = ({way: _deviations(data, way, tag) for way in WAYS} for tag in ("", CENTRAL))
+    deviations, central = ({way: _deviations(data, way, tag) for way in METHODS} for tag in ("", CENTRAL))
     count = float(np.mean(np.isfinite(data[f"{CANNY}_A"].to_numpy()))) * options.images
     scatter = np.sqrt(0.5 / max(count, 2.0) + 0.5 / _PAPER_IMAGES)
     rows = []
@@ -37,7 +37,7 @@ def table2(data: pa.Table, options: ReproduceOptions) -> Reproduction:
         quantity = f"standard deviation of {name}"
         for found, place in ((deviations, ""), (central, ", rims on the optical axis")):
             for i, (km, printed) in enumerate(TABLE2.items()):
-                values = {way: _finite(found[way][i, j]) for way in WAYS}
+                values = {way: _finite(found[way][i, j]) for way in METHODS}
                 words = judged(printed[j], values[CANNY], values[GUIDED], scatter * (values[CANNY] or 0.0))
                 if (km, name) in _SUSPECT:
                     words += f"; out of line with the paper's {TABLE2[40][j]:.2e} at 40 km"
@@ -48,7 +48,7 @@ def table2(data: pa.Table, options: ReproduceOptions) -> Reproduction:
                         headline=not place,
                     )
                 )  # fmt: skip
-        pooled = {way: _finite(np.sqrt(np.nanmean(deviations[way][:, j] ** 2))) for way in WAYS}
+        pooled = {way: _finite(np.sqrt(np.nanmean(deviations[way][:, j] ** 2))) for way in METHODS}
         noise = float(np.sqrt(PAPER_NOISE[j, j]))
         words = judged(noise, pooled[CANNY], pooled[GUIDED])
         where = "in Qn, against all altitudes"
@@ -58,7 +58,7 @@ def table2(data: pa.Table, options: ReproduceOptions) -> Reproduction:
         "Errors of the rims' conic coefficients over the altitude",
         rows,
         _note(data, deviations[GUIDED], central[GUIDED]),
-        image_drawing.draw_coefficients(TABLE2, deviations, np.sqrt(np.diag(PAPER_NOISE))),
+        image_plots.draw_coefficients(TABLE2, deviations, np.sqrt(np.diag(PAPER_NOISE))),
         data,
     )
 
@@ -83,7 +83,7 @@ def _note(data: pa.Table, deviations: FloatArray, central: FloatArray) -> str:
         for values, part in ((deviations, slice(0, 3)), (deviations, slice(3, 6)), (central, slice(3, 6)))
     ]
     sizes = ", ".join(f"{np.median(size[altitude == km]):.0f} px at {km} km" for km in (50, 20, 10))
-    shares = ", ".join(f"{np.mean(np.isfinite(data[f'{way}_A'].to_numpy())):.0%} ({way})" for way in WAYS)
+    shares = ", ".join(f"{np.mean(np.isfinite(data[f'{way}_A'].to_numpy())):.0%} ({way})" for way in METHODS)
     return (
         "The paper does not say how its coefficients are scaled, which craters its 128 images show, "
         "how large they are in them and where, nor under what sun; the scale alone moves every "

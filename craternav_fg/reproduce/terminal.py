@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from rich import box
 from rich.table import Table
 
-from craternav_fg.reproduce.rows import NO_NUMBER, NUMBERS, Reproduction, number
+from craternav_fg.reproduce.results import NO_NUMBER, NUMBERS, Reproduction, number
 
 
 def tables(result: Reproduction) -> Iterator[tuple[str, Table]]:

@@ -1,4 +1,4 @@
-"""Rendered ground whose rims are known: what the front end and the detectors are measured on."""
+"""Rendered scenes with known truth: images of the Moon whose rims are known, for detectors and front end."""
 
 from dataclasses import dataclass
 
@@ -9,37 +9,46 @@ from craternav_fg import frames
 from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.ellipse import axes_of_chart, pixel_chart
+from craternav_fg.ellipse import axes_of_chart, half_extents, pixel_chart
 from craternav_fg.photometry import level_ground
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.flat_scenes import HALF_FIELD
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 
 FloatArray = npt.NDArray[np.float64]
 
+# IAU mean radius, GRAIL's gravity, sidereal rotation.
 MOON = Body("Moon", 1_737_400.0, 4.902_800_118e12, (0.0, 0.0, 2.661_7e-6))
 ALTITUDE_M = 50e3
-FOCAL_PX = 512 / np.tan(np.radians(22))
-# Rims that must be found: at least this semi-minor axis and this slope contrast, whole in the image.
-LEAST_PX = 12.0
-LEAST_SLOPE_CONTRAST = 0.5
+# Of 1024 px across 44 deg.
+FOCAL_PX = 512.0 / HALF_FIELD
+# A detector is expected to find rims of at least this semi-minor axis and this slope contrast.
+MIN_SEMI_MINOR_PX = 12.0
+MIN_SLOPE_CONTRAST = 0.5
+# Rims that are known at all, also those too small to be expected.
+_SMALLEST_KNOWN_PX = 3.0
+# Catalogued craters of a scene, from the altitude of the scene.
+_SMALLEST_CATALOGUED_PX = 10.0
+# Length on the ground whose image gives the direction of the light, m.
+_LIGHT_STEP_M = 100.0
 
 
 @dataclass(frozen=True)
 class Ground:
-    """What is rendered.
+    """Terrain and camera of a rendered scene.
 
     Attributes
     ----------
     density, separation : float
         Of the craters, see `CraterFieldOptions`.
     slope : float
-        Roughness, see `ReliefOptions`.
+        Roughness of the terrain, see `ReliefOptions`.
     irregularity : float
         Of the outlines, see `TerrainOptions`.
     tilt_deg : tuple of float
-        Least and largest tilt of the camera.
+        Smallest and largest tilt of the camera from nadir.
     size_px : int
         Side of the image; the field of view is 44 deg.
     """
@@ -52,8 +61,9 @@ class Ground:
     size_px: int = 1024
 
 
-# Outlines 3 % off their ellipses; craters that cut one another's rims, on rough ground.
+# Outlines 3 % off their ellipses (RMS).
 IRREGULAR = Ground(irregularity=0.03)
+# Overlapping craters on rough terrain.
 HARD = Ground(density=0.01, separation=0.75, slope=0.03)
 
 
@@ -68,15 +78,17 @@ class Scene:
         At the body's origin, axes as the body's.
     catalog : Catalog
     gTb : ndarray, shape (4, 4)
+        True pose.
     sun_g : ndarray, shape (3,)
+        Unit vector towards the sun in g.
     ellipses_px : ndarray, shape (n, 5)
-        As in `FoundRims`; also those that are small or cut by the border.
+        True rims as in `FoundRims`, those that are small or cut by the border included.
     craters : ndarray of int, shape (n,)
         Their rows in the catalogue.
     slope_contrast : ndarray, shape (n,)
-        Relative change of brightness per unit slope at each, see `photometry`.
+        Relative change of brightness per unit slope of locally flat terrain at each rim, see `photometry`.
     sun_angle_rad : float
-        Direction in the image, from x towards y, from which the light comes.
+        Direction towards the sun in the image, from x towards y.
     """
 
     image: npt.NDArray[np.uint8]
@@ -98,17 +110,16 @@ class Scene:
 
     @property
     def wanted(self) -> npt.NDArray[np.bool_]:
-        """Which rims must be found."""
-        x, y, a, b, angle = self.ellipses_px.T
-        half_x = np.hypot(a * np.cos(angle), b * np.sin(angle))
-        half_y = np.hypot(a * np.sin(angle), b * np.cos(angle))
+        """Which rims a detector is expected to find, shape (n,): large, shaded, whole in the image."""
+        x, y, _, b, _ = self.ellipses_px.T
+        half_x, half_y = half_extents(self.ellipses_px).T
         height, width = self.image.shape
         whole = (x > half_x) & (x + half_x < width - 1) & (y > half_y) & (y + half_y < height - 1)
-        return np.asarray(whole & (b >= LEAST_PX) & (self.slope_contrast > LEAST_SLOPE_CONTRAST))
+        return np.asarray(whole & (b >= MIN_SEMI_MINOR_PX) & (self.slope_contrast > MIN_SLOPE_CONTRAST))
 
 
 def scene(seed: int, ground: Ground | None = None) -> Scene:
-    """Render the Moon from 50 km: sun 10 to 60 deg high, camera tilted, all at random.
+    """Render the Moon from 50 km; the sun, 10 to 60 deg high, and the camera's tilt are random.
 
     Parameters
     ----------
@@ -129,7 +140,10 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     track = np.stack([(1.0 + share * ALTITUDE_M / MOON.radius_m) * foot for share in (1.0, 0.9)])
     relief = Relief(MOON, track[-1], ReliefOptions(seed=seed, slope=ground.slope))
     field = CraterFieldOptions(
-        min_apparent_px=10.0, density=ground.density, separation=ground.separation, focal_px=focal
+        min_apparent_px=_SMALLEST_CATALOGUED_PX,
+        density=ground.density,
+        separation=ground.separation,
+        focal_px=focal,
     )
     catalog = random_craters(rng, MOON, track, field, relief)
     clutter = random_clutter(rng, MOON, track, field, catalog)
@@ -139,29 +153,51 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     gRc = frames.rotation_exp(axis) @ site @ np.diag([1.0, -1.0, -1.0])
     gRc = gRc @ frames.rotation_exp(np.array([0.0, 0.0, heading]))
     gTb = frames.pose(gRc, foot - gRc[:, 2] * ALTITUDE_M / np.cos(tilt))
-    flat = np.cos(elevation)
-    sun_g = site @ [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
     options = TerrainOptions(irregularity=ground.irregularity)
     renderer = Renderer(camera, Terrain(catalog, relief, options, clutter), RenderOptions())
-    return taken(renderer, gTb, sun_g, rng)
+    return photograph(renderer, gTb, sun_direction(site, elevation, azimuth), rng)
 
 
-def taken(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> Scene:
-    """Take an image, and note what it shows.
+def sun_direction(site: FloatArray, elevation_rad: float, azimuth_rad: float) -> FloatArray:
+    """Give the unit vector towards the sun.
+
+    Parameters
+    ----------
+    site : ndarray, shape (3, 3)
+        Local east, north and up in g, in columns.
+    elevation_rad, azimuth_rad : float
+        Above the local horizon, and from east towards north.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        In g.
+    """
+    flat = np.cos(elevation_rad)
+    return np.asarray(site @ [flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)])
+
+
+def photograph(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.random.Generator) -> Scene:
+    """Render an image with the truth about its rims.
 
     Parameters
     ----------
     renderer : Renderer
         Its camera is at the body's origin, axes as the body's, and has 8 bits.
     gTb : ndarray, shape (4, 4)
+        Pose of body and camera in g.
     sun_g : ndarray, shape (3,)
-        Unit vector towards the sun.
+        Unit vector towards the sun in g.
     rng : Generator
         Sensor noise.
+
+    Returns
+    -------
+    Scene
     """
     camera, catalog = renderer.camera, renderer.terrain.catalog
     around_px = float(max(camera.width_px, camera.height_px))
-    rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=3.0, margin_px=-around_px)
+    rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=_SMALLEST_KNOWN_PX, margin_px=-around_px)
     centre_px = np.array([[0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)]])
     middle, _ = ground_points(gTb[:3, :3], gTb[:3, 3], camera.normalised(centre_px), catalog.body.radius_m)
     normals = np.concatenate([catalog.normals[rows], middle / np.linalg.norm(middle)])
@@ -169,7 +205,7 @@ def taken(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.random
     view = gTb[:3, 3] - points
     _, gain = level_ground(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
     along = gain[-1] / np.linalg.norm(gain[-1])
-    ends = camera.project((middle + np.outer([0.0, 100.0], along) - gTb[:3, 3]) @ gTb[:3, :3])
+    ends = camera.project((middle + np.outer([0.0, _LIGHT_STEP_M], along) - gTb[:3, 3]) @ gTb[:3, :3])
     return Scene(
         renderer.render(gTb, sun_g, rng).astype(np.uint8, copy=False),
         camera,

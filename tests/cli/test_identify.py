@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from craternav_fg import cli, frames
-from craternav_fg.bench.identification import SceneOptions, random_scene, synthetic_catalog
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset.sensor_files import camera_yaml
+from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 
 COLUMNS = [
@@ -26,8 +26,8 @@ def case(tmp_path_factory):
     rng = np.random.default_rng(3)
     catalog = synthetic_catalog(MOON, rng, count=6000)
     write_catalog(folder / "craters.csv", catalog)
-    options = SceneOptions(sigma_px=0.5, altitudes_m=(300e3, 600e3))
-    scene = random_scene(catalog, options, rng, true_rims=(9, 40))
+    options = ViewOptions(sigma_px=0.5, altitudes_m=(300e3, 600e3))
+    scene = random_view(catalog, options, rng, true_rims=(9, 40))
     (folder / "sensor.yaml").write_text(camera_yaml(scene.camera, 1.0))
     write_rims(folder / "rims.csv", scene.ellipses_px)
     write_rims(folder / "mirrored.csv", scene.mirrored())

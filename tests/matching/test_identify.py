@@ -8,13 +8,6 @@ import pytest
 from scipy.stats import chi2
 
 from craternav_fg import frames
-from craternav_fg.bench.identification import (
-    SceneOptions,
-    random_scene,
-    right,
-    scene_camera,
-    synthetic_catalog,
-)
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
@@ -32,6 +25,12 @@ from craternav_fg.matching.identify.search import (
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.matching.identify.triples import image_triples, project_all_to_sphere
 from craternav_fg.matching.identify.view import view_of
+from craternav_fg.simulation.catalog_views import (
+    ViewOptions,
+    random_view,
+    square_camera,
+    synthetic_catalog,
+)
 from craternav_fg.simulation.scenes import MOON
 from factors.kernels.gauss_newton import screw_between
 from tests.catalogs.population import power_law_population
@@ -59,8 +58,8 @@ def answers(index, rng, count, true_rims, sigma_px, *, known=False, mirrored=Fal
     """Scenes and what is answered, with the process's own time; the fields of view alternate."""
     out = []
     for k in range(count):
-        scene = random_scene(
-            index.catalog, SceneOptions(field_deg=(44.0, 60.0)[k % 2], sigma_px=sigma_px, **options), rng,
+        scene = random_view(
+            index.catalog, ViewOptions(field_deg=(44.0, 60.0)[k % 2], sigma_px=sigma_px, **options), rng,
             true_rims=true_rims,
         )  # fmt: skip
         attitude = tracker(scene, rng) if known else None
@@ -76,7 +75,7 @@ def answers(index, rng, count, true_rims, sigma_px, *, known=False, mirrored=Fal
 
 def shares(found):
     """Share of right answers, number of wrong ones."""
-    good = [right(scene, answer) for scene, answer in found]
+    good = [scene.agrees(answer.rows) for scene, answer in found]
     wrong = sum(answer.identified and not g for (_, answer), g in zip(found, good, strict=True))
     return np.mean(good), wrong
 
@@ -125,7 +124,7 @@ def test_another_catalogue_has_no_answer(synthetic) -> None:
     other = TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(1), count=5000))
     rng = np.random.default_rng(7)
     for _ in range(3):
-        scene = random_scene(other.catalog, SceneOptions(), rng, true_rims=(8, 60))
+        scene = random_view(other.catalog, ViewOptions(), rng, true_rims=(8, 60))
         assert identify(scene.ellipses_px, scene.camera, other).identified
         assert identify(scene.ellipses_px, scene.camera, synthetic).status is Status.NO_ANSWER
 
@@ -169,8 +168,8 @@ def test_wrong_craters_on_one_side_are_left(synthetic) -> None:
         "has_uint32": 0,
         "uinteger": 536245512,
     }
-    scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=3.0), rng, true_rims=(9, 10_000))
-    assert right(scene, identify(scene.ellipses_px, scene.camera, synthetic))
+    scene = random_view(synthetic.catalog, ViewOptions(sigma_px=3.0), rng, true_rims=(9, 10_000))
+    assert scene.agrees(identify(scene.ellipses_px, scene.camera, synthetic).rows)
     kept = [2, 3, 6, 7, 11, 21, 24, 30, 31, 33, 34, 38, 39, 41, 42, 45, 47, 48, 50]
     wrong = {
         4: 4647, 9: 14379, 10: 15982, 13: 18919, 16: 5997, 22: 3498, 27: 8000, 28: 787, 32: 4616, 37: 19150,
@@ -187,10 +186,10 @@ def test_wrong_craters_on_one_side_are_left(synthetic) -> None:
 def test_other_craters_that_are_foreshortened_alike_are_chance(synthetic) -> None:
     """Chance knows how craters look that are seen from the pose, whichever they are, if not what is not."""
     rng = np.random.default_rng(15)
-    options = SceneOptions(altitudes_m=(100e3, 110e3), field_deg=44.0, largest_tilt_deg=35.0, false=0.0)
+    options = ViewOptions(altitudes_m=(100e3, 110e3), field_deg=44.0, largest_tilt_deg=35.0, false=0.0)
     alike, turned = [], []
     for _ in range(8):
-        scene = random_scene(synthetic.catalog, options, rng, true_rims=(12, 10_000))
+        scene = random_view(synthetic.catalog, options, rng, true_rims=(12, 10_000))
         aside = scene.ellipses_px.copy()
         aside[:, 4] += 1.0
         for ellipses, out in ((scene.ellipses_px, alike), (aside, turned)):
@@ -212,7 +211,7 @@ def test_other_craters_that_are_foreshortened_alike_are_chance(synthetic) -> Non
 )
 def test_all_craters_that_should_be_seen_are_counted(synthetic, range_m, tilt_rad, least) -> None:
     """However many they are; not those behind the horizon. Wrong poses are told by those that are missing."""
-    catalog, camera, least_px = synthetic.catalog, scene_camera(60.0), 0.3
+    catalog, camera, least_px = synthetic.catalog, square_camera(60.0), 0.3
     gTb = frames.pose(
         frames.rotation_exp(np.array([np.pi - tilt_rad, 0.0, 0.0])), np.array([0.0, 0.0, range_m])
     )
@@ -232,7 +231,7 @@ def test_triples_that_the_index_has_come_first(synthetic) -> None:
     first, last = [], []
     rng = np.random.default_rng(17)
     for _ in range(30):
-        scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=3.0), rng, true_rims=(9, 20))
+        scene = random_view(synthetic.catalog, ViewOptions(sigma_px=3.0), rng, true_rims=(9, 20))
         view = view_of(scene.ellipses_px, scene.camera)
         model = nadirs(view, np.arange(len(scene.craters)), np.array([0.08, 0.25]), 1)[0][0]
         down, height_m = model[:3].copy(), model[3] * MOON.radius_m
@@ -248,7 +247,7 @@ def test_triples_that_the_index_has_come_first(synthetic) -> None:
 def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:
     """Of a large catalogue few rims: no answer comes in time."""
     rng = np.random.default_rng(16)
-    scene = random_scene(synthetic.catalog, SceneOptions(), rng, true_rims=(5, 5))
+    scene = random_view(synthetic.catalog, ViewOptions(), rng, true_rims=(5, 5))
     asked = []
 
     def counted(view, grid, centres, axes, anchors, *others):
@@ -268,9 +267,9 @@ def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:
 
 def test_pose_of_a_mounted_camera(synthetic) -> None:
     rng = np.random.default_rng(9)
-    scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=0.5), rng, true_rims=(12, 60))
+    scene = random_view(synthetic.catalog, ViewOptions(sigma_px=0.5), rng, true_rims=(12, 60))
     bTc = frames.pose(frames.rotation_exp(np.array([0.3, -1.0, 0.5])), np.array([1.0, 2.0, -3.0]))
-    camera = scene_camera(60.0, bTc)
+    camera = square_camera(60.0, bTc)
     plain = identify(scene.ellipses_px, scene.camera, synthetic)
     mounted = identify(scene.ellipses_px, camera, synthetic)
     np.testing.assert_allclose(mounted.gTb @ bTc, plain.gTb, atol=1e-5)
@@ -287,13 +286,13 @@ def test_pose_of_a_mounted_camera(synthetic) -> None:
         a @ np.linalg.solve(plain.covariance, a), b @ np.linalg.solve(mounted.covariance, b), rtol=1e-6
     )
     known = KnownAttitude(scene.gTb[:3, :3] @ bTc[:3, :3].T)
-    assert right(scene, identify(scene.ellipses_px, camera, synthetic, known))
+    assert scene.agrees(identify(scene.ellipses_px, camera, synthetic, known).rows)
 
 
 def test_a_lens_that_distorts(synthetic) -> None:
     """The rims' points seen through the lens: taken as if without it, they have no answer as good."""
     rng = np.random.default_rng(10)
-    scene = random_scene(synthetic.catalog, SceneOptions(sigma_px=0.0), rng, true_rims=(12, 60))
+    scene = random_view(synthetic.catalog, ViewOptions(sigma_px=0.0), rng, true_rims=(12, 60))
     lens = replace(scene.camera, distortion=(-0.15, 0.05, 1e-3, -1e-3, 0.0))
     turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
     seen = []
@@ -308,7 +307,7 @@ def test_a_lens_that_distorts(synthetic) -> None:
         values, vectors = np.linalg.eigh(2.0 * np.cov((points - middle).T, bias=True))
         seen.append([*middle, *np.sqrt(values[::-1]), np.arctan2(vectors[1, 1], vectors[0, 1])])
     through = identify(np.array(seen), lens, synthetic)
-    assert right(scene, through)
+    assert scene.agrees(through.rows)
     assert np.linalg.norm(through.gTb[:3, 3] - scene.gTb[:3, 3]) < 300.0
     without = identify(np.array(seen), scene.camera, synthetic)
     assert not without.identified or without.log_chance > through.log_chance + 20.0
@@ -316,7 +315,7 @@ def test_a_lens_that_distorts(synthetic) -> None:
 
 def test_too_few_rims_and_repeated_ones(synthetic) -> None:
     rng = np.random.default_rng(11)
-    scene = random_scene(synthetic.catalog, SceneOptions(), rng, true_rims=(8, 30))
+    scene = random_view(synthetic.catalog, ViewOptions(), rng, true_rims=(8, 30))
     few = identify(scene.ellipses_px[:2], scene.camera, synthetic)
     assert (few.status, few.reason) == (Status.TOO_FEW_RIMS, "found 2 rims, expected 3 or more")
     assert identify(np.empty((0, 5)), scene.camera, synthetic).status is Status.TOO_FEW_RIMS
@@ -335,17 +334,17 @@ def test_ellipses_that_are_none(synthetic, column, value) -> None:
     ellipses = np.tile([100.0, 100.0, 20.0, 15.0, 0.0], (4, 1))
     ellipses[2, column] = value
     with pytest.raises(EstimationError, match="finite numbers and positive axes"):
-        identify(ellipses, scene_camera(60.0), synthetic)
+        identify(ellipses, square_camera(60.0), synthetic)
 
 
 def test_altitudes_that_are_ruled_out(synthetic) -> None:
-    scene = random_scene(synthetic.catalog, SceneOptions(), np.random.default_rng(12), true_rims=(9, 60))
+    scene = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(12), true_rims=(9, 60))
     altitude = np.linalg.norm(scene.gTb[:3, 3]) - MOON.radius_m
     inside = IdentifyOptions(altitudes_m=(0.8 * altitude, 1.2 * altitude))
     outside = IdentifyOptions(altitudes_m=(1.5 * altitude, 3.0 * altitude))
     wide = identify(scene.ellipses_px, scene.camera, synthetic)
     narrow = identify(scene.ellipses_px, scene.camera, synthetic, options=inside)
-    assert right(scene, narrow)
+    assert scene.agrees(narrow.rows)
     # Fewer places were searched: less can be chance.
     assert narrow.log_chance < wide.log_chance - 1.0
     assert not identify(scene.ellipses_px, scene.camera, synthetic, options=outside).identified

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from craternav_fg.bench.identification import synthetic_catalog
 from craternav_fg.errors import InputError
 from craternav_fg.matching.identify import tree
 from craternav_fg.matching.identify.grid import density, within
 from craternav_fg.matching.identify.triple_index import SMALLEST, TripleIndex, load_or_build
+from craternav_fg.simulation.catalog_views import synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 
 

@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose
 
 from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
 from craternav_fg.reproduce import ablation as ablation_module
-from craternav_fg.reproduce import descents, run
 from craternav_fg.reproduce import fig15_18 as descent_figures
+from craternav_fg.reproduce import fig15_18_trials, run
 from craternav_fg.reproduce import lag as lag_module
-from craternav_fg.reproduce.descents import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
+from craternav_fg.reproduce.fig15_18_trials import CENTRES, FILTER, ONLINE, PAPERS, SMOOTHER, Descents
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import Row
+from craternav_fg.reproduce.results import Row
 from craternav_fg.simulation.scenario_file import load_scenario
 from tests.descents import scenario
 
@@ -205,7 +205,7 @@ def test_the_seed_is_that_of_the_figures_trials(module: ModuleType, monkeypatch:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials of 20 s in place of the paper's descent."""
-    monkeypatch.setattr(descents, "load_scenario", lambda name: scenario(duration_s=20.0))
+    monkeypatch.setattr(fig15_18_trials, "load_scenario", lambda name: scenario(duration_s=20.0))
 
 
 @pytest.mark.usefixtures("short")
@@ -229,13 +229,15 @@ def test_figures_of_simulated_descents(tmp_path: Path, monkeypatch: pytest.Monke
     assert best < 0.2 * ends["EKF: eq. (19), one Qn, eq. (29)"]
     assert ends[ablation_module.RIMS] <= 1.5 * best
     assert ends[ablation_module.MIDDLES] < ends[ablation_module.CENTRES]
-    again, other = (descents.simulate(ReproduceOptions(descents=2, workers=1, seed=seed)) for seed in (1, 2))
+    again, other = (
+        fig15_18_trials.simulate(ReproduceOptions(descents=2, workers=1, seed=seed)) for seed in (1, 2)
+    )
     assert again.equals(results[2].data)
     assert not other.equals(results[2].data)
 
 
 def test_the_paper_s_case_varies_from_trial_to_trial() -> None:
-    craters = load_scenario(descents.SCENARIO).craters
+    craters = load_scenario(fig15_18_trials.SCENARIO).craters
     assert craters.source == "list"
     assert craters.trials is not None
     assert craters.trials.semi_axes_m == (500.0, 2500.0)

@@ -7,10 +7,10 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.reproduce import fig02 as los
 from craternav_fg.reproduce import fig03_04 as centres
-from craternav_fg.reproduce.options import SEMI_AXES_M
-from craternav_fg.reproduce.paper_scenes import matched, random_scene
-from craternav_fg.reproduce.static_pose import METHODS, Batch, run_batch
+from craternav_fg.reproduce.edge_points import matched
+from craternav_fg.reproduce.fig11_14_trials import METHODS, Batch, run_batch
 from craternav_fg.resection.paper.equations import PaperRims, edges
+from craternav_fg.simulation.flat_scenes import SEMI_AXES_M, random_scene
 
 # Deviation, deg: angles of incidence by altitudes of los.TILTS_DEG, los.ALTITUDES.
 DEVIATION = np.array(

@@ -9,11 +9,8 @@ import pytest
 
 from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.reproduce import (
-    fig10 as edge_image,
-)
-from craternav_fg.reproduce import (
-    rendered_sets,
     run,
+    table1_trials,
 )
 from craternav_fg.reproduce import (
     table1 as rim_errors,
@@ -22,15 +19,15 @@ from craternav_fg.reproduce import (
     table2 as coefficients,
 )
 from craternav_fg.reproduce import (
-    table2_errors as edge_parameters,
+    table2_trials as edge_parameters,
 )
 from craternav_fg.reproduce.canny_rim import canny_rim
 from craternav_fg.reproduce.front_end import Limit, front_end
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.paper_scenes import CAMERA
-from craternav_fg.reproduce.rim_images import draw_view, photograph, window
-from craternav_fg.reproduce.rows import FIELDS
-from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
+from craternav_fg.reproduce.results import FIELDS
+from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED
+from craternav_fg.simulation.flat_scenes import CAMERA
+from craternav_fg.simulation.paper_scenes import four_craters, photograph_window, single_crater, window
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import TerrainOptions
 
@@ -38,8 +35,8 @@ FEW = ReproduceOptions(images=2, workers=1)
 
 
 @pytest.fixture(scope="module")
-def measured() -> rendered_sets.Sets:
-    return rendered_sets.simulate(FEW)
+def measured() -> table1_trials.Sets:
+    return table1_trials.simulate(FEW)
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +46,9 @@ def coefficient_data() -> pa.Table:
 
 def test_a_window_has_the_pixels_of_the_whole_image() -> None:
     rng = np.random.default_rng(8)
-    view = draw_view(rng, 40e3, 3)
+    view = single_crater(rng, 40e3, 3)
     ground = TerrainOptions(cells=1024)
-    one, renderer = photograph(view, rng, ground)
+    one, renderer = photograph_window(view, rng, ground)
     camera = window(view)
     assert one.image.shape == (camera.height_px, camera.width_px) != (1024, 1024)
     x0, y0 = round(CAMERA.cx_px - camera.cx_px), round(CAMERA.cy_px - camera.cy_px)
@@ -67,7 +64,7 @@ def test_a_window_has_the_pixels_of_the_whole_image() -> None:
 def test_views_are_of_the_papers_first_case() -> None:
     rng = np.random.default_rng(1)
     for seed in range(20):
-        view = draw_view(rng, 50e3, seed)
+        view = single_crater(rng, 50e3, seed)
         semi_axes = np.array([view.catalog.semi_major_m[0], view.catalog.semi_minor_m[0]])
         assert np.all((semi_axes >= 500.0) & (semi_axes <= 2500.0))
         down = -view.gTb[:3, 3] / np.linalg.norm(view.gTb[:3, 3])
@@ -77,7 +74,7 @@ def test_views_are_of_the_papers_first_case() -> None:
 
 
 def test_canny_edges_lie_inside_the_crest() -> None:
-    one = edge_image.photograph(1)
+    one = four_craters(1)
     true = one.ellipses_px
     for k, row in enumerate(one.craters):
         chart = canny_rim(one, int(row))
@@ -117,7 +114,7 @@ def test_table2_has_a_row_for_each_coefficient_and_altitude(coefficient_data: pa
     assert "nan" not in result.note
 
 
-def test_table1_and_the_front_end_agree_on_the_same_rims(measured: rendered_sets.Sets) -> None:
+def test_table1_and_the_front_end_agree_on_the_same_rims(measured: table1_trials.Sets) -> None:
     table = rim_errors.table1(measured)
     result = front_end(measured, FEW)
     by_name = {(row.quantity, row.condition): row for row in result.rows}
@@ -182,7 +179,7 @@ def test_fig10_is_written_with_its_rows(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_every_figure_of_the_front_end_holds() -> None:
-    result = front_end(rendered_sets.simulate(ReproduceOptions()), ReproduceOptions())
+    result = front_end(table1_trials.simulate(ReproduceOptions()), ReproduceOptions())
     missed = [(row.quantity, row.condition, row.verdict) for row in result.rows if "holds" not in row.verdict]
     assert not missed
 

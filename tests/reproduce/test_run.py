@@ -10,19 +10,19 @@ import pytest
 
 from craternav_fg.errors import CraternavError
 from craternav_fg.reproduce import (
-    drawing,
-    run,
-    static_pose,
-)
-from craternav_fg.reproduce import (
     fig11_14 as pose_figures,
 )
 from craternav_fg.reproduce import (
     fig11_14_notes as pose_notes,
 )
-from craternav_fg.reproduce.conditions import MEAN, RMS, STD, Condition
+from craternav_fg.reproduce import (
+    fig11_14_trials,
+    line_plots,
+    run,
+)
+from craternav_fg.reproduce.fig11_14_statistics import MEAN, RMS, STD, Condition
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.rows import FIELDS, number, verdict
+from craternav_fg.reproduce.results import FIELDS, number, verdict
 from tests.cli.test_command_line import craternav
 
 SMALL = ReproduceOptions(trials=4, altitude_steps=2, workers=1)
@@ -97,18 +97,18 @@ def test_written_figures_are_whole_and_the_same_again(tmp_path: Path) -> None:
         assert ("tarted at the truth" in result.note) == (result.name in ("fig11", "fig13"))
         assert (tmp_path / f"{result.name}.png").read_bytes().startswith(b"\x89PNG")
         assert same(pq.read_table(tmp_path / f"{result.name}.parquet"), result.data)
-    again = static_pose.simulate(SMALL, 2, pose_figures.fine_conditions(SMALL))
+    again = fig11_14_trials.simulate(SMALL, 2, pose_figures.fine_conditions(SMALL))
     assert same(again, results[3].data)
 
 
 def test_another_seed_gives_other_trials() -> None:
     first, other = (ReproduceOptions(trials=2, altitude_steps=1, workers=1, seed=seed) for seed in (1, 2))
-    assert not same(static_pose.simulate(first, 2), static_pose.simulate(other, 2))
+    assert not same(fig11_14_trials.simulate(first, 2), fig11_14_trials.simulate(other, 2))
 
 
 def test_bounds_are_one_distribution() -> None:
     """Its mean, standard deviation and rms belong together, and the mean is below the rms."""
-    data = static_pose.simulate(SMALL, 2)
+    data = fig11_14_trials.simulate(SMALL, 2)
     condition = Condition(data, 1e4, 1.0, "m")
     mean, std, rms = (condition.bound(kind) for kind in (MEAN, STD, RMS))
     assert mean**2 + std**2 == pytest.approx(rms**2)
@@ -116,8 +116,8 @@ def test_bounds_are_one_distribution() -> None:
 
 
 def test_a_bar_below_zero_runs_to_the_axis_without_a_cap() -> None:
-    series = {"a": drawing.Series("k", "o", "-", np.array([100.0, 200.0]))}
-    figure = drawing.draw_errors(
+    series = {"a": line_plots.Series("k", "o", "-", np.array([100.0, 200.0]))}
+    figure = line_plots.draw_errors(
         np.array([10.0, 100.0]), series, "m", "", [(10.0, 258.0, 227.0), (100.0, 107.0, 203.0)]
     )
     axes = figure.axes[0]
@@ -137,7 +137,7 @@ def test_other_set_ups_have_no_number_of_the_paper() -> None:
 
 def test_every_statistic_is_of_the_same_trials() -> None:
     """A trial without an efficient solution counts for no method, nor for the bound."""
-    data = static_pose.simulate(SMALL, 3)
+    data = fig11_14_trials.simulate(SMALL, 3)
     solutions = data["solutions"].to_numpy().copy()
     assert (solutions > 0.0).all()
     whole = Condition(data, 1e4, 1.0, "m")
@@ -145,7 +145,7 @@ def test_every_statistic_is_of_the_same_trials() -> None:
     column = data.column_names.index("solutions")
     fewer = Condition(data.set_column(column, "solutions", pa.array(solutions)), 1e4, 1.0, "m")
     kept = [0, 2, 3]
-    for method in static_pose.METHODS:
+    for method in fig11_14_trials.METHODS:
         np.testing.assert_array_equal(fewer.values(method), whole.values(method)[kept])
     assert fewer.bound(RMS) == pytest.approx(np.sqrt(np.mean(whole.bounds()[kept] ** 2)))
     assert "the same 7 of 8 trials; in 12.5% the efficient solver gives no pose" in pose_notes.efficiency(
@@ -155,7 +155,7 @@ def test_every_statistic_is_of_the_same_trials() -> None:
 
 def test_the_efficient_solvers_errors_stand_beside_the_bound_at_each_altitude() -> None:
     """Altitudes at which it is once and twice the bound are not averaged away."""
-    data = static_pose.simulate(SMALL, 3)
+    data = fig11_14_trials.simulate(SMALL, 3)
     far = data["altitude_m"].to_numpy() == 1e5
     errors = np.where(far, 2.0, 1.0) * data["bound_rms_m"].to_numpy()
     data = data.set_column(data.column_names.index("efficient_m"), "efficient_m", pa.array(errors))
@@ -164,7 +164,7 @@ def test_the_efficient_solvers_errors_stand_beside_the_bound_at_each_altitude() 
 
 
 def test_what_did_not_converge_is_said() -> None:
-    data = static_pose.simulate(ReproduceOptions(trials=4, altitude_steps=1, workers=1), 3)
+    data = fig11_14_trials.simulate(ReproduceOptions(trials=4, altitude_steps=1, workers=1), 3)
     assert "converge" not in pose_notes.efficiency({10.0: Condition(data, 1e4, 1.0, "m")})
     column = data.column_names.index("shapes_converged")
     data = data.set_column(column, "shapes_converged", pa.array([1.0, 0.0, 1.0, 1.0]))
@@ -187,10 +187,12 @@ def test_hard_set_ups_leave_sentences_without_nan(change: dict[str, object], tmp
 
 
 def test_processes_change_nothing() -> None:
-    alone = static_pose.simulate(SMALL, 2)
+    alone = fig11_14_trials.simulate(SMALL, 2)
     options = ReproduceOptions(trials=4, altitude_steps=2, workers=2)
     seen: list[tuple[int, int]] = []
-    together = static_pose.simulate(options, 2, progress=lambda what, done, total: seen.append((done, total)))
+    together = fig11_14_trials.simulate(
+        options, 2, progress=lambda what, done, total: seen.append((done, total))
+    )
     assert same(together, alone)
     assert seen == [(1, 2), (2, 2)]
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from craternav_fg.reproduce.rows import Row
+from craternav_fg.reproduce.results import Row
 from craternav_fg.reproduce.terminal import tables
 
 

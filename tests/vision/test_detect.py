@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from craternav_fg.bench.detect import accuracy
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.detection import match
-from craternav_fg.reproduce.empty_images import gradient_images, noise_images
-from craternav_fg.reproduce.rim_images import draw_view, photograph
+from craternav_fg.reproduce.detection_accuracy import accuracy
+from craternav_fg.simulation.empty_images import gradient_images, noise_images
+from craternav_fg.simulation.paper_scenes import photograph_window, single_crater
 from craternav_fg.simulation.scenes import HARD, scene
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.brightness import brightness
@@ -254,8 +254,8 @@ def test_real_images(name, crop, drawn):
 def test_places_in_one_large_shadow_do_not_outvote_the_light():
     """A window with one crater of 240 px, half in its shadow: small places there agree on the reverse."""
     rng = np.random.default_rng([12, 77])
-    view = draw_view(rng, 10e3, int(rng.integers(2**31)))
-    one, _ = photograph(view, rng, TerrainOptions(cells=1024))
+    view = single_crater(rng, 10e3, int(rng.integers(2**31)))
+    one, _ = photograph_window(view, rng, TerrainOptions(cells=1024))
     rims = find_rims(one.image, one.sun_angle_rad)
     assert len(rims) > 0
     assert rims.sun_angle_rad == one.sun_angle_rad

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from craternav_fg.reproduce.guided_rims import FAR, HELD_OUT, accuracy, sun_tilts
+from craternav_fg.reproduce.guided_accuracy import FAR, HELD_OUT, accuracy, sun_tilts
 from craternav_fg.simulation.scenes import IRREGULAR, Ground, scene
 
 

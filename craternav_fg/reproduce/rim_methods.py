@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from craternav_fg.reproduce.rows import Row
+from craternav_fg.reproduce.results import Row
 
 # The paper's way; without a prior, the edge taken where the crest is; the same from a predicted pose.
 CANNY, BLIND, GUIDED = "canny", "blind", "guided"
-WAYS = (CANNY, BLIND, GUIDED)
+METHODS = (CANNY, BLIND, GUIDED)
 
 
 def image_row(

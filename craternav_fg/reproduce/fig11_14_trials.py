@@ -15,8 +15,8 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg import frames
+from craternav_fg.reproduce.edge_points import measure, pixel_arc, pose_bound
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.paper_scenes import Scene, measure, pixel_arc, pose_bound, random_scene
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.resection import efficient
 from craternav_fg.resection.least_squares import minimise
@@ -24,6 +24,7 @@ from craternav_fg.resection.paper import equations
 from craternav_fg.resection.paper.centres import centre_pose
 from craternav_fg.resection.paper.equations import PaperRims
 from craternav_fg.resection.problem import ResectionProblem, Status
+from craternav_fg.simulation.flat_scenes import FlatScene, random_scene
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -117,17 +118,17 @@ def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
     return record
 
 
-def _error_m(scene: Scene, gTc: FloatArray) -> float:
+def _error_m(scene: FlatScene, gTc: FloatArray) -> float:
     return float(np.linalg.norm((gTc - scene.gTc)[:3, 3]))
 
 
-def _error_deg(scene: Scene, gTc: FloatArray) -> float:
+def _error_deg(scene: FlatScene, gTc: FloatArray) -> float:
     turn = frames.rotation_log(gTc[:3, :3].T @ scene.gTc[:3, :3])
     return float(np.degrees(np.linalg.norm(turn)))
 
 
 def _paper_poses(
-    problem: ResectionProblem, scene: Scene, *, printed: bool
+    problem: ResectionProblem, scene: FlatScene, *, printed: bool
 ) -> dict[str, tuple[FloatArray, bool]]:
     """Poses (4, 4) that the paper's methods reach from the truth, and whether they converged.
 

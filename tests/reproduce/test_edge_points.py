@@ -4,19 +4,10 @@ import numpy as np
 import pytest
 
 from craternav_fg.errors import CraternavError
-from craternav_fg.reproduce.paper_scenes import (
-    CAMERA,
-    arc_angles,
-    inside,
-    matched,
-    measure,
-    pixel_arc,
-    pose_bound,
-    random_scene,
-    random_triple,
-)
+from craternav_fg.reproduce.edge_points import arc_angles, matched, measure, pixel_arc, pose_bound
 from craternav_fg.resection.bounds import cramer_rao
 from craternav_fg.resection.edge_fit import chart_covariance, rim_points
+from craternav_fg.simulation.flat_scenes import CAMERA, inside, random_scene, random_triple
 
 
 @pytest.mark.parametrize("seed", range(4))

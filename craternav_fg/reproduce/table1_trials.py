@@ -12,13 +12,13 @@ import pyarrow as pa
 
 from craternav_fg.evaluation.detection import match
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.reproduce.guided_rims import FAR, NEAR, Prior, measure
+from craternav_fg.reproduce.guided_accuracy import FAR, NEAR, Prior, measure
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.rim_images import draw_view, photograph
-from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED, WAYS
+from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED, METHODS
 from craternav_fg.simulation.crests import crest_offsets_px
-from craternav_fg.simulation.scenes import HARD, IRREGULAR, LEAST_PX, Ground, Scene, scene
+from craternav_fg.simulation.paper_scenes import photograph_window, single_crater
+from craternav_fg.simulation.scenes import HARD, IRREGULAR, MIN_SEMI_MINOR_PX, Ground, Scene, scene
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims
@@ -38,7 +38,7 @@ GROUNDS = {
     TILTED: Ground(tilt_deg=(30.0, 30.0), size_px=512),
 }
 # How each set is measured.
-BLIND_WAYS: Mapping[str, Mapping[str, Callable[[npt.NDArray[np.uint8]], FoundRims]]] = {
+BLIND_METHODS: Mapping[str, Mapping[str, Callable[[npt.NDArray[np.uint8]], FoundRims]]] = {
     FINE: {BLIND: find_rims, CANNY: find_rims_canny},
     ROUGH: {BLIND: find_rims, CANNY: find_rims_canny},
     CUT: {BLIND: find_rims},
@@ -52,7 +52,7 @@ PRIORS: Mapping[str, Mapping[str, Prior]] = {
     NADIR: {GUIDED: NEAR},
     TILTED: {GUIDED: NEAR},
 }
-MEASURED = (*WAYS, LOST)
+MEASURED = (*METHODS, LOST)
 ERRORS = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
 
 # Images of each set, of so many of `ReproduceOptions.images`.
@@ -83,7 +83,7 @@ class Sets:
         A row per rim that must be found: `set`, `image`, true `semi_minor_px`, and for each of `MEASURED` its
         `ERRORS`, measured minus true, and `chi2`; NaN where the rim was not found.
     images : pyarrow.Table
-        A row per image: `set`, `image`, for each way of `BLIND_WAYS` the rims that are `false`; error and
+        A row per image: `set`, `image`, for each way of `BLIND_METHODS` the rims that are `false`; error and
         standard deviation of the sun's tilt, deg, NaN where the image has none to tell.
     crests : ndarray, shape (n,)
         Offsets of crests from the projected rims, px, along normals all round.
@@ -106,9 +106,9 @@ def run_image(image: Image) -> tuple[list[dict[str, object]], list[dict[str, obj
     chi2 = {way: np.full(len(wanted), np.nan) for way in MEASURED}
     tells: dict[str, object] = {"set": image.kind, "image": image.number}
     tells |= {f"{way}_false": np.nan for way in (CANNY, BLIND)} | {"sun_deg": np.nan, "sun_sigma_deg": np.nan}
-    for way, find in BLIND_WAYS[image.kind].items():
+    for way, find in BLIND_METHODS[image.kind].items():
         found = find(one.image).ellipses_px
-        result = match(found, one.ellipses_px, one.wanted, found[:, 3] >= LEAST_PX)
+        result = match(found, one.ellipses_px, one.wanted, found[:, 3] >= MIN_SEMI_MINOR_PX)
         tells[f"{way}_false"] = float(len(result.false))
         for detected, true in zip(result.detected, result.true, strict=True):
             k = place.get(int(one.craters[true]))
@@ -142,8 +142,8 @@ def _sun_deg(one: Scene, frame: FrameMeasurement) -> tuple[float, float]:
 
 def _crests(image: Image, rng: np.random.Generator) -> list[float]:
     altitude_m = 1e3 * _CREST_KM[image.number % len(_CREST_KM)]
-    view = draw_view(rng, altitude_m, int(rng.integers(2**31)))
-    _, fine = photograph(view, rng, TerrainOptions(cells=1024), _ZOOM)
+    view = single_crater(rng, altitude_m, int(rng.integers(2**31)))
+    _, fine = photograph_window(view, rng, TerrainOptions(cells=1024), _ZOOM)
     offsets = crest_offsets_px(fine, view.catalog, view.gTb, np.zeros(1, dtype=np.int64), reach_px=2.5)
     return [float(px) for px in offsets.ravel() / _ZOOM]
 

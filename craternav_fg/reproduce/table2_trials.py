@@ -10,11 +10,11 @@ from craternav_fg.ellipse import axes_of_chart, normalised_chart, pixel_chart
 from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.detection import match
 from craternav_fg.reproduce.canny_rim import canny_rim
-from craternav_fg.reproduce.guided_rims import NEAR, measure
+from craternav_fg.reproduce.guided_accuracy import NEAR, measure
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.rim_images import draw_view, photograph
-from craternav_fg.reproduce.ways import BLIND, CANNY, GUIDED
+from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED
+from craternav_fg.simulation.paper_scenes import photograph_window, single_crater
 from craternav_fg.simulation.scenes import Scene
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.detect import find_rims
@@ -51,8 +51,8 @@ def run_batch(batch: Batch) -> list[dict[str, float]]:
 
 def _run_image(batch: Batch, image: int) -> dict[str, float]:
     rng = np.random.default_rng([batch.seed, 2, batch.altitude_km, image])
-    view = draw_view(rng, 1e3 * batch.altitude_km, int(rng.integers(2**31)))
-    one, _ = photograph(view, rng, _GROUND)
+    view = single_crater(rng, 1e3 * batch.altitude_km, int(rng.integers(2**31)))
+    one, _ = photograph_window(view, rng, _GROUND)
     true = project_rims(one.gTb, one.camera.bTc, view.catalog.centres, view.catalog.axes)[0]
     true_px = pixel_chart(true, one.camera)
     ellipse = axes_of_chart(true_px)[0]

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from craternav_fg.reproduce import static_pose as runs
-from craternav_fg.reproduce.rows import Row, verdict
+from craternav_fg.reproduce import fig11_14_trials as trials
+from craternav_fg.reproduce.results import Row, verdict
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -25,10 +25,10 @@ class Equation:
 
 
 # In (10) and (19) there is nothing to put right: both columns hold the same.
-CENTRES = Equation("(10)", runs.CENTRES, runs.CENTRES)
-EDGES = Equation("(13)", runs.EDGES_PRINTED, runs.EDGES)
-TWO = Equation("(23)", runs.TWO_PRINTED, runs.TWO)
-SHAPES = Equation("(19), unweighted", runs.SHAPES, runs.SHAPES)
+CENTRES = Equation("(10)", trials.CENTRES, trials.CENTRES)
+EDGES = Equation("(13)", trials.EDGES_PRINTED, trials.EDGES)
+TWO = Equation("(23)", trials.TWO_PRINTED, trials.TWO)
+SHAPES = Equation("(19), unweighted", trials.SHAPES, trials.SHAPES)
 
 
 class Condition:
@@ -116,7 +116,7 @@ class Condition:
             paper,
             self.statistic(equation.as_printed, kind),
             corrected,
-            self.statistic(runs.EFFICIENT, kind),
+            self.statistic(trials.EFFICIENT, kind),
             bound,
             judged,
             headline,
