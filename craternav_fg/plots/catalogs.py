@@ -18,21 +18,39 @@ from craternav_fg.catalogs.model import Catalog
 
 FloatArray = npt.NDArray[np.float64]
 
+# Okabe and Ito's colours.
 _INK, _CROSSING, _TWIN = "#0072B2", "#E69F00", "#D55E00"
-_GRID = (36, 72)
-_MOST_DRAWN = 20_000
-# Fewer craters than this are drawn as rims on a map of the body, more as their density.
-_FEW = 3000
-_LABELLED, _LABEL_PT = 15, 7.0
+# Cells of the density map, in latitude and longitude: 5 deg of longitude each.
+_DENSITY_CELLS = (36, 72)
+# A map of the body draws this many craters as rims at the most, more of them as their density.
+_MAX_RIMS_ON_GLOBE = 3000
+# A map of a region draws at the most so many rims, the largest: more take seconds and merge into one another.
+_MAX_RIMS_IN_REGION = 20_000
+# Of those the largest have their names written, in this size.
+_MAX_LABELS, _LABEL_PT = 15, 7.0
+# Width of a letter and distance of two lines, of the size of the letters.
+_LETTER, _LINE = 0.62, 1.4
+# Points that draw a rim.
 _RIM_POINTS = 48
+# Points that draw the curve of sizes.
+_CURVE_POINTS = 2000
 
 
 def draw_globe(catalog: Catalog) -> Figure:
-    """Draw where the craters are, on an equal-area map, and how many of which size."""
+    """Draw where the craters are, on an equal-area map, and the cumulative distribution of their sizes.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    Figure
+    """
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     ground, sizes = figure.subplots(1, 2, width_ratios=[2.4, 1.0])
     area_km2 = 4e-6 * np.pi * catalog.body.radius_m**2
-    if len(catalog) < _FEW:
+    if len(catalog) < _MAX_RIMS_ON_GLOBE:
         _draw_rims(ground, catalog)
     else:
         _draw_density(figure, ground, catalog, area_km2)
@@ -49,9 +67,22 @@ def draw_globe(catalog: Catalog) -> Figure:
 
 
 def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, radius_m: float) -> Figure:
-    """Draw the rims around a place, true to distance and direction from it, the largest with their names."""
+    """Draw the rims around a place, true to distance and direction from it, the largest with their names.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    latitude_rad, longitude_rad : float
+        Of the place.
+    radius_m : float
+        From the place to the border.
+
+    Returns
+    -------
+    Figure
+    """
     rows, _ = catalog.near(latitude_rad, longitude_rad, 1.5 * radius_m)
-    rows = rows[np.argsort(-catalog.semi_major_m[rows], kind="stable")][:_MOST_DRAWN]
+    rows = rows[np.argsort(-catalog.semi_major_m[rows], kind="stable")][:_MAX_RIMS_IN_REGION]
     enu = frames.east_north_up(np.array(latitude_rad), np.array(longitude_rad))
     part = catalog.take(rows)
     # Azimuthal equidistant: the angle from the place, in the direction in which a crater lies.
@@ -61,7 +92,7 @@ def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, rad
     scale = 1e-3 * catalog.body.radius_m * np.divide(angle, flat, out=np.ones_like(flat), where=flat > 0.0)
     centres_km = scale[:, None] * local[:, :2]
     major = part.gRl[:, :, 0] @ enu
-    colours, key = _meeting(part)
+    colours, key = _colours(part)
     figure = Figure(figsize=(7.5, 7.8), layout="constrained")
     axes = figure.subplots()
     axes.add_collection(
@@ -84,9 +115,9 @@ def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, rad
     if key:
         axes.legend(handles=key, loc="upper right", fontsize=8, framealpha=0.9)
     if not len(inside):
-        axes.text(0.0, 0.1 * reach_km, "no crater of the catalogue", ha="center", color="0.4")
+        axes.text(0.0, 0.1 * reach_km, "the catalogue has no crater here", ha="center", color="0.4")
     latitude, longitude = np.degrees([latitude_rad, longitude_rad])
-    shown = f", the largest {_MOST_DRAWN:,} drawn" if len(rows) == _MOST_DRAWN else ""
+    shown = f", the largest {_MAX_RIMS_IN_REGION:,} drawn" if len(rows) == _MAX_RIMS_IN_REGION else ""
     axes.set_title(
         f"{len(inside):,} craters around latitude {latitude:.3f}, longitude {longitude:.3f} deg{shown}\n"
         f"{_named(catalog.body)}",
@@ -101,12 +132,13 @@ def _named(body: Body) -> str:
 
 
 def _draw_density(figure: Figure, axes: Axes, catalog: Catalog, area_km2: float) -> None:
+    """Draw the number of craters per area."""
     longitude = np.degrees(np.angle(np.exp(1j * catalog.longitude_rad)))
     counts, y, x = np.histogram2d(
-        np.sin(catalog.latitude_rad), longitude, bins=_GRID, range=[[-1.0, 1.0], [-180.0, 180.0]]
+        np.sin(catalog.latitude_rad), longitude, bins=_DENSITY_CELLS, range=[[-1.0, 1.0], [-180.0, 180.0]]
     )
     # Equal cells in longitude and sine of latitude are equal areas.
-    per_cell = 1e4 * _GRID[0] * _GRID[1] / area_km2
+    per_cell = 1e4 * _DENSITY_CELLS[0] * _DENSITY_CELLS[1] / area_km2
     density = np.ma.masked_equal(counts, 0.0) * per_cell
     norm = LogNorm(per_cell, max(float(density.max()), 2.0 * per_cell))
     mesh = axes.pcolormesh(x, y, density, cmap="cividis", norm=norm)
@@ -115,7 +147,7 @@ def _draw_density(figure: Figure, axes: Axes, catalog: Catalog, area_km2: float)
 
 
 def _draw_rims(axes: Axes, catalog: Catalog) -> None:
-    """Draw rims as they are on the map, again on the other side where they cross its border."""
+    """Draw rims on the map of the body, those that cross its border on both sides."""
     turn = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False)[:, None]
     centres, along = catalog.centres[:, None], catalog.axes[:, None]
     points = centres + np.cos(turn) * along[:, :, 0] + np.sin(turn) * along[:, :, 1]
@@ -125,7 +157,7 @@ def _draw_rims(axes: Axes, catalog: Catalog) -> None:
     rims = np.stack([longitude, np.sin(latitude)], axis=-1)
     west, east = longitude.min(axis=1) < -180.0, longitude.max(axis=1) > 180.0
     rims = np.concatenate([rims, rims[west] + [360.0, 0.0], rims[east] - [360.0, 0.0]])
-    # A rim about a pole is no closed line on the map.
+    # A rim around a pole is no closed line on this map.
     closed = np.ptp(rims[:, :, 0], axis=1) < 180.0
     axes.add_collection(
         PolyCollection(list(rims[closed]), facecolors="none", edgecolors=_INK, linewidths=0.8)
@@ -133,14 +165,14 @@ def _draw_rims(axes: Axes, catalog: Catalog) -> None:
     axes.grid(alpha=0.3)
 
 
-def _meeting(part: Catalog) -> tuple[npt.NDArray[np.str_], list[Line2D]]:
-    """Colours of rims, by what they meet, and the key to them."""
+def _colours(part: Catalog) -> tuple[npt.NDArray[np.str_], list[Line2D]]:
+    """Colours (n,) of rims that cross others or are probably duplicates, and the legend's entries."""
     meets = overlaps(part)
     colours = np.full(len(part), _INK)
     colours[meets.crossings.ravel()] = _CROSSING
     colours[meets.twins.ravel()] = _TWIN
     key = []
-    for colour, label in ((_CROSSING, "rims that cross"), (_TWIN, "probably one crater entered twice")):
+    for colour, label in ((_CROSSING, "crossing rims"), (_TWIN, "probable duplicates")):
         count = int(np.count_nonzero(colours == colour))
         if count:
             key.append(Line2D([], [], color=colour, label=f"{label} ({count:,})"))
@@ -154,17 +186,16 @@ def _name_rims(
     km_per_pt = 2.0 * reach_km / (72.0 * 6.5)
     taken: list[tuple[float, float, float]] = []
     for k in inside.tolist():
-        if len(taken) == _LABELLED:
+        if len(taken) == _MAX_LABELS:
             break
         name = part.identifiers[k]
-        half = 0.31 * _LABEL_PT * km_per_pt * len(name)
+        half = 0.5 * _LETTER * _LABEL_PT * km_per_pt * len(name)
         x = float(centres_km[k, 0])
         y = float(centres_km[k, 1]) - 1e-3 * float(part.semi_major_m[k]) - _LABEL_PT * km_per_pt
         if abs(x) + half > reach_km or abs(y) > reach_km - _LABEL_PT * km_per_pt:
             continue
-        if any(
-            abs(x - u) < half + other and abs(y - v) < 1.4 * _LABEL_PT * km_per_pt for u, v, other in taken
-        ):
+        line = _LINE * _LABEL_PT * km_per_pt
+        if any(abs(x - u) < half + other and abs(y - v) < line for u, v, other in taken):
             continue
         taken.append((x, y, half))
         axes.text(
@@ -174,10 +205,10 @@ def _name_rims(
 
 
 def _draw_sizes(axes: Axes, catalog: Catalog, area_km2: float) -> None:
+    """Draw how many craters are larger than a diameter, per area, beside the power law of slope -2."""
     diameter_km = np.sort(2e-3 * np.sqrt(catalog.semi_major_m * catalog.semi_minor_m))
     number = np.arange(len(diameter_km), 0, -1)
-    # So many points are enough for a curve.
-    keep = np.unique(np.linspace(0, len(diameter_km) - 1, 2000).astype(int))
+    keep = np.unique(np.linspace(0, len(diameter_km) - 1, _CURVE_POINTS).astype(int))
     x, n, per = diameter_km[keep], number[keep], 1e6 / area_km2
     root = np.sqrt(n)
     axes.fill_between(x, np.maximum(n - root, 0.3) * per, (n + root) * per, color=_INK, alpha=0.25, lw=0.0)
@@ -185,10 +216,10 @@ def _draw_sizes(axes: Axes, catalog: Catalog, area_km2: float) -> None:
     middle = len(diameter_km) // 2
     line = np.array([diameter_km[0], diameter_km[-1]])
     power = number[middle] * per * (line / diameter_km[middle]) ** -2.0
-    axes.loglog(line, power, "--", color="0.6", label="power -2")
+    axes.loglog(line, power, "--", color="0.6", label="slope -2")
     axes.set_xlabel("diameter, km")
-    axes.set_ylabel("larger ones per million km²")
-    axes.set_title("sizes")
+    axes.set_ylabel("larger craters per million km²")
+    axes.set_title("cumulative sizes")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
     _plain_ticks(axes.xaxis)

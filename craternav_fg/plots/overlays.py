@@ -1,9 +1,9 @@
-"""Frames with their rims drawn on them: measured, predicted, and the catalogue's at the estimated pose."""
+"""Frames with rims drawn on them: measured, predicted, and those of the catalogue at the estimated pose."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,40 +18,47 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.ellipse import points_on
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import FrameMeasurement, SunTilt
 from craternav_fg.pipeline.reconstruct import Reconstruction
-from craternav_fg.plots.figures import save
+from craternav_fg.plots.style import save
 
 FloatArray = npt.NDArray[np.float64]
 
-
+# A contact sheet has so many frames, in so many columns.
 SHEET_FRAMES = 12
 _SHEET_COLUMNS = 4
-# Okabe and Ito's: bright ones on dark ground, told apart by hue and by line.
+# Okabe and Ito's colours, bright on dark ground, told apart by hue and by line.
 MEASURED, PREDICTED, CATALOGUE, SUN = "#F0E442", "#D55E00", "#56B4E9", "#FFFFFF"
-# Catalogue rims that seem smaller are left out.
-_LEAST_PX = 5.0
+# In the overview, whose images may be bright.
+_SUN_ON_BRIGHT = "#D55E00"
+# Length of the arrow towards the sun, of the image's width.
+_ARROW_LENGTH = 0.07
+# Rims of the catalogue with a smaller semi-minor axis are not drawn.
+_MIN_SEMI_MINOR_PX = 5.0
 # Smaller images are enlarged to about this many pixels.
 _SIDE_PX = 900
 _DPI = 100
-# Of labels: size in points, how wide a letter is and how high a line, of that.
+# Of labels: size in points; width of a letter and height of a line in multiples of it.
 _LABEL_PT, _LETTER, _LINE = 7.5, 0.62, 1.3
+# Height of the strip below the image that holds title and legend.
 _STRIP_PX = 62
+# Points that draw a rim.
+_RIM_POINTS = 120
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """A frame and what is drawn on it.
+    """A frame and what to draw on it.
 
     Attributes
     ----------
     image : ndarray of uint8 or uint16, shape (H, W)
     frame : FrameMeasurement
-        Measured rims and sun's tilt.
+        Measured rims and sun tilt.
     gTb : ndarray, shape (4, 4)
-        Estimated pose: the catalogue's rims are drawn from there.
+        Estimated pose of the body: where the catalogue's rims are seen from.
     predicted_gTb : ndarray, shape (4, 4), or None
-        Pose that was predicted before the image was seen.
+        Pose of the body that was predicted before the image was measured.
     title : str
     """
 
@@ -62,29 +69,44 @@ class Overlay:
     title: str
 
 
-def overlay(dataset: Dataset, result: Reconstruction, number: int) -> Overlay:
-    """Gather what is to be drawn on a frame; the pose is that of the first trajectory.
+def overlay(dataset: Dataset, result: Reconstruction, index: int) -> Overlay:
+    """Collect what to draw on a frame; the pose is that of the first trajectory.
 
     Parameters
     ----------
     dataset : Dataset
         With images.
     result : Reconstruction
-    number : int
+    index : int
         Of the frame.
+
+    Returns
+    -------
+    Overlay
     """
     trajectory = next(iter(result.trajectories.values()))
-    frame = result.frames[number]
-    seconds = 1e-9 * float(trajectory.stamps_ns[number] - trajectory.stamps_ns[0])
-    altitude_km = float(dataset.body.altitude_m(trajectory.gP[number])) / 1e3
-    expected = "" if result.expected_rims is None else f" of {result.expected_rims[number]}"
+    frame = result.frames[index]
+    seconds = 1e-9 * float(trajectory.stamps_ns[index] - trajectory.stamps_ns[0])
+    altitude_km = float(dataset.body.altitude_m(trajectory.gP[index])) / 1e3
+    expected = "" if result.expected_rims is None else f" of {result.expected_rims[index]}"
     title = f"{seconds:.0f} s, {altitude_km:.3g} km, {len(frame.rims)}{expected} rims"
-    predicted = None if result.predicted is None else result.predicted[number]
-    return Overlay(dataset.image(number), frame, trajectory.gTb[number], predicted, title)
+    predicted = None if result.predicted is None else result.predicted[index]
+    return Overlay(dataset.image(index), frame, trajectory.gTb[index], predicted, title)
 
 
 def draw_overlay(one: Overlay, camera: Camera, catalog: Catalog) -> Figure:
-    """Draw a frame with its rims, the measured ones named, one pixel of the image on one or more."""
+    """Draw a frame with its rims, the measured ones named; an image pixel takes one or more of the figure.
+
+    Parameters
+    ----------
+    one : Overlay
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    Figure
+    """
     zoom = max(1, round(_SIDE_PX / max(camera.width_px, camera.height_px)))
     width, height = zoom * camera.width_px, zoom * camera.height_px
     figure = Figure(figsize=(width / _DPI, (height + _STRIP_PX) / _DPI), dpi=_DPI, facecolor="k")
@@ -99,7 +121,18 @@ def draw_overlay(one: Overlay, camera: Camera, catalog: Catalog) -> Figure:
 
 
 def draw_contact_sheet(overlays: Sequence[Overlay], camera: Camera, catalog: Catalog) -> Figure:
-    """Draw a grid of frames with their rims."""
+    """Draw a grid of frames with their rims.
+
+    Parameters
+    ----------
+    overlays : sequence of Overlay
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    Figure
+    """
     columns = min(_SHEET_COLUMNS, len(overlays))
     rows = -(-len(overlays) // columns)
     side = 3.1
@@ -117,9 +150,20 @@ def draw_contact_sheet(overlays: Sequence[Overlay], camera: Camera, catalog: Cat
 
 
 def contact_sheet(dataset: Dataset, result: Reconstruction) -> Figure:
-    """Draw some frames of a reconstruction, evenly spaced, on one sheet."""
-    numbers = np.unique(np.linspace(0, len(dataset) - 1, min(SHEET_FRAMES, len(dataset))).astype(int))
-    overlays = [overlay(dataset, result, int(number)) for number in numbers]
+    """Draw evenly spaced frames of a reconstruction on one sheet.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With images.
+    result : Reconstruction
+
+    Returns
+    -------
+    Figure
+    """
+    chosen = np.unique(np.linspace(0, len(dataset) - 1, min(SHEET_FRAMES, len(dataset))).astype(int))
+    overlays = [overlay(dataset, result, int(index)) for index in chosen]
     return draw_contact_sheet(overlays, dataset.camera, dataset.catalog)
 
 
@@ -130,7 +174,7 @@ def write_overlays(
     every: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Write a PNG per frame, named by its number and the seconds since the first, into a folder.
+    """Write a PNG per frame into a folder, named by frame index and seconds since the first frame.
 
     Parameters
     ----------
@@ -139,45 +183,70 @@ def write_overlays(
     result : Reconstruction
     folder : Path
     every : int
-        Each of how many frames.
+        Every Nth frame is drawn.
     progress : callable, optional
     """
-    numbers = range(0, len(dataset), every)
-    for done, number in enumerate(numbers, 1):
-        one = overlay(dataset, result, number)
+    chosen = range(0, len(dataset), every)
+    for done, index in enumerate(chosen, 1):
+        one = overlay(dataset, result, index)
         figure = draw_overlay(one, dataset.camera, dataset.catalog)
         seconds = 1e-9 * float(one.frame.stamp_ns - dataset.stamps_ns[0])
-        save(figure, folder / f"frame_{number:05d}_{seconds:.1f}s.png", _DPI)
+        save(figure, folder / f"frame_{index:05d}_{seconds:.1f}s.png", _DPI)
         if progress is not None:
-            progress("overlays", done, len(numbers))
+            progress("overlays", done, len(chosen))
+
+
+def draw_rims(axes: Axes, image: ImageArray, frame: FrameMeasurement, camera: Camera) -> None:
+    """Draw the image of a frame with its measured rims and the direction towards the sun.
+
+    Parameters
+    ----------
+    axes : Axes
+    image : ndarray of uint8 or uint16, shape (H, W)
+    frame : FrameMeasurement
+    camera : Camera
+    """
+    axes.imshow(image, cmap="gray", vmin=0, vmax=camera.full_scale)
+    _rims(axes, camera.pixels(points_on(frame.rims.chart, _RIM_POINTS)), color=MEASURED, lw=1.0)
+    _sun(axes, frame.sun, camera, {"arrowstyle": "->", "color": _SUN_ON_BRIGHT, "lw": 1.5})
+    _bare(axes, camera)
 
 
 def _draw(axes: Axes, one: Overlay, camera: Camera, catalog: Catalog, width: float) -> None:
     axes.imshow(one.image, cmap="gray", vmin=0, vmax=camera.full_scale, interpolation="antialiased")
-    _rims(axes, _seen(one.gTb, camera, catalog), color=CATALOGUE, lw=2.6 * width, alpha=0.85)
-    measured = camera.pixels(points_on(one.frame.rims.chart, 120))
+    _rims(axes, _visible(one.gTb, camera, catalog), color=CATALOGUE, lw=2.6 * width, alpha=0.85)
+    measured = camera.pixels(points_on(one.frame.rims.chart, _RIM_POINTS))
     _rims(axes, measured, color=MEASURED, lw=1.3 * width)
     if one.predicted_gTb is not None:
-        predicted = _seen(one.predicted_gTb, camera, catalog)
+        predicted = _visible(one.predicted_gTb, camera, catalog)
         _rims(axes, predicted, color=PREDICTED, lw=1.3 * width, linestyles=(0, (3, 5)))
-    sun = one.frame.sun
-    if sun is not None:
-        length = 0.07 * camera.width_px
-        x, y = camera.pixels(sun.point)
-        dx, dy = length * np.cos(sun.tilt_rad), length * np.sin(sun.tilt_rad)
-        style = {"arrowstyle": "-|>", "color": SUN, "lw": 1.6 * width}
-        axes.annotate("", (x + dx, y + dy), (x, y), arrowprops=style)
+    _sun(axes, one.frame.sun, camera, {"arrowstyle": "-|>", "color": SUN, "lw": 1.6 * width})
+    _bare(axes, camera)
+
+
+def _visible(gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
+    """Rims (n, points, 2), px, in view from a pose, also in part; only whole ones where a lens distorts."""
+    margin_px = 0.0 if camera.distorts else -0.25 * min(camera.width_px, camera.height_px)
+    _, charts = catalog.visible(camera, gTb, min_semi_minor_px=_MIN_SEMI_MINOR_PX, margin_px=margin_px)
+    return camera.pixels(points_on(charts, _RIM_POINTS))
+
+
+def _sun(axes: Axes, sun: SunTilt | None, camera: Camera, arrow: dict[str, Any]) -> None:
+    """Draw an arrow towards the sun from the place where its tilt was measured."""
+    if sun is None:
+        return
+    length = _ARROW_LENGTH * camera.width_px
+    x, y = camera.pixels(sun.point)
+    dx, dy = length * np.cos(sun.tilt_rad), length * np.sin(sun.tilt_rad)
+    axes.annotate("", (x + dx, y + dy), (x, y), arrowprops=arrow)
+
+
+def _bare(axes: Axes, camera: Camera) -> None:
+    """Show the whole image and nothing around it."""
     axes.set_xlim(-0.5, camera.width_px - 0.5)
     axes.set_ylim(camera.height_px - 0.5, -0.5)
     axes.set_xticks([])
     axes.set_yticks([])
-
-
-def _seen(gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
-    """Rims (n, 120, 2), px, that a pose shows, also in part; of a lens that distorts only whole ones."""
-    margin_px = 0.0 if camera.distorts else -0.25 * min(camera.width_px, camera.height_px)
-    _, charts = catalog.visible(camera, gTb, min_semi_minor_px=_LEAST_PX, margin_px=margin_px)
-    return camera.pixels(points_on(charts, 120))
 
 
 def _rims(axes: Axes, rims: FloatArray, **style: object) -> None:
@@ -186,8 +255,8 @@ def _rims(axes: Axes, rims: FloatArray, **style: object) -> None:
 
 
 def _name(axes: Axes, frame: FrameMeasurement, camera: Camera, catalog: Catalog, zoom: int) -> None:
-    """Write identifiers below the measured rims, large ones first, where there is room."""
-    rims = camera.pixels(points_on(frame.rims.chart, 120))
+    """Write identifiers below the measured rims, the largest first, where there is room."""
+    rims = camera.pixels(points_on(frame.rims.chart, _RIM_POINTS))
     order = np.argsort(-np.ptp(rims, axis=1).max(axis=1)) if len(rims) else np.empty(0, dtype=int)
     height = _LINE * _LABEL_PT * _DPI / 72.0 / zoom
     taken: list[tuple[float, float, float, float]] = []
@@ -213,7 +282,7 @@ def _legend(figure: Figure, place: Literal["lower center", "outside lower center
         Line2D([], [], color=CATALOGUE, lw=3.0, label="catalogue, at the estimated pose"),
         Line2D([], [], color=SUN, marker=r"$\rightarrow$", ms=14, ls="", mec="0.4", label="towards the sun"),
     ]
-    # Bright lines show on a dark ground only, on whatever page.
+    # The lines are bright: they need a dark ground on any page.
     figure.legend(
         handles=handles, loc=place, ncols=4, fontsize=9, facecolor="0.25", edgecolor="none", framealpha=1.0,
         labelcolor="w",

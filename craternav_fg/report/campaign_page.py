@@ -13,7 +13,7 @@ from craternav_fg.campaign.summary import of_estimator
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
-from craternav_fg.plots import figures
+from craternav_fg.plots.style import colour, line_style
 from craternav_fg.report.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
 
@@ -67,7 +67,7 @@ def campaign_page(campaign: Campaign) -> Page:
         title=f"Campaign {campaign.path.resolve().name}",
         subtitle=f"{summary['trials']} trials, {summary['failed']} failed, {summary['wall_s']:.0f} s",
         sections=sections,
-        series=[(name, figures.COLOURS.get(name, figures.OTHER)) for name in names],
+        series=[(name, colour(name)) for name in names],
     )
 
 
@@ -117,7 +117,7 @@ def _errors(campaign: Campaign, names: list[str]) -> Drawing:
     for axes, column, part, unit, label in parts:
         for name in names:
             values = unit * rms(of_estimator(campaign.table, name, column))
-            axes.loglog(_altitude_km(campaign, name), values, label=name, **figures.style(name))
+            axes.loglog(_altitude_km(campaign, name), values, label=name, **line_style(name))
         for label_of_bound, bound, line in BOUNDS:
             sigma = unit * rms(of_estimator(campaign.table, bound, "pose_sigma")[..., part])
             axes.loglog(_altitude_km(campaign, bound), sigma, line, color="k", lw=1.2, label=label_of_bound)
@@ -145,9 +145,7 @@ def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
         most = max(most, len(nees))
         bins = anees_by_altitude(nees, altitude_m, edges.tolist())
         middle_km = [1e-3 * np.sqrt(one.highest_m * one.lowest_m) for one in bins]
-        axes.loglog(
-            middle_km, [one.mean for one in bins], marker="o", ms=3, label=name, **figures.style(name)
-        )
+        axes.loglog(middle_km, [one.mean for one in bins], marker="o", ms=3, label=name, **line_style(name))
         headings[1:] = [f"{1e-3 * one.highest_m:.3g} to {1e-3 * one.lowest_m:.3g} km" for one in bins]
         cells = [number_cell(one.mean, concern=not one.consistent) for one in bins]
         rows.append((name, [Cell(name, name), *cells]))
@@ -173,7 +171,7 @@ def _final(campaign: Campaign, names: list[str]) -> Drawing:
     for name in names:
         last_m = np.linalg.norm(of_estimator(campaign.table, name, "position_error_m")[:, -1], axis=-1)
         share = np.arange(1, len(last_m) + 1) / len(last_m)
-        axes.step(np.sort(last_m), share, where="post", label=name, **figures.style(name))
+        axes.step(np.sort(last_m), share, where="post", label=name, **line_style(name))
     axes.set_xscale("log")
     axes.set_xlabel("last position error, m")
     axes.set_ylabel("share of trials below")

@@ -14,7 +14,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
 from craternav_fg.errors import CraternavError
 from craternav_fg.files import replacing
-from craternav_fg.plots import figures
+from craternav_fg.plots.style import colour
 from craternav_fg.runs.read import Run, read_residuals
 
 FloatArray = npt.NDArray[np.float64]
@@ -63,11 +63,11 @@ def write_recording(run: Run, path: Path) -> None:
         altitude_m = float(dataset.body.altitude_m(first.gP[0]))
         rims = _catalogue_rims(dataset.catalog, gO, REACH_ALTITUDES * altitude_m)
         recording.log("world/craters", rr.LineStrips3D(list(local_km(rims)), colors=[GREY]), static=True)
-        lines = {name: (t, figures.COLOURS.get(name, figures.OTHER)) for name, t in run.trajectories.items()}
+        lines = {name: (t, colour(name)) for name, t in run.trajectories.items()}
         if run.truth is not None:
             lines["truth"] = (run.truth, "#FFFFFF")
-        for name, (trajectory, colour) in lines.items():
-            rgb = tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))
+        for name, (trajectory, hue) in lines.items():
+            rgb = tuple(int(hue[k : k + 2], 16) for k in (1, 3, 5))
             strip = rr.LineStrips3D([local_km(trajectory.gP)], colors=[rgb])
             recording.log(f"world/trajectories/{name}", strip, static=True)
         _log_frames(rr, recording, run, dataset, local_km(first.gP), gRe)

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from craternav_fg.plots import figures
+from craternav_fg.plots.style import colour
 from craternav_fg.report.page import Cell, Table
 
 DOF = 5
@@ -31,10 +31,8 @@ def draw_residuals(residuals: pa.Table, first_stamp_ns: int) -> Figure:
     seconds = (residuals["stamp_ns"].to_numpy() - first_stamp_ns) * 1e-9
     chi2_per_dof = np.maximum(residuals["chi2"].to_numpy() / DOF, 1e-3)
     rejected = _rejected(residuals)
-    axes.semilogy(seconds[~rejected], chi2_per_dof[~rejected], ".", ms=3, color=figures.COLOURS["smoother"])
-    axes.semilogy(
-        seconds[rejected], chi2_per_dof[rejected], "x", ms=4, color=figures.COLOURS["centre_smoother"]
-    )
+    axes.semilogy(seconds[~rejected], chi2_per_dof[~rejected], ".", ms=3, color=colour("smoother"))
+    axes.semilogy(seconds[rejected], chi2_per_dof[rejected], "x", ms=4, color=colour("centre_smoother"))
     axes.axhline(1.0, color="0.4", lw=0.8)
     axes.set_xlabel("time, s")
     axes.set_ylabel("χ² / 5 of a rim")

@@ -7,7 +7,14 @@ from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
-from craternav_fg.plots import figures
+from craternav_fg.plots.style import colour
+from craternav_fg.plots.trajectories import (
+    draw_bounds,
+    draw_consistency,
+    draw_descent,
+    draw_errors,
+    draw_sigmas,
+)
 from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.report.pictures import frame_pictures
 from craternav_fg.report.residuals import crater_table, draw_residuals
@@ -65,7 +72,7 @@ def run_page(run: Run) -> Page:
         title=f"Run {run.path.resolve().name}",
         subtitle=f"{len(next(iter(run.trajectories.values())))} frames, data set {run.dataset}",
         sections=sections,
-        series=[(name, figures.COLOURS.get(name, figures.OTHER)) for name in names],
+        series=[(name, colour(name)) for name in names],
     )
 
 
@@ -129,12 +136,12 @@ def _nis(found: dict[str, Any]) -> Table:
 
 def _errors(run: Run) -> list[Block]:
     assert run.truth is not None
-    figure = figures.draw_errors(run.trajectories, run.truth, run.metrics["craters_per_frame"])
+    figure = draw_errors(run.trajectories, run.truth, run.metrics["craters_per_frame"])
     return [_drawing(figure, "errors", run, 8.0, "Norms of the errors, and the rims measured in each frame.")]
 
 
 def _sigmas(run: Run) -> list[Block]:
-    figure = figures.draw_sigmas(run.trajectories, run.metrics["craters_per_frame"])
+    figure = draw_sigmas(run.trajectories, run.metrics["craters_per_frame"])
     return [_drawing(figure, "sigmas", run, 8.0, "What each estimator believes its errors to be, 1 sigma.")]
 
 
@@ -144,7 +151,7 @@ def _bounds(run: Run) -> list[Block]:
     for name, trajectory in run.trajectories.items():
         if trajectory.pose_covariance is None:
             continue
-        figure = figures.draw_bounds(name, trajectory, run.truth)
+        figure = draw_bounds(name, trajectory, run.truth)
         for axes in figure.axes:
             # What it is of, tab and axes say already.
             axes.set_title("")
@@ -157,7 +164,7 @@ def _bounds(run: Run) -> list[Block]:
 
 def _consistency(run: Run) -> list[Block]:
     assert run.truth is not None
-    figure = figures.draw_consistency(run.trajectories, run.truth)
+    figure = draw_consistency(run.trajectories, run.truth)
     legend = figure.axes[0].get_legend()
     if legend is not None:
         legend.remove()
@@ -167,7 +174,7 @@ def _consistency(run: Run) -> list[Block]:
 
 def _map(run: Run, dataset: Dataset) -> list[Block]:
     first = next(iter(run.trajectories.values()))
-    figure = figures.draw_descent(first, run.truth, dataset.catalog, dataset.body)
+    figure = draw_descent(first, run.truth, dataset.catalog, dataset.body)
     caption = (
         f"Altitude, and the ground track of {next(iter(run.trajectories))} over the catalogue's craters."
     )

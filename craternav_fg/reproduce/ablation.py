@@ -17,7 +17,7 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.linearisation import MeasurementModel, NoiseModel
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.plots.figures import COLOURS
+from craternav_fg.plots.style import COLOURS
 from craternav_fg.reproduce.fig15_18_trials import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all

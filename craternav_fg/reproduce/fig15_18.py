@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.evaluation.consistency import Anees, anees_by_altitude, over_altitude
-from craternav_fg.plots.figures import COLOURS
+from craternav_fg.plots.style import COLOURS
 from craternav_fg.reproduce import fig15_18_trials, line_plots
 from craternav_fg.reproduce.fig15_18_notes import one_trial_note, trials_note, without
 from craternav_fg.reproduce.fig15_18_trials import (

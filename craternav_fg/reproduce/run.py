@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 import craternav_fg
 from craternav_fg.errors import CraternavError
-from craternav_fg.plots.figures import save
+from craternav_fg.plots.style import save
 from craternav_fg.reproduce import (
     fig03_04,
     fig11_14,

@@ -16,8 +16,8 @@ def list_column(rows: FloatArray) -> pa.Array:
 
     Returns
     -------
-    pyarrow.FixedSizeListArray
-        Of n lists of d numbers.
+    pyarrow.FixedSizeListArray, shape (n,)
+        Of lists of d numbers.
     """
     flat = pa.array(np.ascontiguousarray(rows).ravel(), pa.float64())
     return pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])
@@ -28,8 +28,8 @@ def list_values(column: pa.ChunkedArray) -> FloatArray | None:
 
     Parameters
     ----------
-    column : pyarrow.ChunkedArray
-        Of n fixed-size lists of d numbers.
+    column : pyarrow.ChunkedArray, shape (n,)
+        Of fixed-size lists of d numbers.
 
     Returns
     -------

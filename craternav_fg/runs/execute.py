@@ -10,8 +10,16 @@ from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.pipeline.reconstruct import Progress, Reconstruction, reconstruct
-from craternav_fg.plots import figures
 from craternav_fg.plots.overlays import contact_sheet, write_overlays
+from craternav_fg.plots.style import save
+from craternav_fg.plots.trajectories import (
+    draw_bounds,
+    draw_consistency,
+    draw_descent,
+    draw_errors,
+    draw_overview,
+    draw_sigmas,
+)
 from craternav_fg.runs import store
 from craternav_fg.runs.write import write_run
 
@@ -63,7 +71,7 @@ def execute_run(
     """
     result = reconstruct(dataset, estimators, progress=progress)
     for name, figure in _figures(dataset, result).items():
-        figures.save(figure, folder / store.FIGURES / f"{name}.png")
+        save(figure, folder / store.FIGURES / f"{name}.png")
     if overlay_every and dataset.measurements is None:
         write_overlays(dataset, result, folder / store.OVERLAYS, overlay_every, progress)
     return write_run(
@@ -81,18 +89,18 @@ def execute_run(
 def _figures(dataset: Dataset, result: Reconstruction) -> dict[str, Figure]:
     """Draw the figures that the data set allows, by the names of their files."""
     first, trajectory = next(iter(result.trajectories.items()))
-    drawn = {"descent": figures.draw_descent(trajectory, dataset.truth, dataset.catalog, dataset.body)}
+    drawn = {"descent": draw_descent(trajectory, dataset.truth, dataset.catalog, dataset.body)}
     rims = [len(frame.rims) for frame in result.frames]
     if dataset.truth is None:
-        drawn["sigmas"] = figures.draw_sigmas(result.trajectories, rims)
+        drawn["sigmas"] = draw_sigmas(result.trajectories, rims)
     else:
-        drawn["errors"] = figures.draw_errors(result.trajectories, dataset.truth, rims)
-        drawn["consistency"] = figures.draw_consistency(result.trajectories, dataset.truth)
-        drawn[f"bounds_{first}"] = figures.draw_bounds(first, trajectory, dataset.truth)
+        drawn["errors"] = draw_errors(result.trajectories, dataset.truth, rims)
+        drawn["consistency"] = draw_consistency(result.trajectories, dataset.truth)
+        drawn[f"bounds_{first}"] = draw_bounds(first, trajectory, dataset.truth)
     if dataset.measurements is None:
         rows = np.linspace(0, len(dataset) - 1, min(OVERVIEW_FRAMES, len(dataset))).astype(int)
         images = [(dataset.image(int(k)), result.frames[k]) for k in rows]
-        drawn["overview"] = figures.draw_overview(
+        drawn["overview"] = draw_overview(
             images, result.trajectories, dataset.truth, dataset.camera, dataset.body
         )
         drawn["contact_sheet"] = contact_sheet(dataset, result)

@@ -12,7 +12,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.plots import overlays
-from craternav_fg.plots.figures import save
+from craternav_fg.plots.style import save
 from tests.vision import scene
 
 

@@ -1,13 +1,11 @@
-"""Figures of a run."""
+"""Figures of a run: errors and standard deviations over time, consistency, ground track, overview."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure, SubFigure
 from scipy.stats import chi2
@@ -17,36 +15,31 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray
-from craternav_fg.ellipse import points_on
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.plots.overlays import draw_rims
+from craternav_fg.plots.style import colour, finish, line_style, seconds_since_first
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-# Okabe and Ito's colours, and two of Tol's for what is run on request, told apart by most eyes; the same
-# estimator has the same colour everywhere.
-COLOURS = {
-    "smoother": "#0072B2",
-    "gnc_smoother": "#F0E442",
-    "calibrating_smoother": "#332288",
-    "mapping_smoother": "#882255",
-    "online": "#56B4E9",
-    "fixed_lag": "#CC79A7",
-    "ekf": "#009E73",
-    "ekf_paper": "#E69F00",
-    "centre_smoother": "#D55E00",
-    "dead_reckoning": "#7F7F7F",
-}
-# Of what is no estimator of ours.
-OTHER = "#8C510A"
-# Well started, the one equals the EKF, without wrong matches the other the smoother: dashed and above, both
-# are seen.
-DASHED = {"online", "gnc_smoother"}
-
 
 def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims: Sequence[int]) -> Figure:
-    """Position, velocity and attitude error of every estimator, and the rims per frame, over time."""
+    """Draw position, velocity and attitude error of every estimator, and the rims per frame, over time.
+
+    Parameters
+    ----------
+    trajectories : mapping of str to Trajectory
+        By estimator.
+    truth : Trajectory
+        Ground truth at the same stamps.
+    rims : sequence of int
+        Number of measured rims in each frame.
+
+    Returns
+    -------
+    Figure
+    """
     series = {}
     for name, trajectory in trajectories.items():
         e = errors(trajectory, truth)
@@ -56,7 +49,21 @@ def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims:
 
 
 def draw_sigmas(trajectories: Mapping[str, Trajectory], rims: Sequence[int]) -> Figure:
-    """Show what every estimator believes its errors are: without truth, all there is to see."""
+    """Draw the standard deviations that every estimator claims, and the rims per frame, over time.
+
+    Estimators without covariances are left out.
+
+    Parameters
+    ----------
+    trajectories : mapping of str to Trajectory
+        By estimator.
+    rims : sequence of int
+        Number of measured rims in each frame.
+
+    Returns
+    -------
+    Figure
+    """
     series = {}
     for name, t in trajectories.items():
         if t.pose_covariance is None or t.velocity_covariance is None:
@@ -76,10 +83,10 @@ def _draw_series(
     """Draw position (m), velocity (m/s) and attitude (deg) series, and the rims per frame."""
     figure = Figure(figsize=(9, 10), layout="constrained")
     *panels, count = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 1])
-    t = _seconds(stamps_ns)
+    t = seconds_since_first(stamps_ns)
     for name, values in series.items():
         for axes, value in zip(panels, values, strict=True):
-            axes.semilogy(t, value, **style(name), label=name)
+            axes.semilogy(t, value, **line_style(name), label=name)
     for axes, label in zip(panels, ("position {}, m", "velocity {}, m/s", "attitude {}, deg"), strict=True):
         axes.set_ylabel(label.format(what))
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=6, loc="outside upper center", fontsize=9)
@@ -88,33 +95,57 @@ def _draw_series(
     count.set_ylim(bottom=0)
     count.set_xlabel("time, s")
     for axes in (*panels, count):
-        axes.grid(alpha=0.3)
-        axes.margins(x=0.01)
+        finish(axes)
     return figure
 
 
 def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Figure:
-    """Pose NEES of every estimator over time, beside the interval in which an honest one stays."""
+    """Draw the NEES of the pose of every estimator over time, with the 95 % interval of a consistent one.
+
+    Parameters
+    ----------
+    trajectories : mapping of str to Trajectory
+        By estimator.
+    truth : Trajectory
+        Ground truth at the same stamps.
+
+    Returns
+    -------
+    Figure
+    """
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     axes = figure.subplots()
     low, high = (float(chi2.ppf(p, 6)) for p in (0.025, 0.975))
-    axes.axhspan(low, high, color="k", alpha=0.1, label="95 % of honest NEES (6 dof)")
+    axes.axhspan(low, high, color="k", alpha=0.1, label="95 % interval, 6 dof")
     for name, trajectory in trajectories.items():
         if trajectory.pose_covariance is None:
             continue
         values = nees(errors(trajectory, truth).pose, trajectory.pose_covariance)
         label = f"{name} (mean {values.mean():.3g})"
-        axes.semilogy(_seconds(trajectory.stamps_ns), values, **style(name), label=label)
+        axes.semilogy(seconds_since_first(trajectory.stamps_ns), values, **line_style(name), label=label)
     axes.set_xlabel("time, s")
     axes.set_ylabel("NEES of the pose")
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.01)
+    finish(axes)
     axes.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
 
 
 def draw_bounds(name: str, trajectory: Trajectory, truth: Trajectory) -> Figure:
-    """Each component of an estimator's pose error with its 3-sigma bounds; position in east, north, up."""
+    """Draw each component of an estimator's pose error with its 3-sigma bounds; position in east, north, up.
+
+    Parameters
+    ----------
+    name : str
+        Of the estimator.
+    trajectory : Trajectory
+        With pose covariances.
+    truth : Trajectory
+        Ground truth at the same stamps.
+
+    Returns
+    -------
+    Figure
+    """
     e = errors(trajectory, truth)
     assert trajectory.pose_covariance is not None
     lat, lon = frames.latitude_longitude(truth.gP)
@@ -126,19 +157,18 @@ def draw_bounds(name: str, trajectory: Trajectory, truth: Trajectory) -> Figure:
     attitude_sigma = np.degrees(np.sqrt(np.einsum("kii->ki", trajectory.pose_covariance[:, :3, :3])))
     figure = Figure(figsize=(9, 6), layout="constrained")
     grid = figure.subplots(3, 2, sharex=True)
-    t = _seconds(e.stamps_ns)
+    t = seconds_since_first(e.stamps_ns)
     for i in range(3):
         labels = (f"{('east', 'north', 'up')[i]}, m", f"{'xyz'[i]} in b, deg")
         for axes, value, sigma, label in zip(
             grid[i], (position, attitude), (position_sigma, attitude_sigma), labels, strict=True
         ):
-            axes.fill_between(t, -3 * sigma[:, i], 3 * sigma[:, i], color=COLOURS.get(name, OTHER), alpha=0.2)
-            axes.plot(t, value[:, i], color=COLOURS.get(name, OTHER), lw=1.3)
+            axes.fill_between(t, -3 * sigma[:, i], 3 * sigma[:, i], color=colour(name), alpha=0.2)
+            axes.plot(t, value[:, i], color=colour(name), lw=1.3)
             limit = 1.15 * max(np.percentile(3 * sigma[:, i], 95), np.abs(value[:, i]).max())
             axes.set_ylim(-limit, limit)
             axes.set_ylabel(label)
-            axes.grid(alpha=0.3)
-            axes.margins(x=0.01)
+            finish(axes)
     grid[0, 0].set_title(f"{name}: position error and 3 sigma")
     grid[0, 1].set_title("attitude error and 3 sigma")
     for axes in grid[2]:
@@ -147,59 +177,37 @@ def draw_bounds(name: str, trajectory: Trajectory, truth: Trajectory) -> Figure:
 
 
 def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Catalog, body: Body) -> Figure:
-    """Ground track over the crater map, and altitude against downrange."""
+    """Draw altitude against downrange above the ground track on the crater map.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    truth : Trajectory or None
+    catalog : Catalog
+    body : Body
+
+    Returns
+    -------
+    Figure
+    """
     figure = Figure(figsize=(9, 6), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1])
-    lines = [("estimate", trajectory.gP, COLOURS["smoother"], "-")]
+    lines = [("estimate", trajectory.gP, colour("smoother"), "-")]
     if truth is not None:
         lines.append(("truth", truth.gP, "k", ":"))
-    # Great circle through both ends: downrange along it, crossrange to its left.
-    first, last = (P / np.linalg.norm(P) for P in (trajectory.gP[0], trajectory.gP[-1]))
-    pole = np.cross(first, last)
-    if np.linalg.norm(pole) < 1e-9:
-        # Straight down: any direction will do.
-        pole = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
-    pole /= np.linalg.norm(pole)
-    ahead = np.cross(pole, first)
-
-    def ranges_km(P: FloatArray) -> tuple[FloatArray, FloatArray]:
-        unit = P / np.linalg.norm(P, axis=-1, keepdims=True)
-        radius_km = body.radius_m / 1e3
-        return radius_km * np.arctan2(unit @ ahead, unit @ first), radius_km * np.arcsin(unit @ pole)
-
-    for label, P, colour, style in lines:
-        x, y = ranges_km(P)
-        below.plot(x, y, style, color=colour, label=label)
-        above.plot(x, body.altitude_m(P) / 1e3, style, color=colour, label=label)
+    track = _Track.through(trajectory.gP[0], trajectory.gP[-1], body)
+    for label, P, line_colour, dash in lines:
+        x, y = track.ranges_km(P)
+        below.plot(x, y, dash, color=line_colour, label=label)
+        above.plot(x, body.altitude_m(P) / 1e3, dash, color=line_colour, label=label)
     altitude_km = float(body.altitude_m(trajectory.gP[0])) / 1e3
     left, right = below.get_xlim()
     if right - left < 0.5 * altitude_km:
         middle = 0.5 * (left + right)
         left, right = middle - 0.25 * altitude_km, middle + 0.25 * altitude_km
-    # Flat enough for the panel: equal scales leave its width, which it shares, as it is.
+    # So flat that equal scales do not narrow the panel, whose width is shared.
     reach = min(0.14 * (right - left), 0.5 * altitude_km)
-    farthest = 1e3 * (max(-left, right) + reach) / body.radius_m
-    craters = catalog.take(np.sort(catalog.index.near(first, farthest)))
-    x, y = ranges_km(craters.centres)
-    near = (x > left) & (x < right) & (np.abs(y) < reach)
-    # Downrange and crossrange components of the major axes.
-    local = x[:, None] / (body.radius_m / 1e3)
-    forward = np.cos(local) * ahead - np.sin(local) * first
-    major = craters.gRl[:, :, 0]
-    angle = np.degrees(np.arctan2(major @ pole, np.einsum("ni,ni->n", major, forward)))
-    below.add_collection(
-        EllipseCollection(
-            2e-3 * craters.semi_major_m[near],
-            2e-3 * craters.semi_minor_m[near],
-            angle[near],
-            units="xy",
-            offsets=np.stack([x, y], axis=-1)[near],
-            transOffset=below.transData,
-            facecolors="none",
-            edgecolors="0.6",
-            linewidths=0.6,
-        )
-    )
+    _draw_craters(below, track, catalog, (left, right), reach)
     below.set_ylim(-reach, reach)
     below.set_xlim(left, right)
     below.set_aspect("equal", adjustable="box")
@@ -212,23 +220,64 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     return figure
 
 
-def draw_rims(axes: Axes, image: ImageArray, frame: FrameMeasurement, camera: Camera) -> None:
-    """Draw a frame's image with its measured rims and the direction towards the sun."""
-    axes.imshow(image, cmap="gray", vmin=0, vmax=camera.full_scale)
-    rims = camera.pixels(points_on(frame.rims.chart, 90))
-    for rim in np.concatenate([rims, rims[:, :1]], axis=1):
-        axes.plot(*rim.T, color="#F0E442", lw=1.0)
-    if frame.sun is not None:
-        length = 0.07 * camera.width_px
-        x, y = camera.pixels(frame.sun.point)
-        dx, dy = length * np.cos(frame.sun.tilt_rad), length * np.sin(frame.sun.tilt_rad)
-        axes.annotate(
-            "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "->", "color": "#D55E00", "lw": 1.5}
+@dataclass(frozen=True)
+class _Track:
+    """The great circle through a trajectory's ends: downrange along it, crossrange to its left.
+
+    `first`, `ahead` and `pole` are unit vectors (3,) in g: to the first position, along the track there, and
+    to the left of it.
+    """
+
+    first: FloatArray
+    ahead: FloatArray
+    pole: FloatArray
+    radius_km: float
+
+    @classmethod
+    def through(cls, gP_first: FloatArray, gP_last: FloatArray, body: Body) -> "_Track":
+        first, last = (P / np.linalg.norm(P) for P in (gP_first, gP_last))
+        pole = np.cross(first, last)
+        if np.linalg.norm(pole) < 1e-9:
+            # A vertical descent has no direction: any will do.
+            pole = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
+        pole /= np.linalg.norm(pole)
+        return cls(first, np.cross(pole, first), pole, body.radius_m / 1e3)
+
+    def ranges_km(self, gP: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Downrange (n,) and crossrange (n,) of positions (n, 3) in g."""
+        unit = gP / np.linalg.norm(gP, axis=-1, keepdims=True)
+        downrange = np.arctan2(unit @ self.ahead, unit @ self.first)
+        return self.radius_km * downrange, self.radius_km * np.arcsin(unit @ self.pole)
+
+    def angles_rad(self, directions: FloatArray, downrange_km: FloatArray) -> FloatArray:
+        """Angles (n,) of horizontal directions (n, 3) in g from the track, at these downranges (n,)."""
+        angle = downrange_km[:, None] / self.radius_km
+        forward = np.cos(angle) * self.ahead - np.sin(angle) * self.first
+        return np.arctan2(directions @ self.pole, np.einsum("ni,ni->n", directions, forward))
+
+
+def _draw_craters(
+    axes: Axes, track: _Track, catalog: Catalog, span_km: tuple[float, float], reach_km: float
+) -> None:
+    """Draw the craters whose centres lie within a span of downrange and a reach of crossrange."""
+    left, right = span_km
+    farthest_rad = (max(-left, right) + reach_km) / track.radius_km
+    craters = catalog.take(np.sort(catalog.index.near(track.first, farthest_rad)))
+    x, y = track.ranges_km(craters.centres)
+    near = (x > left) & (x < right) & (np.abs(y) < reach_km)
+    axes.add_collection(
+        EllipseCollection(
+            2e-3 * craters.semi_major_m[near],
+            2e-3 * craters.semi_minor_m[near],
+            np.degrees(track.angles_rad(craters.gRl[near, :, 0], x[near])),
+            units="xy",
+            offsets=np.stack([x, y], axis=-1)[near],
+            transOffset=axes.transData,
+            facecolors="none",
+            edgecolors="0.6",
+            linewidths=0.6,
         )
-    axes.set_xlim(-0.5, camera.width_px - 0.5)
-    axes.set_ylim(camera.height_px - 0.5, -0.5)
-    axes.set_xticks([])
-    axes.set_yticks([])
+    )
 
 
 def draw_overview(
@@ -238,9 +287,22 @@ def draw_overview(
     camera: Camera,
     body: Body,
 ) -> Figure:
-    """Show a run at a glance: some frames with their rims above every estimator's position error.
+    """Draw a run at a glance: some frames with their rims above every estimator's position error.
 
-    Without truth: above the position's standard deviation.
+    Parameters
+    ----------
+    images : sequence of (ndarray, FrameMeasurement)
+        Images, shape (H, W), with the rims and the sun measured in them.
+    trajectories : mapping of str to Trajectory
+        By estimator.
+    truth : Trajectory or None
+        None draws the standard deviation of the position instead of its error.
+    camera : Camera
+    body : Body
+
+    Returns
+    -------
+    Figure
     """
     figure = Figure(figsize=(10, 7.3), layout="constrained")
     top: SubFigure
@@ -261,27 +323,9 @@ def draw_overview(
             value = np.sqrt(np.trace(trajectory.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
         else:
             continue
-        axes.semilogy(_seconds(trajectory.stamps_ns), value, **style(name), label=name)
+        axes.semilogy(seconds_since_first(trajectory.stamps_ns), value, **line_style(name), label=name)
     axes.set_xlabel("time, s")
     axes.set_ylabel("position sigma, m" if truth is None else "position error, m")
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.01)
+    finish(axes)
     axes.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
-
-
-def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write a figure as PNG."""
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi)
-
-
-def style(name: str) -> dict[str, Any]:
-    """Colour, dash and order of an estimator's line, the same in all figures."""
-    dashed = name in DASHED
-    return {"color": COLOURS.get(name, OTHER), "ls": "--" if dashed else "-", "zorder": 3 if dashed else 2}
-
-
-def _seconds(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
-    return (stamps_ns - stamps_ns[0]) * 1e-9

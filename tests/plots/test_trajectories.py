@@ -9,7 +9,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.registry import ESTIMATORS
-from craternav_fg.plots import figures
+from craternav_fg.plots import style, trajectories
 from craternav_fg.trajectory import Trajectory
 
 MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
@@ -30,7 +30,7 @@ def straight_down(frames_count: int, off: float = 0.0) -> Trajectory:
 
 
 def test_each_estimator_has_a_colour_of_its_own() -> None:
-    colours = [figures.style(name)["color"] for name in (*ESTIMATORS, "somebody_else_s")]
+    colours = [style.line_style(name)["color"] for name in (*ESTIMATORS, "somebody_else_s")]
     assert len(set(colours)) == len(colours)
 
 
@@ -39,12 +39,12 @@ def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_
     t, truth = straight_down(frames_count, off=1.0), straight_down(frames_count)
     for number, figure in enumerate(
         (
-            figures.draw_descent(t, None, one_crater(), MOON),
-            figures.draw_errors({"smoother": t}, truth, [0] * frames_count),
-            figures.draw_consistency({"smoother": t}, truth),
-            figures.draw_sigmas({"smoother": t}, [0] * frames_count),
-            figures.draw_bounds("smoother", t, truth),
+            trajectories.draw_descent(t, None, one_crater(), MOON),
+            trajectories.draw_errors({"smoother": t}, truth, [0] * frames_count),
+            trajectories.draw_consistency({"smoother": t}, truth),
+            trajectories.draw_sigmas({"smoother": t}, [0] * frames_count),
+            trajectories.draw_bounds("smoother", t, truth),
         )
     ):
-        figures.save(figure, tmp_path / f"{number}.png")
+        style.save(figure, tmp_path / f"{number}.png")
         assert (tmp_path / f"{number}.png").stat().st_size > 5000

@@ -1,0 +1,70 @@
+"""What all figures share: the look of each estimator's line, and how a figure is saved."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+FloatArray = npt.NDArray[np.float64]
+
+# Colours of Okabe and Ito, then three of Tol's, which most readers can tell apart. An estimator has the same
+# colour in every figure.
+COLOURS = {
+    "smoother": "#0072B2",
+    "gnc_smoother": "#F0E442",
+    "calibrating_smoother": "#332288",
+    "mapping_smoother": "#882255",
+    "online": "#56B4E9",
+    "fixed_lag": "#CC79A7",
+    "ekf": "#009E73",
+    "ekf_paper": "#E69F00",
+    "centre_smoother": "#D55E00",
+    "dead_reckoning": "#7F7F7F",
+}
+# For lines of anything but our estimators.
+OTHER_COLOUR = "#8C510A"
+# These lines often coincide with that of the EKF or the smoother: dashed and on top, both remain visible.
+_DASHED = frozenset({"online", "gnc_smoother"})
+
+
+def colour(name: str) -> str:
+    """Colour of an estimator, the same in all figures."""
+    return COLOURS.get(name, OTHER_COLOUR)
+
+
+def line_style(name: str) -> dict[str, Any]:
+    """Colour, dash and drawing order of an estimator's line, the same in all figures."""
+    dashed = name in _DASHED
+    return {"color": colour(name), "ls": "--" if dashed else "-", "zorder": 3 if dashed else 2}
+
+
+def finish(axes: Axes) -> None:
+    """Add a light grid, and let the lines run from one side to the other."""
+    axes.grid(alpha=0.3)
+    axes.margins(x=0.01)
+
+
+def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
+    """Give the times since the first stamp.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (k,)
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        s.
+    """
+    return (stamps_ns - stamps_ns[0]) * 1e-9
+
+
+def save(figure: Figure, path: Path, dpi: int = 110) -> None:
+    """Write a figure as PNG; its folder is made when missing."""
+    FigureCanvasAgg(figure)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi)
