@@ -76,3 +76,26 @@ def latitude_longitude(gP: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Latitude and east longitude, rad, of positions (..., 3) in g."""
     P = np.asarray(gP)
     return np.arctan2(P[..., 2], np.hypot(P[..., 0], P[..., 1])), np.arctan2(P[..., 1], P[..., 0])
+
+
+def right_jacobian(w: FloatArray) -> FloatArray:
+    """Derivative of the rotation vector's exponential from the right.
+
+    Parameters
+    ----------
+    w : ndarray, shape (3,)
+        Rotation vector, rad.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        J with exp(w + d) = exp(w) exp(J d) for small d.
+    """
+    angle2 = float(w @ w)
+    W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    if angle2 < 1e-8:
+        return np.asarray(np.eye(3) - 0.5 * W + W @ W / 6.0)
+    angle = np.sqrt(angle2)
+    return np.asarray(
+        np.eye(3) - (1.0 - np.cos(angle)) / angle2 * W + (angle - np.sin(angle)) / angle2 / angle * W @ W
+    )

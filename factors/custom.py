@@ -16,7 +16,7 @@ import numpy.typing as npt
 from factors import validation
 from factors.errors import FactorError
 from factors.kernels import conic
-from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED
+from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED, apply_loss
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -275,3 +275,65 @@ def _positive(rows: int) -> int:
 
 def _not_finite(key: int) -> FactorError:
     return FactorError(f"factor at {gtsam.DefaultKeyFormatter(key)}: residual or Jacobian is not finite")
+
+
+def state_factor(
+    keys: tuple[int, int, int],
+    rows: int,
+    evaluate: Callable[[FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, list[FloatArray]]],
+    bias_key: int | None,
+    loss: Loss,
+) -> gtsam.CustomFactor:
+    """Build a factor of pose, velocity, IMU bias and, if there is one, a further bias.
+
+    Parameters
+    ----------
+    keys : tuple of int
+        Of the pose `gTb`, the velocity and the IMU's bias.
+    rows : int
+        Length m of the residual, at least 1.
+    evaluate : callable
+        evaluate(gTb, gV, imu_bias, bias) gives the whitened residual (m,) and the Jacobians in the four:
+        of the pose for the right twist [w, rho], of the IMU's bias in GTSAM's order.
+    bias_key : int or None
+        Of a vector.
+    loss : Loss
+        On the norm of the residual.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        Its callback raises `FactorError` when something is not finite or of another shape.
+
+    Raises
+    ------
+    FactorError
+        When `rows` is not positive.
+    """
+    _positive(rows)
+    pose_key, velocity_key, imu_key = keys
+    every = [*keys] if bias_key is None else [*keys, bias_key]
+    none = np.empty(0)
+
+    def run(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
+        bias = none if bias_key is None else values.atVector(bias_key)
+        e, jacobians = evaluate(
+            _matrix(_at_pose(values, pose_key)),
+            values.atVector(velocity_key),
+            values.atConstantBias(imu_key).vector(),
+            bias,
+        )
+        e = np.array(e, dtype=np.float64)
+        if e.shape != (rows,) or not math.isfinite(e @ e):
+            raise _not_finite(pose_key)
+        whole = np.array(np.hstack(jacobians), dtype=np.float64)
+        if whole.shape != (rows, 15 + len(bias)) or not np.isfinite(whole).all():
+            raise _not_finite(pose_key)
+        apply_loss(e, whole, loss.kind, loss.scale, H is not None)
+        if H is not None:
+            ends = (0, 6, 9, 15, 15 + len(bias))
+            for k in range(len(every)):
+                H[k] = np.asfortranarray(whole[:, ends[k] : ends[k + 1]])
+        return e
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), every, run)
