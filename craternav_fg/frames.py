@@ -79,7 +79,7 @@ def latitude_longitude(gP: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def right_jacobian(w: FloatArray) -> FloatArray:
-    """Derivative of the rotation vector's exponential from the right.
+    """Give the derivative of the rotation vector's exponential from the right.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ class Sensor(ABC):
 
     @property
     def bias_sigmas(self) -> FloatArray:
-        """Prior standard deviations of the sensor's constant bias, shape (b,); none unless overridden."""
+        """Prior sigmas of the sensor's constant bias, shape (b,), in its unit; none unless overridden."""
         return np.empty(0)
 
     @abstractmethod
@@ -181,6 +181,7 @@ class Sensor(ABC):
         ----------
         state : SensorState
         bias : ndarray, shape (b,)
+            In the unit of `bias_sigmas`.
         rng : numpy.random.Generator
 
         Returns
@@ -194,7 +195,7 @@ class Sensor(ABC):
         Parameters
         ----------
         values : ndarray, shape (c,)
-            A sound measurement.
+            A sound measurement, in the units of `columns`.
         rng : numpy.random.Generator
 
         Returns

@@ -62,6 +62,7 @@ class StarTracker(Sensor):
         row : int
         state : SensorState
         bias : ndarray, shape (0,)
+            Empty: unit-less.
 
         Returns
         -------
@@ -82,6 +83,7 @@ class StarTracker(Sensor):
         ----------
         state : SensorState
         bias : ndarray, shape (0,)
+            Empty: unit-less.
         rng : numpy.random.Generator
 
         Returns
@@ -97,6 +99,7 @@ class StarTracker(Sensor):
         Parameters
         ----------
         values : ndarray, shape (4,)
+            Unit quaternion.
         rng : numpy.random.Generator
 
         Returns

@@ -122,6 +122,7 @@ class Velocimeter(Sensor):
         Parameters
         ----------
         values : ndarray, shape (k,)
+            m/s.
         rng : numpy.random.Generator
 
         Returns

@@ -104,7 +104,7 @@ def matrix(T: FloatArray) -> dict[str, Any]:
     Parameters
     ----------
     T : ndarray, shape (4, 4)
-        m.
+        Pose of the sensor in b, m.
 
     Returns
     -------
