@@ -130,7 +130,10 @@ IMU_SENSOR = "mav0/imu0/sensor.yaml"
 IMU_DATA = "mav0/imu0/data.csv"
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
-CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, ARCS, TILTS, "mav0")
+# Folder of the sensors, and those in it that every data set may have.
+SENSORS = "mav0"
+OWN_SENSORS = ("cam0", "imu0", "state_groundtruth_estimate0")
+CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, ARCS, TILTS, SENSORS)
 
 STAMP = "timestamp"
 _STAMP_NS = Column(STAMP, "integer", "ns")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.files import read_catalog
+from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.description import read_description
@@ -21,6 +22,9 @@ from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.sensors.files import folder_of, read_sensor
+from craternav_fg.sensors.protocol import Sensor, Surroundings
+from craternav_fg.sensors.registry import sensors
 from craternav_fg.tables import Table, read_table
 from craternav_fg.trajectory import InitialState, Trajectory
 
@@ -58,6 +62,10 @@ class Dataset:
         At the frames' stamps, interpolated where the file has others; for evaluation only.
     measurements : tuple of FrameMeasurement, length k, or None
         Measured rims and sun tilts; None when they are to be found in the images.
+    sensors : tuple of Sensor
+        Logs of the sensors beside camera and IMU.
+    ignored : tuple of str
+        Folders below `mav0` that no sensor known here reads.
     """
 
     path: Path
@@ -72,6 +80,8 @@ class Dataset:
     image_paths: tuple[Path, ...]
     truth: Trajectory | None
     measurements: tuple[FrameMeasurement, ...] | None
+    sensors: tuple[Sensor, ...] = ()
+    ignored: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -128,7 +138,27 @@ class Dataset:
             image_paths,
             truth,
             measurements,
+            *_read_sensors(folder, catalog, int(stamps[0]), int(stamps[-1])),
         )
+
+    def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
+        """Read the truth at given stamps, interpolated where the file has others; None without a truth.
+
+        Parameters
+        ----------
+        stamps_ns : ndarray of int, shape (n,)
+            Within the descent, ns.
+
+        Returns
+        -------
+        Trajectory or None
+
+        Raises
+        ------
+        InputError
+            When the file is wrong or does not reach so far.
+        """
+        return _read_truth(self.path / layout.TRUTH, stamps_ns)
 
     def image(self, frame: int) -> ImageArray:
         """Read a frame's image, shape (height, width): grey levels from 0 to `camera.full_scale`.
@@ -140,6 +170,22 @@ class Dataset:
         """
         camera = self.camera
         return read_image(self.image_paths[frame], camera.width_px, camera.height_px, camera.bit_depth)
+
+
+def _read_sensors(
+    folder: Path, catalog: Catalog, begin_ns: int, end_ns: int
+) -> tuple[tuple[Sensor, ...], tuple[str, ...]]:
+    """Give the logs of the sensors that are there, and the folders that none of them reads."""
+    kinds = {Path(folder_of(name)).name: kind for name, kind in sensors().items()}
+    found: list[Sensor] = []
+    ignored: list[str] = []
+    surroundings = Surroundings(catalog.body, ground_heights(catalog))
+    for here in sorted(path for path in (folder / layout.SENSORS).iterdir() if path.is_dir()):
+        if here.name in kinds:
+            found.append(read_sensor(folder, kinds[here.name], surroundings, begin_ns, end_ns))
+        elif here.name not in layout.OWN_SENSORS:
+            ignored.append(here.name)
+    return tuple(found), tuple(ignored)
 
 
 def _catalog_path(folder: Path) -> Path:

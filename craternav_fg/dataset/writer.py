@@ -20,6 +20,8 @@ from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.files import replacing_folder
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.sensors.files import write_sensor
+from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.tables import write_table
 from craternav_fg.trajectory import InitialState, Trajectory
 
@@ -42,6 +44,7 @@ def write_dataset(
     stamps_ns: IntArray,
     images: Iterable[ImageArray] | None = None,
     measurements: Sequence[FrameMeasurement] | None = None,
+    sensors: Sequence[Sensor] = (),
     truth: Trajectory | None = None,
 ) -> Path:
     """Write a data set that `Dataset.open` reads; numbers read back exactly.
@@ -58,6 +61,8 @@ def write_dataset(
         One per frame, taken one at a time.
     measurements : sequence of FrameMeasurement, length k, optional
         Given in place of images.
+    sensors : sequence of Sensor
+        Logs of further sensors.
     truth : Trajectory, optional
 
     Returns
@@ -98,6 +103,8 @@ def write_dataset(
             [imu.stamps_ns, *imu.gyro.T, *imu.accelerometer.T],
             comment=True,
         )
+        for sensor in sensors:
+            write_sensor(temporary, sensor)
         if truth is not None:
             (temporary / layout.TRUTH).parent.mkdir()
             q = frames.to_quaternion_wxyz(truth.gRb)

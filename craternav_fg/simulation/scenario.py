@@ -13,13 +13,17 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import SunVectors, write_dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import CraternavError
+from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.simulation import faults, sensors
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.other_sensors import simulate_sensors
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.scenario_file import (
@@ -78,8 +82,8 @@ def simulate(
     """
     seed = np.random.SeedSequence(scenario.seed, spawn_key=() if trial is None else (trial,))
     # One stream per subject, so that a change in one leaves the others as they were.
-    streams = (np.random.default_rng(s) for s in seed.spawn(5))
-    crater_rng, imu_rng, initial_rng, frame_rng, fault_rng = streams
+    streams = (np.random.default_rng(s) for s in seed.spawn(6))
+    crater_rng, imu_rng, initial_rng, frame_rng, fault_rng, sensor_rng = streams
     body, camera = scenario.body.body(), _camera(scenario)
     try:
         descent = Descent(body, scenario.trajectory)
@@ -105,6 +109,10 @@ def simulate(
     )
     exposed_s = np.multiply(stamps, 1e-9) + scenario.faults.image_delay_s
     poses = descent.evaluate(exposed_s).gTb
+    surroundings = Surroundings(body, ground_heights(catalog))
+    others = simulate_sensors(
+        scenario.sensors, descent, surroundings, int(stamps[0]), int(stamps[-1]), sensor_rng
+    )
     told = faults.perturb_map(catalog, scenario.faults, fault_rng)
 
     def done(frame: int) -> None:
@@ -149,8 +157,18 @@ def simulate(
         stamps_ns=stamps,
         images=None if scenario.render is None else images(),
         measurements=None if scenario.measurements is None else list(rims(scenario.measurements)),
-        truth=Trajectory(stamps, motion.gTb, motion.gV, bias[np.searchsorted(imu.stamps_ns, stamps)]),
+        sensors=others,
+        truth=_truth(descent, imu, bias, stamps, others),
     )
+
+
+def _truth(
+    descent: Descent, imu: ImuLog, bias: FloatArray, stamps: npt.NDArray[np.int64], others: Sequence[Sensor]
+) -> Trajectory:
+    """Truth at the frames and at the sensors' samples, which the bound needs."""
+    every = np.unique(np.concatenate([stamps, *(sensor.stamps_ns for sensor in others)]))
+    motion = descent.evaluate(np.multiply(every, 1e-9))
+    return Trajectory(every, motion.gTb, motion.gV, bias[np.searchsorted(imu.stamps_ns, every)])
 
 
 def trial_craters(craters: AnyCraters, rng: np.random.Generator) -> AnyCraters:

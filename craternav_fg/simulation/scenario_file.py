@@ -13,6 +13,7 @@ from craternav_fg.config import BodySection, Positive, Section, Vector, read_tom
 from craternav_fg.errors import InputError
 from craternav_fg.frames import pose, rotation_exp
 from craternav_fg.imu import ImuNoise
+from craternav_fg.simulation.sensor_tables import sensor_plan
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 
@@ -372,6 +373,8 @@ class Scenario(Section):
     """Given: the data set holds images."""
     measurements: MeasurementSection | None = None
     """Given: the data set holds measured rims and no images."""
+    sensors: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """By name: the keys of the sensor's `sensor.yaml`, and a table `simulation`, see `SensorSimulation`."""
     faults: FaultsSection = Field(default_factory=FaultsSection)
     expected: dict[str, ExpectedSection] = Field(default_factory=dict)
     """By estimator: what the case is there to show."""
@@ -380,6 +383,8 @@ class Scenario(Section):
     def _parts_fit(self) -> "Scenario":
         if (self.render is None) == (self.measurements is None):
             raise ValueError("expected either a table [render] or a table [measurements]")
+        for name, table in self.sensors.items():
+            sensor_plan(name, table)
         if self.terrain is None and (self.render is not None or self.craters.source == "random"):
             raise ValueError("expected a table [terrain] for [render] and for random craters")
         if self.measurements is None and (self.faults.wrong_matches > 0.0 or self.faults.without_sun):

@@ -1,0 +1,56 @@
+"""Simulated logs of the sensors beside camera and IMU."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from craternav_fg.sensors.protocol import Sensor, SensorState, Surroundings
+from craternav_fg.simulation.sensor_tables import sensor_plan
+from craternav_fg.simulation.trajectory import Descent
+
+
+def simulate_sensors(
+    tables: Mapping[str, Mapping[str, Any]],
+    descent: Descent,
+    surroundings: Surroundings,
+    begin_ns: int,
+    end_ns: int,
+    rng: np.random.Generator,
+) -> list[Sensor]:
+    """Draw the logs of a scenario's sensors.
+
+    Parameters
+    ----------
+    tables : mapping
+        `[sensors]` of the scenario.
+    descent : Descent
+    surroundings : Surroundings
+        The true ones.
+    begin_ns, end_ns : int
+        Of the log.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    list of Sensor
+        Those that have a sample.
+    """
+    out = []
+    for name, table in tables.items():
+        kind, settings, plan = sensor_plan(name, table)
+        step = round(1e9 / settings.rate_hz)
+        stamps = np.arange(begin_ns, end_ns + 1, step, dtype=np.int64)
+        motion = descent.evaluate(np.multiply(stamps, 1e-9))
+        altitude_m = descent.body.altitude_m(motion.gP)
+        on = (altitude_m >= plan.above_m) & (altitude_m <= (np.inf if plan.below_m is None else plan.below_m))
+        states = [
+            SensorState(int(stamps[k]), motion.gTb[k], motion.gV[k], motion.angular_velocity[k])
+            for k in np.flatnonzero(on)
+        ]
+        (stream,) = rng.spawn(1)
+        sensor = kind.simulate(settings, states, surroundings, stream, plan.outlier_share)
+        sound = np.isfinite(sensor.values).all(axis=1)
+        if sound.any():
+            out.append(kind(settings, sensor.stamps_ns[sound], sensor.values[sound], surroundings))
+    return out
