@@ -29,17 +29,6 @@ from craternav_fg.runs.store import METRICS
 err = Console(stderr=True)
 out = Console()
 
-# Share of rims that do not fit above which an estimator's trajectory is not to be believed; one uses none.
-MOST = 0.5
-UNAIDED = "dead_reckoning"
-# Of a sensor's innovations, per dimension: noise that is somewhat too small gives less.
-CONCERN_NIS = 3.0
-CHECKS = {
-    "imu": "its units and noise, the body's spin and gravity",
-    "rims": "heights and sizes in the catalogue, T_BS, the body's spin, the matches",
-    "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
-}
-
 LEGEND = "errors of position (m), velocity (m/s), attitude (deg); ANEES of the pose, honest: 6"
 
 
@@ -90,7 +79,7 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     """Print a run's warnings, and its figures or the JSON of its summary."""
     if summary["index"]:
         err.print(f"craternav: index: {summary['index']}", highlight=False, markup=False, soft_wrap=True)
-    for warning in _warnings(summary):
+    for warning in summary["warnings"]:
         err.print(f"craternav: warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
     if as_json:
         out.print_json(json.dumps(summary))
@@ -140,61 +129,6 @@ def calibrated_line(found: dict[str, Any]) -> str:
     if "map_errors" in found:
         parts.append(f"map errors of {len(found['map_errors'])} craters, in {METRICS}")
     return "; ".join(parts)
-
-
-def _warnings(summary: dict[str, Any]) -> list[str]:
-    """Tell what a user of the run must know before believing it."""
-    out = [f"no trajectory of {message}" for message in summary["failures"].values()]
-    shares = {name: values["rim_outlier_share"] for name, values in summary["estimators"].items()}
-    astray = [
-        f"{name} ({100.0 * share:.0f} %)"
-        for name, share in shares.items()
-        if share is not None and share > MOST and name != UNAIDED
-    ]
-    if astray:
-        out.append(
-            f"most rims lie beyond 7 sigma from where they are put by {', '.join(astray)}, not to be "
-            "believed; check the units and axes of IMU and catalogue, T_BS, the matches"
-        )
-    innovations = summary["innovations"] or {"nis": {}}
-    for sensor, nis in innovations["nis"].items():
-        if nis["mean"] > CONCERN_NIS:
-            out.append(
-                f"{sensor}: what {innovations['filter']} predicts from the rest is contradicted (NIS "
-                f"{number(nis['mean'])}, honest: 1); check {CHECKS[sensor]}"
-            )
-    if summary["initial_state"] == "replaced":
-        out.append("the images contradict the initial state: one from identified craters took its place")
-    if summary["resumed_at_frames"]:
-        numbers = ", ".join(map(str, summary["resumed_at_frames"]))
-        out.append(
-            f"track was lost; craters identified later contradict the IMU: all begins anew at frame {numbers}"
-        )
-    found = np.array(summary["craters_per_frame"])
-    blind = found == 0
-    if not blind.any():
-        return out
-    growing = "there the trajectory rests on the IMU, and its covariance grows"
-    expected = summary["craters_expected_per_frame"]
-    lost = blind & (np.array(expected) > 0) if expected is not None else np.zeros_like(blind)
-    if blind.all() and expected is not None:
-        out.append(
-            f"no rim was found in any frame ({int(lost.sum())} should show some): no pose within the prior "
-            "explains the images; check catalogue, sun.csv, T_BS and the initial state"
-        )
-        return out
-    if lost.any():
-        out.append(
-            f"{int(lost.sum())} frames should show catalogue craters and none was found, the first: frame "
-            f"{int(np.argmax(lost))}: {growing}; if they are many, check the IMU's units and axes, the body"
-        )
-    empty = blind & ~lost
-    if empty.any():
-        out.append(
-            f"{int(empty.sum())} frames without a catalogue crater, the first: frame "
-            f"{int(np.argmax(empty))}: {growing}"
-        )
-    return out
 
 
 def show_poses(values: dict[str, Any]) -> None:

@@ -1,23 +1,26 @@
 """From a data set to trajectories: front end, start, and every estimator on the same measurements."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.base import Descent, Estimator, Problem
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.pipeline.relocalisation import Relocaliser, find_initial
-from craternav_fg.pipeline.tracking import Tracker
+from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.relocalisation import Relocaliser
+from craternav_fg.pipeline.result import Reconstruction
+from craternav_fg.pipeline.tracking import Segment, Tracker
 from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
+from craternav_fg.vision.guided_options import GuidedOptions
 from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
@@ -25,54 +28,28 @@ FloatArray = npt.NDArray[np.float64]
 # Called with what is being done, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
 
-# What numbers beyond all reason end in: a factor that is not finite, a system that GTSAM cannot solve.
+# What extreme numbers end in: a factor that is not finite, a system that GTSAM cannot solve.
 NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)
 
 
 @dataclass(frozen=True)
-class Reconstruction:
-    """What came out of a data set.
+class _Measured:
+    """Measurements of a descent.
 
     Attributes
     ----------
     frames : tuple of FrameMeasurement
-        The measurements that all estimators were given.
-    problems : tuple of Problem
-        What the estimators were given: one, or one for each part of a descent that began anew. Each has its
-        start.
-    origin : {"given", "found", "replaced"}
-        Where the initial state is from: the data set, the images as the data set has none, or the images as
-        they contradict the data set's.
-    resumed : tuple of int
-        Frames from which everything began anew, as the images contradicted what was predicted of them.
-    trajectories : mapping of str to Trajectory
-        By the estimator's name, at the frames' stamps.
-    times_s : mapping of str to float
-        Wall time of the front end (`front_end`) and of each estimator.
-    options : mapping of str to dict
-        Options of the front end and of each estimator that has any, resolved.
-    failures : mapping of str to str
-        Estimators that gave no trajectory, and why.
-    index_said : str
-        Why the catalogue's index for identification was built although one could be stored; empty otherwise.
-    expected_rims : tuple of int, or None
-        For each frame, how many catalogue craters should be seen whole and large enough from the first
-        trajectory's poses; None when no images were looked at.
-    predicted : ndarray, shape (k, 4, 4), or None
-        Poses of the lander that guided the front end in each frame; None when no images were looked at.
+    segments : tuple of Segment
+    guides : ndarray, shape (k, 4, 4), or None
+        Poses of the body that guided the front end; None when the data set holds the measurements.
+    limits : GuidedOptions or None
+        Options of the front end, if there was one.
     """
 
     frames: tuple[FrameMeasurement, ...]
-    problems: tuple[Problem, ...]
-    origin: str
-    resumed: tuple[int, ...]
-    trajectories: Mapping[str, Trajectory]
-    times_s: Mapping[str, float]
-    options: Mapping[str, dict[str, Any]]
-    failures: Mapping[str, str]
-    index_said: str
-    expected_rims: tuple[int, ...] | None
-    predicted: FloatArray | None
+    segments: tuple[Segment, ...]
+    guides: FloatArray | None = None
+    limits: GuidedOptions | None = None
 
 
 def reconstruct(
@@ -86,10 +63,11 @@ def reconstruct(
     Parameters
     ----------
     dataset : Dataset
-        Its ground truth, if it has one, is not looked at.
+        Its ground truth, if it has one, is not used.
     names : sequence of str
         Estimators, see `craternav_fg.estimators.registry`.
     progress : callable, optional
+        Called with a step's name, how much of it is done, and how much there is.
 
     Returns
     -------
@@ -104,30 +82,11 @@ def reconstruct(
     """
     chosen = [estimator(name) for name in names]
     report = progress or _silent
-    options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
     began = time.perf_counter()
     relocaliser = Relocaliser(dataset)
-    initial = dataset.initial
-    if initial is None:
-        report("index of the catalogue", 0, 1)
-        relocaliser.prepare()
-        report("index of the catalogue", 1, 1)
-        initial = find_initial(
-            dataset, relocaliser, lambda done: report("identified frames", done, len(dataset))
-        )
-    descent = Descent.of(dataset, initial)
-    predicted: FloatArray | None = None
-    if dataset.measurements is None:
-        front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
-        options["front_end"] = asdict(front_end.options)
-        try:
-            tracked = Tracker(dataset, descent, front_end, relocaliser).run(report)
-        except NUMERICAL_ERRORS as error:
-            raise EstimationError(f"front end: {_one_line(error)}") from error
-        frames, arcs, predicted = tracked.frames, tracked.arcs, tracked.guides
-    else:
-        frames, arcs = dataset.measurements, ((0, initial),)
-    problems = _problems(descent, frames, arcs)
+    initial = _initial_state(dataset, relocaliser, report)
+    measured = _measure(dataset, initial, relocaliser, report)
+    problems = _problems(Descent.of(dataset, initial), measured)
     times_s = {"front_end": time.perf_counter() - began}
     trajectories: dict[str, Trajectory] = {}
     failures: dict[str, str] = {}
@@ -135,50 +94,76 @@ def reconstruct(
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
         try:
-            trajectories[one.name] = _sound(_joined([one.estimate(problem) for problem in problems]))
+            trajectories[one.name] = _estimate(one, problems)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
     report("estimator", len(chosen), len(chosen))
     if not trajectories:
         raise EstimationError("; ".join(failures.values()))
-    expected = None
-    if dataset.measurements is None:
-        limits = front_end.options
-        expected = tuple(
-            len(
-                dataset.catalog.visible(
-                    dataset.camera,
-                    gTb,
-                    min_semi_minor_px=limits.min_semi_minor_px,
-                    margin_px=limits.margin_px,
-                )[0]
-            )
-            for gTb in next(iter(trajectories.values())).gTb
-        )
-    origin = "found" if dataset.initial is None else "given"
-    if origin == "given" and arcs[0][1] is not initial:
-        origin = "replaced"
+    options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
+    if measured.limits is not None:
+        options["front_end"] = asdict(measured.limits)
     return Reconstruction(
-        frames, tuple(problems), origin, tuple(first for first, _ in arcs[1:]), trajectories, times_s,
-        options, failures, relocaliser.index_said, expected, predicted,
-    )  # fmt: skip
+        frames=measured.frames,
+        problems=problems,
+        origin=_origin(dataset, measured.segments),
+        reinitialised_at=tuple(segment.first for segment in measured.segments[1:]),
+        trajectories=trajectories,
+        times_s=times_s,
+        options=options,
+        failures=failures,
+        index_note=relocaliser.index_note,
+        expected_rims=_expected_rims(dataset, next(iter(trajectories.values())), measured.limits),
+        predicted=measured.guides,
+    )
 
 
-def _problems(
-    descent: Descent, frames: Sequence[FrameMeasurement], arcs: Sequence[tuple[int, InitialState]]
-) -> list[Problem]:
-    """Make a problem of each part of a descent, from its first frame to the next part's."""
-    out = []
-    ends = [first for first, _ in arcs[1:]] + [len(frames)]
-    for (first, initial), end in zip(arcs, ends, strict=True):
-        part = replace(descent, initial=initial)
-        out.append(make_problem(part, frames[first:end]))
-    return out
+def _initial_state(dataset: Dataset, relocaliser: Relocaliser, report: Progress) -> InitialState:
+    """Take the data set's initial state, or find one in its images."""
+    if dataset.initial is not None:
+        return dataset.initial
+    report("index of the catalogue", 0, 1)
+    relocaliser.prepare()
+    report("index of the catalogue", 1, 1)
+    return find_initial(dataset, relocaliser, lambda done: report("identified frames", done, len(dataset)))
+
+
+def _measure(
+    dataset: Dataset, initial: InitialState, relocaliser: Relocaliser, report: Progress
+) -> _Measured:
+    """Take the data set's measurements, or measure its images.
+
+    Raises
+    ------
+    EstimationError
+        When the front end fails.
+    """
+    if dataset.measurements is not None:
+        return _Measured(dataset.measurements, (Segment(0, initial),))
+    front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
+    try:
+        tracked = Tracker(dataset, Descent.of(dataset, initial), front_end, relocaliser).run(report)
+    except NUMERICAL_ERRORS as error:
+        raise EstimationError(f"front end: {_one_line(error)}") from error
+    return _Measured(tracked.frames, tracked.segments, tracked.guides, front_end.options)
+
+
+def _problems(descent: Descent, measured: _Measured) -> tuple[Problem, ...]:
+    """Make a problem of each segment, from its first frame to the next segment's."""
+    ends = [segment.first for segment in measured.segments[1:]] + [len(measured.frames)]
+    return tuple(
+        make_problem(replace(descent, initial=initial), measured.frames[first:end])
+        for (first, initial), end in zip(measured.segments, ends, strict=True)
+    )
+
+
+def _estimate(one: Estimator, problems: Sequence[Problem]) -> Trajectory:
+    return _checked(_joined([one.estimate(problem) for problem in problems]))
 
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:
-    """Put the parts of a trajectory one behind the other."""
+    """Join the trajectories of segments to one."""
     if len(parts) == 1:
         return parts[0]
     values: dict[str, Any] = {}
@@ -195,13 +180,13 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
     return Trajectory(**values)
 
 
-def _sound(trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory that is one.
+def _checked(trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory whose numbers are sound.
 
     Raises
     ------
     EstimationError
-        When a state is not finite or a variance not positive: such an estimator has failed, whatever it says.
+        When a state is not finite or a variance not positive: the estimator has failed, whatever it reports.
     """
     for name in ("gTb", "gV", "bias", "pose_covariance", "velocity_covariance", "bias_covariance"):
         values = getattr(trajectory, name)
@@ -214,6 +199,32 @@ def _sound(trajectory: Trajectory) -> Trajectory:
             frame = int(np.argmin(good))
             raise EstimationError(f"{name.replace('_', ' ')} of frame {frame}: expected {what}")
     return trajectory
+
+
+def _origin(dataset: Dataset, segments: Sequence[Segment]) -> Literal["given", "found", "replaced"]:
+    """Tell where the initial state is from, see `Reconstruction.origin`."""
+    if dataset.initial is None:
+        return "found"
+    return "given" if segments[0].initial is dataset.initial else "replaced"
+
+
+def _expected_rims(
+    dataset: Dataset, trajectory: Trajectory, limits: GuidedOptions | None
+) -> tuple[int, ...] | None:
+    """Count the catalogue craters that each frame should show; None when no images were processed."""
+    if limits is None:
+        return None
+    return tuple(
+        len(
+            dataset.catalog.visible(
+                dataset.camera,
+                gTb,
+                min_semi_minor_px=limits.min_semi_minor_px,
+                margin_px=limits.margin_px,
+            )[0]
+        )
+        for gTb in trajectory.gTb
+    )
 
 
 def _one_line(error: Exception) -> str:

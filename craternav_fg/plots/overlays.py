@@ -19,7 +19,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import FrameMeasurement, SunTilt
-from craternav_fg.pipeline.reconstruct import Reconstruction
+from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.plots.style import save
 
 FloatArray = npt.NDArray[np.float64]

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
-from craternav_fg.pipeline.reconstruct import Progress, Reconstruction, reconstruct
+from craternav_fg.pipeline.reconstruct import Progress, reconstruct
+from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.plots.overlays import contact_sheet, write_overlays
 from craternav_fg.plots.style import save
 from craternav_fg.plots.trajectories import (
@@ -78,8 +79,6 @@ def execute_run(
         folder,
         result,
         dataset=label,
-        camera=dataset.camera,
-        catalog=dataset.catalog,
         truth=dataset.truth,
         times_s={**(earlier_s or {}), **result.times_s},
         wall_s=time.perf_counter() - began_s,

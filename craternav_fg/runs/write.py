@@ -13,19 +13,14 @@ import tomli_w
 
 import craternav_fg
 from craternav_fg import frames
-from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.evaluation.innovations import Innovations, innovations
 from craternav_fg.evaluation.metrics import metrics
-from craternav_fg.pipeline.reconstruct import Reconstruction
+from craternav_fg.pipeline.result import FILTER, Reconstruction
 from craternav_fg.runs import store
 from craternav_fg.runs.columns import list_column
-from craternav_fg.runs.residuals import outlier_share, rim_residuals
+from craternav_fg.runs.residuals import residuals_table
 from craternav_fg.trajectory import Calibrated, Trajectory
 
-# The estimator whose innovations are looked at.
-FILTER = "ekf"
 # Software whose version the results depend on.
 _PACKAGES = ("gtsam", "numpy", "numba")
 
@@ -35,8 +30,6 @@ def write_run(
     result: Reconstruction,
     *,
     dataset: str,
-    camera: Camera,
-    catalog: Catalog,
     truth: Trajectory | None,
     times_s: Mapping[str, float],
     wall_s: float,
@@ -49,8 +42,6 @@ def write_run(
     result : Reconstruction
     dataset : str
         Path of the data set, absolute or relative to the run's folder.
-    camera : Camera
-    catalog : Catalog
     truth : Trajectory or None
         Ground truth, for the errors.
     times_s : mapping of str to float
@@ -66,9 +57,9 @@ def write_run(
     estimators: dict[str, dict[str, Any]] = {
         name: dict(metrics(t, truth).as_dict()) for name, t in result.trajectories.items()
     }
-    residuals = rim_residuals(result.trajectories, result.frames, camera, catalog)
+    catalog = result.problems[0].catalog
     for name, trajectory in result.trajectories.items():
-        estimators[name]["rim_outlier_share"] = outlier_share(residuals, name)
+        estimators[name]["rim_outlier_share"] = result.outlier_shares[name]
         if trajectory.calibrated is not None:
             estimators[name]["calibrated"] = _calibrated(trajectory.calibrated, catalog)
     summary = {
@@ -77,9 +68,10 @@ def write_run(
         "craters_per_frame": [len(frame.rims) for frame in result.frames],
         "craters_expected_per_frame": result.expected_rims,
         "initial_state": result.origin,
-        "resumed_at_frames": list(result.resumed),
+        "reinitialised_at_frames": list(result.reinitialised_at),
         "failures": dict(result.failures),
-        "index": result.index_said,
+        "warnings": list(result.warnings),
+        "index": result.index_note,
         "innovations": _innovations(result),
         "estimators": estimators,
     }
@@ -88,7 +80,7 @@ def write_run(
     for name, trajectory in trajectories.items():
         write_tum(folder / f"{name}.tum", trajectory)
     pq.write_table(_states(trajectories), folder / store.STATES)
-    pq.write_table(residuals, folder / store.RESIDUALS)
+    pq.write_table(residuals_table(result), folder / store.RESIDUALS)
     (folder / store.MARKER).write_bytes(_description(dataset, result).encode())
     return summary
 
@@ -117,10 +109,8 @@ def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _innovations(result: Reconstruction) -> dict[str, Any] | None:
     """NIS of the filter's innovations by sensor, which need no truth; None without that filter."""
-    if FILTER not in result.trajectories:
-        return None
-    found = Innovations.joined(innovations(problem, ekf().states(problem)) for problem in result.problems)
-    return {"filter": FILTER, "nis": found.as_dict()} if found.sensor else None
+    found = result.innovations
+    return None if found is None else {"filter": FILTER, "nis": found.as_dict()}
 
 
 def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
 from craternav_fg.campaign.trial import TrialTask, run_trial, software
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
-from craternav_fg.pipeline.reconstruct import Reconstruction, reconstruct
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.simulation.scenario import simulate

@@ -258,8 +258,8 @@ def test_rejected_matches_are_named_in_the_run(tmp_path: Path, demo: Dataset) ->
     measured, right = with_wrong_matches(data, 0.3, np.random.default_rng(4), "in view")
     blind = dataclasses.replace(data, measurements=tuple(measured), truth=None)
     write_run(
-        tmp_path, reconstruct(blind, ["gnc_smoother", "dead_reckoning"]), dataset="demo",
-        camera=data.camera, catalog=data.catalog, truth=None, times_s={}, wall_s=0.0,
+        tmp_path, reconstruct(blind, ["gnc_smoother", "dead_reckoning"]), dataset="demo", truth=None,
+        times_s={}, wall_s=0.0,
     )  # fmt: skip
     table = pq.read_table(tmp_path / "residuals.parquet").to_pylist()
     own = [row for row in table if row["estimator"] == "gnc_smoother"]

@@ -47,8 +47,7 @@ def test_rims_fit_the_camera_as_it_was_found_to_be(tmp_path: Path) -> None:
     result = reconstruct(data, ["smoother", "calibrating_smoother"])
     (tmp_path / "run").mkdir()
     summary = write_run(
-        tmp_path / "run", result, dataset="", camera=data.camera, catalog=data.catalog, truth=None,
-        times_s={}, wall_s=0.0,
+        tmp_path / "run", result, dataset="", truth=None, times_s={}, wall_s=0.0
     )  # fmt: skip
     assert summary["estimators"]["calibrating_smoother"]["rim_outlier_share"] < 0.01
     found = read_residuals(tmp_path / "run")

@@ -12,7 +12,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.measurements import SunTilt
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.pipeline.tracking import repeated
+from craternav_fg.pipeline.tracking import shared_error
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.trajectory import Trajectory
 from factors.sun_tilt import sun_tilt_factor
@@ -90,8 +90,8 @@ def information(sun: SunTilt, frames: int) -> np.ndarray:
 
 def test_tilts_that_share_an_error_weigh_together_as_one() -> None:
     sun = SunTilt(0.3, 0.1, np.zeros(2), np.array([0.3, -0.8, 0.1]))
-    each = repeated(sun, 75)
+    each = shared_error(sun, 75)
     assert each is not None
     assert np.abs(information(sun, 1)).max() > 10.0
     np.testing.assert_allclose(information(each, 75), information(sun, 1), rtol=1e-9, atol=1e-9)
-    assert repeated(None, 75) is None
+    assert shared_error(None, 75) is None

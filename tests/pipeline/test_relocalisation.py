@@ -16,8 +16,9 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.measurements import RimSet
+from craternav_fg.pipeline.initial_state import find_initial, propagated_back
 from craternav_fg.pipeline.reconstruct import _joined, reconstruct
-from craternav_fg.pipeline.relocalisation import Relocaliser, earlier, find_initial
+from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.detect import find_rims
@@ -72,7 +73,7 @@ def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, mon
     kept = tmp_path / f"{layout.LARGE_CRATERS}.index.npz"
     assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
     assert kept.is_file()
-    assert relocaliser.index_said == f"{kept}: none yet: built"
+    assert relocaliser.index_note == f"{kept}: none yet: built"
     monkeypatch.setattr(TripleIndex, "build", lambda catalog: pytest.fail("built again"))
     np.testing.assert_array_equal(Relocaliser(data).locate(0).gTb, first.gTb)
 
@@ -111,7 +112,7 @@ def test_earlier_states_lead_to_the_later_ones(folders):
     descent = Descent.of(data)
     later_ns = int(data.stamps_ns[7])
     later = dataclasses.replace(descent.initial, stamp_ns=later_ns)
-    begin = earlier(descent, later, int(data.stamps_ns[0]))
+    begin = propagated_back(descent, later, int(data.stamps_ns[0]))
     state = dataclasses.replace(filter_state.prior(descent), gTb=begin.gTb, gV=begin.gV)
     ahead = filter_state.propagate(state, descent, int(data.stamps_ns[0]), later_ns)
     np.testing.assert_allclose(ahead.gTb[:3, 3], later.gTb[:3, 3], atol=1e-3)
@@ -224,9 +225,9 @@ def test_lost_in_between(rendered: Dataset, monkeypatch: pytest.MonkeyPatch):
     force[(time_s > 80.0) & (time_s < 100.0), 0] += 20.0
     data = dataclasses.replace(rendered, imu=dataclasses.replace(rendered.imu, accelerometer=force))
     result = reconstruct(data, ["smoother", "online"])
-    assert len(result.resumed) == 1
-    assert 12 <= result.resumed[0] <= 16
-    assert all(len(frame.rims) > 3 for frame in result.frames[result.resumed[0] : 22])
+    assert len(result.reinitialised_at) == 1
+    assert 12 <= result.reinitialised_at[0] <= 16
+    assert all(len(frame.rims) > 3 for frame in result.frames[result.reinitialised_at[0] : 22])
     for name in ("smoother", "online"):
         assert final_error_m(rendered, result, name) < 5.0
         assert len(result.trajectories[name]) == len(data)

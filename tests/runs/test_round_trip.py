@@ -14,11 +14,13 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
+from craternav_fg.estimators.base import Problem, Start
+from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.pipeline.reconstruct import Reconstruction
+from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.runs.read import read_residuals, read_run
 from craternav_fg.runs.write import write_run
-from craternav_fg.trajectory import Calibrated, Trajectory
+from craternav_fg.trajectory import Calibrated, InitialState, Trajectory
 from factors.kernels.conic import project_rims
 
 MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
@@ -60,10 +62,17 @@ def reconstruction() -> Reconstruction:
         assert seen.all()
         rims = RimSet(np.arange(2), charts, np.tile(1e-6 * np.eye(5), (2, 1, 1)))
         measured.append(FrameMeasurement(int(stamp), rims, None))
+    initial = InitialState(
+        int(truth.stamps_ns[0]), truth.gTb[0], truth.gV[0], 0.1, 100.0, 1.0, 0.01, 1e-5, 1e-3
+    )
+    problem = Problem(
+        MOON, CAMERA, craters, ImuLog(truth.stamps_ns, np.zeros((2, 3)), np.zeros((2, 3))),
+        ImuNoise(1e-5, 1e-4, 1e-8, 1e-7), initial, Start(truth.gTb[0], np.eye(6), 0), measured,
+    )  # fmt: skip
     return Reconstruction(
-        frames=tuple(measured), problems=(), origin="given", resumed=(),
+        frames=tuple(measured), problems=(problem,), origin="given", reinitialised_at=(),
         trajectories={"smoother": trajectory(20e3, sigma=0.5), "dead_reckoning": trajectory(40e3)},
-        times_s={"smoother": 1.0}, options=OPTIONS, failures={}, index_said="", expected_rims=None,
+        times_s={"smoother": 1.0}, options=OPTIONS, failures={}, index_note="", expected_rims=None,
         predicted=None,
     )  # fmt: skip
 
@@ -71,8 +80,7 @@ def reconstruction() -> Reconstruction:
 def write(folder: Path, dataset: str = "dataset", truth: Trajectory | None = None) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_run(
-        folder, reconstruction(), dataset=dataset, camera=CAMERA, catalog=catalog(), truth=truth,
-        times_s={"smoother": 1.0}, wall_s=2.0,
+        folder, reconstruction(), dataset=dataset, truth=truth, times_s={"smoother": 1.0}, wall_s=2.0,
     )  # fmt: skip
     return folder
 
@@ -135,9 +143,7 @@ def test_residuals_are_at_the_calibrated_camera(tmp_path: Path) -> None:
     for name, calibrated in (("with", Calibrated(mounting_rad=(turn, 1e-4 * np.ones(3)))), ("without", None)):
         estimate = Trajectory(believed.stamps_ns, gTb, believed.gV, believed.bias, calibrated=calibrated)
         turned = Reconstruction(**{**vars(result), "trajectories": {"smoother": estimate}})
-        summary = write_run(
-            tmp_path, turned, dataset="", camera=CAMERA, catalog=catalog(), truth=None, times_s={}, wall_s=0.0
-        )
+        summary = write_run(tmp_path, turned, dataset="", truth=None, times_s={}, wall_s=0.0)
         shares[name] = summary["estimators"]["smoother"]["rim_outlier_share"]
     assert shares == {"with": 0.0, "without": 1.0}
 

@@ -1,0 +1,94 @@
+"""Residuals of measured rims at an estimated trajectory."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.trajectory import Trajectory
+from factors.kernels import conic
+
+FloatArray = npt.NDArray[np.float64]
+
+# A rim with a larger squared residual is an outlier: 7 sigma, which no noise of 5 components explains.
+OUTLIER_CHI2 = 50.0
+
+
+def rim_residuals(
+    trajectory: Trajectory, measured: Sequence[FrameMeasurement], camera: Camera, catalog: Catalog
+) -> FloatArray:
+    """Whitened residuals, measured minus predicted chart, of all rims at an estimator's poses.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        At the frames' stamps. An estimated mounting and time offset of the camera are applied.
+    measured : sequence of FrameMeasurement
+        n rims in all.
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        In the order of the frames and of their rims; NaN where the pose cannot see the crater.
+    """
+    parts = [np.empty((0, 5))]
+    for frame, gTb in zip(measured, poses_at_exposure(trajectory), strict=True):
+        rims = frame.rims
+        predicted, _ = conic.project_rims(
+            gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]
+        )
+        L = np.linalg.cholesky(rims.covariance)
+        parts.append(np.linalg.solve(L, (rims.chart - predicted)[..., None])[..., 0])
+    return np.concatenate(parts)
+
+
+def outlier_share(residuals: FloatArray) -> float | None:
+    """Share of rims whose residual no noise explains.
+
+    Parameters
+    ----------
+    residuals : ndarray, shape (n, 5)
+        Whitened. What is not finite counts as an outlier.
+
+    Returns
+    -------
+    float or None
+        None without rims.
+    """
+    chi2 = np.sum(residuals**2, axis=1)
+    return float(np.mean(~(chi2 <= OUTLIER_CHI2))) if len(chi2) else None
+
+
+def poses_at_exposure(trajectory: Trajectory) -> FloatArray:
+    """Poses of the body at the exposures, with an estimated time offset and mounting of the camera applied.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+
+    Returns
+    -------
+    ndarray, shape (k, 4, 4)
+        In g: a camera mounted as the data set says took the images from there.
+    """
+    gTb, found = trajectory.gTb.copy(), trajectory.calibrated
+    if found is None:
+        return gTb
+    if found.image_delay_s is not None and len(trajectory) > 1:
+        offset_s = found.image_delay_s[0]
+        seconds = np.diff(trajectory.stamps_ns)[:, None] * 1e-9
+        steps = np.swapaxes(gTb[:-1, :3, :3], 1, 2) @ gTb[1:, :3, :3]
+        rates = np.array([frames.rotation_log(step) for step in steps]) / seconds
+        # The offset is milliseconds: the mean angular velocity between frames is accurate enough.
+        rates = 0.5 * (np.concatenate([rates[:1], rates]) + np.concatenate([rates, rates[-1:]]))
+        gTb[:, :3, :3] = gTb[:, :3, :3] @ np.array([frames.rotation_exp(offset_s * rate) for rate in rates])
+        gTb[:, :3, 3] += offset_s * trajectory.gV
+    if found.mounting_rad is not None:
+        gTb[:, :3, :3] = gTb[:, :3, :3] @ frames.rotation_exp(found.mounting_rad[0])
+    return gTb

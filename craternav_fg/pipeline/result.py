@@ -1,0 +1,104 @@
+"""The result of a reconstruction: measurements, trajectories, and what they say of each other."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.evaluation.innovations import Innovations, innovations
+from craternav_fg.evaluation.residuals import outlier_share, rim_residuals
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline import warnings
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+# The estimator whose innovations are evaluated: a filter, which predicts each frame before it measures it.
+FILTER = "ekf"
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What was reconstructed from a data set.
+
+    Attributes
+    ----------
+    frames : tuple of FrameMeasurement
+        The measurements that all estimators were given.
+    problems : tuple of Problem
+        What the estimators were given: one problem, or one for each segment of a descent that was
+        re-initialised. Each has its start.
+    origin : {"given", "found", "replaced"}
+        Where the initial state is from: the data set; the images, as the data set has none; or the images, as
+        they contradict the data set's.
+    reinitialised_at : tuple of int
+        Indices of the frames at which a new segment begins, as identified craters contradict the prediction.
+    trajectories : mapping of str to Trajectory
+        By the estimator's name, at the frames' stamps.
+    times_s : mapping of str to float
+        Wall time of the front end (`front_end`) and of each estimator.
+    options : mapping of str to dict
+        Options of the front end and of each estimator that has any, resolved.
+    failures : mapping of str to str
+        Estimators that gave no trajectory, and why.
+    index_note : str
+        Why the catalogue's index for identification was built although one could be stored; empty otherwise.
+    expected_rims : tuple of int, or None
+        For each frame, how many catalogue craters should be seen whole and large enough from the first
+        trajectory's poses; None when no images were processed.
+    predicted : ndarray, shape (k, 4, 4), or None
+        Poses gTb of the body that guided the front end in each frame; None when no images were processed.
+    """
+
+    frames: tuple[FrameMeasurement, ...]
+    problems: tuple[Problem, ...]
+    origin: Literal["given", "found", "replaced"]
+    reinitialised_at: tuple[int, ...]
+    trajectories: Mapping[str, Trajectory]
+    times_s: Mapping[str, float]
+    options: Mapping[str, dict[str, Any]]
+    failures: Mapping[str, str]
+    index_note: str
+    expected_rims: tuple[int, ...] | None
+    predicted: FloatArray | None
+
+    @cached_property
+    def innovations(self) -> Innovations | None:
+        """Innovations of the filter `FILTER`; None when it did not run or no later frame measured anything.
+
+        They need no ground truth.
+        """
+        if FILTER not in self.trajectories:
+            return None
+        found = Innovations.joined(innovations(problem, ekf().states(problem)) for problem in self.problems)
+        return found if found.sensor else None
+
+    @cached_property
+    def residuals(self) -> Mapping[str, FloatArray]:
+        """Whitened residuals (n, 5) of all rims at each estimator's poses, see `rim_residuals`."""
+        descent = self.problems[0]
+        return {
+            name: rim_residuals(trajectory, self.frames, descent.camera, descent.catalog)
+            for name, trajectory in self.trajectories.items()
+        }
+
+    @cached_property
+    def outlier_shares(self) -> Mapping[str, float | None]:
+        """Share of outliers among all rims, by estimator; None without rims."""
+        return {name: outlier_share(residuals) for name, residuals in self.residuals.items()}
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before trusting the trajectories, one sentence each."""
+        return (
+            *warnings.failed_estimators(self.failures),
+            *warnings.inconsistent_trajectories(self.outlier_shares),
+            *warnings.inconsistent_sensors(FILTER, self.innovations),
+            *warnings.replaced_states(self.origin, self.reinitialised_at),
+            *warnings.frames_without_rims([len(frame.rims) for frame in self.frames], self.expected_rims),
+        )
