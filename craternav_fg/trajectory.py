@@ -1,6 +1,7 @@
 """Estimated or true motion of the lander, at the stamps of the images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -115,3 +116,25 @@ class Trajectory:
     def gRb(self) -> FloatArray:
         """Attitudes, shape (k, 3, 3)."""
         return self.gTb[:, :3, :3]
+
+    def take(self, rows: IntArray) -> "Trajectory":
+        """Return the states of some rows.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (m,)
+            Increasing; without a unit.
+
+        Returns
+        -------
+        Trajectory
+        """
+        values: dict[str, Any] = {}
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if isinstance(value, np.ndarray):
+                value = value[rows]
+            elif isinstance(value, tuple):
+                value = tuple(value[row] for row in rows.tolist())
+            values[one.name] = value
+        return Trajectory(**values)

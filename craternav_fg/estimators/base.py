@@ -1,7 +1,7 @@
 """What every estimator takes and gives."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -51,6 +52,8 @@ class Descent:
     imu_noise : ImuNoise
     initial : InitialState
         The prior, before the first frame.
+    sensors : tuple of Sensor
+        Beside camera and IMU.
     """
 
     body: Body
@@ -59,6 +62,7 @@ class Descent:
     imu: ImuLog
     imu_noise: ImuNoise
     initial: InitialState
+    sensors: tuple[Sensor, ...] = field(default=(), kw_only=True)
 
     @staticmethod
     def of(dataset: Dataset, initial: InitialState | None = None) -> "Descent":
@@ -82,7 +86,10 @@ class Descent:
         known = initial or dataset.initial
         if known is None:
             raise EstimationError("expected an initial state: the data set has none")
-        return Descent(dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, known)
+        return Descent(
+            dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, known,
+            sensors=dataset.sensors,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -42,9 +42,12 @@ class FilterState:
         Inertial angular velocity in b, rad/s.
     bias : ndarray, shape (6,)
         Gyro (rad/s), accelerometer (m/s^2).
-    covariance : ndarray, shape (18, 18)
+    covariance : ndarray, shape (18 + b, 18 + b)
         Of the errors of attitude (rotation vector in b, R_true = R exp(phi)), position and velocity
-        (in g), angular velocity (in b), gyro bias, accelerometer bias; truth minus mean.
+        (in g), angular velocity (in b), gyro bias, accelerometer bias, sensors' biases; truth minus
+        mean.
+    sensor_bias : ndarray, shape (b,)
+        Biases of the sensors beside the IMU, each in its sensor's unit.
     """
 
     gTb: FloatArray
@@ -52,6 +55,7 @@ class FilterState:
     rate: FloatArray
     bias: FloatArray
     covariance: FloatArray
+    sensor_bias: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def moved(self, delta: FloatArray, covariance: FloatArray) -> "FilterState":
         """Correct the mean by an error-state vector (18,).
@@ -62,7 +66,7 @@ class FilterState:
         gTb = self.gTb.copy()
         gTb[:3, :3] = self.gTb[:3, :3] @ frames.rotation_exp(delta[ATTITUDE])
         gTb[:3, 3] += delta[POSITION]
-        J = right_jacobian(delta[ATTITUDE])
+        J = frames.right_jacobian(delta[ATTITUDE])
         reset = covariance.copy()
         reset[ATTITUDE] = J @ reset[ATTITUDE]
         reset[:, ATTITUDE] = reset[:, ATTITUDE] @ J.T
@@ -72,6 +76,7 @@ class FilterState:
             self.rate + delta[RATE],
             self.bias + delta[BIAS],
             0.5 * (reset + reset.T),
+            self.sensor_bias + delta[SIZE:],
         )
 
     def minus(self, reference: "FilterState") -> FloatArray:
@@ -83,26 +88,17 @@ class FilterState:
                 self.gV - reference.gV,
                 self.rate - reference.rate,
                 self.bias - reference.bias,
+                self.sensor_bias - reference.sensor_bias,
             ]
         )
-
-
-def right_jacobian(w: FloatArray) -> FloatArray:
-    """Jacobian (3, 3) with exp(w + d) = exp(w) exp(J d) for small d."""
-    angle2 = float(w @ w)
-    W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    if angle2 < 1e-8:
-        return np.asarray(np.eye(3) - 0.5 * W + W @ W / 6.0)
-    angle = np.sqrt(angle2)
-    return np.asarray(
-        np.eye(3) - (1.0 - np.cos(angle)) / angle2 * W + (angle - np.sin(angle)) / angle2 / angle * W @ W
-    )
 
 
 def prior(descent: Descent) -> FilterState:
     """State at the first frame, before it is looked at."""
     initial = descent.initial
-    covariance = np.zeros((SIZE, SIZE))
+    biases = np.concatenate([np.empty(0), *(sensor.bias_sigmas for sensor in descent.sensors)])
+    covariance = np.zeros((SIZE + len(biases), SIZE + len(biases)))
+    covariance[SIZE:, SIZE:] = np.diag(biases**2)
     for part, sigma in (
         (ATTITUDE, initial.attitude_sigma_rad),
         (POSITION, initial.position_sigma_m),
@@ -119,6 +115,7 @@ def prior(descent: Descent) -> FilterState:
         np.array(descent.imu.gyro[min(first, len(descent.imu.gyro) - 1)]),
         np.zeros(6),
         covariance,
+        np.zeros(len(biases)),
     )
 
 
@@ -149,7 +146,7 @@ def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArra
         ]
     )
     P = state.covariance
-    rest = slice(POSE.stop, SIZE)
+    rest = slice(POSE.stop, len(P))
     gain = np.linalg.solve(P[POSE, POSE], P[POSE, rest]).T
     delta = gain @ step
     S = np.empty_like(P)
@@ -161,8 +158,9 @@ def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArra
         np.array(gTb, dtype=np.float64),
         state.gV + delta[:3],
         state.rate + delta[3:6],
-        state.bias + delta[6:],
+        state.bias + delta[6:12],
         0.5 * (S + S.T),
+        state.sensor_bias + delta[12:],
     )
 
 
@@ -174,23 +172,26 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
     ValueError
         When the IMU log does not cover the interval.
     """
-    dt_s, gyro, accelerometer = descent.imu.between(begin_ns, end_ns)
+    rows = descent.imu.between(begin_ns, end_ns)
     noise = descent.imu_noise
-    gTb, gV, rate, covariance = strapdown.propagate(
-        state.gTb,
-        state.gV,
-        state.bias,
-        state.covariance,
-        dt_s,
-        gyro,
-        accelerometer,
-        descent.body.mu_m3_s2,
-        np.array(descent.body.spin_rad_s),
-        np.array(
-            [noise.gyro_density, noise.accelerometer_density, noise.gyro_walk, noise.accelerometer_walk]
-        ),
+    body = descent.body.mu_m3_s2, np.array(descent.body.spin_rad_s)
+    densities = np.array(
+        [noise.gyro_density, noise.accelerometer_density, noise.gyro_walk, noise.accelerometer_walk]
     )
-    return FilterState(gTb, gV, rate, state.bias, covariance)
+    core = np.ascontiguousarray(state.covariance[:SIZE, :SIZE])
+    gTb, gV, rate, covariance = strapdown.propagate(
+        state.gTb, state.gV, state.bias, core, *rows, *body, densities
+    )
+    if len(state.sensor_bias):
+        whole = np.empty_like(state.covariance)
+        whole[:SIZE, :SIZE], whole[SIZE:, SIZE:] = covariance, state.covariance[SIZE:, SIZE:]
+        F, _ = strapdown.transition(state.gTb, state.gV, state.bias, *rows, *body, densities)
+        cross = np.zeros((SIZE, len(state.sensor_bias)))
+        cross[strapdown.WITHOUT_RATE] = F @ state.covariance[strapdown.WITHOUT_RATE, SIZE:]
+        cross[RATE] = -cross[GYRO_BIAS]
+        whole[:SIZE, SIZE:], whole[SIZE:, :SIZE] = cross, cross.T
+        covariance = whole
+    return FilterState(gTb, gV, rate, state.bias, covariance, state.sensor_bias)
 
 
 def trajectory(stamps_ns: Sequence[int], states: Sequence[FilterState]) -> Trajectory:

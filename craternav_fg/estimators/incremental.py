@@ -21,6 +21,8 @@ FloatArray = npt.NDArray[np.float64]
 # out is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
 # measurement. Velocity and bias are linear in an IMU factor of a second, far beyond their priors.
 RELINEARISE_M = 5.0
+# A sensor's bias has its length for a letter.
+SENSOR_BIASES = tuple("123456789")
 RELINEARISE = {
     "x": np.array([5e-4, 5e-4, 5e-4, RELINEARISE_M, RELINEARISE_M, RELINEARISE_M]),
     "v": np.full(3, 1.0),
@@ -28,11 +30,12 @@ RELINEARISE = {
     "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
+    **{letter: np.full(int(letter), 1e3) for letter in SENSOR_BIASES},
 }
 # Letters of what belongs to one state; one of another letter, such as the mounting, belongs to all of them.
 STATE = ("x", "v", "b")
-# Letters of errors that outlast a frame: of one rim, and shared by all.
-LASTING = ("r", "s")
+# Letters of errors that outlast a frame: of one rim, shared by all rims, biases of sensors.
+LASTING = ("r", "s", *SENSOR_BIASES)
 # Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
 # are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
 WILDFIRE = 1.0

@@ -28,6 +28,7 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -80,6 +81,7 @@ class OnlineSession:
         self, descent: Descent, options: GraphOptions = GraphOptions(), solver: Isam | None = None
     ) -> None:
         self._descent = descent
+        self._bank = SensorBank(descent.sensors)
         self._options = options
         self._solver = Isam(self._relinearise_m(descent.initial.gTb)) if solver is None else solver
         self._last = 0
@@ -122,6 +124,7 @@ class OnlineSession:
         initial = self._descent.initial
         add_prior(graph, initial)
         add_frame(graph, self._descent, self._options, X(0), frame, states=self._errors, values=values)
+        add_sensors(graph, values, self._descent, self._bank.at(frame.stamp_ns), 0, frame.stamp_ns)
         gTb = start.gTb if start.frame == 0 else initial.gTb
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._update(graph, values, 0, frame.stamp_ns)
@@ -164,6 +167,10 @@ class OnlineSession:
         add_frame(
             graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
             holds=self._solver.tree.valueExists,
+        )  # fmt: skip
+        add_sensors(
+            graph, values, self._descent, self._bank.at(frame.stamp_ns), last, frame.stamp_ns,
+            self._solver.tree.valueExists,
         )  # fmt: skip
         self._update(graph, values, last, frame.stamp_ns)
 

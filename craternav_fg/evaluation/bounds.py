@@ -17,7 +17,9 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.correlated_errors import SIZE, VARIANCE_INFLATION, RimErrorOptions
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
+from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 
@@ -96,13 +98,19 @@ def posterior_bound(
     prior = filter_state.prior(descent).covariance
     # In units of the prior's sigmas: radians, metres and biases differ by ten orders of magnitude.
     sigmas = np.sqrt(np.diag(prior))[strapdown.WITHOUT_RATE]
-    beside = _Beside(frames, lasting or RimErrorOptions())
+    bank = SensorBank(descent.sensors)
+    beside = _Beside(frames, lasting or RimErrorOptions(), len(bank.sigmas))
     gained, steps = [], []
     for k, frame in enumerate(frames):
         if k:
             F, Q = _transition(descent, truth, k - 1, sigmas)
             steps.append(beside.step(k, F, Q))
-        gained.append(_information(descent, frame, truth.gTb[k], sigmas, beside))
+        information = _information(descent, frame, truth.gTb[k], sigmas, beside)
+        rate = gyro_at(descent, frame.stamp_ns) - truth.bias[k, :3]
+        state = SensorState(frame.stamp_ns, truth.gTb[k], truth.gV[k], rate)
+        for J in (_of_sample(sample, state, bank, sigmas, beside) for sample in bank.at(frame.stamp_ns)):
+            information = information + J.T @ J
+        gained.append(information)
 
     covariance = _updated(np.eye(len(gained[0])), gained[0])
     filtered = [covariance]
@@ -124,13 +132,14 @@ def posterior_bound(
 
 
 class _Beside:
-    """Unknowns beside the state: what all rims share, then what each crater keeps, while it is in sight."""
+    """Unknowns beside the state: what all rims share, sensors' biases, what each crater in sight keeps."""
 
-    def __init__(self, frames: Sequence[FrameMeasurement], lasting: RimErrorOptions) -> None:
+    def __init__(self, frames: Sequence[FrameMeasurement], lasting: RimErrorOptions, biases: int) -> None:
         self._lasting = lasting
         self._seen = [_kept(frame) for frame in frames]
         self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
-        self._shared = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
+        self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
+        self._shared = self.of_rims + biases
         self._charts: dict[int, FloatArray] = {}
         self.first: dict[int, int] = {}
         self._enter(0)
@@ -204,6 +213,22 @@ def _information(
         rows.append(J)
     J = np.concatenate([np.zeros((0, beside.size)), *rows])
     return np.asarray(J.T @ J)
+
+
+def _of_sample(
+    sample: Sample, state: SensorState, bank: SensorBank, sigmas: FloatArray, beside: _Beside
+) -> FloatArray:
+    """Whitened derivatives (m, n) of a sample in the state and what is beside it, at the truth."""
+    found = sample.linearise(state, np.zeros(len(bank.sigmas)))
+    J = np.zeros((len(found.error), beside.size))
+    whole = found.jacobian.copy()
+    # The angular velocity is the gyro's less its bias.
+    whole[:, strapdown.GYRO_BIAS] -= whole[:, strapdown.RATE]
+    J[:, :_SIZE] = whole[:, strapdown.WITHOUT_RATE] * sigmas
+    first = _SIZE + beside.of_rims
+    biases = slice(first + sample.bias.start, first + sample.bias.stop)
+    J[:, biases] = found.bias_jacobian * bank.sigmas[sample.bias]
+    return J
 
 
 def _transition(

@@ -17,6 +17,7 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.evaluation.consistency import mean_interval
 
 FloatArray = npt.NDArray[np.float64]
@@ -36,7 +37,8 @@ class Innovations:
     sensor : tuple of str, length n
         "rims": a rim's five (or an arc's points') innovations; "sun": the tilt's one; "imu": of all
         innovations of a frame the part that a wrong prediction of the pose would cause, of at most six
-        dimensions. The rest is what the frame's measurements say of each other.
+        dimensions. The rest is what the frame's measurements say of each other. Sensors beside camera and IMU
+        by their names, each sample by itself.
     stamps_ns : ndarray of int, shape (n,)
     nis : ndarray, shape (n,)
         Of as many dimensions in the mean if prediction and measurements are as their covariances say.
@@ -66,7 +68,8 @@ class Innovations:
 
     def as_dict(self) -> dict[str, dict[str, float | int]]:
         """Give mean, interval and total dimension of each sensor that was there, as metrics.json has them."""
-        parts = {sensor: self.of(sensor) for sensor in SENSORS if sensor in self.sensor}
+        others = sorted(set(self.sensor) - set(SENSORS))
+        parts = {sensor: self.of(sensor) for sensor in (*SENSORS, *others) if sensor in self.sensor}
         return {
             sensor: {
                 "mean": part.mean,
@@ -108,6 +111,7 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
     values: list[float] = []
     sizes: list[int] = []
     first = problem.start.frame
+    bank = SensorBank(problem.sensors)
     for state, (before, frame) in zip(
         states[first:], itertools.pairwise(problem.frames[first:]), strict=False
     ):
@@ -129,6 +133,13 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
         sun = linearise_sun(gTb, frame.sun, camera)
         if sun is not None:
             parts.append((SUN, sun.A, sun.residual))
+        for sample in bank.at(frame.stamp_ns):
+            rows = linearise_sample(sample, predicted, np.zeros(len(predicted.covariance)), frame.stamp_ns)
+            _, whitened = _whitened(*rows, predicted.covariance)
+            sensor.append(sample.sensor.name)
+            stamps.append(frame.stamp_ns)
+            values.append(float(np.sum(whitened**2)))
+            sizes.append(len(whitened))
         if not parts:
             continue
         all_rows = (np.concatenate([a for _, a, _ in parts]), np.concatenate([r for _, _, r in parts]))

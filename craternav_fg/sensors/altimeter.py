@@ -59,6 +59,11 @@ class Altimeter(Sensor):
         return (Column(RANGE, unit="m"),)
 
     @property
+    def rows(self) -> int:
+        """Length of a sample's residual."""
+        return 1
+
+    @property
     def bias_sigmas(self) -> FloatArray:
         """Of the range bias, m, shape (1,), or (0,) without one."""
         sigma = self.settings.bias_sigma_m

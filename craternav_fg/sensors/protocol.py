@@ -5,6 +5,7 @@ A sensor of one's own derives from `Sensor` and says
 - `name`: its folder is `mav0/NAME0`;
 - `Settings`: the keys of its `sensor.yaml` (a subclass of `SensorSettings`);
 - `columns`: the columns of its `data.csv` behind the stamp;
+- `rows`: the length of a sample's residual;
 - `linearise`: predicted less measured, in sigmas, with derivatives. The factor of the smoothers, the update
   of the filters, the innovations and the bound all call this one function;
 - `draw`: a measurement drawn at a true state, for simulation.
@@ -150,6 +151,11 @@ class Sensor(ABC):
     @abstractmethod
     def columns(cls, settings: Any) -> tuple[Column, ...]:
         """Columns of `data.csv` behind the stamp, with their units."""
+
+    @property
+    @abstractmethod
+    def rows(self) -> int:
+        """Length of a sample's residual."""
 
     @property
     def bias_sigmas(self) -> FloatArray:

@@ -51,6 +51,11 @@ class Ranging(Sensor):
         return (RANGE, RATE_COLUMN, *STATION, *STATION_VELOCITY)
 
     @property
+    def rows(self) -> int:
+        """Length of a sample's residual."""
+        return 2
+
+    @property
     def bias_sigmas(self) -> FloatArray:
         """Of the range bias, m, shape (1,), or (0,) without one."""
         sigma = self.settings.bias_sigma_m

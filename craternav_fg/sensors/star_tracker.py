@@ -54,6 +54,11 @@ class StarTracker(Sensor):
         """Four columns: the Hamilton quaternion iRs, scalar first."""
         return tuple(Column(name) for name in QUATERNION)
 
+    @property
+    def rows(self) -> int:
+        """Length of a sample's residual."""
+        return 3
+
     def linearise(self, row: int, state: SensorState, bias: FloatArray) -> Linearisation:
         """Compare an attitude with the predicted one; see `Sensor.linearise`.
 

@@ -61,6 +61,11 @@ class Velocimeter(Sensor):
         return tuple(Column(f"speed_{k}", unit="m s^-1") for k in range(len(settings.beams)))
 
     @property
+    def rows(self) -> int:
+        """Length of a sample's residual."""
+        return len(self.settings.beams)
+
+    @property
     def bias_sigmas(self) -> FloatArray:
         """Of the beams' biases, m/s, shape (k,), or (0,) without."""
         sigma = self.settings.bias_sigma_m_s

@@ -11,7 +11,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
 from craternav_fg.estimators.ekf.fusion import Rule, combine, fuse_updates
-from craternav_fg.estimators.filter_state import POSE, FilterState, right_jacobian
+from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import (
     LinearMeasurement,
     MeasurementModel,
@@ -21,6 +21,8 @@ from craternav_fg.estimators.linearisation import (
     linearise_sun,
 )
 from craternav_fg.estimators.measurement_weighting import noise_inflation, with_predicted_covariances
+from craternav_fg.estimators.sensor_bank import Sample, SensorBank, linearise_sample
+from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 
@@ -94,17 +96,19 @@ class DistributedEkf:
         # Under "paper" every crater in view has a state of its own; else all share the published one.
         filters = dict.fromkeys(problem.frames[first].rims.craters.tolist(), base)
         fusion = self.options.fusion
+        bank = SensorBank(problem.sensors)
         for last, frame in itertools.pairwise(problem.frames[first:]):
             prior = filter_state.propagate(base, problem, last.stamp_ns, frame.stamp_ns)
             if fusion == "paper":
-                filters = self._step_each(filters, prior, last.stamp_ns, frame, problem)
-                fused = _combined(list(filters.values())) if filters else prior
+                filters = self._step_each(filters, prior, last.stamp_ns, frame, problem, bank)
+                alone = self._update(prior, frame, problem, "exact", bank)
+                fused = _combined(list(filters.values())) if filters else alone
                 # (29) counts the past that n sub-filters share n times. It is published as it is, but
                 # a later sub-filter that began with it would trust itself for ever.
                 base = replace(fused, covariance=max(len(filters), 1) * fused.covariance)
                 states.append(fused)
             else:
-                base = self._update(prior, frame, problem, fusion)
+                base = self._update(prior, frame, problem, fusion, bank)
                 states.append(base)
         return states
 
@@ -115,6 +119,7 @@ class DistributedEkf:
         last_ns: int,
         frame: FrameMeasurement,
         problem: Problem,
+        bank: SensorBank,
     ) -> dict[int, FilterState]:
         """Carry every sub-filter to a frame and update it by its own crater and the sun.
 
@@ -127,14 +132,15 @@ class DistributedEkf:
             if crater in filters:
                 state = filter_state.propagate(filters[crater], problem, last_ns, frame.stamp_ns)
             single = FrameMeasurement(frame.stamp_ns, frame.rims.take(np.array([row])), frame.sun)
-            out[crater] = self._update(state, single, problem, "exact")
+            out[crater] = self._update(state, single, problem, "exact", bank)
         return out
 
     def _update(
-        self, prior: FilterState, frame: FrameMeasurement, problem: Problem, rule: Rule
+        self, prior: FilterState, frame: FrameMeasurement, problem: Problem, rule: Rule, bank: SensorBank
     ) -> FilterState:
         options = self.options
-        if not len(frame.rims) and not len(frame.arcs) and frame.sun is None:
+        samples = bank.at(frame.stamp_ns)
+        if not len(frame.rims) and not len(frame.arcs) and frame.sun is None and not samples:
             return prior
         frame = frame.inflate_correlated(options.variance_inflation)
         delta = np.zeros(len(prior.covariance))
@@ -143,6 +149,7 @@ class DistributedEkf:
         if options.noise == "measured":
             rims = with_predicted_covariances(frame, prior.gTb, problem.camera, problem.catalog).rims
         factors: FloatArray | None = None
+        trust: list[float] = []
         for _ in range(options.iterations):
             point = prior if not delta.any() else prior.moved(delta, covariance)
             A, residual, usable = linearise_rims(
@@ -173,10 +180,29 @@ class DistributedEkf:
                 # A central filter uses the sun once; sub-filters that don't know each other, each.
                 users = 1 if rule == "exact" else len(updates)
                 updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
+            if samples:
+                rows = [linearise_sample(one, point, delta, frame.stamp_ns) for one in samples]
+                if not trust:
+                    trust = [self._trust(s, *row, prior) for s, row in zip(samples, rows, strict=True)]
+                updates = [_widened(update, len(delta)) for update in updates]
+                updates += [
+                    LinearMeasurement(root * A, root * residual)
+                    for root, (A, residual) in zip(trust, rows, strict=True)
+                    if root > 0.0
+                ]
             if not updates:
                 return point
             delta, covariance = fuse_updates(prior.covariance, updates, rule)
         return prior.moved(delta, covariance)
+
+    def _trust(self, sample: Sample, A: FloatArray, residual: FloatArray, prior: FilterState) -> float:
+        """Give the root of a sample's weight: 1 inside its sensor's limit, 0 beyond the gate."""
+        if sample.sensor.settings.loss == "none":
+            return 1.0
+        limit = sample.sensor.settings.loss_sigmas
+        sigmas, factors = noise_inflation(A[None], residual[None], prior.covariance, limit)
+        gate = np.inf if self.options.gate_sigmas is None else self.options.gate_sigmas
+        return 0.0 if sigmas[0] > gate else float(factors[0]) ** -0.5
 
     def _weights(
         self,
@@ -207,6 +233,13 @@ def _relative(update: LinearMeasurement, J: FloatArray, delta: FloatArray) -> Li
 
 def _with(update: LinearMeasurement, sun: LinearMeasurement) -> LinearMeasurement:
     return LinearMeasurement(np.vstack([update.A, sun.A]), np.concatenate([update.residual, sun.residual]))
+
+
+def _widened(update: LinearMeasurement, size: int) -> LinearMeasurement:
+    """Give a measurement of the first states as one of all."""
+    A = np.zeros((len(update.A), size))
+    A[:, : update.A.shape[1]] = update.A
+    return LinearMeasurement(A, update.residual)
 
 
 def _combined(states: list[FilterState]) -> FilterState:
