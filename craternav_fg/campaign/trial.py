@@ -19,6 +19,7 @@ import craternav_fg
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.base import Descent
+from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.evaluation.bounds import posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -149,7 +150,13 @@ def _run(task: TrialTask, folder: Path) -> TrialResult:
     result = reconstruct(dataset, task.estimators)
     truth = dataset.truth
     assert truth is not None
-    bound = posterior_bound(Descent.of(dataset), result.frames, truth)
+    epochs = SensorBank(dataset.sensors).epochs(result.frames)
+    stamps = np.array([epoch.stamp_ns for epoch in epochs], dtype=np.int64)
+    motion = dataset.truth_at(stamps)
+    assert motion is not None
+    bound = posterior_bound(Descent.of(dataset), epochs, motion).take(
+        np.flatnonzero(np.isin(stamps, truth.stamps_ns))
+    )
     common = {
         "stamp_ns": truth.stamps_ns,
         "altitude_m": dataset.body.altitude_m(truth.gP),

@@ -98,6 +98,11 @@ class OnlineSession:
         return list(self._frame_numbers)
 
     @property
+    def stamp_ns(self) -> int:
+        """Stamp of the newest frame, ns."""
+        return self._stamps_ns[-1]
+
+    @property
     def state(self) -> FilterState:
         """Estimate at the newest frame, from all data up to it.
 

@@ -98,6 +98,10 @@ class SensorBank:
         """Give the samples at a stamp."""
         return self._samples.get(stamp_ns, [])
 
+    def between(self, begin_ns: int, end_ns: int) -> list[int]:
+        """Give the stamps of samples inside an interval, without its ends."""
+        return sorted(stamp for stamp in self._samples if begin_ns < stamp < end_ns)
+
     def epochs(self, frames: Sequence[FrameMeasurement]) -> tuple[FrameMeasurement, ...]:
         """Give the frames, and an empty one at each stamp between them at which only sensors measured.
 
@@ -113,7 +117,7 @@ class SensorBank:
         """
         by_stamp = {frame.stamp_ns: frame for frame in frames}
         first, last = frames[0].stamp_ns, frames[-1].stamp_ns
-        stamps = sorted(by_stamp.keys() | {stamp for stamp in self._samples if first < stamp < last})
+        stamps = sorted({*by_stamp, *self.between(first, last)})
         return tuple(by_stamp.get(stamp) or FrameMeasurement(stamp, RimSet.empty(), None) for stamp in stamps)
 
 

@@ -50,6 +50,20 @@ class PosteriorBound:
     filtered: FloatArray
     smoothed: FloatArray
 
+    def take(self, rows: IntArray) -> "PosteriorBound":
+        """Return the bound at some of the stamps.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (m,)
+            Without a unit.
+
+        Returns
+        -------
+        PosteriorBound
+        """
+        return PosteriorBound(self.stamps_ns[rows], self.filtered[rows], self.smoothed[rows])
+
 
 def position_rms_m(pose_covariance: FloatArray) -> FloatArray:
     """Root mean square norm (...) of the position error of pose covariances (..., 6, 6), m."""

@@ -12,6 +12,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Estimator, Problem
 from craternav_fg.estimators.registry import DEFAULT, estimator
+from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
@@ -24,6 +25,7 @@ from craternav_fg.vision.guided_options import GuidedOptions
 from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 # Called with what is being done, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
@@ -94,7 +96,7 @@ def reconstruct(
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
         try:
-            trajectories[one.name] = _estimate(one, problems)
+            trajectories[one.name] = _estimate(one, problems, dataset.stamps_ns)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
@@ -152,14 +154,18 @@ def _measure(
 def _problems(descent: Descent, measured: _Measured) -> tuple[Problem, ...]:
     """Make a problem of each segment, from its first frame to the next segment's."""
     ends = [segment.first for segment in measured.segments[1:]] + [len(measured.frames)]
+    bank = SensorBank(descent.sensors)
     return tuple(
-        make_problem(replace(descent, initial=initial), measured.frames[first:end])
+        make_problem(replace(descent, initial=initial), bank.epochs(measured.frames[first:end]))
         for (first, initial), end in zip(measured.segments, ends, strict=True)
     )
 
 
-def _estimate(one: Estimator, problems: Sequence[Problem]) -> Trajectory:
-    return _checked(_joined([one.estimate(problem) for problem in problems]))
+def _estimate(one: Estimator, problems: Sequence[Problem], stamps_ns: IntArray) -> Trajectory:
+    """Estimate all segments, and keep the states at the frames."""
+    whole = _joined([one.estimate(problem) for problem in problems])
+    at_frames = np.isin(whole.stamps_ns, stamps_ns)
+    return _checked(whole if at_frames.all() else whole.take(np.flatnonzero(at_frames)))
 
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:

@@ -13,6 +13,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Start
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import find_start
 from craternav_fg.matching.acquire.search import acquire, image_spread_px
 from craternav_fg.matching.gate import match_rims
@@ -99,6 +100,7 @@ class Tracker:
         self.relocaliser = relocaliser
         self._pooled = PooledErrors(dataset.camera, dataset.catalog)
         self._session = OnlineSession(descent)
+        self._bank = SensorBank(descent.sensors)
         self._measured: list[FrameMeasurement] = []
         self._segments = [Segment(0, descent.initial)]
         # Successive frames with far fewer rims than expected.
@@ -120,12 +122,18 @@ class Tracker:
         report("frames", 0, len(stamps))
         guides = []
         for index, stamp in enumerate(stamps):
-            predicted = filter_state.prior(self.descent) if index == 0 else self._session.predict(stamp)
+            predicted = filter_state.prior(self.descent) if index == 0 else self._predict(stamp)
             frame, guide = self._next(index, predicted)
             self._measured.append(frame)
             guides.append(guide)
             report("frames", index + 1, len(stamps))
         return Tracked(tuple(self._measured), tuple(self._segments), np.array(guides))
+
+    def _predict(self, stamp_ns: int) -> FilterState:
+        """Predict the state at an image, after what sensors measured since the last one."""
+        for sample_ns in self._bank.between(self._session.stamp_ns, stamp_ns):
+            self._session.update(FrameMeasurement(sample_ns, RimSet.empty(), None))
+        return self._session.predict(stamp_ns)
 
     def _next(self, index: int, predicted: FilterState) -> _Guided:
         """Measure an image and update the smoother with it."""

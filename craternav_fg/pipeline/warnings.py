@@ -25,6 +25,7 @@ _SENSOR_CHECKS = {
     "rims": "heights and sizes in the catalogue, T_BS, the body's spin, the matches",
     "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
 }
+_OTHER_CHECKS = "its units, T_BS and noise in sensor.yaml"
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 
 
@@ -86,7 +87,7 @@ def inconsistent_sensors(name: str, innovations: Innovations | None) -> list[str
         return []
     return [
         f"{sensor}: contradicts what {name} predicts from the other sensors (NIS per dimension "
-        f"{found['mean']:.3g}, expected 1); check {_SENSOR_CHECKS[sensor]}"
+        f"{found['mean']:.3g}, expected 1); check {_SENSOR_CHECKS.get(sensor, _OTHER_CHECKS)}"
         for sensor, found in innovations.as_dict().items()
         if found["mean"] > MAX_NIS
     ]
