@@ -1,0 +1,97 @@
+"""README, CONTRIBUTING and docs name modules, files, commands and targets that exist."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from craternav_fg.cli.app import app
+from craternav_fg.estimators.registry import DEFAULT, ON_REQUEST
+from craternav_fg.simulation.scenario_file import built_in_scenarios
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = ["README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
+PACKAGES = {path.name for path in (ROOT / "craternav_fg").iterdir() if path.is_dir()}
+MODULES = {path.stem for path in (ROOT / "craternav_fg").glob("*.py")}
+
+
+@pytest.fixture(params=DOCUMENTS)
+def text(request: pytest.FixtureRequest) -> str:
+    return (ROOT / request.param).read_text(encoding="utf-8")
+
+
+def exists(dotted: str) -> bool:
+    """Whether a dotted name is a module of the packages, or is found in one."""
+    parts = dotted.split(".")
+    if parts[0] not in ("craternav_fg", "factors", "scenarios", "tests"):
+        parts.insert(0, "craternav_fg")
+    found: object = None
+    for k, part in enumerate(parts):
+        try:
+            found = importlib.import_module(".".join(parts[: k + 1]))
+        except ModuleNotFoundError:
+            if not hasattr(found, part) and part not in getattr(found, "__dataclass_fields__", {}):
+                return False
+            found = getattr(found, part, None)
+    return True
+
+
+def test_dotted_names(text: str) -> None:
+    names = set(re.findall(r"`((?:\w+\.)+\w+)(?:\([^`]*\))?`", text))
+    ours = {name for name in names if name.split(".")[0] in {"craternav_fg", "factors", *PACKAGES, *MODULES}}
+    files = {
+        name for name in ours if name.endswith((".py", ".toml", ".csv", ".parquet", ".png", ".md", ".html"))
+    }
+    assert not [name for name in sorted(ours - files) if not exists(name)]
+
+
+def members() -> dict[str, set[str]]:
+    """Names in the body of each class of the packages."""
+    found: dict[str, set[str]] = {}
+    for path in (*(ROOT / "craternav_fg").rglob("*.py"), *(ROOT / "factors").rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef):
+                names = found.setdefault(node.name, set())
+                names |= {n.name for n in node.body if isinstance(n, ast.FunctionDef)}
+                names |= {n.target.id for n in node.body if isinstance(n, ast.AnnAssign)}
+    return found
+
+
+def test_members_of_classes(text: str) -> None:
+    known = members()
+    said = re.findall(r"`([A-Z]\w+)\.(\w+)", text)
+    assert not [f"{name}.{member}" for name, member in said if member not in known.get(name, {member})]
+
+
+def test_files_of_the_project(text: str) -> None:
+    paths = re.findall(r"`((?:tests|scenarios|factors|craternav_fg|notebooks|docs|\.ci)/[\w/.]+)`", text)
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+def test_code_blocks_import_what_exists(text: str) -> None:
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom):
+                module = importlib.import_module(node.module or "")
+                assert not [alias.name for alias in node.names if not hasattr(module, alias.name)]
+
+
+def test_commands_and_targets(text: str) -> None:
+    group = typer.main.get_command(app)
+    said = set(re.findall(r"(?:`|^ {4})craternav (\w+)", text, flags=re.MULTILINE))
+    assert said <= set(group.commands)
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    assert set(re.findall(r"(?:`|^ {4})make ([a-z-]+)", text, flags=re.MULTILINE)) <= targets
+
+
+def test_estimators_and_scenarios() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text.split("## Estimators")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)`", table, flags=re.MULTILINE) == [
+        *DEFAULT[:2], *ON_REQUEST, *DEFAULT[2:],
+    ]  # fmt: skip
+    named = set(re.findall(r"`(hard_\w+)`", text))
+    assert named == {name for name in built_in_scenarios() if name.startswith("hard_")}
