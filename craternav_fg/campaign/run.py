@@ -1,4 +1,4 @@
-"""Run a campaign: what is missing, on many workers, each result kept at once."""
+"""Run a campaign: the trials that its folder lacks, on many workers, each saved when it is done."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
@@ -8,22 +8,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
+from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.summary import summarise
 from craternav_fg.campaign.trial import TrialResult, TrialTask, failed, run_trial, software
 from craternav_fg.campaign.workers import Workers, cluster, processes
+from craternav_fg.campaign.write import CampaignFolder, identity
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.simulation.scenario_file import MeasurementSection, Scenario
 
-# What is being done, how many of its steps are done, how many there are.
+# Called with the name of a step, the number of its parts that are done, and their total.
 Progress = Callable[[str, int, int], None]
 
-# A trial that kills its worker so often is not tried again.
-MOST_DEATHS = 2
-# How often to look whether the scheduler is still there.
+# A trial whose worker has died so many times is not tried again: two, as the first may be by chance.
+MAX_WORKER_DEATHS = 2
+# Interval at which the connection to the scheduler is checked.
 POLL_S = 2.0
-# Analytic rims of a scenario that has images: the paper's edges, sizes that the front end measures.
+# Simulated measurements for a scenario that renders images: noise and tilt of the paper's section 4, the
+# smallest rims that the front end measures.
 MEASUREMENTS = MeasurementSection(
     edge_sigma_px=1.0, points_per_rim=60, min_semi_minor_px=12.0, sun_tilt_sigma_deg=10.0
 )
@@ -31,21 +33,27 @@ MEASUREMENTS = MeasurementSection(
 
 @dataclass(frozen=True)
 class CampaignOptions:
-    """What to run, and where.
+    """What a campaign runs, and where.
 
     Attributes
     ----------
     trials : int
-        Trials 0 to this, exclusive; those that a folder has beyond are left alone.
+        Number of trials, from trial 0 on. More trials in the folder are left as they are.
     estimators : tuple of str
+        Names.
     images : bool
-        Render and measure images; the default is analytic rims.
+        Render images and measure them; the default simulates the measurements.
     workers : int
         Processes on this machine.
     scheduler : str, optional
-        Address of a Dask scheduler, whose workers run the trials instead.
+        Address of a Dask scheduler whose workers run the trials instead.
     retry : bool
-        Do those trials again that failed.
+        Repeat the trials that failed.
+
+    Raises
+    ------
+    CraternavError
+        When an estimator is unknown, or there is no trial or no worker.
     """
 
     trials: int
@@ -66,33 +74,33 @@ class CampaignOptions:
 def montecarlo(
     scenario: Scenario, folder: Path, options: CampaignOptions, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Run the trials of a campaign that its folder lacks, and sum up all that are in it.
+    """Run the trials of a campaign that its folder lacks, and summarise all of them.
 
     Parameters
     ----------
     scenario : Scenario
     folder : Path
-        New, empty, or of the same campaign, finished or not.
+        New, empty, or of the same campaign, complete or not.
     options : CampaignOptions
     progress : callable, optional
 
     Returns
     -------
     dict
-        What summary.json holds, see `craternav_fg.campaign.summary.summarise`.
+        Contents of summary.json, see `craternav_fg.campaign.summary.summarise`.
 
     Raises
     ------
     InputError
         When the folder is another campaign's or in use, or cannot be written.
     CraternavError
-        When the scenario cannot do what is asked, or the scheduler cannot be reached or is lost. Finished
-        trials stay, and the same call goes on with the others.
+        When the scenario has no images to render, or the scheduler cannot be reached or is lost. Finished
+        trials stay, and the same call resumes the campaign.
     """
     case = as_measured(scenario, images=options.images)
     store = CampaignFolder(folder, identity(case, options.estimators))
     with ExitStack() as stack:
-        # Before the folder is made: a scheduler that is not there leaves nothing behind.
+        # Before the folder is made, so that a scheduler that does not answer leaves nothing behind.
         workers = None
         if options.scheduler is not None and _missing(options, store):
             workers = stack.enter_context(cluster(options.scheduler))
@@ -118,17 +126,27 @@ def montecarlo(
 
 
 def _missing(options: CampaignOptions, store: CampaignFolder) -> list[int]:
-    there = store.numbers(without_failed=options.retry)
-    return [number for number in range(options.trials) if number not in there]
+    done = store.numbers(without_failed=options.retry)
+    return [number for number in range(options.trials) if number not in done]
 
 
 def as_measured(scenario: Scenario, *, images: bool) -> Scenario:
-    """Give a scenario with images or with analytic rims, whichever is asked for.
+    """Give a scenario that renders images, or one that simulates the measurements.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    images : bool
+        Which of the two.
+
+    Returns
+    -------
+    Scenario
 
     Raises
     ------
     CraternavError
-        When images are asked for and the scenario does not say how to render them.
+        When `images` is set and the scenario has no table [render].
     """
     if images and scenario.render is None:
         raise CraternavError("--images: the scenario has no table [render]")
@@ -138,14 +156,24 @@ def as_measured(scenario: Scenario, *, images: bool) -> Scenario:
 
 
 def each_result(workers: Workers, tasks: dict[int, TrialTask]) -> Iterator[TrialResult]:
-    """Give the result of every task as soon as it is there.
+    """Run all tasks and give their results in the order in which they are done.
 
-    A worker that dies costs the tasks that it had; each is tried once more, then counts as failed.
+    The tasks of a worker that dies are tried once more, and fail if their worker dies again.
+
+    Parameters
+    ----------
+    workers : Workers
+    tasks : dict of int to TrialTask
+        By the number of the trial.
+
+    Yields
+    ------
+    TrialResult
 
     Raises
     ------
     CraternavError
-        When workers cannot run trials at all.
+        When the scheduler is lost, or workers cannot run trials at all.
     """
     waiting = deque(tasks)
     running: dict[Future[TrialResult], int] = {}
@@ -163,10 +191,10 @@ def each_result(workers: Workers, tasks: dict[int, TrialTask]) -> Iterator[Trial
                 result = future.result()
             except workers.lost:
                 deaths[number] += 1
-                if deaths[number] < MOST_DEATHS:
+                if deaths[number] < MAX_WORKER_DEATHS:
                     waiting.append(number)
                     continue
-                result = failed(number, f"its worker died {MOST_DEATHS} times")
+                result = failed(number, f"its worker died {MAX_WORKER_DEATHS} times")
             except CancelledError:
                 raise CraternavError("the scheduler is lost; finished trials stay") from None
             except CraternavError:

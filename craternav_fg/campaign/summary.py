@@ -1,4 +1,4 @@
-"""Figures of a campaign, estimator by estimator."""
+"""Figures of every estimator over the trials of a campaign."""
 
 from typing import Any
 
@@ -7,21 +7,22 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from craternav_fg.campaign.store import Campaign
+from craternav_fg.campaign.read import Campaign
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import over_altitude, rms
+from craternav_fg.runs.columns import list_values
 
 FloatArray = npt.NDArray[np.float64]
 
-# A trial has converged when its last estimate is within what Tian et al. (2019) ask for at 10 km, section
-# 4.2.3: 200 m, which is taken as a part of the altitude, and 1 deg.
-CONVERGED_OF_ALTITUDE = 0.02
+# A trial has converged when its final errors are within the limits of Tian et al. (2019), section 4.2.3:
+# 1 deg, and 200 m at 10 km, which is taken as a share of the altitude.
+CONVERGED_SHARE_OF_ALTITUDE = 0.02
 CONVERGED_DEG = 1.0
 
 
 def summarise(campaign: Campaign) -> dict[str, Any]:
-    """Sum up a campaign.
+    """Summarise a campaign.
 
     Parameters
     ----------
@@ -30,13 +31,19 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
     Returns
     -------
     dict
-        What summary.json holds. Of each estimator: `trajectories`, trials in which it gave one; `converged`,
-        trials whose last error is below 2 % of the altitude and 1 deg; mean and RMS of the last position
-        error; mean of the last attitude error; `rms_over_pcrb`, the ratio of the position's RMS over the
-        trials to that of the posterior Cramér-Rao bound (the smoothed one for those that look back),
-        averaged over the altitude; `anees` of the pose, 6 when the covariances are honest; median wall time
-        of a trial. All but the two counts are over the trials with a trajectory, which may be the easier
-        ones; null without any.
+        Contents of summary.json. For each estimator:
+
+        trajectories : trials in which it gave a trajectory
+        converged : trials whose final errors are below 2 % of the altitude and 1 deg
+        position_final_mean_m, position_final_rms_m : of the final position error
+        attitude_final_mean_deg : of the final attitude error
+        rms_over_pcrb : RMS position error over the trials divided by the posterior Cramér-Rao bound, averaged
+            over the altitude; the bound is the smoothing one for estimators that use later data
+        anees : of the pose, 6 when the covariances are consistent
+        time_per_trial_s : median wall time
+
+        All but the two counts are over the trials with a trajectory; null without any. Estimators that fail
+        on hard trials look better on the remaining ones.
     """
     names = campaign.identity["estimators"]
     return {
@@ -48,7 +55,7 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
 
 
 def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
-    """Values of a column, shape (trials, frames) or (trials, frames, d), NaN where there is none.
+    """Give a column for one estimator, by trial and frame.
 
     Parameters
     ----------
@@ -58,18 +65,21 @@ def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
         An estimator, or one of the bounds.
     column : str
         Of `craternav_fg.campaign.trial.SCHEMA`.
+
+    Returns
+    -------
+    ndarray, shape (trials, frames) or (trials, frames, d)
+        NaN where the table has no value.
     """
     rows = table.filter(pc.equal(table["estimator"], name))
     trials = len(pc.unique(rows["trial"]))
-    values = rows[column].combine_chunks()
-    if pa.types.is_fixed_size_list(values.type):
-        size = values.type.list_size
-        if values.null_count:
-            return np.full((trials, len(rows) // max(trials, 1), size), np.nan)
-        flat = values.flatten().to_numpy(zero_copy_only=False)
-        return np.asarray(flat, dtype=np.float64).reshape(trials, -1 if trials else 0, size)
-    flat = values.to_numpy(zero_copy_only=False)
-    return np.asarray(flat, dtype=np.float64).reshape(trials, -1 if trials else 0)
+    if pa.types.is_fixed_size_list(rows[column].type):
+        lists = list_values(rows[column])
+        size = rows[column].type.list_size
+        values = np.full((len(rows), size), np.nan) if lists is None else lists
+        return values.reshape(trials, len(rows) // max(trials, 1), size)
+    values = np.asarray(rows[column].to_numpy(), dtype=np.float64)
+    return values.reshape(trials, len(rows) // max(trials, 1))
 
 
 def _estimator(campaign: Campaign, name: str) -> dict[str, Any]:
@@ -93,7 +103,7 @@ def _estimator(campaign: Campaign, name: str) -> dict[str, Any]:
     final_deg = np.degrees(np.linalg.norm(attitude, axis=-1))
     altitude_m = of_estimator(table, name, "altitude_m")
     nees = of_estimator(table, name, "nees")
-    near = (final_m <= CONVERGED_OF_ALTITUDE * altitude_m[:, -1]) & (final_deg <= CONVERGED_DEG)
+    near = (final_m <= CONVERGED_SHARE_OF_ALTITUDE * altitude_m[:, -1]) & (final_deg <= CONVERGED_DEG)
     out["converged"] = int(np.count_nonzero(near))
     out["position_final_mean_m"] = float(final_m.mean())
     out["position_final_rms_m"] = float(np.sqrt(np.mean(final_m**2)))
@@ -104,7 +114,7 @@ def _estimator(campaign: Campaign, name: str) -> dict[str, Any]:
 
 
 def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
-    """Ratio of the position's RMS over the trials to the bound's, shape (frames,).
+    """Divide the RMS position error over the trials by the posterior Cramér-Rao bound, frame by frame.
 
     Parameters
     ----------
@@ -112,6 +122,10 @@ def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
         Of a `Campaign`.
     name : str
         Estimator.
+
+    Returns
+    -------
+    ndarray, shape (frames,)
     """
     mine = pc.equal(table["estimator"], name)
     of_trials = pc.is_in(table["trial"], value_set=pc.unique(table.filter(mine)["trial"]))
@@ -122,5 +136,6 @@ def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
 
 
 def _over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:
+    """Average values (frames,) over the altitude, or over the frames of a level flight."""
     level = len(values) == 1 or np.ptp(altitude_m) == 0.0
     return float(values.mean()) if level else over_altitude(values, altitude_m)

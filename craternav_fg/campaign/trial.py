@@ -1,4 +1,4 @@
-"""One trial: simulate, reconstruct with every estimator, keep the errors beside what they could have been."""
+"""One trial: simulate, reconstruct with every estimator, and compare the errors with the lower bound."""
 
 import errno
 import importlib.metadata
@@ -23,17 +23,20 @@ from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.evaluation.bounds import posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.runs.columns import list_column
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 
-# "Estimators" of a trial's table that hold the posterior Cramér-Rao bound in place of errors.
+# Rows of these names hold the posterior Cramér-Rao bound, filtering and smoothing, in place of an estimator.
 FILTERED_BOUND, SMOOTHED_BOUND = "pcrb_filtered", "pcrb_smoothed"
-# Whose numbers the results depend on.
+# Software whose version the results depend on.
 PACKAGES = ("gtsam", "numpy", "numba", "scipy", "opencv-python-headless")
+# Key of our metadata in a Parquet file.
 METADATA = b"craternav"
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+# What a machine without disk space, memory or file handles reports.
+_OUT_OF_RESOURCES = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
 
 SCHEMA = pa.schema(
     [
@@ -49,9 +52,12 @@ SCHEMA = pa.schema(
         ("nees", pa.float64()),
     ]
 )
-"""A row for each estimator and frame. Errors are truth minus estimate, `pose_sigma` the standard deviations
-that the estimator claims, `nees` that of the pose: attitude (rotation vector in b, rad), then position (in g,
-m). The rows of `FILTERED_BOUND` and `SMOOTHED_BOUND` have the bound's sigmas and no errors."""
+"""Columns of a trial, one row per estimator and frame.
+
+Errors are truth minus estimate. `pose_sigma` holds the standard deviations that the estimator claims:
+attitude (rotation vector in b, rad), then position (in g, m); `nees` is that of the pose. The rows of
+`FILTERED_BOUND` and `SMOOTHED_BOUND` have the standard deviations of the bound and no errors.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,10 +68,11 @@ class TrialTask:
     ----------
     scenario : Scenario
     number : int
-        Of the trial: with the scenario's seed it determines all randomness.
+        Of the trial; with the scenario's seed it determines all randomness.
     estimators : tuple of str
-    versions : dict of str to str
-        Of the software that all trials of the campaign must have.
+        Names.
+    versions : mapping of str to str
+        Versions of the software that the campaign began with.
     """
 
     scenario: Scenario
@@ -82,8 +89,8 @@ class TrialResult:
     ----------
     number : int
     parquet : bytes
-        Table of `SCHEMA` as a Parquet file; its metadata tells of failures. The same whenever, wherever the
-        trial is run.
+        Table of `SCHEMA` as a Parquet file, with failures in its metadata. It does not depend on where or
+        when the trial is run.
     times_s : mapping of str to float
         Wall time of the simulation, the front end and each estimator.
     error : str or None
@@ -97,7 +104,7 @@ class TrialResult:
 
 
 def software() -> dict[str, str]:
-    """Versions of this package and of those that its numbers depend on."""
+    """Give the versions of this package and of those that its numbers depend on."""
     return {
         "craternav_fg": craternav_fg.__version__,
         **{name: importlib.metadata.version(name) for name in PACKAGES},
@@ -105,13 +112,21 @@ def software() -> dict[str, str]:
 
 
 def run_trial(task: TrialTask) -> TrialResult:
-    """Run a trial. Whatever goes wrong in it is its result.
+    """Run a trial; an error in it is a result that says why.
+
+    Parameters
+    ----------
+    task : TrialTask
+
+    Returns
+    -------
+    TrialResult
 
     Raises
     ------
     CraternavError
-        When the software here is not that of the campaign, or the machine lacks room: another time the trial
-        may go well.
+        When the software differs from that of the campaign, or disk space or memory runs out. These are no
+        faults of the trial.
     """
     here = software()
     for name, version in task.versions.items():
@@ -121,25 +136,27 @@ def run_trial(task: TrialTask) -> TrialResult:
         try:
             return _run(task, Path(folder))
         except Exception as error:
-            # The folder's name is another every time.
-            said = " ".join(str(error).replace(folder, "trial").split())
+            # The name of the temporary folder would make the result differ from run to run.
+            problem = " ".join(str(error).replace(folder, "trial").split())
             known = isinstance(error, CraternavError)
-            if _lacks_room(error):
-                raise CraternavError(f"trial {task.number}: {said}") from error
-            return failed(task.number, said if known else f"{type(error).__name__}: {said}")
+            if _out_of_resources(error):
+                raise CraternavError(f"trial {task.number}: {problem}") from error
+            return failed(task.number, problem if known else f"{type(error).__name__}: {problem}")
 
 
-def _lacks_room(error: BaseException | None) -> bool:
-    """Whether an error comes of a full disk or memory."""
+def _out_of_resources(error: BaseException | None) -> bool:
+    """Whether a full disk, memory or file table has caused an error."""
     while error is not None:
-        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_ROOM):
+        if isinstance(error, MemoryError) or (
+            isinstance(error, OSError) and error.errno in _OUT_OF_RESOURCES
+        ):
             return True
         error = error.__cause__ or error.__context__
     return False
 
 
 def failed(number: int, error: str) -> TrialResult:
-    """Give the result of a trial that has none."""
+    """Make the result of a trial that failed."""
     return TrialResult(number, _parquet(SCHEMA.empty_table(), number, error, {}), {}, error)
 
 
@@ -197,8 +214,7 @@ def _rows(number: int, name: str, values: Mapping[str, npt.NDArray[Any]]) -> pa.
         elif field.name not in values:
             column = pa.nulls(n, field.type)
         elif pa.types.is_fixed_size_list(field.type):
-            flat = pa.array(np.ascontiguousarray(values[field.name]).ravel(), pa.float64())
-            column = pa.FixedSizeListArray.from_arrays(flat, field.type.list_size)
+            column = list_column(values[field.name])
         else:
             column = pa.array(values[field.name], field.type)
         columns.append(column)
@@ -206,9 +222,13 @@ def _rows(number: int, name: str, values: Mapping[str, npt.NDArray[Any]]) -> pa.
 
 
 def _parquet(table: pa.Table, number: int, error: str | None, failures: Mapping[str, str]) -> bytes:
-    told = {"trial": number, "error": error, "failures": dict(failures)}
-    told_table = table.replace_schema_metadata({METADATA: json.dumps(told)})
+    metadata = {"trial": number, "error": error, "failures": dict(failures)}
     sink = pa.BufferOutputStream()
     # Without checksums most damage to a page would be read as other numbers.
-    pq.write_table(told_table, sink, compression="zstd", write_page_checksum=True)
+    pq.write_table(
+        table.replace_schema_metadata({METADATA: json.dumps(metadata)}),
+        sink,
+        compression="zstd",
+        write_page_checksum=True,
+    )
     return bytes(sink.getvalue())

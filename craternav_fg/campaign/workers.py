@@ -19,25 +19,25 @@ from craternav_fg.errors import CraternavError
 
 T = TypeVar("T")
 
-# How long a scheduler may take to answer, and one of its workers to be there.
-PATIENCE_S = 10.0
-# Each trial has a core of its own: threads of linear algebra would only wait for one another.
-_SINGLE = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# How long to wait for a scheduler to answer, and for its first worker.
+CONNECT_TIMEOUT_S = 10.0
+# Every trial has a core of its own: more threads of linear algebra would compete for it.
+_SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor, and what the one who uses it must know.
+    """An executor, and what its user must know.
 
     Attributes
     ----------
     executor : Executor
     at_once : int or None
-        Most tasks it may hold at a time; None for any number.
+        Maximum number of tasks that it may hold at a time; None for any number.
     lost : tuple of type
-        Exceptions of a task whose worker died.
+        Exceptions that a task raises when its worker has died.
     connected : callable
-        Whether tasks can still come back.
+        Says whether results can still arrive.
     """
 
     executor: Executor
@@ -47,12 +47,12 @@ class Workers:
 
 
 class Processes(Executor):
-    """Processes with one task each: when one dies, its own task is lost and no other, and it is replaced.
+    """Processes with one task each. One that dies loses its own task only, and is replaced.
 
     Parameters
     ----------
     count : int
-        No more tasks may be submitted before one of them is done.
+        Number of processes, and of tasks that they hold at a time.
     scratch : Path
         Folder for their temporary files.
     """
@@ -60,17 +60,33 @@ class Processes(Executor):
     def __init__(self, count: int, scratch: Path) -> None:
         self._scratch = scratch
         self._lanes = [(self._lane(), _done()) for _ in range(count)]
-        # Lanes whose process has begun: at the first task.
+        # Lanes whose process has started, which it does at the first task.
         self._begun: set[int] = set()
         self._others = set(multiprocessing.active_children())
 
     def _lane(self) -> ProcessPoolExecutor:
-        # A fresh interpreter: forking one that has threads (a progress bar's) can hang.
+        # A new interpreter, as a fork of one that has threads (a progress bar) can hang.
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(1, context, _begin_worker, (str(self._scratch),))
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        """Give a task to an idle process."""
+        """Give a task to an idle process.
+
+        Parameters
+        ----------
+        fn : callable
+        *args, **kwargs
+            Its arguments.
+
+        Returns
+        -------
+        Future
+
+        Raises
+        ------
+        RuntimeError
+            When all processes are busy.
+        """
         free = (k for k, (_, future) in enumerate(self._lanes) if future.done())
         k = next(free, None)
         if k is None:
@@ -85,7 +101,7 @@ class Processes(Executor):
             else:
                 self._lanes[k] = (lane, future)
                 return future
-        # Ctrl-C is lost while a process begins: no longer than that.
+        # Ctrl-C is ignored while a process starts, no longer.
         with _spawning():
             future = lane.submit(fn, *args, **kwargs)
         self._begun.add(k)
@@ -93,7 +109,7 @@ class Processes(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes; those still at work are ended at once when futures are to be cancelled."""
+        """Stop the processes; with `cancel_futures` those still at work are killed."""
         if cancel_futures:
             for process in self._own():
                 process.terminate()
@@ -112,14 +128,14 @@ def _done() -> Future[Any]:
 
 @contextmanager
 def _spawning() -> Iterator[None]:
-    """Have new processes inherit what must hold before their first import.
+    """Set what new processes must inherit before their first import.
 
-    One thread for linear algebra; and Ctrl-C, which reaches them too, is for the one who started them.
+    Linear algebra has one thread. Ctrl-C, which reaches them too, is left to the process that started them.
     """
-    before = {name: os.environ.get(name) for name in _SINGLE}
+    before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
     main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
-    os.environ.update(_SINGLE)
+    os.environ.update(_SINGLE_THREAD)
     try:
         yield
     finally:
@@ -133,7 +149,7 @@ def _spawning() -> Iterator[None]:
 
 
 def _begin_worker(scratch: str) -> None:
-    """Set up a process: where temporary files go, and that it does not outlive who started it."""
+    """Set up a process: its folder for temporary files, and that it ends with the process that started it."""
     tempfile.tempdir = scratch
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -147,7 +163,19 @@ def _begin_worker(scratch: str) -> None:
 
 @contextmanager
 def processes(count: int, scratch: Path) -> Iterator[Workers]:
-    """Give processes on this machine."""
+    """Give workers that are processes on this machine.
+
+    Parameters
+    ----------
+    count : int
+        Number of processes.
+    scratch : Path
+        Folder for their temporary files.
+
+    Yields
+    ------
+    Workers
+    """
     pool = Processes(count, scratch)
     try:
         yield Workers(pool, count, (BrokenExecutor,))
@@ -159,7 +187,7 @@ def processes(count: int, scratch: Path) -> Iterator[Workers]:
 
 @contextmanager
 def _silent(name: str) -> Iterator[None]:
-    """Have a logger say nothing: what is wrong is an error here."""
+    """Silence a logger whose messages are raised as errors here."""
     logger = logging.getLogger(name)
     level = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -177,6 +205,10 @@ def cluster(address: str) -> Iterator[Workers]:
     ----------
     address : str
         As `dask scheduler` prints it.
+
+    Yields
+    ------
+    Workers
 
     Raises
     ------
@@ -196,25 +228,27 @@ def cluster(address: str) -> Iterator[Workers]:
         ) from None
 
     async def answers() -> None:
-        comm = await connect(address, timeout=PATIENCE_S)
+        comm = await connect(address, timeout=CONNECT_TIMEOUT_S)
         await comm.close()
 
     try:
         # A client that fails half-way leaves threads and messages behind.
         asyncio.run(answers())
-        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise CraternavError(f"scheduler {address}: not reached within {PATIENCE_S:g} s: {error}") from None
+        raise CraternavError(
+            f"scheduler {address}: not reached within {CONNECT_TIMEOUT_S:g} s: {error}"
+        ) from None
     except Exception as error:
-        # Another server's words, read as lengths and messages, end in any error: on the scheduler's port for
-        # its web page, in one of memory.
+        # The answer of another server, decoded as a message, can raise anything: on the port of the
+        # scheduler's web page it is a MemoryError.
         problem = f"what answers there is no Dask scheduler ({type(error).__name__})"
         raise CraternavError(f"scheduler {address}: {problem}") from None
     with _silent("distributed.client"), client:
         try:
-            client.wait_for_workers(1, timeout=PATIENCE_S)
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
         except TimeoutError:
-            raise CraternavError(f"scheduler {address}: no worker within {PATIENCE_S:g} s") from None
-        # Impure: a trial that is done again must not be given the result of before.
+            raise CraternavError(f"scheduler {address}: no worker within {CONNECT_TIMEOUT_S:g} s") from None
+        # Impure, so that a trial that is repeated is run again.
         executor = client.get_executor(pure=False)
         yield Workers(executor, None, (KilledWorker,), lambda: client.status == "running")

@@ -9,9 +9,9 @@ import typer
 from rich import box
 from rich.table import Table
 
+from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import CampaignOptions
 from craternav_fg.campaign.run import montecarlo as run_campaign
-from craternav_fg.campaign.store import read_campaign
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.descents import EstimatorOption
 from craternav_fg.cli.terminal import bar, err, number, out, say

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from craternav_fg.campaign import store as campaign_store
+from craternav_fg.campaign.read import read_campaign
 from craternav_fg.cli.app import JsonOption, app
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
@@ -37,7 +38,7 @@ def report(
     if (folder / campaign_store.MARKER).is_file():
         if recording is not None:
             raise InputError(folder, "is a campaign: recordings are of runs")
-        write_page(campaign_page(campaign_store.read_campaign(folder)), path)
+        write_page(campaign_page(read_campaign(folder)), path)
     else:
         run = read_run(folder)
         write_page(run_page(run), path)

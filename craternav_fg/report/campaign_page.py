@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from craternav_fg.campaign.store import MARKER, Campaign
+from craternav_fg.campaign.read import Campaign
+from craternav_fg.campaign.store import MARKER
 from craternav_fg.campaign.summary import of_estimator
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE

@@ -13,8 +13,8 @@ import pytest
 from distributed import Client
 
 from craternav_fg.campaign import run, workers
+from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import montecarlo
-from craternav_fg.campaign.store import read_campaign
 from craternav_fg.errors import CraternavError
 from tests.campaign import inline
 from tests.campaign.scene import contents, options, small_scenario, until_trials
@@ -112,7 +112,7 @@ def test_a_lost_scheduler_ends_the_run_and_finished_trials_stay(cluster: Cluster
 def test_a_scheduler_without_workers(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "PATIENCE_S", 2.0)
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT_S", 2.0)
     with pytest.raises(CraternavError, match=f"scheduler {cluster.address}: no worker within 2 s"):
         montecarlo(small_scenario(), tmp_path / "c", options(1, scheduler=cluster.address))
     assert not (tmp_path / "c").exists()

@@ -11,10 +11,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from craternav_fg.campaign import run, store, workers
+from craternav_fg.campaign import run, workers, write
+from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import CampaignOptions, as_measured, each_result, montecarlo
-from craternav_fg.campaign.store import CampaignFolder, identity, read_campaign
 from craternav_fg.campaign.trial import TrialTask, run_trial, software
+from craternav_fg.campaign.write import CampaignFolder, identity
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -126,7 +127,7 @@ def test_another_campaigns_folder_is_refused(
     else:
         name = "craternav_fg" if change == "version" else "gtsam"
         other = {**software(), name: "0.0.1"}
-        monkeypatch.setattr(store, "software", lambda: other)
+        monkeypatch.setattr(write, "software", lambda: other)
         message = f'software.{name}: expected "0.0.1", found'
     before = {path: path.stat().st_mtime_ns for path in undisturbed.rglob("*")}
     with pytest.raises(InputError) as caught:
@@ -209,7 +210,7 @@ def test_a_run_killed_before_it_wrote_anything_leaves_a_folder_that_can_be_used(
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(store, "write_whole", killed)
+        patch.setattr(write, "write_whole", killed)
         with pytest.raises(Killed):
             montecarlo(small_scenario(), tmp_path / "c", options(1))
     assert montecarlo(small_scenario(), tmp_path / "c", options(1))["trials"] == 1
@@ -398,7 +399,7 @@ def test_images_or_rims_as_asked_for() -> None:
 def test_a_scheduler_that_is_not_there_is_named_soon_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT_S", 0.5)
     for address, message in (
         ("tcp://127.0.0.1:9", "not reached within 0.5 s"),
         ("moon", "expected an address"),

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from craternav_fg.campaign.store import Campaign
+from craternav_fg.campaign.read import Campaign
 from craternav_fg.campaign.summary import of_estimator, summarise
 from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from craternav_fg.campaign import run
+from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import montecarlo
-from craternav_fg.campaign.store import read_campaign
 from craternav_fg.errors import InputError
 from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import Table, write_page
@@ -52,7 +52,7 @@ def test_an_unfinished_campaign_is_refused(campaign: Path, tmp_path: Path) -> No
     text = summary.read_text()
     summary.unlink()
     try:
-        with pytest.raises(InputError, match="run the campaign to its end"):
+        with pytest.raises(InputError, match="complete the campaign first"):
             campaign_page(read_campaign(campaign))
     finally:
         summary.write_text(text)
