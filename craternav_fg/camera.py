@@ -10,6 +10,9 @@ from craternav_fg import lens
 
 FloatArray = npt.NDArray[np.float64]
 
+# Along each side of the image, to find how far the distortion must reach.
+_BORDER_POINTS = 33
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -74,11 +77,8 @@ class Camera:
         reach = np.inf
         if self.distorts:
             # Half a pixel beyond the outermost centres: the whole of their pixels.
-            x = np.linspace(-0.5, self.width_px - 0.5, 33)
-            y = np.linspace(-0.5, self.height_px - 0.5, 33)
-            sides = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
-            sides += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
-            border = (np.concatenate(sides) - [self.cx_px, self.cy_px]) / [self.fx_px, self.fy_px]
+            border = self.border_px(_BORDER_POINTS, -0.5)
+            border = (border - [self.cx_px, self.cy_px]) / [self.fx_px, self.fy_px]
             reach = lens.reach_of(self.distortion, border)
         return np.array([self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.distortion, reach])
 
@@ -96,6 +96,27 @@ class Camera:
     def matrix(self) -> FloatArray:
         """Calibration matrix, shape (3, 3)."""
         return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+    def border_px(self, count: int, margin_px: float = 0.0) -> FloatArray:
+        """Give points along the four sides of the image.
+
+        Parameters
+        ----------
+        count : int
+            Points of each side, its corners among them.
+        margin_px : float
+            Distance inside the centres of the outermost pixels; negative: outside.
+
+        Returns
+        -------
+        ndarray, shape (4 * count, 2)
+            Pixels: the upper, the lower, the left and the right side.
+        """
+        x = np.linspace(margin_px, self.width_px - 1 - margin_px, count)
+        y = np.linspace(margin_px, self.height_px - 1 - margin_px, count)
+        sides = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
+        sides += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
+        return np.concatenate(sides)
 
     def gTc(self, gTb: FloatArray) -> FloatArray:
         """Camera poses in g, shape (..., 4, 4), of lander poses `gTb`."""

@@ -1,20 +1,80 @@
-"""Ellipses: the chart that everything is estimated in, and the other ways to write one.
+"""Ellipses in their several forms, the conversions between them, and covariances of their charts.
 
 The chart of an ellipse (u - m)' S^-1 (u - m) = 1 is
 
     y = [m_x, m_y, ln(S_xx)/2, S_xy/S_xx, ln(S_yy - S_xy^2/S_xx)/2],
 
-a global parametrisation without singularities. With S = L L', L = [[e^y3, 0], [y4 e^y3, e^y5]], a point of
-the ellipse is m + L [cos t, sin t]. Axes are [x, y, a, b, angle]: centre, semi-axes a >= b, and the direction
-of a from x towards y, rad. Charts are in normalised image coordinates unless a name ends in `_px`.
+a global parametrisation of all ellipses without singularities. With the lower triangular root of S = L L',
+L = [[e^y3, 0], [y4 e^y3, e^y5]], the points of the ellipse are m + L [cos t, sin t]; t is the ellipse's
+parameter. Axes are [x, y, a, b, angle]: centre, semi-axes a >= b, and direction of a from x towards y, rad.
+Conics are (A, B, C, D, E, F) of eq. (3); their kernels are in `factors.kernels.conic`, as factors need them.
+
+Charts are in normalised image coordinates unless a name ends in `_px`; pixels are those of `camera.pinhole`,
+because a lens that distorts does not image an ellipse as an ellipse.
+
+References
+----------
+Tian, Yu, Yao, Huang (2019), J. Navigation 72, 648, DOI 10.1017/S0373463318000966: eq. (3).
 """
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from craternav_fg.camera import Camera
+from craternav_fg.linalg import scaled_inverse
+from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
+
+# Points at which an ellipse is followed through a lens: harmonics of its distortion are far below this.
+_LENS_POINTS = 32
+
+
+# Arithmetic on the elements of charts: on arrays in this module, on numbers and compiled in kernels.
+def _moments(log_x: Any, shear: Any, log_y: Any) -> tuple[Any, Any, Any]:
+    """S_xx, S_xy and S_yy of the last three elements of a chart."""
+    sxx = np.exp(2.0 * log_x)
+    sxy = shear * sxx
+    return sxx, sxy, np.exp(2.0 * log_y) + shear * sxy
+
+
+def _semi_axes(sxx: Any, sxy: Any, syy: Any, product: Any) -> tuple[Any, Any]:
+    """Semi-axes a >= b of S, given their product."""
+    half = 0.5 * (sxx - syy)
+    major = np.sqrt(0.5 * (sxx + syy) + np.sqrt(half * half + sxy * sxy))
+    # As a quotient: no digits are lost on a thin ellipse.
+    return major, product / major
+
+
+def _half_sides(log_x: Any, shear: Any, log_y: Any) -> tuple[Any, Any]:
+    """Half width and half height of the upright box, of the last three elements of a chart."""
+    half_x = np.exp(log_x)
+    return half_x, np.hypot(np.exp(log_y), shear * half_x)
+
+
+def _point(t: Any, x: Any, y: Any, log_x: Any, shear: Any, log_y: Any) -> tuple[Any, Any, Any, Any]:
+    """Point at a parameter, and there the gradient of sqrt((u - m)' S^-1 (u - m)), which is outward."""
+    ex, ey = np.exp(log_x), np.exp(log_y)
+    c, s = np.cos(t), np.sin(t)
+    gradient_y = s / ey
+    return x + ex * c, y + shear * ex * c + ey * s, c / ex - shear * gradient_y, gradient_y
+
+
+def _whiten(u: Any, v: Any, x: Any, y: Any, log_x: Any, shear: Any, log_y: Any) -> tuple[Any, Any]:
+    """Point L^-1 ((u, v) - m): its place when the ellipse is made the unit circle."""
+    du = u - x
+    return du / np.exp(log_x), (v - y - shear * du) / np.exp(log_y)
+
+
+_compiled = njit(cache=True, nogil=True, error_model="numpy")
+moments_kernel = _compiled(_moments)
+semi_axes_kernel = _compiled(_semi_axes)
+half_sides_kernel = _compiled(_half_sides)
+point_kernel = _compiled(_point)
+whiten_kernel = _compiled(_whiten)
 
 
 def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
@@ -29,6 +89,7 @@ def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, 
     Returns
     -------
     chart : ndarray, shape (..., 5)
+        In normalised image coordinates.
     scale : ndarray, shape (5,)
         Diagonal of the derivative of `chart` in `chart_px`.
     """
@@ -38,60 +99,279 @@ def normalised_chart(chart_px: FloatArray, camera: Camera) -> tuple[FloatArray, 
 
 
 def pixel_chart(chart: FloatArray, camera: Camera) -> FloatArray:
-    """Turn charts (..., 5) in normalised image coordinates into charts in the pixels of `camera.pinhole`."""
+    """Turn charts in normalised image coordinates into charts in pixels.
+
+    Parameters
+    ----------
+    chart : ndarray, shape (..., 5)
+        In normalised image coordinates.
+    camera : Camera
+
+    Returns
+    -------
+    ndarray, shape (..., 5)
+        In the pixels of `camera.pinhole`.
+    """
     scale = np.array([camera.fx_px, camera.fy_px, 1.0, camera.fy_px / camera.fx_px, 1.0])
     offset = np.array([camera.cx_px, camera.cy_px, np.log(camera.fx_px), 0.0, np.log(camera.fy_px)])
     return np.asarray(chart * scale + offset)
 
 
+def seen_through_lens(axes_px: FloatArray, camera: Camera) -> FloatArray:
+    """Compute the charts of the ellipses that best follow ellipses seen in a distorted image.
+
+    Parameters
+    ----------
+    axes_px : ndarray, shape (n, 5)
+        Axes in the pixels of the image as it is, not of `camera.pinhole`.
+    camera : Camera
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        Charts in normalised image coordinates: the first harmonics of the undistorted outlines.
+    """
+    points = camera.normalised(points_on(chart_of_axes(axes_px), _LENS_POINTS))
+    t = 2.0 * np.pi * np.arange(_LENS_POINTS) / _LENS_POINTS
+    cosine, sine = (2.0 / _LENS_POINTS * np.einsum("nkd,k->nd", points, f(t)) for f in (np.cos, np.sin))
+    return chart_of_diameters(points.mean(axis=1), cosine, sine)
+
+
+def chart_of_diameters(centre: FloatArray, p: FloatArray, q: FloatArray) -> FloatArray:
+    """Compute the charts of ellipses centre + p cos t + q sin t.
+
+    Parameters
+    ----------
+    centre, p, q : ndarray, shape (..., 2)
+        Centres and conjugate semi-diameters, in one unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 5)
+        Charts in that unit.
+    """
+    sxx = p[..., 0] ** 2 + q[..., 0] ** 2
+    sxy = p[..., 0] * p[..., 1] + q[..., 0] * q[..., 1]
+    # The root of the determinant of S: no digits are lost on a thin ellipse.
+    root = np.abs(p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0])
+    log_x = 0.5 * np.log(sxx)
+    return np.stack([centre[..., 0], centre[..., 1], log_x, sxy / sxx, np.log(root) - log_x], axis=-1)
+
+
 def chart_of_axes(axes: npt.ArrayLike) -> FloatArray:
-    """Charts (..., 5) of ellipses given by centre, semi-axes and direction (..., 5), in any order of a, b."""
+    """Compute charts from axes.
+
+    Parameters
+    ----------
+    axes : array_like, shape (..., 5)
+        Centre, semi-axes in any order, and direction of the first one, rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 5)
+        Charts in the unit of the axes.
+    """
     x, y, a, b, angle = np.moveaxis(np.asarray(axes, dtype=np.float64), -1, 0)
-    c, d = np.cos(angle), np.sin(angle)
-    sxx = (a * c) ** 2 + (b * d) ** 2
-    sxy = (a**2 - b**2) * c * d
-    # The determinant of S is (a b)^2: no digits are lost on a thin ellipse.
-    return np.stack([x, y, 0.5 * np.log(sxx), sxy / sxx, np.log(a * b) - 0.5 * np.log(sxx)], axis=-1)
+    c, s = np.cos(angle), np.sin(angle)
+    first, second = np.stack([a * c, a * s], axis=-1), np.stack([-b * s, b * c], axis=-1)
+    return chart_of_diameters(np.stack([x, y], axis=-1), first, second)
 
 
 def axes_of_chart(charts: FloatArray) -> FloatArray:
-    """Centre, semi-axes a >= b and direction of a (..., 5) of ellipses given by their charts (..., 5)."""
-    charts = np.asarray(charts)
-    sxx, sxy, syy = _matrix_elements(charts)
-    mean, half = 0.5 * (sxx + syy), 0.5 * (sxx - syy)
-    root = np.hypot(half, sxy)
-    angle = 0.5 * np.arctan2(sxy, half)
-    major = np.sqrt(mean + root)
-    # The product of the semi-axes over the larger one: no digits are lost on a thin ellipse.
-    minor = np.exp(charts[..., 2] + charts[..., 4]) / major
-    return np.stack([charts[..., 0], charts[..., 1], major, minor, angle], axis=-1)
+    """Compute axes from charts.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 5)
+        Centre, semi-axes a >= b, in the charts' unit, and direction of a, rad, -pi/2 to pi/2.
+    """
+    x, y, log_x, shear, log_y = np.moveaxis(np.asarray(charts), -1, 0)
+    sxx, sxy, syy = _moments(log_x, shear, log_y)
+    major, minor = _semi_axes(sxx, sxy, syy, np.exp(log_x + log_y))
+    angle = 0.5 * np.arctan2(sxy, 0.5 * (sxx - syy))
+    return np.stack([x, y, major, minor, angle], axis=-1)
 
 
 def semi_minor(charts: FloatArray) -> FloatArray:
-    """Semi-minor axes (...) of ellipses given by their charts (..., 5), in the charts' unit."""
-    return np.asarray(axes_of_chart(charts)[..., 3])
+    """Compute the semi-minor axes of ellipses.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In the charts' unit.
+    """
+    log_x, shear, log_y = np.moveaxis(np.asarray(charts)[..., 2:], -1, 0)
+    return np.asarray(_semi_axes(*_moments(log_x, shear, log_y), np.exp(log_x + log_y))[1])
+
+
+def semi_minor_bound(charts: FloatArray) -> FloatArray:
+    """Compute upper bounds of the semi-minor axes: the lesser of half width and half vertical chord.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In the charts' unit; the semi-minor axis itself where it is along x or y.
+    """
+    return np.asarray(np.exp(np.minimum(charts[..., 2], charts[..., 4])))
+
+
+def mean_radius(charts: FloatArray) -> FloatArray:
+    """Compute the geometric means of the semi-axes: the radii of circles of equal area.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In the charts' unit.
+    """
+    return np.asarray(np.exp(0.5 * (charts[..., 2] + charts[..., 4])))
 
 
 def matrix_of_chart(charts: FloatArray) -> FloatArray:
-    """Matrices S (..., 2, 2) of ellipses given by their charts (..., 5), in the charts' unit squared."""
-    sxx, sxy, syy = _matrix_elements(np.asarray(charts))
-    return np.stack([sxx, sxy, sxy, syy], axis=-1).reshape(*sxx.shape, 2, 2)
+    """Compute the matrices S of ellipses.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 2, 2)
+        In the charts' unit squared.
+    """
+    sxx, sxy, syy = _moments(*np.moveaxis(np.asarray(charts)[..., 2:], -1, 0))
+    return np.stack([sxx, sxy, sxy, syy], axis=-1).reshape(*np.shape(sxx), 2, 2)
+
+
+def half_sides(charts: FloatArray) -> FloatArray:
+    """Compute half widths and half heights of the upright boxes around ellipses.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        In the charts' unit.
+    """
+    return np.stack(_half_sides(*np.moveaxis(np.asarray(charts)[..., 2:], -1, 0)), axis=-1)
 
 
 def points_on(charts: FloatArray, count: int = 48) -> FloatArray:
-    """Points (..., count, 2) around ellipses given by their charts (..., 5), in the charts' coordinates."""
-    charts = np.asarray(charts)[..., None, :]
-    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
-    x = np.exp(charts[..., 2]) * np.cos(angle)
-    y = charts[..., 3] * x + np.exp(charts[..., 4]) * np.sin(angle)
-    return np.stack([charts[..., 0] + x, charts[..., 1] + y], axis=-1)
+    """Compute points around ellipses, equally spaced in the parameter.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+    count : int
+        Number of points.
+
+    Returns
+    -------
+    ndarray, shape (..., count, 2)
+        In the charts' coordinates, from parameter 0 on.
+    """
+    t = 2.0 * np.pi * np.arange(count) / count
+    return np.stack(_point(t, *np.moveaxis(np.asarray(charts)[..., None, :], -1, 0))[:2], axis=-1)
 
 
-def half_extents(axes: FloatArray) -> FloatArray:
-    """Half widths and heights (..., 2) of the upright boxes around ellipses given by their axes (..., 5)."""
-    _, _, a, b, angle = np.moveaxis(np.asarray(axes), -1, 0)
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([np.hypot(a * c, b * s), np.hypot(a * s, b * c)], axis=-1)
+def points_and_normals(charts: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute points of ellipses and the outward unit normals there.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In any unit.
+    t : ndarray, shape (k,)
+        Parameters of the points, rad.
+
+    Returns
+    -------
+    points : ndarray, shape (..., k, 2)
+        In the charts' coordinates.
+    normals : ndarray, shape (..., k, 2)
+        Unit vectors.
+    """
+    x, y, gx, gy = _point(t, *np.moveaxis(np.asarray(charts)[..., None, :], -1, 0))
+    normals = np.stack([gx, gy], axis=-1)
+    return np.stack([x, y], axis=-1), normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def whitened_points(points: FloatArray, chart: FloatArray) -> FloatArray:
+    """Map points by the affine map that makes an ellipse the unit circle about the origin.
+
+    Parameters
+    ----------
+    points : ndarray, shape (..., 2)
+        In the chart's coordinates.
+    chart : ndarray, shape (5,)
+        Of the ellipse.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        L^-1 (u - m): of length 1 on the ellipse, in the direction of the parameter t.
+    """
+    return np.stack(_whiten(points[..., 0], points[..., 1], *chart), axis=-1)
+
+
+def conics_of_charts(charts: FloatArray) -> FloatArray:
+    """Compute the conics of ellipses.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (n, 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, 6)
+        (A, B, C, D, E, F) of eq. (3), of unit norm.
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, eq. (3).
+    """
+    return np.array([conic.chart_to_conic(y) for y in charts]).reshape(-1, 6)
+
+
+def conic_jacobians(charts: FloatArray) -> FloatArray:
+    """Differentiate `conics_of_charts`.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (n, 5)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, 6, 5)
+        Of the unit-norm conics in the charts.
+    """
+    return np.array([conic.chart_to_conic_jacobian(y) for y in charts]).reshape(-1, 6, 5)
 
 
 def shape_change(before: FloatArray, after: FloatArray) -> FloatArray:
@@ -103,12 +383,12 @@ def shape_change(before: FloatArray, after: FloatArray) -> FloatArray:
     Parameters
     ----------
     before, after : ndarray, shape (..., 5)
-        Charts, in the same coordinates.
+        Charts in the same coordinates.
 
     Returns
     -------
     ndarray, shape (...)
-        Non-negative; zero for equal shapes.
+        Zero for equal shapes, else positive.
     """
     # S = L L', L lower triangular: singular values of inv(L1) L2.
     a = np.exp(after[..., 2] - before[..., 2])
@@ -120,13 +400,98 @@ def shape_change(before: FloatArray, after: FloatArray) -> FloatArray:
     return np.asarray(np.abs(half) + spread)
 
 
-def _matrix_elements(charts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    sxx = np.exp(2.0 * charts[..., 2])
-    sxy = charts[..., 3] * sxx
-    return sxx, sxy, np.exp(2.0 * charts[..., 4]) + charts[..., 3] * sxy
+def chart_covariance(charts: FloatArray, camera: Camera, sigma_px: float, count: int) -> FloatArray:
+    """Compute the covariances of charts fitted to edge points all round: their Cramer-Rao bound.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (..., 5)
+        In normalised image coordinates.
+    camera : Camera
+    sigma_px : float
+        Standard deviation of an edge point along the rim's normal.
+    count : int
+        Edge points, equally spaced in the ellipse's parameter.
+
+    Returns
+    -------
+    ndarray, shape (..., 5, 5)
+        sigma^2 (J'J)^-1, J being the derivative of the points' distances in the chart; in the units of the
+        chart in normalised image coordinates.
+    """
+    charts_px = pixel_chart(charts, camera)
+    points, normals = points_and_normals(charts_px, 2.0 * np.pi * np.arange(count) / count)
+    off = points - charts_px[..., None, :2]
+    shear = charts_px[..., None, 3]
+    nx, ny = normals[..., 0], normals[..., 1]
+    # The derivative of a rim point along its normal.
+    x_and_shear = (nx + shear * ny) * off[..., 0]
+    along_y = ny * (off[..., 1] - shear * off[..., 0])
+    J = np.stack([nx, ny, x_and_shear, ny * off[..., 0], along_y], axis=-1)
+    _, scale = normalised_chart(charts, camera)
+    bound = scaled_inverse(np.swapaxes(J, -1, -2) @ J)
+    return np.asarray(sigma_px**2 * bound * scale[:, None] * scale)
 
 
-def centre_and_matrix_px(charts: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Centres m (..., 2) and matrices S (..., 2, 2) of charts (..., 5), in the pixels of `camera.pinhole`."""
-    charts_px = pixel_chart(np.asarray(charts), camera)
-    return charts_px[..., :2], matrix_of_chart(charts_px)
+def relative_covariance(charts: FloatArray, share: float) -> FloatArray:
+    """Compute the covariances of charts with independent errors in proportion to the ellipse's size.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (n, 5)
+        In any unit.
+    share : float
+        Standard deviation of the centre, the logarithmic sizes and the vertical ends of the ellipse, as a
+        share of its half sides.
+
+    Returns
+    -------
+    ndarray, shape (n, 5, 5)
+        Diagonal, in the charts' unit.
+    """
+    half = half_sides(charts)
+    ones = np.ones(len(charts))
+    # The shear is a length over the half width.
+    shear = np.exp(charts[:, 4] - charts[:, 2])
+    scale = np.column_stack([half, ones, shear, ones])
+    return np.asarray((share * scale[:, :, None]) ** 2 * np.eye(5))
+
+
+@_compiled
+def axes_covariance(chart: FloatArray, sigma: float) -> FloatArray:
+    """Compute the covariance of a chart whose centre and semi-axes have independent errors of one size.
+
+    The symmetric root A of S changes by a symmetric matrix. Its element off the diagonal, which turns the
+    ellipse by itself over a - b, has half the variance of those on it: the covariance is then the same for
+    all directions of the axes.
+
+    Parameters
+    ----------
+    chart : ndarray, shape (5,)
+        In any unit.
+    sigma : float
+        Standard deviation of the centre's coordinates and of the semi-axes, in the chart's unit.
+
+    Returns
+    -------
+    ndarray, shape (5, 5)
+        Covariance of the chart.
+    """
+    beta, product = chart[3], np.exp(chart[2] + chart[4])
+    sxx, sxy, syy = moments_kernel(chart[2], beta, chart[4])
+    schur = np.exp(2.0 * chart[4])
+    # A = (S + ab I) / (a + b), and dS = A dA + dA A for the elements xx, yy and xy of dA.
+    total = np.sqrt(sxx + syy + 2.0 * product)
+    xx, xy, yy = (sxx + product) / total, sxy / total, (syy + product) / total
+    of_root = ((2.0 * xx, xy, 0.0, 1.0), (0.0, xy, 2.0 * yy, 1.0), (2.0 * xy, xx + yy, 2.0 * xy, 0.5))
+    out = np.zeros((5, 5))
+    out[0, 0] = out[1, 1] = sigma * sigma
+    g = np.empty(3)
+    for dxx, dxy, dyy, share in of_root:
+        g[0] = 0.5 * dxx / sxx
+        g[1] = (dxy - beta * dxx) / sxx
+        g[2] = 0.5 * (dyy - 2.0 * beta * dxy + beta * beta * dxx) / schur
+        for i in range(3):
+            for j in range(3):
+                out[2 + i, 2 + j] += share * sigma * sigma * g[i] * g[j]
+    return out

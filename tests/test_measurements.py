@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
+from craternav_fg.ellipse import chart_covariance
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.simulation.scenario_file import load_scenario
-from craternav_fg.simulation.sensors import chart_covariance
 
 
 def test_weights_do_not_favour_rims_measured_too_large() -> None:

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from craternav_fg.bench.ratios import seconds_of
 from craternav_fg.camera import Camera
-from craternav_fg.resection.edge_fit import chart_covariance
+from craternav_fg.ellipse import chart_covariance
 from craternav_fg.resection.efficient import refine, solve
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from craternav_fg.simulation.scenes import ALTITUDE_M, FOCAL_PX
@@ -99,7 +99,7 @@ def _problem(rng: np.random.Generator, n: int) -> ResectionProblem:
     axes[:, 0, 0], axes[:, 0, 1] = sizes[:, 0] * np.cos(angle), sizes[:, 0] * np.sin(angle)
     axes[:, 1, 0], axes[:, 1, 1] = -sizes[:, 1] * np.sin(angle), sizes[:, 1] * np.cos(angle)
     charts, _ = project_rims(gTb, np.eye(4), centres, axes)
-    covariance = np.stack([chart_covariance(y, CAMERA, 1.0, EDGE_POINTS) for y in charts])
+    covariance = chart_covariance(charts, CAMERA, 1.0, EDGE_POINTS)
     noise = np.linalg.cholesky(covariance) @ rng.normal(size=(n, 5, 1))
     names = tuple(str(k) for k in range(n))
     return ResectionProblem(MatchedRims(names, centres, axes, charts + noise[..., 0], covariance))

@@ -12,12 +12,15 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.sphere_index import SphereIndex
-from craternav_fg.ellipse import centre_and_matrix_px, points_on
+from craternav_fg.ellipse import half_sides, moments_kernel, pixel_chart, points_on, semi_axes_kernel
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+# Along each side of the image, to find the point farthest from the optical axis.
+_BORDER_POINTS = 33
 
 
 @dataclass(frozen=True)
@@ -205,10 +208,10 @@ class Catalog:
         if camera.distorts:
             inside = np.all(camera.contains(camera.pixels(points_on(charts)), margin_px), axis=-1)
         else:
-            centre_px, S = centre_and_matrix_px(charts, camera)
-            half = np.sqrt(np.stack([S[:, 0, 0], S[:, 1, 1]], axis=-1))
-            inside = camera.contains(centre_px - half, margin_px) & camera.contains(
-                centre_px + half, margin_px
+            charts_px = pixel_chart(charts, camera)
+            centre_px, half_px = charts_px[:, :2], half_sides(charts_px)
+            inside = camera.contains(centre_px - half_px, margin_px) & camera.contains(
+                centre_px + half_px, margin_px
             )
         rows, charts = rows[inside], charts[inside]
         order = np.argsort(rows)
@@ -262,6 +265,7 @@ def _images(
     seen = np.zeros(rows.shape[0], dtype=np.bool_)
     centre, axes = np.empty(3), np.empty((2, 3))
     p, c = np.empty(3), np.empty((2, 3))
+    fx, fy = lens[0], lens[1]
     for k in range(rows.shape[0]):
         i = rows[k]
         _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], centre, axes)
@@ -270,25 +274,17 @@ def _images(
         if not conic.chart(p, c, charts[k]):
             continue
         y = charts[k]
-        sxx = (lens[0] * np.exp(y[2])) ** 2
-        sxy = lens[0] * lens[1] * y[3] * np.exp(2.0 * y[2])
-        syy = lens[1] ** 2 * (np.exp(2.0 * y[4]) + (y[3] * np.exp(y[2])) ** 2)
-        half = 0.5 * (sxx + syy)
-        # The smaller eigenvalue as a quotient: a thin ellipse loses no digits.
-        determinant = (lens[0] * lens[1] * np.exp(y[2] + y[4])) ** 2
-        small2 = determinant / (half + np.sqrt(0.25 * (sxx - syy) ** 2 + sxy * sxy))
-        seen[k] = np.sqrt(small2) >= least_px
+        sxx, sxy, syy = moments_kernel(y[2], y[3], y[4])
+        _, minor_px = semi_axes_kernel(
+            fx * fx * sxx, fx * fy * sxy, fy * fy * syy, fx * fy * np.exp(y[2] + y[4])
+        )
+        seen[k] = minor_px >= least_px
     return charts, seen
 
 
 def _cos_field(camera: Camera, margin_px: float) -> float:
     """Cosine of the largest angle from the optical axis inside an image with a margin."""
-    share = np.linspace(0.0, 1.0, 33)
-    x = margin_px + share * (camera.width_px - 1 - 2.0 * margin_px)
-    y = margin_px + share * (camera.height_px - 1 - 2.0 * margin_px)
-    sides = [np.stack(np.broadcast_arrays(x, end), axis=-1) for end in (y[0], y[-1])]
-    sides += [np.stack(np.broadcast_arrays(end, y), axis=-1) for end in (x[0], x[-1])]
-    r2 = np.sum(camera.normalised(np.concatenate(sides)) ** 2, axis=-1)
+    r2 = np.sum(camera.normalised(camera.border_px(_BORDER_POINTS, margin_px)) ** 2, axis=-1)
     # Between the points of a bent border it may lie a little farther out; beyond a lens's fold, anywhere.
     slack = 1.02 if camera.distorts else 1.0
     return float(1.0 / np.sqrt(1.0 + slack * np.max(r2))) if np.all(np.isfinite(r2)) else 1e-3

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.columns import ID
-from craternav_fg.ellipse import half_extents
+from craternav_fg.ellipse import chart_of_axes, half_sides
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, Table, read_table
@@ -232,7 +232,7 @@ def _check_range(table: Table, name: str, limits: tuple[float, float]) -> None:
 def _check_inside(table: Table, ellipses_px: FloatArray, camera: Camera) -> None:
     """Refuse ellipses (n, 5) that do not reach into the image."""
     size = np.array([camera.width_px, camera.height_px])
-    centre, half = ellipses_px[:, :2], half_extents(ellipses_px)
+    centre, half = ellipses_px[:, :2], half_sides(chart_of_axes(ellipses_px))
     outside = (centre + half < -0.5) | (centre - half > size - 0.5)
     for row in np.flatnonzero(outside.any(axis=1)).tolist():
         axis = int(np.argmax(outside[row]))

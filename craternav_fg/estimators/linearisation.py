@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import conic_jacobians, conics_of_charts
 from craternav_fg.measurements import ArcSet, RimSet, SunTilt
 from factors.kernels import conic, rim, robust, shape, sun
 
@@ -84,7 +85,7 @@ def linearise_rims(
             inverse = np.asarray(np.linalg.pinv(_conic_jacobians(rims)), dtype=np.float64)
             covariance = inverse @ PAPER_NOISE @ np.swapaxes(inverse, 1, 2)
     else:
-        conics = np.array([conic.chart_to_conic(y) for y in rims.chart]).reshape(n, 6)
+        conics = conics_of_charts(rims.chart)
         semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
         h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
         innovation = -h
@@ -104,7 +105,7 @@ def linearise_rims(
 
 def _conic_jacobians(rims: RimSet) -> FloatArray:
     """Give the derivatives (n, 6, 5) of the conics with |q| = 1 in the charts."""
-    return np.array([conic.chart_to_conic_jacobian(y) for y in rims.chart]).reshape(len(rims), 6, 5)
+    return conic_jacobians(rims.chart)
 
 
 def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from craternav_fg.ellipse import chart_of_axes, matrix_of_chart
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -69,7 +71,7 @@ def gaussian_angle(one_px: FloatArray, other_px: FloatArray) -> FloatArray:
     ndarray
         From 0, for equal ellipses, to pi / 2.
     """
-    one, other = _shape(one_px), _shape(other_px)
+    one, other = (matrix_of_chart(chart_of_axes(axes)) for axes in (one_px, other_px))
     total = one + other
     off = np.asarray(one_px)[..., :2] - np.asarray(other_px)[..., :2]
     # S1^-1 (S1^-1 + S2^-1)^-1 S2^-1 = (S1 + S2)^-1.
@@ -130,15 +132,6 @@ def match(
         error[:, 2],
         error[:, 3],
     )
-
-
-def _shape(ellipse_px: FloatArray) -> FloatArray:
-    """Matrix S (..., 2, 2) of (x - m)' S^-1 (x - m) = 1."""
-    _, _, a, b, angle = np.moveaxis(np.asarray(ellipse_px, dtype=np.float64), -1, 0)
-    c, s = np.cos(angle), np.sin(angle)
-    xy = (a**2 - b**2) * c * s
-    rows = [(a * c) ** 2 + (b * s) ** 2, xy, xy, (a * s) ** 2 + (b * c) ** 2]
-    return np.stack(rows, axis=-1).reshape(*np.shape(a), 2, 2)
 
 
 def _determinant(S: FloatArray) -> FloatArray:

@@ -18,8 +18,9 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import mean_radius, relative_covariance
 from craternav_fg.linalg import bisecting_triads, scaled_inverse
-from craternav_fg.matching.gate_geometry import outline_covariances, raised_above_ground
+from craternav_fg.matching.gate_geometry import raised_above_ground
 from factors.kernels import conic, rim_poses
 
 FloatArray = npt.NDArray[np.float64]
@@ -177,7 +178,7 @@ class _Search:
         self.information = scaled_inverse(pose_covariance)
         self.bTc = camera.bTc
         self.charts = np.ascontiguousarray(charts, dtype=np.float64)
-        self.noise = covariances + outline_covariances(self.charts, options.floor_share)
+        self.noise = covariances + relative_covariance(self.charts, options.floor_share)
         self.weights = np.ascontiguousarray(scaled_inverse(self.noise))
         self.gate = float(chi2.ppf(options.probability, _COMPONENTS))
         self.sigmas = float(np.sqrt(chi2.ppf(options.probability, 2)))
@@ -206,7 +207,7 @@ class _Search:
         altitude_m = max(float(catalog.body.altitude_m(gPc)), 1.0)
         field = float(np.arctan(np.linalg.norm(self.reach))) + turn_rad + position_m / altitude_m
         # The smallest rim's crater, from the farthest that its size allows.
-        smallest = float(np.exp(0.5 * (self.charts[:, 2] + self.charts[:, 4]).min()))
+        smallest = float(mean_radius(self.charts).min())
         reach = 3.0 * (1.0 + min(position_m / altitude_m, 1.0)) / smallest
         rows = catalog.index.in_view(gPc, axis, float(np.cos(min(field, np.pi))), reach)
         return np.sort(rows), turn_rad, position_m

@@ -15,11 +15,3 @@ def raised_above_ground(gTc: FloatArray, pose_covariance: FloatArray, body: Body
     raised = gTc.copy()
     raised[:3, 3] += max(sigma_m - float(body.altitude_m(gTc[:3, 3])), 0.0) * up
     return raised
-
-
-def outline_covariances(charts: FloatArray, share: float) -> FloatArray:
-    """Covariances (n, 5, 5) of errors of ellipses by a share of their axes, all independent."""
-    a, b = np.exp(charts[:, 2]), np.exp(charts[:, 4])
-    # The chart's slope is a length over a: of both ends of the vertical axis.
-    scale = np.column_stack([a, np.hypot(b, charts[:, 3] * a), np.ones_like(a), b / a, np.ones_like(a)])
-    return np.asarray((share * scale[:, :, None]) ** 2 * np.eye(5))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.ellipse import pixel_chart
+from craternav_fg.ellipse import pixel_chart, whitened_points
 from craternav_fg.simulation.scenes import Scene
 from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, fit_rim
 from factors.kernels.conic import project_rims
@@ -53,11 +53,10 @@ def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> Flo
     catalog = one.catalog
     rows = slice(crater, crater + 1)
     chart = project_rims(one.gTb, one.camera.bTc, catalog.centres[rows], catalog.axes[rows])[0]
-    x, y, log_x, shear, log_y = pixel_chart(chart, one.camera)[0]
+    rim_px = pixel_chart(chart, one.camera)[0]
     edges, gradient = canny_edges(one.image)
     row, column = np.nonzero(edges)
-    u = (column - x) / np.exp(log_x)
-    v = (row - y - shear * (column - x)) / np.exp(log_y)
+    u, v = whitened_points(np.stack([column, row], axis=-1), rim_px).T
     g = gradient[row, column]
     towards = g @ [np.cos(one.sun_angle_rad), np.sin(one.sun_angle_rad)]
     keep = (np.abs(np.hypot(u, v) - 1.0) < _NEAR) & (towards > _LEAST_COSINE * np.linalg.norm(g, axis=1))

@@ -3,8 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.ellipse import pixel_chart, points_and_normals
 from craternav_fg.linalg import scaled_inverse
-from craternav_fg.resection.edge_fit import fit_edges, rim_points
+from craternav_fg.resection.edge_fit import fit_edges
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from craternav_fg.simulation.flat_scenes import CAMERA, FlatScene
 from factors.kernels import conic, rim
@@ -71,7 +72,7 @@ def pixel_arc(rng: np.random.Generator, chart: FloatArray, length_px: int) -> Fl
         Radians.
     """
     t = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 2.0 * np.pi, _POLYGON_POINTS)
-    points, _ = rim_points(chart, CAMERA, t)
+    points, _ = points_and_normals(pixel_chart(chart, CAMERA), t)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return np.interp(np.arange(min(length_px, int(length[-1]))), length, t)
 
@@ -102,7 +103,7 @@ def measure(
     charts, covariances, angles = [], [], []
     for chart, count in zip(scene.charts, counts, strict=True):
         angles.append(arc_angles(rng, int(count), arc))
-        points, _ = rim_points(chart, CAMERA, angles[-1])
+        points, _ = points_and_normals(pixel_chart(chart, CAMERA), angles[-1])
         fit = fit_edges(points + rng.normal(0.0, sigma_px, points.shape), CAMERA, sigma_px)
         if fit is not None:
             charts.append(fit[0])
@@ -132,7 +133,7 @@ def pose_bound(scene: FlatScene, angles: list[FloatArray], sigma_px: float) -> F
     _, J, _ = conic.chart_jacobian(scene.gTc, np.eye(4), scene.centres, scene.axes)
     information = np.zeros((6, 6))
     for chart, slopes, t in zip(scene.charts, J, angles, strict=True):
-        points, _ = rim_points(chart, CAMERA, t)
+        points, _ = points_and_normals(pixel_chart(chart, CAMERA), t)
         D = np.empty((len(t), 5))
         for row, point in zip(D, CAMERA.normalised(points), strict=True):
             rim.rim_distance(point[0], point[1], chart, row)

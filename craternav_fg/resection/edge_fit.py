@@ -10,7 +10,15 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import chart_of_axes, normalised_chart, pixel_chart
+from craternav_fg.ellipse import (
+    chart_covariance,
+    chart_of_axes,
+    normalised_chart,
+    pixel_chart,
+    points_on,
+    whiten_kernel,
+    whitened_points,
+)
 from factors.kernels.gauss_newton import solve
 from factors.kernels.rim import rim_distance
 
@@ -52,27 +60,9 @@ def fit_edges(points_px: FloatArray, camera: Camera, sigma_px: float) -> tuple[F
     if not fitted:
         return None
     chart, scale = normalised_chart(y, camera)
-    if not _scatter(_on_rim(points, y), y, sigma_px, covariance):
+    if not _scatter(_feet(points, y), y, sigma_px, covariance):
         return None
     return chart, covariance * np.outer(scale, scale)
-
-
-def chart_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: int) -> FloatArray:
-    """Least covariance (5, 5) of a rim's chart from edge points all round it: the Cramer-Rao bound.
-
-    Parameters
-    ----------
-    chart : ndarray, shape (5,)
-        In normalised coordinates.
-    camera : Camera
-    sigma_px : float
-        Standard deviation of an edge point along the rim's normal.
-    count : int
-        Edge points, equally spaced in the ellipse's parameter.
-    """
-    _, scale = normalised_chart(chart, camera)
-    angles = 2.0 * np.pi * np.arange(count) / count
-    return np.asarray(sigma_px**2 * _covariance(pixel_chart(chart, camera), angles) * np.outer(scale, scale))
 
 
 def fit_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: int) -> FloatArray:
@@ -89,7 +79,7 @@ def fit_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: in
         so large that the estimate has no covariance.
     """
     y = pixel_chart(chart, camera)
-    points, _ = rim_points(chart, camera, 2.0 * np.pi * np.arange(count) / count)
+    points = points_on(y, count)
     covariance = np.empty((5, 5))
     if not _scatter(points, y, sigma_px, covariance):
         return chart_covariance(chart, camera, sigma_px, count)
@@ -97,14 +87,10 @@ def fit_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: in
     return np.asarray(covariance * np.outer(scale, scale))
 
 
-def rim_points(chart: FloatArray, camera: Camera, angles_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) of a rim, px, at parameters (n,) of the ellipse, and its unit normals there (n, 2)."""
-    y = pixel_chart(chart, camera)
-    ea, es, beta = np.exp(y[2]), np.exp(y[4]), y[3]
-    s, t = np.cos(angles_rad), np.sin(angles_rad)
-    points = np.stack([y[0] + ea * s, y[1] + beta * ea * s + es * t], axis=-1)
-    normals = np.stack([s / ea - beta * t / es, t / es], axis=-1)
-    return points, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+def _feet(points: FloatArray, y: FloatArray) -> FloatArray:
+    """Points (n, 2) of the ellipse on the rays from its centre to some points (n, 2)."""
+    white = whitened_points(points, y)
+    return np.asarray(y[:2] + (points - y[:2]) / np.linalg.norm(white, axis=-1, keepdims=True))
 
 
 @njit(cache=True, error_model="numpy")
@@ -172,40 +158,13 @@ def _fit(points: FloatArray, start: FloatArray) -> tuple[bool, FloatArray, Float
 
 
 @njit(cache=True, error_model="numpy")
-def _covariance(y: FloatArray, angles: FloatArray) -> FloatArray:
-    ea, es = np.exp(y[2]), np.exp(y[4])
-    points = np.empty((angles.shape[0], 2))
-    for i in range(angles.shape[0]):
-        points[i, 0] = y[0] + ea * np.cos(angles[i])
-        points[i, 1] = y[1] + y[3] * ea * np.cos(angles[i]) + es * np.sin(angles[i])
-    N = np.empty((5, 5))
-    _normal_matrix(points, y, N, np.empty(5))
-    return _inverse(N)
-
-
-@njit(cache=True, error_model="numpy")
-def _on_rim(points: FloatArray, y: FloatArray) -> FloatArray:
-    """Points (n, 2) of the ellipse on the rays from its centre to some points (n, 2)."""
-    out = np.empty_like(points)
-    ea, es = np.exp(y[2]), np.exp(y[4])
-    for i in range(points.shape[0]):
-        x, z = points[i, 0] - y[0], points[i, 1] - y[1]
-        s = x / ea
-        t = (z - y[3] * x) / es
-        r = np.sqrt(s * s + t * t)
-        out[i, 0], out[i, 1] = y[0] + x / r, y[1] + z / r
-    return out
-
-
-@njit(cache=True, error_model="numpy")
 def _scatter(points: FloatArray, y: FloatArray, sigma: float, covariance: FloatArray) -> bool:
     """Write the covariance (5, 5) of the fit to noisy points of a rim; false when there is none."""
     A, B = np.zeros((5, 5)), np.zeros((5, 5))
     ea, es = np.exp(y[2]), np.exp(y[4])
     D, mean, moved = np.empty(5), np.empty(5), y.copy()
     for i in range(points.shape[0]):
-        s = (points[i, 0] - y[0]) / ea
-        t = (points[i, 1] - y[1] - y[3] * (points[i, 0] - y[0])) / es
+        s, t = whiten_kernel(points[i, 0], points[i, 1], y[0], y[1], y[2], y[3], y[4])
         nx, ny = s / ea - y[3] * t / es, t / es
         length = np.sqrt(nx * nx + ny * ny)
         mean[:] = 0.0

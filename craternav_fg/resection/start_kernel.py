@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.ellipse import moments_kernel
 from factors.kernels.conic import chart_to_conic
 from factors.kernels.los import line_of_sight
 
@@ -44,9 +45,7 @@ def looking(chart: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     vRc[1, 0] = z1 * vRc[0, 2]
     vRc[1, 1] = z2 * vRc[0, 0] - z0 * vRc[0, 2]
     vRc[1, 2] = -z1 * vRc[0, 0]
-    sxx = np.exp(2.0 * chart[2])
-    sxy = chart[3] * sxx
-    syy = np.exp(2.0 * chart[4]) + chart[3] * sxy
+    sxx, sxy, syy = moments_kernel(chart[2], chart[3], chart[4])
     Q = np.empty((3, 3))
     Q[0, 0] = chart[0] * chart[0] - sxx
     Q[0, 1] = chart[0] * chart[1] - sxy

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
+from craternav_fg.ellipse import half_sides
 from craternav_fg.errors import CraternavError
 from factors.kernels import conic
 
@@ -125,10 +126,7 @@ def inside(charts: FloatArray) -> npt.NDArray[np.bool_]:
     -------
     ndarray of bool, shape (n,)
     """
-    sx = np.exp(charts[:, 2])
-    sy = np.hypot(np.exp(charts[:, 4]), charts[:, 3] * sx)
-    m = np.abs(charts[:, :2])
-    return np.asarray((m[:, 0] + sx < HALF_FIELD) & (m[:, 1] + sy < HALF_FIELD))
+    return np.asarray(np.all(np.abs(charts[:, :2]) + half_sides(charts) < HALF_FIELD, axis=1))
 
 
 def random_scene(

@@ -9,7 +9,7 @@ from craternav_fg import frames
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.ellipse import axes_of_chart, half_extents, pixel_chart
+from craternav_fg.ellipse import half_sides, pixel_chart
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, standing
 from craternav_fg.simulation.flat_scenes import CAMERA, SEMI_AXES_M, tilted_camera
 from craternav_fg.simulation.relief import Relief, ReliefOptions
@@ -181,8 +181,8 @@ def photograph_window(
 def window(view: SingleCrater) -> Camera:
     """Camera that takes the part of the paper's image around a crater."""
     _, charts = view.catalog.visible(CAMERA, view.gTb, min_semi_minor_px=0.0, margin_px=0.0)
-    rim_px = axes_of_chart(pixel_chart(charts, CAMERA))[0]
-    reach = _WINDOW_SCALE * half_extents(rim_px) + _WINDOW_MARGIN_PX
+    rim_px = pixel_chart(charts, CAMERA)[0]
+    reach = _WINDOW_SCALE * half_sides(rim_px) + _WINDOW_MARGIN_PX
     size = np.array([CAMERA.width_px, CAMERA.height_px])
     low = np.maximum(np.floor(rim_px[:2] - reach), 0.0).astype(int)
     high = np.minimum(np.ceil(rim_px[:2] + reach).astype(int), size - 1)

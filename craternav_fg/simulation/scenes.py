@@ -9,7 +9,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.ellipse import axes_of_chart, half_extents, pixel_chart
+from craternav_fg.ellipse import axes_of_chart, chart_of_axes, half_sides, pixel_chart
 from craternav_fg.photometry import level_ground
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.flat_scenes import HALF_FIELD
@@ -112,7 +112,7 @@ class Scene:
     def wanted(self) -> npt.NDArray[np.bool_]:
         """Which rims a detector is expected to find, shape (n,): large, shaded, whole in the image."""
         x, y, _, b, _ = self.ellipses_px.T
-        half_x, half_y = half_extents(self.ellipses_px).T
+        half_x, half_y = half_sides(chart_of_axes(self.ellipses_px)).T
         height, width = self.image.shape
         whole = (x > half_x) & (x + half_x < width - 1) & (y > half_y) & (y + half_y < height - 1)
         return np.asarray(whole & (b >= MIN_SEMI_MINOR_PX) & (self.slope_contrast > MIN_SLOPE_CONTRAST))

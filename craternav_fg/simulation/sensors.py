@@ -9,6 +9,7 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import ground_sun_direction
+from craternav_fg.ellipse import chart_covariance
 from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.simulation.scenario_file import ImuSection, InitialErrorSection, MeasurementSection
@@ -123,28 +124,6 @@ def initial_state(
         gyro_bias_sigma_rad_s=imu.gyro_bias_rad_s,
         accelerometer_bias_sigma_m_s2=imu.accelerometer_bias_m_s2,
     )
-
-
-def chart_covariance(chart: FloatArray, camera: Camera, sigma_px: float, points: int) -> FloatArray:
-    """Covariance (n, 5, 5) of charts (n, 5) fitted to points round the rims: sigma^2 (J'J)^-1.
-
-    J is the derivative of the points' normal distances, px, in the chart; the points are equally
-    spaced in the ellipses' parameter.
-    """
-    phase = 2.0 * np.pi * np.arange(points) / points
-    cos, sin = np.cos(phase), np.sin(phase)
-    focal = np.array([camera.fx_px, camera.fy_px])
-    first = np.exp(chart[:, 2])[:, None] * cos
-    second = np.exp(chart[:, 4])[:, None] * sin
-    shear = chart[:, 3][:, None]
-    # S = L L', L = [[e^y3, 0], [y4 e^y3, e^y5]]: a rim point is m + L [cos, sin], its normal L^-T [cos, sin].
-    normal_y = sin * np.exp(-chart[:, 4])[:, None]
-    normal_x = cos * np.exp(-chart[:, 2])[:, None] - shear * normal_y
-    normal = np.stack([normal_x, normal_y], axis=-1) / focal
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    nx, ny = focal[0] * normal[..., 0], focal[1] * normal[..., 1]
-    J = np.stack([nx, ny, (nx + shear * ny) * first, ny * first, ny * second], axis=-1)
-    return np.asarray(sigma_px**2 * np.linalg.inv(np.swapaxes(J, 1, 2) @ J))
 
 
 def measure(

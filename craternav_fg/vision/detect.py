@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import axes_of_chart
+from craternav_fg.ellipse import axes_of_chart, mean_radius, points_on, semi_minor, whiten_kernel
 from craternav_fg.errors import EstimationError
 from craternav_fg.vision import crater_profile, edges
 from craternav_fg.vision.brightness import brightness, filled
@@ -117,8 +117,8 @@ _CONTRAST_CANDIDATES = 20
 # Darker level ground, of 255, has no contrast to offer.
 _MIN_BRIGHTNESS = 6.0
 # Level ground around a crater: rings of these radii.
-_GROUND_RING_RADII = np.array([1.5, 1.75, 2.0])[:, None]
-_RING_ANGLES_RAD = 2.0 * np.pi * np.arange(32) / 32.0
+_GROUND_RING_RADII = np.array([1.5, 1.75, 2.0])[:, None, None]
+_RING_POINTS = 32
 # Half length of the normals along which a rim is traced, one after the other: pixels, share of the radius.
 _NORMAL_REACHES = ((2.0, 0.35), (1.5, 0.14))
 # Smoothing along the normals: share of the radius, pixels.
@@ -287,16 +287,15 @@ def _trace(
     tried = 0
     ellipse = replace(options.fit, outline_share=0.0)
     for reach_px, reach_share in _NORMAL_REACHES:
-        size = float(np.exp(0.5 * (chart[2] + chart[4])))
+        size = float(mean_radius(chart))
         level = ring_level(image, chart)
         if not level > _MIN_BRIGHTNESS:
             return None
         # The crater's radius towards the light, in the image.
-        u = direction[0] / np.exp(chart[2])
-        v = (direction[1] - chart[3] * direction[0]) / np.exp(chart[4])
+        u, v = whiten_kernel(*(chart[:2] + direction), *chart)
         count = int(np.clip(2.0 * size, 56, 160))
         points, ratio, lever, tried, _ = edges.trace_rim(
-            image, chart, gain * direction / np.hypot(u, v), level, reach_px + reach_share * size,
+            image, chart, gain / float(np.hypot(u, v)) * direction, level, reach_px + reach_share * size,
             *_SMOOTHING, options.psf_px, _MIN_SLOPE_CONTRAST, _MIN_STEP,
             _STEP_SIGMAS * np.sqrt(2.0) * noise / level, count, crater_profile.crossing_table(),
             crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, camera.lens,
@@ -312,7 +311,7 @@ def _trace(
     outlined = refine_rim(points, chart, camera, options.fit, ratio, lever, _BRIGHTNESS_SIGMA)
     if isinstance(outlined, FitFailure):
         return None
-    minor = float(axes_of_chart(chart[None])[0, 3])
+    minor = float(semi_minor(chart))
     moved = float(np.hypot(*(chart[:2] - places.xy_px[k])))
     if minor < 0.5 * radius or moved > _MAX_SHIFT_RADII * radius:
         return None
@@ -323,9 +322,9 @@ def _trace(
 
 def ring_level(image: ImageArray, chart_px: FloatArray) -> float:
     """Brightness of the ground around a rim: the median of rings; 0 where the image has none of them."""
-    c, s = np.exp(chart_px[2]) * np.cos(_RING_ANGLES_RAD), np.exp(chart_px[4]) * np.sin(_RING_ANGLES_RAD)
-    columns = np.rint(chart_px[0] + _GROUND_RING_RADII * c).astype(np.int64).ravel()
-    rows = np.rint(chart_px[1] + _GROUND_RING_RADII * (chart_px[3] * c + s)).astype(np.int64).ravel()
+    centre = chart_px[:2]
+    rings = centre + _GROUND_RING_RADII * (points_on(chart_px, _RING_POINTS) - centre)
+    columns, rows = np.rint(rings).astype(np.int64).reshape(-1, 2).T
     inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
     values = image[rows[inside], columns[inside]]
     values = np.sort(values[np.isfinite(values)])

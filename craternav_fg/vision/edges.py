@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.ellipse import point_kernel
 from craternav_fg.lens import distort, undistort
 
 FloatArray = npt.NDArray[np.float64]
@@ -86,19 +87,15 @@ def rim_point(chart_px: FloatArray, angle: float, out: FloatArray) -> None:
 
     The support distance is that from the centre to the tangent: the crater's radius along the normal.
     """
-    ea, es, beta = np.exp(chart_px[2]), np.exp(chart_px[4]), chart_px[3]
-    c, s = np.cos(angle), np.sin(angle)
-    out[0] = chart_px[0] + ea * c
-    out[1] = chart_px[1] + beta * ea * c + es * s
-    # Gradient of f: S = L L', L = [[ea, 0], [beta ea, es]], grad f = L'^-1 [c, s].
-    ny = s / es
-    nx = c / ea - beta * ny
+    out[0], out[1], nx, ny = point_kernel(
+        angle, chart_px[0], chart_px[1], chart_px[2], chart_px[3], chart_px[4]
+    )
     g = np.sqrt(nx * nx + ny * ny)
     out[2] = nx / g
     out[3] = ny / g
     out[4] = 1.0 / g
     # kappa = h^3 / det(S).
-    out[5] = 1.0 / (ea * es * ea * es * g * g * g)
+    out[5] = 1.0 / (np.exp(2.0 * (chart_px[2] + chart_px[4])) * g * g * g)
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,7 +29,14 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import chart_of_axes, normalised_chart, pixel_chart
+from craternav_fg.ellipse import (
+    axes_covariance,
+    chart_of_axes,
+    moments_kernel,
+    normalised_chart,
+    pixel_chart,
+    semi_axes_kernel,
+)
 from craternav_fg.vision import ellipse_kernel
 
 FloatArray = npt.NDArray[np.float64]
@@ -214,42 +221,20 @@ def systematic_covariance(chart: FloatArray, camera: Camera, options: FitOptions
 
 @njit(cache=True, error_model="numpy")
 def floor_covariance(y: FloatArray, floor_px: float, floor_share: float) -> FloatArray:
-    """Covariance (5, 5) of a pixel chart from a systematic error of centre, semi-axes and rotation.
+    """Compute the covariance of a chart from a systematic error of centre, semi-axes and rotation.
 
-    Each has the standard deviation floor_px + floor_share b; the rotation as the length (a - b) dphi.
-    The root A of S then changes by a symmetric matrix; its element off the diagonal has half the
-    variance of those on it, so that the floor of a circle does not depend on the axes' direction.
+    Parameters
+    ----------
+    y : ndarray, shape (5,)
+        Chart in pixels.
+    floor_px, floor_share : float
+        The error's standard deviation is floor_px + floor_share b, see `ellipse.axes_covariance`.
+
+    Returns
+    -------
+    ndarray, shape (5, 5)
+        Covariance of the chart in pixels.
     """
-    sxx = np.exp(2.0 * y[2])
-    beta = y[3]
-    s = np.exp(2.0 * y[4])
-    sxy = beta * sxx
-    syy = s + beta * sxy
-    half = 0.5 * (sxx - syy)
-    root = np.sqrt(half * half + sxy * sxy)
-    mean = 0.5 * (sxx + syy)
-    a = np.sqrt(mean + root)
-    b = np.sqrt(max(mean - root, 1e-12))
-    phi = 0.5 * np.arctan2(sxy, half)
-    c, d = np.cos(phi), np.sin(phi)
-    floor = floor_px + floor_share * b
-    out = np.zeros((5, 5))
-    out[0, 0] = floor * floor
-    out[1, 1] = floor * floor
-    # Columns: change of S (xx, xy, yy) with a, b and the element off the diagonal.
-    for k in range(3):
-        if k == 0:
-            dxx, dxy, dyy, var = 2.0 * a * c * c, 2.0 * a * c * d, 2.0 * a * d * d, 1.0
-        elif k == 1:
-            dxx, dxy, dyy, var = 2.0 * b * d * d, -2.0 * b * c * d, 2.0 * b * c * c, 1.0
-        else:
-            dxx, dxy, dyy, var = (
-                -2.0 * (a + b) * c * d, (a + b) * (c * c - d * d), 2.0 * (a + b) * c * d, 0.5
-            )  # fmt: skip
-        g = np.array(
-            [0.5 * dxx / sxx, (dxy - beta * dxx) / sxx, 0.5 * (dyy - 2 * beta * dxy + beta * beta * dxx) / s]
-        )
-        for i in range(3):
-            for j in range(3):
-                out[2 + i, 2 + j] += var * floor * floor * g[i] * g[j]
-    return out
+    sxx, sxy, syy = moments_kernel(y[2], y[3], y[4])
+    _, minor_px = semi_axes_kernel(sxx, sxy, syy, np.exp(y[2] + y[4]))
+    return axes_covariance(y, floor_px + floor_share * minor_px)

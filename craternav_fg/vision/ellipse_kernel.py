@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.ellipse import whiten_kernel
+
 FloatArray = npt.NDArray[np.float64]
 
 _TUKEY_SIGMAS = 4.685
@@ -276,11 +278,10 @@ def _covered(points: FloatArray, weight: FloatArray, y: FloatArray, max_gap_rad:
     """Part of the rim that points of non-zero weight cover, gaps above `max_gap_rad` left out."""
     angles = np.empty(points.shape[0])
     k = 0
-    ea, es = np.exp(y[2]), np.exp(y[4])
     for i in range(points.shape[0]):
         if weight[i] > 0.0:
-            x = points[i, 0] - y[0]
-            angles[k] = np.arctan2((points[i, 1] - y[1] - y[3] * x) / es, x / ea)
+            u, v = whiten_kernel(points[i, 0], points[i, 1], y[0], y[1], y[2], y[3], y[4])
+            angles[k] = np.arctan2(v, u)
             k += 1
     if k < 2:
         return 0.0

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
-from craternav_fg.ellipse import pixel_chart
+from craternav_fg.ellipse import pixel_chart, semi_minor_bound
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.photometry import level_ground
@@ -331,7 +331,7 @@ class GuidedFrontEnd:
 
     def _common_shift(self, image: ImageArray, scene: "_Scene", radius_px: float) -> FloatArray:
         """One shift (2,) of all rims, px: coarse to fine on sun-signed brightness steps."""
-        minor = np.exp(np.minimum(scene.charts_px[:, 2], scene.charts_px[:, 4]))
+        minor = semi_minor_bound(scene.charts_px)
         order = np.argsort(-minor * np.linalg.norm(scene.gain_px, axis=-1), kind="stable")[
             :_MAX_SEARCHED_RIMS
         ]
@@ -367,7 +367,7 @@ class GuidedFrontEnd:
         out = np.empty((len(scene.rows), 2))
         for i in range(len(out)):
             one = slice(i, i + 1)
-            half = np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])) / 2.0
+            half = float(semi_minor_bound(scene.charts_px[i])) / 2.0
             reach = min(reach_px[i], half)
             step = max(0.5, reach / 8.0)
             out[i], _ = edges.search_shift(
@@ -443,7 +443,7 @@ class GuidedFrontEnd:
 
 def _minor_px(scene: _Scene, i: int) -> float:
     """Give the semi-minor axis of a rim, about."""
-    return float(np.exp(min(scene.charts_px[i, 2], scene.charts_px[i, 4])))
+    return float(semi_minor_bound(scene.charts_px[i]))
 
 
 def _normals(minor_px: float) -> int:

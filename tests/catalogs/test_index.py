@@ -6,7 +6,7 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.sphere_index import SphereIndex
-from craternav_fg.ellipse import centre_and_matrix_px, points_on
+from craternav_fg.ellipse import matrix_of_chart, pixel_chart, points_on
 from factors.kernels import conic
 from tests.catalogs.population import power_law_population
 
@@ -39,7 +39,7 @@ def seen_by_brute_force(craters, lens, gTb, least_px, margin_px):
     rows = np.flatnonzero(seen)
     points = lens.pixels(points_on(charts[rows], 720))
     inside = np.all(lens.contains(points, margin_px), axis=1)
-    size = np.sqrt(np.linalg.eigvalsh(centre_and_matrix_px(charts[rows], lens)[1])[:, 0])
+    size = np.sqrt(np.linalg.eigvalsh(matrix_of_chart(pixel_chart(charts[rows], lens)))[:, 0])
     return rows[inside & (size >= least_px)]
 
 

@@ -17,7 +17,7 @@ from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli import main
 from craternav_fg.dataset.sensor_files import camera_yaml
-from craternav_fg.ellipse import centre_and_matrix_px
+from craternav_fg.ellipse import matrix_of_chart, pixel_chart
 from craternav_fg.errors import InputError
 from craternav_fg.resection.files import read_rims
 from craternav_fg.resection.problem import MatchedRims
@@ -106,7 +106,10 @@ def files(tmp_path: Path) -> Files:
     charts, seen = project_rims(gTb, CAMERA.bTc, catalog.centres, catalog.axes)
     assert seen.all()
     rows = []
-    for name, (x, y), S in zip(catalog.identifiers, *centre_and_matrix_px(charts, CAMERA), strict=True):
+    charts_px = pixel_chart(charts, CAMERA)
+    for name, (x, y), S in zip(
+        catalog.identifiers, charts_px[:, :2], matrix_of_chart(charts_px), strict=True
+    ):
         values, vectors = np.linalg.eigh(S)
         angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
         numbers = (x, y, np.sqrt(values[1]), np.sqrt(values[0]), angle)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from craternav_fg.ellipse import pixel_chart, points_and_normals
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import ekf
@@ -14,7 +15,6 @@ from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import ArcSet
-from craternav_fg.resection.edge_fit import rim_points
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.conic import project_rims
 from tests.descents import problem, scenario
@@ -39,7 +39,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Prob
             points, sigmas = [], []
             for chart in charts[seen]:
                 angles = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 0.5 * np.pi, POINTS)
-                on_rim, normal = rim_points(chart, p.camera, angles)
+                on_rim, normal = points_and_normals(pixel_chart(chart, p.camera), angles)
                 off = SIGMA_PX * rng.normal(size=(POINTS, 1))
                 points.append(p.camera.normalised(on_rim + off * normal))
                 sigmas.append(np.full(POINTS, SIGMA_PX / p.camera.focal_px))

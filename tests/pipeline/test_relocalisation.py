@@ -9,7 +9,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.catalogs.files import read_catalog, write_catalog
 from craternav_fg.dataset import Dataset, layout
-from craternav_fg.ellipse import centre_and_matrix_px, normalised_chart, pixel_chart
+from craternav_fg.ellipse import matrix_of_chart, normalised_chart, pixel_chart
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
@@ -59,7 +59,7 @@ def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, mon
     catalog = read_catalog(tmp_path / layout.LARGE_CRATERS, lost.body)
     chart = lost.measurements[0].rims.chart
     charts = pixel_chart(chart, lost.camera.pinhole)
-    _, S = centre_and_matrix_px(chart, lost.camera)
+    S = matrix_of_chart(pixel_chart(chart, lost.camera))
     (b, a), turns = np.sqrt(np.linalg.eigvalsh(S)).T, np.linalg.eigh(S)[1][:, :, 1]
     found = SimpleNamespace(
         ellipses_px=np.column_stack([charts[:, :2], a, b, np.arctan2(turns[:, 1], turns[:, 0])]),

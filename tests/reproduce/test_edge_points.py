@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from craternav_fg.ellipse import chart_covariance, pixel_chart, points_and_normals
 from craternav_fg.errors import CraternavError
 from craternav_fg.reproduce.edge_points import arc_angles, matched, measure, pixel_arc, pose_bound
 from craternav_fg.resection.bounds import cramer_rao
-from craternav_fg.resection.edge_fit import chart_covariance, rim_points
 from craternav_fg.simulation.flat_scenes import CAMERA, inside, random_scene, random_triple
 
 
@@ -14,7 +14,7 @@ from craternav_fg.simulation.flat_scenes import CAMERA, inside, random_scene, ra
 def test_craters_lie_apart_and_whole_in_the_image(seed: int) -> None:
     scene = random_scene(np.random.default_rng(seed), 3, 10e3)
     for chart in scene.charts:
-        points, _ = rim_points(chart, CAMERA, np.linspace(0.0, 2.0 * np.pi, 200))
+        points, _ = points_and_normals(pixel_chart(chart, CAMERA), np.linspace(0.0, 2.0 * np.pi, 200))
         assert points.min() > -1.0
         assert points.max() < 1024.0
     t = np.linspace(0.0, 2.0 * np.pi, 60)[:, None]
@@ -46,7 +46,7 @@ def test_arcs_cover_what_they_should() -> None:
     scene = random_scene(rng, 2, 20e3)
     angles = arc_angles(rng, 50, 0.5)
     assert np.ptp(angles) == pytest.approx(np.pi * 49 / 50)
-    points, _ = rim_points(scene.charts[0], CAMERA, pixel_arc(rng, scene.charts[0], 40))
+    points, _ = points_and_normals(pixel_chart(scene.charts[0], CAMERA), pixel_arc(rng, scene.charts[0], 40))
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert len(points) == 40
     np.testing.assert_allclose(steps, 1.0, atol=0.01)

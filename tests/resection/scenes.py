@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.resection.edge_fit import chart_covariance, fit_edges, rim_points
+from craternav_fg.ellipse import chart_covariance, pixel_chart, points_and_normals
+from craternav_fg.resection.edge_fit import fit_edges
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from factors.kernels.conic import project_rims
 
@@ -102,7 +103,7 @@ def _craters(
         chart, seen = project_rims(gTc, np.eye(4), centre[None], rim[None])
         if not seen[0]:
             continue
-        points, _ = rim_points(chart[0], CAMERA, np.linspace(0.0, 2.0 * np.pi, 20))
+        points, _ = points_and_normals(pixel_chart(chart[0], CAMERA), np.linspace(0.0, 2.0 * np.pi, 20))
         if CAMERA.contains(points).all():
             centres.append(centre)
             axes.append(rim)
@@ -112,5 +113,5 @@ def _craters(
 
 def _fitted(rng: np.random.Generator, chart: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
     angles = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(count) / count
-    points, normals = rim_points(chart, CAMERA, angles)
+    points, normals = points_and_normals(pixel_chart(chart, CAMERA), angles)
     return fit_edges(points + EDGE_SIGMA_PX * rng.normal(size=(count, 1)) * normals, CAMERA, EDGE_SIGMA_PX)

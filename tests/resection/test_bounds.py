@@ -5,9 +5,9 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import pixel_chart
+from craternav_fg.ellipse import chart_covariance, pixel_chart, points_and_normals
 from craternav_fg.resection.bounds import cramer_rao
-from craternav_fg.resection.edge_fit import chart_covariance, fit_covariance, fit_edges, rim_points
+from craternav_fg.resection.edge_fit import fit_covariance, fit_edges
 from craternav_fg.resection.problem import KnownAttitude, MatchedRims, PosePrior, ResectionProblem
 from factors.kernels.conic import project_rims
 from tests.resection.scenes import CAMERA, camera_pose, level_axes
@@ -53,7 +53,7 @@ def test_the_bound_is_that_of_the_edge_points() -> None:
     information = np.zeros((6, 6))
     steps = np.repeat([1e-5, 0.5], 3)
     for centre, axes, chart in zip(problem.rims.centres, problem.rims.axes, problem.rims.chart, strict=True):
-        points, _ = rim_points(chart, CAMERA, 2.0 * np.pi * np.arange(POINTS) / POINTS)
+        points, _ = points_and_normals(pixel_chart(chart, CAMERA), 2.0 * np.pi * np.arange(POINTS) / POINTS)
         columns = []
         for step in np.diag(steps):
             ends = [
@@ -121,7 +121,7 @@ def test_a_rims_covariance_is_the_scatter_of_fits_to_its_edge_points() -> None:
     chart = np.array([0.1, -0.05, np.log(0.04), 0.3, np.log(0.02)])
     rng = np.random.default_rng(0)
     angles = 2.0 * np.pi * np.arange(50) / 50
-    points, normals = rim_points(chart, camera, angles)
+    points, normals = points_and_normals(pixel_chart(chart, camera), angles)
     fits = [fit_edges(points + 0.5 * rng.normal(size=(50, 1)) * normals, camera, 0.5) for _ in range(800)]
     covariance = chart_covariance(chart, camera, 0.5, 50)
     scale = np.sqrt(np.diag(covariance))
@@ -145,7 +145,7 @@ def test_fits_to_small_rims_scatter_as_they_say_and_more_than_the_bound(size_px:
     expected = fit_covariance(chart, CAMERA, 1.0, count)
     for _ in range(1200):
         angles = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(count) / count
-        points, normals = rim_points(chart, CAMERA, angles)
+        points, normals = points_and_normals(pixel_chart(chart, CAMERA), angles)
         fit = fit_edges(points + rng.normal(size=(count, 1)) * normals, CAMERA, 1.0)
         if fit is None:
             continue

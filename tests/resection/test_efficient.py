@@ -9,6 +9,7 @@ from scipy.linalg import eigh
 from scipy.optimize import least_squares
 
 from craternav_fg import frames
+from craternav_fg.ellipse import chart_covariance
 from craternav_fg.measurements import SunTilt
 from craternav_fg.resection.efficient import SolveOptions, refine, solve
 from craternav_fg.resection.problem import (
@@ -222,7 +223,6 @@ def test_one_rim_alone_is_undetermined() -> None:
 
 def head_on(a: float, b: float) -> ResectionProblem:
     """A rim in the middle of an image taken from straight above."""
-    from craternav_fg.resection.edge_fit import chart_covariance
     from factors.kernels.conic import project_rims
 
     gTc = camera_pose(np.random.default_rng(0), 50e3, 0.0)

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from craternav_fg.resection.edge_fit import chart_covariance
+from craternav_fg.ellipse import chart_covariance
 from craternav_fg.resection.efficient import solve
 from craternav_fg.resection.problem import KnownAttitude, MatchedRims, ResectionProblem, Status
 from craternav_fg.resection.robust import RobustOptions, solve_robustly

@@ -5,7 +5,7 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.ellipse import centre_and_matrix_px
+from craternav_fg.ellipse import matrix_of_chart, pixel_chart
 from craternav_fg.simulation import crater_shape
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from tests.simulation import scene
@@ -85,7 +85,7 @@ def test_no_crater_too_small_from_the_lowest_point(catalog: Catalog) -> None:
     gTb = scene.pose(scene.track()[-1])
     rows, charts = catalog.visible(scene.CAMERA, gTb, min_semi_minor_px=0.0)
     assert len(rows) > 5
-    _, S = centre_and_matrix_px(charts, scene.CAMERA)
+    S = matrix_of_chart(pixel_chart(charts, scene.CAMERA))
     assert np.sqrt(np.linalg.eigvalsh(S)[:, 0]).min() > 11.5
 
 
@@ -120,7 +120,7 @@ def test_clutter_is_small_and_spares_crests(catalog: Catalog) -> None:
     assert len(clutter) > 2000
     gTb = scene.pose(track[-1])
     rows, charts = clutter.visible(scene.CAMERA, gTb, min_semi_minor_px=0.0)
-    _, S = centre_and_matrix_px(charts, scene.CAMERA)
+    S = matrix_of_chart(pixel_chart(charts, scene.CAMERA))
     assert len(rows) > 50
     assert np.sqrt(np.linalg.eigvalsh(S)[:, 1]).max() < 9.5
     theta = np.linspace(0.0, 2.0 * np.pi, 180)

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.dataset import Dataset, ground_sun_direction
-from craternav_fg.ellipse import centre_and_matrix_px
+from craternav_fg.ellipse import chart_covariance, matrix_of_chart, pixel_chart
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.imu import ImuLog
 from craternav_fg.simulation import sensors
@@ -90,13 +90,15 @@ def test_the_covariance_of_a_chart_is_that_of_fits_to_noisy_points():
     rng = np.random.default_rng(3)
 
     def rim_px(y, phase):
-        centre, S = centre_and_matrix_px(y, camera)
+        y_px = pixel_chart(y, camera)
+        centre, S = y_px[:2], matrix_of_chart(y_px)
         L = np.linalg.cholesky(S)
         return centre + np.stack([np.cos(phase), np.sin(phase)], axis=-1) @ L.T
 
     def distances(y, observed):
         """Sampson distances, px: to first order the distance to the ellipse."""
-        centre, S = centre_and_matrix_px(y, camera)
+        y_px = pixel_chart(y, camera)
+        centre, S = y_px[:2], matrix_of_chart(y_px)
         d = observed - centre
         M = np.linalg.inv(S)
         f = np.einsum("ni,ij,nj->n", d, M, d) - 1.0
@@ -106,7 +108,7 @@ def test_the_covariance_of_a_chart_is_that_of_fits_to_noisy_points():
     for _ in range(400):
         observed = rim_px(chart, phase) + sigma_px * rng.standard_normal((points, 2))
         fits.append(least_squares(distances, chart, args=(observed,), x_scale=[0.01, 0.01, 0.1, 0.1, 0.1]).x)
-    expected = sensors.chart_covariance(chart[None], camera, sigma_px, points)[0]
+    expected = chart_covariance(chart, camera, sigma_px, points)
     root = np.linalg.inv(np.linalg.cholesky(expected))
     whitened = root @ np.cov(np.array(fits).T) @ root.T
     assert np.abs(whitened - np.eye(5)).max() < 0.25

@@ -16,7 +16,7 @@ from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray
-from craternav_fg.ellipse import pixel_chart
+from craternav_fg.ellipse import half_sides, pixel_chart, semi_minor_bound
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import scaled_inverse
 from craternav_fg.matching.acquire import hypotheses as match
@@ -260,11 +260,10 @@ class _Search:
         camera, rims_px = self.camera, self.rims_px
         charts, seen = conic.project_rims(pose, camera.bTc, self.craters.centres, self.craters.axes)
         charts = pixel_chart(charts[seen], camera)
-        half = np.exp(charts[:, [2, 4]])
-        half[:, 1] = np.hypot(half[:, 1], charts[:, 3] * half[:, 0])
+        half = half_sides(charts)
         whole = camera.contains(charts[:, :2] - half) & camera.contains(charts[:, :2] + half)
         charts = charts[whole]
-        minor = np.exp(np.minimum(charts[:, 2], charts[:, 4]))
+        minor = semi_minor_bound(charts)
         off_px = np.linalg.norm(charts[:, None, :2] - rims_px[None, :, :2], axis=-1)
         off_log = np.abs(charts[:, None, 2:] - rims_px[None, :, 2:]).max(axis=-1)
         reach_px = _AGREEMENT[0] + _AGREEMENT[1] * minor

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.ellipse import half_sides_kernel
 from craternav_fg.matching.identify.expand import LOG_FALSE, errors
 from craternav_fg.matching.identify.grid import Grid, within
 from craternav_fg.matching.identify.noise import (
@@ -182,8 +183,9 @@ def visible(
             continue
         if 0.5 * (y5[2] + y5[4]) + np.log(view.focal_px) < np.log(least_px):
             continue
-        half_x = view.fx_px * np.exp(y5[2])
-        half_y = view.fy_px * np.sqrt(np.exp(2.0 * y5[4]) + (y5[3] * np.exp(y5[2])) ** 2)
+        half_x, half_y = half_sides_kernel(y5[2], y5[3], y5[4])
+        half_x *= view.fx_px
+        half_y *= view.fy_px
         x = view.middle_px[0] + view.fx_px * y5[0]
         y = view.middle_px[1] + view.fy_px * y5[1]
         total += (

@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
+from craternav_fg.ellipse import conic_jacobians, conics_of_charts
 from craternav_fg.measurements import SunTilt
 from craternav_fg.resection.problem import MatchedRims
-from factors.kernels import conic, los, shape
+from factors.kernels import los, shape
 from factors.kernels.sun import sun_tilt, wrap
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,12 +34,12 @@ class PaperRims:
     @cached_property
     def conics(self) -> FloatArray:
         """Conics q (n, 6) of eq. (2), |q| = 1."""
-        return np.array([conic.chart_to_conic(y) for y in self.rims.chart])
+        return conics_of_charts(self.rims.chart)
 
     @cached_property
     def conic_slopes(self) -> FloatArray:
         """Derivatives (n, 6, 5) of the conics in the charts."""
-        return np.array([conic.chart_to_conic_jacobian(y) for y in self.rims.chart])
+        return conic_jacobians(self.rims.chart)
 
     @cached_property
     def semi_axes(self) -> FloatArray:
