@@ -13,7 +13,12 @@ from craternav_fg.estimators.registry import DEFAULT, ON_REQUEST
 from craternav_fg.simulation.scenario_file import built_in_scenarios
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = ["README.md", "CONTRIBUTING.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+]
 PACKAGES = {path.name for path in (ROOT / "craternav_fg").iterdir() if path.is_dir()}
 MODULES = {path.stem for path in (ROOT / "craternav_fg").glob("*.py")}
 
