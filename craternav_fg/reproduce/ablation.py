@@ -1,6 +1,7 @@
-"""What the paper's filter and centres lose by which of their choices: not of the paper."""
+"""Effect of single choices of the paper's filter, and of centres in place of rims; not part of the paper."""
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,20 +22,22 @@ from craternav_fg.plots.style import COLOURS
 from craternav_fg.reproduce.fig15_18_trials import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.results import Reproduction, Row, number
+from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, number
 from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 
-MOST_TRIALS = 10
+# Medians of more trials change little; each trial is run with eleven estimators.
+MAX_TRIALS = 10
 MODELS: dict[MeasurementModel, str] = {"implicit": "eq. (19)", "chart": "ellipse chart"}
 NOISES: dict[NoiseModel, str] = {"fixed": "one Qn", "measured": "own noise"}
 FUSIONS: dict[Rule | str, str] = {"paper": "eq. (29)", "exact": "prior counted once"}
-CENTRES, MIDDLES, RIMS = (
+# The centre of a rim is taken for the image of the crater's centre, or for the centre of the ellipse.
+CENTRES, ELLIPSE_CENTRES, RIMS = (
     "smoother: centres, as the crater's", "smoother: centres, as the ellipse's", "smoother: rims",
 )  # fmt: skip
 # Variance of a rim's size and shape is multiplied by this where only its centre is to count.
-BLIND = 1e8
+_IGNORED_VARIANCE = 1e8
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class AblationTask:
 
 
 def filters() -> dict[str, Estimator]:
-    """Make the filters between the paper's and the chart EKF, each linearised once and without limits."""
+    """Make the filters between the paper's and the chart EKF, each linearised once and without gates."""
     out: dict[str, Estimator] = {}
     for model, noise, fusion in itertools.product(MODELS, NOISES, FUSIONS):
         name = f"EKF: {MODELS[model]}, {NOISES[noise]}, {FUSIONS[fusion]}"
@@ -56,9 +59,19 @@ def filters() -> dict[str, Estimator]:
 
 
 def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
-    """Errors at the end of the descents of figs. 17 and 18 with one choice changed at a time."""
+    """Errors at the end of the descents of figs. 17 and 18, for every combination of choices.
+
+    Parameters
+    ----------
+    options : ReproduceOptions
+    progress : callable, optional
+
+    Returns
+    -------
+    Reproduction
+    """
     scenario = scenario_of(options)
-    tasks = [AblationTask(scenario, n) for n in range(min(options.descents, MOST_TRIALS))]
+    tasks = [AblationTask(scenario, n) for n in range(min(options.descents, MAX_TRIALS))]
     data = pa.concat_tables(run_all(_trial, tasks, options.workers, "ablations", progress))
     error_m = {name: _errors(data, name) for name in dict.fromkeys(data["estimator"].to_pylist())}
     median = {name: float(np.median(values)) for name, values in error_m.items()}
@@ -67,7 +80,7 @@ def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Rep
     for name, values in error_m.items():
         printed = name.startswith("EKF: eq. (19)")
         lost = int(np.count_nonzero(np.isinf(values)))
-        verdict = "the paper varies none of it" + (f"; no trajectory in {lost}" if lost else "")
+        verdict = NO_NUMBER + (f"; no trajectory in {lost}" if lost else "")
         for quantity, of in (("median", median[name]), ("largest", float(values.max()))):
             value = of if np.isfinite(of) else None
             rows.append(
@@ -78,8 +91,8 @@ def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Rep
                 )
             )  # fmt: skip
     return Reproduction(
-        "ablation", "What the paper's filter and centres lose by which choice", rows,
-        _note(median, len(tasks)), _draw(error_m), data,
+        "ablation", "Effect of single choices of the paper's filter, and of centres in place of rims", rows,
+        note(median, len(tasks)), _draw(error_m), data,
     )  # fmt: skip
 
 
@@ -88,26 +101,42 @@ def _errors(data: pa.Table, name: str) -> FloatArray:
     return np.asarray(data["end_m"].to_numpy()[mine], dtype=np.float64)
 
 
-def _note(median: dict[str, float], trials: int) -> str:
+def note(median: Mapping[str, float], trials: int) -> str:
+    """Paragraph of the figure.
+
+    Parameters
+    ----------
+    median : mapping of str to float
+        Position error at the end by estimator, m: all of `filters`, then the three smoothers.
+    trials : int
+
+    Returns
+    -------
+    str
+    """
     names = [name for name in median if name.startswith("EKF")]
     values = np.array([median[name] for name in names]).reshape(2, 2, 2)
-    # By what a choice put right divides the error, in the geometric mean over the other choices.
+    # Factor by which a corrected choice divides the error, in the geometric mean over the other choices.
     logarithms = np.log(values)
     gains = [float(np.exp(-np.diff(logarithms, axis=axis).mean())) for axis in range(3)]
     alone = [float(values[0, 0, 0] / v) for v in (values[1, 0, 0], values[0, 1, 0], values[0, 0, 1])]
     chart = [float(values[1, 0, 0] / v) for v in (values[1, 1, 0], values[1, 0, 1])]
+    choices = ("the ellipse chart for eq. (19)", "each rim's own noise for one Qn", "the prior counted once")
+    finite = np.isfinite(gains).all()
+    largest = f", so {choices[int(np.argmax(gains))]} has the largest effect" if finite else ""
     return (
         f"Medians over the first {trials} trials of figs. 17 and 18, at 10 km. The paper's filter ends at "
-        f"{number(values[0, 0, 0])} m. One choice put right alone divides that by {number(alone[0])} (the "
-        f"ellipse chart for eq. (19)), {number(alone[1])} (each rim's own noise for one Qn) and "
-        f"{number(alone[2])} (the prior counted once, for eq. (29)); with the chart, each rim's own noise "
-        f"divides what is left by {number(chart[0])}, the prior counted once by {number(chart[1])}; all "
-        f"three together by {number(values[0, 0, 0] / values[1, 1, 1])}. In the mean over the other choices "
-        f"the factors are {number(gains[0])}, {number(gains[1])} and {number(gains[2])}. "
-        f"Centres taken for the images of the craters' centres end at {number(median[CENTRES])} m; "
-        "the same centres taken for what they are, the centres of the ellipses, at "
-        f"{number(median[MIDDLES])} m, and whole rims at {number(median[RIMS])} m: the first difference is "
-        "the bias of the centres, the second what size and shape tell."
+        f"{number(values[0, 0, 0])} m. One corrected choice alone divides that by {number(alone[0])} "
+        f"({choices[0]}), {number(alone[1])} ({choices[1]}) and {number(alone[2])} ({choices[2]}, for eq. "
+        f"(29)). With the chart, each rim's own noise divides the error by {number(chart[0])}, the prior "
+        f"counted once by {number(chart[1])}. All three together divide it by "
+        f"{number(values[0, 0, 0] / values[1, 1, 1])}. In the geometric mean over the other choices the "
+        f"factors are {number(gains[0])}, {number(gains[1])} and {number(gains[2])}{largest}. Centres taken "
+        f"for the images of the craters' centres end at {number(median[CENTRES])} m, the same centres taken "
+        f"for the centres of the ellipses at {number(median[ELLIPSE_CENTRES])} m and whole rims at "
+        f"{number(median[RIMS])} m: the right model of the centre divides the error by "
+        f"{number(median[CENTRES] / median[ELLIPSE_CENTRES])}, size and shape of the rims by "
+        f"{number(median[ELLIPSE_CENTRES] / median[RIMS])}."
     )
 
 
@@ -117,7 +146,7 @@ def _trial(task: AblationTask) -> pa.Table:
     runs: dict[str, tuple[Estimator, Problem]] = {
         **{name: (one, problem) for name, one in filters().items()},
         CENTRES: (BatchSmoother(GraphOptions(rims="centre"), CENTRES), problem),
-        MIDDLES: (BatchSmoother(name=MIDDLES), centres_only),
+        ELLIPSE_CENTRES: (BatchSmoother(name=ELLIPSE_CENTRES), centres_only),
         RIMS: (BatchSmoother(name=RIMS), problem),
     }
     names, end_m = [], []
@@ -132,8 +161,8 @@ def _trial(task: AblationTask) -> pa.Table:
 
 
 def _without_shape(frame: FrameMeasurement) -> FrameMeasurement:
-    """Take from a frame's rims what they say beyond their ellipses' centres."""
-    scale = np.array([1.0, 1.0, *[np.sqrt(BLIND)] * 3])
+    """Leave of a frame's rims only the information of the ellipses' centres."""
+    scale = np.array([1.0, 1.0, *[np.sqrt(_IGNORED_VARIANCE)] * 3])
     covariance = frame.rims.covariance * np.outer(scale, scale)
     return replace(frame, rims=replace(frame.rims, covariance=covariance))
 

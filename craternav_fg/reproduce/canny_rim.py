@@ -1,7 +1,7 @@
-"""A crater's rim as the paper measures it: Canny edges, grouped into an ellipse.
+"""A crater's rim as the paper measures it: an ellipse fitted to Canny edges.
 
-Which edges are the crater's is taken from where its rim is known to be, so that what is left is what the
-edges are worth; `craternav_fg.vision.canny` groups them without knowing.
+The edges are selected around the true rim, so that only the errors of the edges themselves remain.
+`craternav_fg.vision.canny` groups edges without such knowledge.
 """
 
 import cv2
@@ -17,21 +17,36 @@ FloatArray = npt.NDArray[np.float64]
 
 # Gaussian blur before gradients are taken.
 _BLUR_PX = 1.2
-# Thresholds as shares of the gradient's quantile, %.
-_LOW, _HIGH, _QUANTILE = 0.25, 0.6, 97.0
-# Edges of a rim: so far off it, in radii, their gradients so much towards the light, as a cosine.
-_NEAR, _LEAST_COSINE = 0.25, 0.2
+# Percentile of the gradient's magnitude, and the two thresholds as shares of it. Lower thresholds give edges
+# of the rough terrain, higher ones break rims apart.
+_PERCENTILE, _LOW_SHARE, _HIGH_SHARE = 97.0, 0.25, 0.6
+# Edges of a rim: at most this far from it, in radii, and gradients towards the sun with at least this cosine.
+_MAX_DISTANCE_RADII, _MIN_COSINE = 0.25, 0.2
+# OpenCV's Canny takes whole numbers: gradients are scaled by this.
+_FIXED_POINT = 32.0
 
 
 def canny_edges(image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-    """Edges (H, W) and gradients (H, W, 2) of an image."""
+    """Canny edges and gradients of an image.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (H, W)
+
+    Returns
+    -------
+    edges : ndarray of bool, shape (H, W)
+    gradient : ndarray, shape (H, W, 2)
+        Grey levels per pixel.
+    """
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX)
     gradient = np.dstack([cv2.Sobel(smooth, cv2.CV_32F, *step, scale=0.125) for step in ((1, 0), (0, 1))])
-    high = _HIGH * float(np.percentile(np.linalg.norm(gradient, axis=-1), _QUANTILE))
-    # Canny takes whole numbers.
-    whole = np.clip(np.rint(32.0 * gradient), -32000, 32000).astype(np.int16)
+    high = _HIGH_SHARE * float(np.percentile(np.linalg.norm(gradient, axis=-1), _PERCENTILE))
+    whole = np.clip(np.rint(_FIXED_POINT * gradient), -32000, 32000).astype(np.int16)
     dx, dy = (np.ascontiguousarray(whole[..., k]) for k in range(2))
-    edges = cv2.Canny(dx, dy, 32.0 * _LOW / _HIGH * high, 32.0 * high, L2gradient=True)
+    edges = cv2.Canny(
+        dx, dy, _FIXED_POINT * _LOW_SHARE / _HIGH_SHARE * high, _FIXED_POINT * high, L2gradient=True
+    )
     return edges > 0, gradient.astype(np.float64)
 
 
@@ -42,13 +57,13 @@ def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> Flo
     ----------
     one : Scene
     crater : int
-        Row of its catalogue.
+        Row in the scene's catalogue.
     options : FitOptions, optional
 
     Returns
     -------
     ndarray, shape (5,), or None
-        Chart in pixels; None where the edges determine no ellipse.
+        Chart in pixels; None when the edges determine no ellipse.
     """
     catalog = one.catalog
     rows = slice(crater, crater + 1)
@@ -59,8 +74,10 @@ def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> Flo
     u, v = whitened_points(np.stack([column, row], axis=-1), rim_px).T
     g = gradient[row, column]
     towards = g @ [np.cos(one.sun_angle_rad), np.sin(one.sun_angle_rad)]
-    keep = (np.abs(np.hypot(u, v) - 1.0) < _NEAR) & (towards > _LEAST_COSINE * np.linalg.norm(g, axis=1))
-    # Neighbours' errors go together: the fit wants them in their order along the rim.
+    keep = (np.abs(np.hypot(u, v) - 1.0) < _MAX_DISTANCE_RADII) & (
+        towards > _MIN_COSINE * np.linalg.norm(g, axis=1)
+    )
+    # The fit models the correlation of neighbours' errors: it needs the points in order along the rim.
     order = np.flatnonzero(keep)[np.argsort(np.arctan2(v[keep], u[keep]))]
     fit = fit_rim(np.column_stack([column, row])[order].astype(np.float64), one.camera, options)
     return None if isinstance(fit, FitFailure) else fit.chart_px

@@ -1,4 +1,4 @@
-"""Figs. 3 and 4: what the centres of image ellipses cost in position, three craters, no noise."""
+"""Figs. 3 and 4: position error by the centres of three image ellipses, without noise."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from craternav_fg.reproduce.edge_points import matched
 from craternav_fg.reproduce.fig02 import ALTITUDES, TILTS_DEG, deviations_deg
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.results import Reproduction, Row, verdict
+from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row
 from craternav_fg.resection.least_squares import minimise
 from craternav_fg.resection.paper.centres import centre_pose
 from craternav_fg.resection.paper.equations import PaperRims, edges
@@ -21,8 +21,11 @@ FloatArray = npt.NDArray[np.float64]
 
 # Of fig. 4, in radii.
 FIG04_ALTITUDES = (30, 20, 15, 10, 7, 5)
-# Rounding and the optimiser's tolerance; another solution lies much further off.
-_MET_RADII = 1e-6
+# An estimate this near is the true position but for rounding and the optimiser's tolerance; other solutions
+# of the equations lie much further off.
+_REACHED_RADII = 1e-6
+# Altitudes and angles of the printed tables.
+_HEADLINE_ALTITUDES, _HEADLINE_TILTS = (50, 15, 5), (5, 30)
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,21 @@ class Cell:
 
 
 def run_cell(cell: Cell) -> list[dict[str, float]]:
-    """Position errors, in radii, of eq. (10) from the truth, and of eq. (13) started at its solution."""
+    """Give the position errors of eq. (10) started at the truth, and of eq. (13) started at its solution.
+
+    Parameters
+    ----------
+    cell : Cell
+
+    Returns
+    -------
+    list of dict
+        A record per trial; errors in radii.
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, eqs. (10) and (13).
+    """
     records = []
     for trial in range(cell.trials):
         rng = np.random.default_rng([cell.seed, 3, cell.tilt_deg, cell.altitude, trial])
@@ -58,7 +75,13 @@ def run_cell(cell: Cell) -> list[dict[str, float]]:
 
 
 def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.Table:
-    """All trials of figs. 3 and 4."""
+    """Run the trials of figs. 3 and 4.
+
+    Returns
+    -------
+    pyarrow.Table
+        A row per trial.
+    """
     cells = [Cell(options.seed, tilt, h, options.trials) for tilt in TILTS_DEG for h in ALTITUDES]
     results = run_all(run_cell, cells, options.workers, "fig03 and fig04", progress)
     return pa.Table.from_pylist([record for result in results for record in result])
@@ -71,7 +94,21 @@ def _medians(data: pa.Table, column: str) -> FloatArray:
 
 
 def fig03(data: pa.Table) -> Reproduction:
-    """Position error of eq. (10) over altitude and angle of incidence."""
+    """Position error of eq. (10) over altitude and angle of incidence.
+
+    Parameters
+    ----------
+    data : pyarrow.Table
+        Of `simulate`.
+
+    Returns
+    -------
+    Reproduction
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, eq. (10).
+    """
     centres, by_edges = _medians(data, "centres_error_radii"), _medians(data, "edges_error_radii")
     rows = [
         Row(
@@ -81,26 +118,24 @@ def fig03(data: pa.Table) -> Reproduction:
             "r",
             as_printed=float(centres[i, j]),
             corrected=float(by_edges[i, j]),
-            verdict=verdict(None, None, None),
-            headline=altitude in (50, 15, 5),
+            verdict=NO_NUMBER,
+            headline=altitude in _HEADLINE_ALTITUDES,
         )
         for i, tilt in enumerate(TILTS_DEG)
         for j, altitude in enumerate(ALTITUDES)
     ]
-    steps = len(ALTITUDES) - 1
-    least = int(np.sum(np.diff(centres, axis=1) > 0.0, axis=1).min())
-    met = data["edges_error_radii"].to_numpy() < _MET_RADII
-    rising = "every step" if least == steps else f"{least} or more of the {steps} steps"
+    rises = [(np.diff(centres, axis=axis) > 0.0).mean() for axis in (0, 1)]
+    reached = data["edges_error_radii"].to_numpy() < _REACHED_RADII
     note = (
-        "The paper's text prints no number of this figure. As it says, the error of the centres tends to "
-        f"grow as the camera comes down (in {rising} of each "
-        f"curve) and with the angle of incidence: from {centres[0, 0]:.3f} r at i = 5 deg, h = 50 r to "
-        f"{centres[-1, -1]:.2f} r at i = 30 deg, h = 5 r, as the median over random triples of craters "
-        "wholly in the image; single triples, near the critical cylinder, are off by up to "
-        f"{data['centres_error_radii'].to_numpy().max():.3g} r. The three of a triple may overlap: from 5 r "
-        "the image has no room for three that do not. Eq. (10) is started at the truth. "
-        "Corrected is eq. (13) with its sign put right, started at the solution of (10): "
-        f"from there it reaches the true position, without noise, in {np.mean(met):.1%} of the triples."
+        "The paper's text prints no number of this figure; it says that the error of the centres grows with "
+        f"the angle of incidence and as the camera descends. Here the median error grows in {rises[0]:.0%} "
+        f"of the steps in angle and in {rises[1]:.0%} of the steps in altitude: it is {centres[0, 0]:.3f} r "
+        f"at i = 5 deg, h = 50 r and {centres[-1, -1]:.2f} r at i = 30 deg, h = 5 r. Medians are over random "
+        "triples of craters wholly in the image; the largest error of a triple is "
+        f"{data['centres_error_radii'].to_numpy().max():.3g} r. The craters of a triple may overlap: from 5 "
+        "r the image has no room for three that do not. Eq. (10) is started at the truth. Corrected is eq. "
+        "(13) with its sign corrected, started at the solution of (10); without noise it reaches the true "
+        f"position in {np.mean(reached):.1%} of the triples."
     )
     return Reproduction(
         "fig03",
@@ -113,7 +148,21 @@ def fig03(data: pa.Table) -> Reproduction:
 
 
 def fig04(data: pa.Table) -> Reproduction:
-    """Position error of eq. (10) over the line of sight's deviation."""
+    """Position error of eq. (10) over the deviation of the line of sight.
+
+    Parameters
+    ----------
+    data : pyarrow.Table
+        Of `simulate`.
+
+    Returns
+    -------
+    Reproduction
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, eq. (10).
+    """
     keep = [ALTITUDES.index(h) for h in FIG04_ALTITUDES]
     deviation = _medians(data, "deviation_deg")[:, keep]
     error = _medians(data, "centres_error_radii")[:, keep]
@@ -126,19 +175,20 @@ def fig04(data: pa.Table) -> Reproduction:
             "r",
             as_printed=float(error[i, j]),
             corrected=float(by_edges[i, j]),
-            verdict=verdict(None, None, None),
-            headline=tilt in (5, 30),
+            verdict=NO_NUMBER,
+            headline=tilt in _HEADLINE_TILTS,
         )
         for j, altitude in enumerate(FIG04_ALTITUDES)
         for i, tilt in enumerate(TILTS_DEG)
     ]
     powers = [float(np.polyfit(np.log(deviation[:, j]), np.log(error[:, j]), 1)[0]) for j in range(len(keep))]
+    faster = sum(power > 1.0 for power in powers)
     note = (
-        "The paper's text prints no number of this figure. At one altitude, over the angles of incidence, "
-        "the error goes with the deviation to the power (fitted to the medians) "
+        "The paper's text prints no number of this figure. Over the angles of incidence at one altitude, the "
+        "median error is proportional to a power of the deviation (fitted to the medians): "
         + ", ".join(f"{p:.2f} at {h} r" for p, h in zip(powers, FIG04_ALTITUDES, strict=True))
-        + f": {'faster than' if min(powers) > 1.0 else 'not everywhere faster than'} in proportion. The "
-        "deviation is the mean of the three craters', the median over the triples; eq. (10) is started at "
+        + f". It grows faster than the deviation at {faster} of the {len(powers)} altitudes. The deviation "
+        "is the mean over the craters of a triple and the median over the triples; eq. (10) is started at "
         "the truth."
     )
     return Reproduction(

@@ -26,8 +26,9 @@ from craternav_fg.reproduce.fig11_14_trials import altitudes_km
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.results import Reproduction, Row
 
-# Noise at which eq. (23) reaches the paper's error of two craters.
+# Noise at which eq. (23) is tried beside the paper's: its error of two craters is then about the printed one.
 FINE_NOISE_PX = 0.01
+# Options that must be the default for the paper's numbers to be comparable.
 _SET_UP = ("noise_px", "points", "arc")
 
 _STYLE = {
@@ -39,7 +40,7 @@ _STYLE = {
 }
 
 
-# What the paper prints, by figure and altitude, km: mean and standard deviation, m or deg.
+# The paper's printed mean and standard deviation, m or deg, by figure and altitude, km.
 PRINTED: dict[str, dict[float, tuple[float, float]]] = {
     "fig11": {10.0: (258.0, 227.0), 100.0: (945.0, 593.0)},
     "fig12": {},
@@ -51,7 +52,7 @@ PRINTED: dict[str, dict[float, tuple[float, float]]] = {
 def draw_up(
     name: str, data: pa.Table, options: ReproduceOptions, three: pa.Table | None = None
 ) -> Reproduction:
-    """Rows, paragraph and drawing of one of figs. 11 to 14.
+    """Make rows, paragraph and drawing of one of figs. 11 to 14.
 
     Parameters
     ----------
@@ -62,6 +63,10 @@ def draw_up(
     options : ReproduceOptions
     three : pyarrow.Table, optional
         Trials of three craters, with which fig13 compares.
+
+    Returns
+    -------
+    Reproduction
     """
     unit = "m" if name in ("fig11", "fig13") else "deg"
     quantity = "position" if unit == "m" else "attitude"
@@ -98,13 +103,13 @@ def draw_up(
 
 
 def papers_set_up(options: ReproduceOptions, craters: int) -> bool:
-    """Whether noise, edges and number of craters are the paper's, so that its numbers compare."""
+    """Whether noise, edges and number of craters are the paper's, so that its numbers are comparable."""
     default = ReproduceOptions()
     return craters <= 3 and all(getattr(options, name) == getattr(default, name) for name in _SET_UP)
 
 
 def fine_conditions(options: ReproduceOptions) -> list[tuple[float, float]]:
-    """Altitude, m, and noise, px, at which the two craters of the paper are tried again."""
+    """Give altitude, m, and noise, px, at which the paper's two craters are tried with less noise."""
     if options.altitudes_km[1] != 100.0 or not papers_set_up(options, 2):
         return []
     return [(1e5, FINE_NOISE_PX)]

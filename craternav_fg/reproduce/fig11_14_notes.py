@@ -1,4 +1,4 @@
-"""What figs. 11 to 14 show of the paper's statements, what cannot be had, and why."""
+"""Paragraphs of figs. 11 to 14: the paper's statements beside the numbers found here."""
 
 from collections.abc import Mapping
 
@@ -16,10 +16,24 @@ from craternav_fg.reproduce.fig11_14_statistics import (
 )
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.results import number
+from craternav_fg.reproduce.sentences import changed, compared, listed
+
+# Errors beyond this are told as such: they only say that the minimisation diverged.
+_FAR_KM = 1e6
 
 
 def efficiency(conditions: Mapping[float, Condition]) -> str:
-    """Say how near the efficient solver comes to the bound, and which trials count."""
+    """Compare the efficient solver with the bound, and say which trials count.
+
+    Parameters
+    ----------
+    conditions : mapping of float to Condition
+        By altitude, km.
+
+    Returns
+    -------
+    str
+    """
     found, fitted = (
         np.concatenate([c.columns[name] for c in conditions.values()]) for name in ("solutions", "fitted")
     )
@@ -28,8 +42,9 @@ def efficiency(conditions: Mapping[float, Condition]) -> str:
     ratios = [_ratios(km, c) for km, c in conditions.items() if c.counted.sum() > 1]
     if ratios:
         text = (
-            "The efficient solver, without a start, errs by these multiples of the bound, rms over rms (in "
-            "brackets each trial by its own bound; +- one standard error): " + ", ".join(ratios) + ". "
+            "The efficient solver, without a start, has these errors over the bound, RMS over RMS (in "
+            "brackets "
+            "each trial over its own bound; +- one standard error): " + ", ".join(ratios) + ". "
         )
     text += f"Every method and the bound are averaged over the same {counted} of {len(found)} trials"
     if not fitted.all():
@@ -39,11 +54,11 @@ def efficiency(conditions: Mapping[float, Condition]) -> str:
         text += f"; in {np.mean(lost):.1%} the efficient solver gives no pose"
     if (found > 1).any():
         text += f"; in {np.mean(found > 1):.1%} it gives several, of which the nearest to the truth counts"
-    return text + "." + _stopped(conditions)
+    return text + "." + _not_converged(conditions)
 
 
 def _ratios(km: float, condition: Condition) -> str:
-    """Efficient solver's rms by the bound's at an altitude, over the trials and each by its own."""
+    """Efficient solver's RMS over the bound's at an altitude, over the trials and each over its own."""
     error, bound = condition.values(trials.EFFICIENT) ** 2, condition.bounds() ** 2
     parts = []
     for e, b in ((error, bound), (error / bound, np.ones(len(bound)))):
@@ -53,7 +68,7 @@ def _ratios(km: float, condition: Condition) -> str:
     return f"{parts[0]} ({parts[1]}) at {km:g} km"
 
 
-def _stopped(conditions: Mapping[float, Condition]) -> str:
+def _not_converged(conditions: Mapping[float, Condition]) -> str:
     """Say in which share of the counted trials each method of the paper did not converge."""
     parts = []
     for equation in (CENTRES, EDGES, TWO, SHAPES):
@@ -66,7 +81,10 @@ def _stopped(conditions: Mapping[float, Condition]) -> str:
             parts.append(f"{equation.name} in {overall:.1%} ({share:.1%} of those from {worst:g} km)")
     if not parts:
         return ""
-    return f" Even from the truth some did not converge, {', '.join(parts)}; the pose reached counts."
+    return (
+        f" From the true pose some did not converge: {', '.join(parts)}; the pose at which they stopped "
+        "counts."
+    )
 
 
 def _mean(condition: Condition, method: str | None = None) -> float:
@@ -86,21 +104,21 @@ def _values(conditions: Mapping[float, Condition], method: str) -> str:
 
 
 def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
-    """Say what becomes of eq. (11) with its printed sign."""
+    """Say where the minimisation of eq. (11) with its printed sign ends."""
     off = np.concatenate([c.values(method) for c in conditions.values()])
-    where = "."
+    where = "the minimisation gives no pose. "
     if len(off):
         median = float(np.median(off)) / 1e3
-        far = f"{median:.2g} km off" if median < 1e6 else "without end"
+        far = f"{median:.2g} km" if median < _FAR_KM else f"more than {_FAR_KM:.0e} km"
         where = (
-            f", {far} in the median of the first {trials.PRINTED_TRIALS} trials of each altitude, which are "
-            "all that the column as printed holds."
+            f"the minimisation ends {far} from it in the median of the first {trials.PRINTED_TRIALS} trials "
+            "of each altitude, which are all that the column as printed holds. "
         )
     return (
-        "With n outward, as eq. (21) has it, no pose that sees the craters from outside fulfils eq. (11) as "
-        "printed, P - L (two craters on one plane fulfil it from beneath, half a turn about the line through "
-        f"their centres). Started at the truth, the minimisation runs away{where} Corrected is L - P, the "
-        "same as n inward, started at the truth too. "
+        "With n outward, as in eq. (21), no pose that sees the craters from outside fulfils eq. (11) as "
+        "printed, P - L (two craters on one plane fulfil it from beneath, rotated by 180 deg about the line "
+        f"through their centres). Started at the truth, {where}Corrected is L - P, which is the same as n "
+        "inward, also started at the truth. "
     )
 
 
@@ -109,32 +127,30 @@ def _note_fig11(
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
     low, high = min(conditions), max(conditions)
-    ratio = {
-        km: _mean(conditions[km], trials.CENTRES) / _mean(conditions[km], trials.EDGES) for km in (low, high)
-    }
+    centres, edges = (
+        [_mean(conditions[km], name) for km in (low, high)] for name in (trials.CENTRES, trials.EDGES)
+    )
     arcs = {km: float(np.median(conditions[km].columns["arc_bound_rms_m"])) for km in (low, high)}
     medians = {km: float(np.median(conditions[km].values(trials.EDGES))) for km in (low, high)}
     text = (
-        f"{_printed_sign(conditions, trials.EDGES_PRINTED)}Eq. (13) then has "
-        f"{_values(conditions, trials.EDGES)} (medians {number(medians[low])} and "
-        f"{number(medians[high])} m: a few weak triples make the mean). "
+        f"{_printed_sign(conditions, trials.EDGES_PRINTED)}The mean error of eq. (13) is "
+        f"{_values(conditions, trials.EDGES)}, the median {number(medians[low])} and {number(medians[high])} "
+        "m. "
     )
     if {low, high} <= set(printed):
-        slope = _mean(conditions[high], trials.EDGES) / _mean(conditions[low], trials.EDGES)
         text += (
-            f"The paper prints {printed[low][0]:g} and {printed[high][0]:g} m. Its error grows by "
-            f"{printed[high][0] / printed[low][0]:.2g} over these altitudes, ours by {slope:.2g} and the "
-            f"bound by {_mean(conditions[high]) / _mean(conditions[low]):.2g}, as they must when "
-            "the noise is constant in pixels: one set-up does not give both of the paper's numbers. "
+            f"The paper prints means of {printed[low][0]:g} and {printed[high][0]:g} m. From {low:g} to "
+            f"{high:g} km the paper's error {changed(printed[low][0], printed[high][0])}, that of eq. (13) "
+            f"{changed(*edges)} and the bound {changed(_mean(conditions[low]), _mean(conditions[high]))}. "
         )
     return text + (
-        f"The error of the centres (10) is {ratio[low]:.2g} times that of the edges at {low:g} km and "
-        f"{ratio[high]:.2g} times at {high:g} km: the paper's advantage of the edges is there where craters "
-        "are large in the image, and gone where their eccentricity drowns in the noise. Edge points are "
-        f"spread over {'the whole rim' if options.arc == 1.0 else f'{options.arc:.0%} of the rim'}; were "
-        f"the paper's {options.points[0]} to {options.points[1]} px arcs of that length with a point per "
-        f"pixel, the bound alone would be {number(arcs[low])} m at {low:g} km and "
-        f"{number(arcs[high])} m at {high:g} km (median rms). "
+        f"The mean error of the centres (10) is {compared(centres[0], edges[0])} that of the edges (13) at "
+        f"{low:g} km ({centres[0] / edges[0]:.2g} times) and {compared(centres[1], edges[1])} it at {high:g} "
+        f"km ({centres[1] / edges[1]:.2g} times). Edge points cover "
+        f"{'the whole rim' if options.arc == 1.0 else f'{options.arc:.0%} of the rim'}. If the paper's "
+        f"{options.points[0]} to {options.points[1]} px are lengths of arcs with a point per pixel, the "
+        f"bound is {number(arcs[low])} m at {low:g} km and {number(arcs[high])} m at {high:g} km (median "
+        "RMS). "
     )
 
 
@@ -143,50 +159,87 @@ def _note_fig12(
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
     low, high = min(conditions), max(conditions)
-    growth = _mean(conditions[high]) / _mean(conditions[low])
-    centres = [_mean(conditions[km], trials.CENTRES) for km in (low, high)]
-    return (
+    methods = {
+        "the bound": None,
+        "eq. (13)": trials.EDGES,
+        "the efficient solver": trials.EFFICIENT,
+        "the centres (10)": trials.CENTRES,
+    }
+    falls: list[str] = []
+    rises: list[str] = []
+    values = []
+    for name, method in methods.items():
+        a, b = (_mean(conditions[km], method) for km in (low, high))
+        if np.isnan(a) or np.isnan(b):
+            continue
+        (falls if b < a else rises).append(name)
+        values.append(f"{number(a)} and {number(b)} deg for {name}")
+    text = (
         "The paper's text prints no number of this figure; it says that the attitude error falls as the "
-        "altitude rises. With noise that is constant in pixels that cannot be of a good estimate: the "
-        f"bound grows by {growth:.2g}, since from higher up the craters fill less of the image, and a turn "
-        f"is told less well from a shift. Eq. (13) has {_values(conditions, trials.EDGES)}, the efficient "
-        f"solver {_values(conditions, trials.EFFICIENT)}. The error of the centres (10), which comes from "
-        f"the deviation of fig. 2, {'does fall' if centres[1] < centres[0] else 'does not fall either'}: "
-        f"{_values(conditions, trials.CENTRES)}. "
+        f"altitude rises. From {low:g} to {high:g} km it "
     )
+    parts = [f"{word} for {listed(names)}" for word, names in (("falls", falls), ("rises", rises)) if names]
+    return f"{text}{' and '.join(parts)}: the means are {', '.join(values)}. "
 
 
 def _note_fig13(
     conditions: Mapping[float, Condition], options: ReproduceOptions,
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
-    high = max(conditions)
-    text = (
-        f"{_printed_sign(conditions, trials.TWO_PRINTED)}Eq. (23), in km and with |q| = 1 (its rows have "
-        f"different units, and nothing weighs them), then has {_values(conditions, trials.TWO)}. "
+    return (
+        f"{_printed_sign(conditions, trials.TWO_PRINTED)}The mean error of eq. (23), in km and with |q| = 1 "
+        f"(its rows have different units and no weights), is {_values(conditions, trials.TWO)}. "
+        f"{_beside_bound(conditions, options, printed)}"
     )
-    if high in printed:
-        bound = _mean(conditions[high])
-        text += (
-            f"The paper's largest mean, {printed[high][0]:g} m at {high:g} km, cannot be had: at "
-            f"{options.noise_px:g} px an efficient estimator errs by {number(bound)} m, "
-            f"{bound / printed[high][0]:.2g} times as much. "
-        )
+
+
+def _beside_bound(
+    conditions: Mapping[float, Condition], options: ReproduceOptions,
+    printed: Mapping[float, tuple[float, float]],
+) -> str:  # fmt: skip
+    """Compare the paper's printed means with the bound."""
+    text = ""
+    for km, (mean, _) in printed.items():
+        if km in conditions and conditions[km].counted.any():
+            bound, unit = _mean(conditions[km]), conditions[km].unit
+            text += (
+                f"The paper's largest mean is {mean:g} {unit} at {km:g} km. At {options.noise_px:g} px an "
+                f"efficient estimator has {number(bound)} {unit}, {bound / mean:.2g} times as much: the "
+                f"paper's number is {compared(mean, bound)} the bound. "
+            )
     return text
 
 
 def fine_noise(corrected: float, paper: float, noise_px: float) -> str:
-    """Say at which noise, not the paper's, eq. (23) has about the error of two craters that it prints."""
+    """Give the error of eq. (23) at a noise that is not the paper's beside the paper's printed error.
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, eq. (23).
+    """
     return (
-        f"Only with edge points of {noise_px:g} px, which is not the paper's set-up, does eq. (23) come to "
-        f"{number(corrected)} m there, about the paper's {number(paper)} m. "
+        f"With edge points of {noise_px:g} px, which is not the paper's set-up, eq. (23) has "
+        f"{number(corrected)} m there, {compared(corrected, paper)} the paper's {number(paper)} m. "
     )
 
 
 def compared_with_three(
     conditions: Mapping[float, Condition], three: pa.Table, options: ReproduceOptions
 ) -> str:
-    """Compare two craters by (23) with three by their centres, as the paper does."""
+    """Compare two craters by (23) with three by their centres, as the paper does.
+
+    Parameters
+    ----------
+    conditions : mapping of float to Condition
+        Of two craters, by altitude, km.
+    three : pyarrow.Table
+        Trials of three craters.
+    options : ReproduceOptions
+
+    Returns
+    -------
+    str
+    """
     low, high = min(conditions), max(conditions)
     parts = []
     for km in (low, high):
@@ -205,15 +258,16 @@ def _note_fig14(
     conditions: Mapping[float, Condition], options: ReproduceOptions,
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
-    text = f"Eq. (23) has {_values(conditions, trials.TWO)}. "
+    text = (
+        f"The mean error of eq. (23) is {_values(conditions, trials.TWO)}. "
+        f"{_beside_bound(conditions, options, printed)}"
+    )
     for km, (mean, _) in printed.items():
         if km in conditions and conditions[km].counted.any():
-            bound, corrected = _mean(conditions[km]), _mean(conditions[km], trials.TWO)
+            noise_px = options.noise_px * mean / _mean(conditions[km], trials.TWO)
             text += (
-                f"The paper's largest mean, {mean:g} deg at {km:g} km, cannot be had: at "
-                f"{options.noise_px:g} px an efficient estimator errs by {bound:.3g} deg, "
-                f"{bound / mean:.2g} times as much; for eq. (23), whose error goes with the noise, it would "
-                f"take {options.noise_px * mean / corrected:.1g} px. "
+                "If the error of eq. (23) is proportional to the noise, it has the paper's mean at "
+                f"{noise_px:.1g} px. "
             )
     return text
 
@@ -225,7 +279,21 @@ def note(
     figure: str, conditions: Mapping[float, Condition], options: ReproduceOptions,
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
-    """Say what one of figs. 11 to 14 shows of the paper's statements, and what cannot be had."""
+    """Paragraph of one of figs. 11 to 14.
+
+    Parameters
+    ----------
+    figure : str
+    conditions : mapping of float to Condition
+        By altitude, km.
+    options : ReproduceOptions
+    printed : mapping of float to tuple of float
+        The paper's mean and standard deviation, by altitude, km.
+
+    Returns
+    -------
+    str
+    """
     empty = [
         f"{km:g}" for km in sorted({min(conditions), max(conditions)}) if not conditions[km].counted.any()
     ]

@@ -1,4 +1,4 @@
-"""The trials of one altitude, their statistics, and the rows that they make."""
+"""Statistics of the trials of figs. 11 to 14 at one altitude, and their rows."""
 
 from dataclasses import dataclass
 
@@ -12,6 +12,7 @@ from craternav_fg.reproduce.results import Row, verdict
 FloatArray = npt.NDArray[np.float64]
 
 MEAN, STD, RMS = "mean", "standard deviation", "rms"
+# Trials at each altitude in the paper.
 _PAPER_TRIALS = 100
 
 
@@ -24,7 +25,7 @@ class Equation:
     corrected: str
 
 
-# In (10) and (19) there is nothing to put right: both columns hold the same.
+# Eqs. (10) and (19) need no correction: both columns are the same.
 CENTRES = Equation("(10)", trials.CENTRES, trials.CENTRES)
 EDGES = Equation("(13)", trials.EDGES_PRINTED, trials.EDGES)
 TWO = Equation("(23)", trials.TWO_PRINTED, trials.TWO)
@@ -34,14 +35,23 @@ SHAPES = Equation("(19), unweighted", trials.SHAPES, trials.SHAPES)
 class Condition:
     """The trials of one altitude and noise, and their statistics.
 
-    Every method and the bound are averaged over the same trials: those whose rims have ellipses and of which
-    the efficient solver gives a pose. With the printed sign only the first few of them were tried.
+    Every method and the bound are averaged over the same trials: those in which all rims have ellipses and
+    the efficient solver gives a pose. With the printed sign only the first few of them were run.
+
+    Parameters
+    ----------
+    data : pyarrow.Table
+        Of `fig11_14_trials.simulate`.
+    altitude_m, noise_px : float
+    unit : {"m", "deg"}
+        Position or attitude.
 
     Attributes
     ----------
     columns : dict of str to ndarray, shape (trials,)
-        All trials, counted or not.
+        All trials, also those that do not count.
     counted : ndarray of bool, shape (trials,)
+        Trials that count.
     unit : str
     """
 
@@ -52,12 +62,28 @@ class Condition:
         self.counted = self.columns["solutions"] > 0.0
 
     def values(self, method: str) -> FloatArray:
-        """Errors of a method in the counted trials."""
+        """Errors of a method in the counted trials.
+
+        Parameters
+        ----------
+        method : str
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            In `unit`, without the trials in which the method gives no pose.
+        """
         column = self.columns[f"{method}_{self.unit}"][self.counted]
         return np.asarray(column[np.isfinite(column)])
 
     def bounds(self) -> FloatArray:
-        """Bound's rms in each counted trial."""
+        """RMS of the bound in each counted trial.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            In `unit`.
+        """
         return np.asarray(self.columns[f"bound_rms_{self.unit}"][self.counted])
 
     def statistic(self, method: str, kind: str) -> float | None:
@@ -80,7 +106,7 @@ class Condition:
         return float(np.sqrt(square - mean**2)) if kind == STD else float(np.sqrt(square))
 
     def standard_error(self, method: str, kind: str) -> float:
-        """Give the sampling error of a method's mean or standard deviation."""
+        """Give the standard error of a method's mean or standard deviation."""
         values = self.values(method)
         std = float(values.std()) if len(values) else 0.0
         if std == 0.0 or kind == MEAN:
@@ -92,18 +118,34 @@ class Condition:
         self, figure: str, quantity: str, equation: Equation, kind: str, where: str,
         printed: tuple[float, float] | None, headline: bool,
     ) -> Row:  # fmt: skip
-        """Row of a method's statistic beside the bound's, and the paper's mean or standard deviation."""
+        """Make the row of a method's statistic beside the bound's and the paper's.
+
+        Parameters
+        ----------
+        figure, quantity : str
+        equation : Equation
+        kind : {MEAN, STD, RMS}
+        where : str
+            The condition.
+        printed : tuple of float, optional
+            The paper's mean and standard deviation.
+        headline : bool
+
+        Returns
+        -------
+        Row
+        """
         corrected, bound = self.statistic(equation.corrected, kind), self.bound(kind)
         paper = None if printed is None or kind == RMS else printed[(MEAN, STD).index(kind)]
         judged = verdict(None, corrected, None)
         if printed is not None and paper is not None:
-            # Of the paper's mean; of its standard deviation about as much.
+            # Standard error of the paper's mean; that of its standard deviation is of the same size.
             own = printed[1] / np.sqrt(_PAPER_TRIALS)
             views = float(np.std(self.columns[f"bound_mean_{self.unit}"][self.counted])) if bound else 0.0
             judged = verdict(
                 paper,
                 corrected,
-                # The least mean of an error's length follows from the bound, its least scatter does not.
+                # The bound limits the mean of an error's length, not its standard deviation.
                 bound if kind == MEAN else None,
                 error=float(np.hypot(self.standard_error(equation.corrected, kind), own)),
                 bound_error=float(np.hypot(views / np.sqrt(max(self.counted.sum(), 1)), own)),

@@ -1,9 +1,9 @@
-"""The Monte Carlo runs behind figs. 11 to 14: one image, its rims with noise, every static method.
+"""Monte Carlo trials behind figs. 11 to 14: resection of one image with noisy rims by every method.
 
-The paper's methods start at the truth, as if a filter had predicted it well: what is compared is what their
-equations are worth, not how far they converge. Where the optimiser stops without having converged, the pose
-that it reached counts, and the data say so. The efficient solver has no start; where the image leaves several
-poses, the one nearest the truth is counted, the same advantage.
+The paper's methods start at the truth, as if a filter had predicted it well: the comparison is of their
+equations, not of their convergence. Where an optimiser stops without convergence, the pose that it reached
+counts, and the data say so. The efficient solver has no start; where an image allows several poses, the one
+nearest to the truth counts.
 """
 
 from collections.abc import Sequence
@@ -38,13 +38,13 @@ SHAPES = "shapes"
 EFFICIENT = "efficient"
 PAPERS = (CENTRES, EDGES_PRINTED, EDGES, TWO_PRINTED, TWO, SHAPES)
 METHODS = (*PAPERS, EFFICIENT)
-# By these a third crater is needed.
+# Methods that need a third crater.
 OF_THREE = (CENTRES, EDGES_PRINTED, EDGES)
 
 _BATCH = 25
-# Errors drawn from the bound's Gaussian in each trial.
+# Errors drawn from the bound's Gaussian in each trial, for the mean of their length.
 _DRAWS = 200
-# With the printed sign the minimisation runs away; a few trials show it.
+# With the printed sign the minimisation does not converge; a few trials show it.
 PRINTED_TRIALS = 5
 
 
@@ -74,7 +74,7 @@ class Batch:
 
 
 def run_batch(batch: Batch) -> list[dict[str, float]]:
-    """Errors of every method in every trial of a batch; NaN where a method gives no pose.
+    """Give the errors of every method in every trial of a batch; NaN where a method gives no pose.
 
     `converged` of a method of the paper is 0 where the error is that of the pose at which it stopped.
     """
@@ -98,7 +98,7 @@ def _run_trial(batch: Batch, trial: int) -> dict[str, float]:
     if problem is not None:
         poses = _paper_poses(problem, scene, printed=trial < PRINTED_TRIALS)
         result = efficient.solve(problem)
-        # Of an undetermined pose, samples of a continuum are no solutions.
+        # The poses of an undetermined problem are samples of a continuum, not solutions.
         if result.status in (Status.SOLVED, Status.AMBIGUOUS):
             record["solutions"] = float(len(result.poses))
             nearest = min((pose.gTb for pose in result.poses), key=lambda gTc: _error_m(scene, gTc))
@@ -132,7 +132,7 @@ def _paper_poses(
 ) -> dict[str, tuple[FloatArray, bool]]:
     """Poses (4, 4) that the paper's methods reach from the truth, and whether they converged.
 
-    As printed on demand.
+    Equations as printed are solved when `printed`.
     """
     seen = PaperRims(problem.rims)
     enough = len(problem.rims) >= 3
@@ -160,20 +160,21 @@ def simulate(
     extra: Sequence[tuple[float, float]] = (),
     progress: Progress | None = None,
 ) -> pa.Table:
-    """All trials of one number of craters.
+    """Run all trials of one number of craters.
 
     Parameters
     ----------
     options : ReproduceOptions
     craters : int
     extra : sequence of tuple of float
-        Altitude, m, and noise, px, of conditions beside those of the options.
+        Altitude, m, and noise, px, of further conditions.
     progress : callable, optional
 
     Returns
     -------
     pyarrow.Table
-        A row per trial: per method its errors, NaN where it gives no pose, whether it converged; the bound.
+        A row per trial: the errors of each method, NaN where it gives no pose; whether it converged; the
+        bound.
     """
     conditions = [(1e3 * km, options.noise_px) for km in altitudes_km(options)] + list(extra)
     batches = [

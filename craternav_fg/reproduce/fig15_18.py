@@ -1,6 +1,7 @@
 """Figs. 15 to 18: errors over whole descents, of one trial and of thirty."""
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 from matplotlib.figure import Figure
 
@@ -8,7 +9,7 @@ from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.evaluation.consistency import Anees, anees_by_altitude, over_altitude
 from craternav_fg.plots.style import COLOURS
 from craternav_fg.reproduce import fig15_18_trials, line_plots
-from craternav_fg.reproduce.fig15_18_notes import one_trial_note, trials_note, without
+from craternav_fg.reproduce.fig15_18_notes import MIDDLE_KM, one_trial_note, trials_note, without
 from craternav_fg.reproduce.fig15_18_trials import (
     CENTRES,
     FILTER,
@@ -19,14 +20,18 @@ from craternav_fg.reproduce.fig15_18_trials import (
     rms_ratio,
 )
 from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, known, number
+from craternav_fg.reproduce.sentences import compared
 
-# What the paper prints: of one trial at 26 km; of thirty at 10 km, "less than".
+FloatArray = npt.NDArray[np.float64]
+
+# The paper's printed errors: of one trial at 26 km; of thirty trials at 10 km, "less than".
 ONE_TRIAL_KM, LAST_KM = 26.0, 10.0
 PRINTED = {"fig15": 40.0, "fig16": 0.05, "fig17": 200.0, "fig18": 1.0}
 ALTITUDES_KM = (90.0, 50.0, 30.0, 26.0, 15.0, 10.0)
-# Edges of the bins of ANEES; frames just above the first belong to it.
+# Edges of the bins of ANEES; the first lies just above the first frames.
 BINS_KM = (100.5, 80.0, 60.0, 40.0, 30.0, 20.0, 0.0)
 
+_NO_SMOOTHER = "the paper has no smoother"
 LABELS = {
     PAPERS: "paper's EKF",
     CENTRES: "smoother, centres",
@@ -37,7 +42,7 @@ LABELS = {
 
 
 def draw_up(name: str, data: pa.Table) -> Reproduction:
-    """Rows, paragraph and drawing of one of figs. 15 to 18.
+    """Make rows, paragraph and drawing of one of figs. 15 to 18.
 
     Parameters
     ----------
@@ -45,6 +50,10 @@ def draw_up(name: str, data: pa.Table) -> Reproduction:
         fig15 to fig18.
     data : pyarrow.Table
         Of `fig15_18_trials.simulate`.
+
+    Returns
+    -------
+    Reproduction
     """
     unit, quantity = ("m", "position") if name in ("fig15", "fig17") else ("deg", "attitude")
     every = Descents(data, unit)
@@ -66,7 +75,7 @@ def draw_up(name: str, data: pa.Table) -> Reproduction:
 
 
 def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
-    """Errors at altitudes: of the filters, and in retrospect."""
+    """Errors at some altitudes, by the filters and in retrospect."""
     found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     rows = []
     for km in ALTITUDES_KM:
@@ -91,20 +100,20 @@ def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
             Row(
                 name, f"{quantity}, in retrospect", where, trials.unit, efficient=value[SMOOTHER],
                 bound=known(found[SMOOTHER].bound[k]) if bounded else None,
-                verdict=_told("the paper has no smoother", trials, SMOOTHER), headline=kind == "mean",
+                verdict=_told(_NO_SMOOTHER, trials, SMOOTHER), headline=kind == "mean",
             )
         )  # fmt: skip
         rows.append(
             Row(
                 name, f"{quantity}, in retrospect by centres", where, trials.unit, corrected=value[CENTRES],
-                verdict=_told("the baseline", trials, CENTRES), headline=False,
+                verdict=_told(_NO_SMOOTHER, trials, CENTRES), headline=False,
             )
         )  # fmt: skip
     return rows
 
 
 def _verdict(printed: float, value: dict[str, float | None], unit: str) -> str:
-    """Whether the paper's number is met, by its own filter and by those put right."""
+    """Say whether the paper's filter and the corrected one are within the paper's number."""
     words = []
     for name, who in ((PAPERS, "the paper's filter"), (FILTER, "the chart EKF")):
         found = value[name]
@@ -115,44 +124,46 @@ def _verdict(printed: float, value: dict[str, float | None], unit: str) -> str:
 
 
 def _told(verdict: str, trials: Descents, *names: str) -> str:
-    """Give a verdict with what is missing of the estimators on which its row rests."""
+    """Add to a verdict which of the row's estimators gave no trajectory in some trials."""
     return "; ".join(part for part in (verdict, without(trials, names)) if part)
 
 
 def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
-    """Row by row what the estimators are worth to each other and to the bound."""
+    """Compare the estimators' RMS errors with each other and with the bound."""
     found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     count = f"{len(trials.numbers)} trials"
     ratio = {
         one: known(over_altitude(found[one].rms / found[one].bound, trials.altitude_km)) for one in found
     }
-    middle = (trials.altitude_km <= 50.0) & (trials.altitude_km >= 30.0)
-    gain = rms_ratio(found[SMOOTHER], found[FILTER])[middle]
+    middle = (trials.altitude_km <= MIDDLE_KM[0]) & (trials.altitude_km >= MIDDLE_KM[1])
+    gain = known(_mean(rms_ratio(found[SMOOTHER], found[FILTER])[middle]))
     last = {one: known(rms_ratio(found[one], found[SMOOTHER])[-1]) for one in found}
     over = f"{quantity} RMS over the bound, mean over the altitude"
     rows = [
         Row(
             name, over, count, "1", None, ratio[PAPERS], ratio[FILTER], ratio[ONLINE], 1.0,
-            _told("1 is the best", trials, PAPERS, FILTER, ONLINE),
+            _told("1: the bound is attained", trials, PAPERS, FILTER, ONLINE),
         ),
         Row(
             name, f"{over}, in retrospect", count, "1", None, None, ratio[CENTRES], ratio[SMOOTHER], 1.0,
-            _told("corrected: by centres", trials, CENTRES, SMOOTHER),
+            _told("1: the bound is attained; corrected: by centres", trials, CENTRES, SMOOTHER),
         ),
         Row(
-            name, f"{quantity} RMS, smoother in retrospect over chart EKF", "50 to 30 km", "1",
-            efficient=known(gain.mean()) if len(gain) else None,
-            verdict=_told("later frames correct earlier ones", trials, SMOOTHER, FILTER),
+            name, f"{quantity} RMS, smoother in retrospect over chart EKF",
+            f"{MIDDLE_KM[0]:g} to {MIDDLE_KM[1]:g} km", "1", efficient=gain,
+            verdict=_told(_than("smoother", gain, "the chart EKF's"), trials, SMOOTHER, FILTER),
         ),
         Row(
             name, f"{quantity} RMS over that of the smoother", f"end, {count}", "1",
             as_printed=last[PAPERS], corrected=last[FILTER], efficient=last[ONLINE],
-            verdict=_told("online a filter of charts is as good", trials, PAPERS, FILTER, ONLINE, SMOOTHER),
+            verdict=_told(
+                _than("chart EKF", last[FILTER], "the smoother's"), trials, PAPERS, FILTER, ONLINE, SMOOTHER
+            ),
         ),
         Row(
             name, f"{quantity} RMS by centres over that of the smoother", f"end, {count}", "1",
             corrected=last[CENTRES],
-            verdict=_told("a centre's image is not the ellipse's centre", trials, CENTRES, SMOOTHER),
+            verdict=_told(_than("centres", last[CENTRES], "the smoother's"), trials, CENTRES, SMOOTHER),
         ),
     ]  # fmt: skip
     if quantity == "position":
@@ -167,8 +178,17 @@ def _ratios(name: str, quantity: str, trials: Descents) -> list[Row]:
     return rows
 
 
+def _mean(values: FloatArray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _than(who: str, ratio: float | None, whose: str) -> str:
+    """Say how an RMS compares with another, by their ratio."""
+    return f"{who}: {compared(float('nan') if ratio is None else ratio, 1.0)} {whose}"
+
+
 def _consistency(name: str, trials: Descents) -> list[Row]:
-    """ANEES over all, and bin by bin."""
+    """Give the ANEES over all altitudes, and bin by bin."""
     found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     edges = [1e3 * km for km in BINS_KM]
     altitude_m = 1e3 * trials.altitude_km
@@ -180,27 +200,27 @@ def _consistency(name: str, trials: Descents) -> list[Row]:
     if not bins:
         return []
     rows = []
-    for kind, (own, right, best) in {
+    for kind, (printed, corrected, efficient) in {
         "": (PAPERS, FILTER, ONLINE), ", in retrospect": (None, CENTRES, SMOOTHER)
     }.items():  # fmt: skip
-        honest = "6 is honest" if own is not None else "6 is honest; corrected: by centres"
-        names = [of for of in (own, right, best) if of is not None]
+        expected = "expected 6" if printed is not None else "expected 6; corrected: by centres"
+        names = [of for of in (printed, corrected, efficient) if of is not None]
         rows.append(
             Row(
                 name, f"pose ANEES{kind}", "all altitudes", "1", None,
-                None if own is None else known(found[own].anees),
-                known(found[right].anees), known(found[best].anees), 6.0,
-                _told(honest, trials, *names),
+                None if printed is None else known(found[printed].anees),
+                known(found[corrected].anees), known(found[efficient].anees), 6.0,
+                _told(expected, trials, *names),
             )
         )  # fmt: skip
         for k, one in enumerate(next(iter(bins.values()))):
             mean = {of: bins[of][k].mean if of in bins else None for of in names}
-            verdict = _interval(bins[best][k]) if best in bins else ""
+            verdict = _interval(bins[efficient][k]) if efficient in bins else ""
             where = f"{one.highest_m / 1e3:.3g} to {one.lowest_m / 1e3:.3g} km"
             rows.append(
                 Row(
                     name, f"pose ANEES{kind}", where, "1",
-                    None, None if own is None else mean[own], mean[right], mean[best], 6.0,
+                    None, None if printed is None else mean[printed], mean[corrected], mean[efficient], 6.0,
                     _told(verdict, trials, *names), headline=False,
                 )
             )  # fmt: skip

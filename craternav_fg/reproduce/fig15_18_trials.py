@@ -1,4 +1,4 @@
-"""Trials of the paper's third case, 4.2.3: whole descents, each with a terrain of its own."""
+"""Trials behind figs. 15 to 18, the paper's third case (4.2.3): whole descents, each with its own terrain."""
 
 import functools
 import tempfile
@@ -36,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 SCENARIO = "paper_case3"
 PAPERS, FILTER, ONLINE, SMOOTHER, CENTRES = "ekf_paper", "ekf", "online", "smoother", "centre_smoother"
 ESTIMATORS = (SMOOTHER, ONLINE, FILTER, PAPERS, CENTRES)
-# What the paper asks for at 10 km: a trial that ends within has converged.
+# The paper's limits at 10 km: a trial that ends within them has converged.
 CONVERGED_M, CONVERGED_DEG = 200.0, 1.0
 
 
@@ -59,16 +59,16 @@ def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.
 
 
 def scenario_of(options: ReproduceOptions) -> Scenario:
-    """Give the paper's third case with the seed of the options; the default one is the scenario's own.
+    """Give the paper's third case with the seed of the options; the default seed is the scenario's own.
 
-    Its campaigns have the same trials then.
+    With the default seed the trials are those of a campaign of the scenario.
     """
     scenario = load_scenario(SCENARIO)
     return scenario.model_copy(update={"seed": scenario.seed + options.seed - ReproduceOptions.seed})
 
 
 def one_problem(scenario: Scenario, number: int) -> tuple[Problem, Trajectory]:
-    """Simulate a trial of a scenario with measured rims; its truth."""
+    """Simulate a trial of a scenario with simulated measurements: its problem and the truth."""
     with tempfile.TemporaryDirectory(prefix="craternav-") as folder:
         dataset = Dataset.open(simulate_trial(scenario, Path(folder) / "dataset", trial=number))
     assert dataset.truth is not None
@@ -93,20 +93,21 @@ def table(results: Sequence[TrialResult]) -> pa.Table:
 
 @dataclass(frozen=True)
 class Errors:
-    """An estimator's errors in one quantity, of the trials in which it gave a trajectory.
+    """An estimator's errors in one quantity, in the trials in which it gave a trajectory.
 
     Means over no trial are NaN.
 
     Attributes
     ----------
     trials : ndarray, shape (trials,)
-        Their numbers.
+        Trial numbers.
     error : ndarray, shape (trials, k)
-        Norms: position, m, or attitude, deg.
+        Norms of the position error, m, or of the attitude error, deg, at each frame.
     nees : ndarray, shape (trials, k)
-        Of the pose.
+        Normalised estimation error squared of the pose.
     bound : ndarray, shape (k,)
-        RMS of the posterior Cramér-Rao bound over these trials: smoothed for those that look back.
+        RMS of the posterior Cramér-Rao bound over these trials: that of smoothing for the estimators that use
+        later data.
     """
 
     trials: npt.NDArray[np.int64]
@@ -116,36 +117,45 @@ class Errors:
 
     @property
     def mean(self) -> FloatArray:
-        """Over the trials (k,)."""
+        """Mean over the trials, shape (k,)."""
         return _mean(self.error)
 
     @property
     def rms(self) -> FloatArray:
-        """Over the trials (k,)."""
+        """RMS over the trials, shape (k,)."""
         return np.asarray(np.sqrt(_mean(self.error**2)))
 
     @property
     def anees(self) -> float:
-        """Over the trials and frames."""
+        """Average NEES over the trials and frames."""
         return float(_mean(self.nees).mean())
 
 
 def rms_ratio(one: Errors, other: Errors) -> FloatArray:
-    """Ratio (k,) of two RMS over the trials of both: those of one alone may be the easier or the harder ones.
+    """Ratio of two estimators' RMS errors over the trials of both.
 
-    NaN when they have no trial in common.
+    Trials of one alone are left out: they may be easier or harder than the others.
+
+    Parameters
+    ----------
+    one, other : Errors
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        At each frame; NaN when they have no trial in common.
     """
     mine, theirs = (a.error[np.isin(a.trials, b.trials)] for a, b in ((one, other), (other, one)))
     return np.asarray(np.sqrt(_mean(mine**2) / _mean(theirs**2)))
 
 
 def _mean(values: FloatArray) -> FloatArray:
-    """Over the trials (k,)."""
+    """Mean (k,) over the trials."""
     return np.asarray(values.mean(axis=0)) if len(values) else np.full(values.shape[1:], np.nan)
 
 
 class Descents:
-    """Trials in arrays.
+    """Errors and bounds of all trials as arrays.
 
     Parameters
     ----------
@@ -170,11 +180,11 @@ class Descents:
         self.craters = self._array(bound, "rims").astype(np.float64)
 
     def at(self, altitude_km: float) -> int:
-        """Frame nearest to an altitude."""
+        """Index of the frame nearest to an altitude."""
         return int(np.argmin(np.abs(self.altitude_km - altitude_km)))
 
     def first(self) -> "Descents":
-        """Only the first trial."""
+        """Give the first trial alone."""
         return Descents(self.data.filter(pc.equal(self.data["trial"], self.numbers[0])), self.unit)
 
     def of(self, name: str) -> Errors:
@@ -187,7 +197,19 @@ class Descents:
         return Errors(numbers, error, self._array(rows, "nees"), bound)
 
     def bound(self, name: str, trials: pa.Array | None = None) -> FloatArray:
-        """RMS (k,) of one of the bounds over the trials."""
+        """RMS of one of the bounds over the trials.
+
+        Parameters
+        ----------
+        name : str
+        trials : pyarrow.Array, shape (n,), optional
+            Numbers of the trials; all if not given.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            At each frame, in `unit`.
+        """
         rows = self.data.filter(pc.equal(self.data["estimator"], name))
         if trials is not None:
             rows = rows.filter(pc.is_in(rows["trial"], value_set=trials))
@@ -196,12 +218,12 @@ class Descents:
 
     @functools.cached_property
     def lost(self) -> dict[str, int]:
-        """In how many trials each estimator gave no trajectory."""
+        """Number of trials in which each estimator gave no trajectory."""
         return {name: len(self.numbers) - len(self.of(name).trials) for name in ESTIMATORS}
 
     @functools.cached_property
     def converged(self) -> dict[str, int]:
-        """In how many trials each estimator ends within the paper's 200 m and 1 deg."""
+        """Number of trials in which each estimator ends within the paper's 200 m and 1 deg."""
         out = {}
         for name in ESTIMATORS:
             rows = self.data.filter(pc.equal(self.data["estimator"], name))

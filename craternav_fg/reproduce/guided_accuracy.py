@@ -1,5 +1,6 @@
-"""How well catalogue rims are measured from predicted poses, on rendered ground."""
+"""Accuracy of rims and sun tilts measured from wrong predicted poses, in rendered scenes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,50 +16,52 @@ from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
-# Sizes of craters with a bias of their own are below this semi-minor axis.
+# The bias of the sizes is taken over the rims below this semi-minor axis: a bias in px is largest there.
 SMALL_PX = 60.0
-# Seeds apart from those by which the front end was set up, 200 to 530.
+# First seed of the images that are kept for tests; the front end was set up with seeds 200 to 530.
 HELD_OUT = 2000
+# Position errors across the optical axis move the image as rotations do: nearly all are left to those.
+_ACROSS_VARIANCE = 1e-4
 
 
 @dataclass(frozen=True)
-class Prior:
-    """How wrong a predicted pose is, and how wrong it is said to be.
+class PredictionError:
+    """How wrong a predicted pose is, and how large its covariance says that the error is.
 
     Attributes
     ----------
     shift_px : float
-        Turn across the optical axis: length of the image's shift, its direction is drawn.
+        Rotation across the optical axis, as the shift of the image in a random direction.
     scale : float
-        Error of the range, up or down, as a share of it.
-    told : float
-        The same standard deviations in the prediction's covariance, over these.
+        Error of the range as a share of it; its sign is random.
+    covariance_scale : float
+        Standard deviations that the prediction claims, over these.
     """
 
     shift_px: float = 1.5
     scale: float = 0.001
-    told: float = 1.0
+    covariance_scale: float = 1.0
 
 
-NEAR = Prior()
-FAR = Prior(30.0, 0.03)
+NEAR = PredictionError()
+FAR = PredictionError(30.0, 0.03)
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Measured less true rims.
+class RimErrors:
+    """Measured minus true rims.
 
     Attributes
     ----------
     centre_px : ndarray, shape (n, 2)
     axes_px : ndarray, shape (n, 2)
-        Of the semi-major and semi-minor axis.
+        Of the semi-major and the semi-minor axis.
     chi2 : ndarray, shape (n,)
         Of the chart, five degrees of freedom.
     minor_px : ndarray, shape (n,)
         True semi-minor axes.
     expected : int
-        Rims that ought to be measured, with those that are.
+        Number of rims that should be measured, including those that are.
     """
 
     centre_px: FloatArray
@@ -68,33 +71,72 @@ class Errors:
     expected: int
 
 
-def predicted(one: Scene, prior: Prior, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Draw a wrong pose (4, 4) for a scene and its covariance (6, 6), as `GuidedFrontEnd` takes them."""
-    shift_rad = prior.shift_px / one.camera.focal_px
+def predicted(one: Scene, error: PredictionError, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Draw a predicted pose of a scene and its covariance, as `GuidedFrontEnd` takes them.
+
+    Parameters
+    ----------
+    one : Scene
+    error : PredictionError
+    rng : Generator
+
+    Returns
+    -------
+    gTb : ndarray, shape (4, 4)
+        Predicted pose.
+    covariance : ndarray, shape (6, 6)
+        Of the rotation in b, rad, and of the position in g, m.
+    """
+    shift_rad = error.shift_px / one.camera.focal_px
     range_m = one.range_m
     toward = rng.uniform(0.0, 2.0 * np.pi)
     turn = frames.rotation_exp(shift_rad * np.array([np.cos(toward), np.sin(toward), 0.0]))
-    away_m = prior.scale * range_m * rng.choice([-1.0, 1.0])
+    away_m = error.scale * range_m * rng.choice([-1.0, 1.0])
     ahead = one.gTb[:3, 2]
     gTb = frames.pose(one.gTb[:3, :3] @ turn, one.gTb[:3, 3] - away_m * ahead)
-    # A shift of a given length has its root of two in each direction; position across moves as turns do.
-    sigma_rad, sigma_m = prior.told * shift_rad / np.sqrt(2.0), prior.told * prior.scale * range_m
+    # A shift of fixed length in a random direction has 1 / sqrt(2) of it as RMS along each axis.
+    sigma_rad = error.covariance_scale * shift_rad / np.sqrt(2.0)
+    sigma_m = error.covariance_scale * error.scale * range_m
     covariance = np.diag([sigma_rad**2] * 3 + [0.0] * 3)
-    covariance[3:, 3:] = sigma_m**2 * (np.outer(ahead, ahead) + 1e-4 * np.eye(3))
+    covariance[3:, 3:] = sigma_m**2 * (np.outer(ahead, ahead) + _ACROSS_VARIANCE * np.eye(3))
     return gTb, covariance
 
 
 def measure(
-    one: Scene, options: GuidedOptions, prior: Prior, rng: np.random.Generator
-) -> tuple[FrameMeasurement, Errors]:
-    """Measure a scene's rims from a wrong prediction."""
-    gTb, covariance = predicted(one, prior, rng)
+    one: Scene, options: GuidedOptions, error: PredictionError, rng: np.random.Generator
+) -> tuple[FrameMeasurement, RimErrors]:
+    """Measure a scene's rims from a wrong predicted pose.
+
+    Parameters
+    ----------
+    one : Scene
+    options : GuidedOptions
+    error : PredictionError
+    rng : Generator
+
+    Returns
+    -------
+    FrameMeasurement
+    RimErrors
+    """
+    gTb, covariance = predicted(one, error, rng)
     frame = GuidedFrontEnd(one.camera, one.catalog, options).measure(one.image, 0, gTb, covariance, one.sun_g)
-    return frame, errors(one, frame, options)
+    return frame, rim_errors(one, frame, options)
 
 
-def errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> Errors:
-    """Compare a frame's rims with the scene's that ought to be measured: large, bright, whole in view."""
+def rim_errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> RimErrors:
+    """Compare a frame's rims with those that should be measured: large, well shaded, whole in the image.
+
+    Parameters
+    ----------
+    one : Scene
+    frame : FrameMeasurement
+    options : GuidedOptions
+
+    Returns
+    -------
+    RimErrors
+    """
     clear, _ = one.catalog.visible(
         one.camera, one.gTb, min_semi_minor_px=options.min_semi_minor_px, margin_px=options.margin_px
     )
@@ -106,31 +148,31 @@ def errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> Error
     chi2 = np.einsum("ni,ni->n", error, np.linalg.solve(rims.covariance, error[..., None])[..., 0])
     measured, true = (axes_of_chart(pixel_chart(charts, one.camera)) for charts in (rims.chart, truth))
     difference = measured - true
-    return Errors(difference[:, :2], difference[:, 2:4], chi2, true[:, 3], len(wanted))
+    return RimErrors(difference[:, :2], difference[:, 2:4], chi2, true[:, 3], len(wanted))
 
 
 def accuracy(
-    scenes: list[Scene], prior: Prior = NEAR, options: GuidedOptions | None = None
+    scenes: Sequence[Scene], error: PredictionError = NEAR, options: GuidedOptions | None = None
 ) -> dict[str, float]:
-    """Errors of single images' rims, px, their chi-square and the share of rims measured.
+    """Errors of the rims over all scenes, their chi-square and the share of rims measured.
 
     Parameters
     ----------
-    scenes : list of Scene
-    prior : Prior
+    scenes : sequence of Scene
+    error : PredictionError
     options : GuidedOptions, optional
         As for a single image if not given.
 
     Returns
     -------
-    dict
-        Number of rims measured, `fit_rate`, mean absolute errors `centre_px`, `semi_major_px`,
-        `semi_minor_px`, the largest signed mean `bias_px` of the centre's coordinates and the axes below
-        `SMALL_PX`, and `chi2_5`, the mean chi-square over 5.
+    dict of str to float
+        `rims`, the number of rims measured; `fit_rate`; mean absolute errors `centre_px`, `semi_major_px`,
+        `semi_minor_px`; `bias_px`, the largest mean of the centre's coordinates and the semi-axes of rims
+        below `SMALL_PX`; `chi2_5`, the mean chi-square over 5.
     """
     options = options or SINGLE_IMAGE
     rng = np.random.default_rng(0)
-    every = [measure(one, options, prior, rng)[1] for one in scenes]
+    every = [measure(one, options, error, rng)[1] for one in scenes]
     centre, axes, chi2, minor = (
         np.concatenate([getattr(e, name) for e in every])
         for name in ("centre_px", "axes_px", "chi2", "minor_px")
@@ -147,8 +189,19 @@ def accuracy(
     }
 
 
-def sun_tilts(scenes: list[Scene]) -> dict[str, float]:
-    """Rms errors of the sun's tilt: `tilt_deg`, over their sigmas `tilt_sigmas`; `tilt_share` measured."""
+def sun_tilts(scenes: Sequence[Scene]) -> dict[str, float]:
+    """RMS errors of the measured sun tilts over all scenes.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+
+    Returns
+    -------
+    dict of str to float
+        `tilt_deg`, the RMS error; `tilt_sigmas`, that of the errors over their standard deviations;
+        `tilt_share`, the share of the scenes with a sun tilt.
+    """
     rng = np.random.default_rng(0)
     errors = []
     for one in scenes:

@@ -1,6 +1,7 @@
-"""What a fixed-lag smoother's lag buys and costs: not of the paper, which has no smoother."""
+"""Accuracy and cost of the fixed-lag smoother over its lag; the paper has no smoother."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,17 +18,19 @@ from craternav_fg.reproduce.fig15_18_trials import one_problem, scenario_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import Reproduction, Row, number
+from craternav_fg.reproduce.sentences import compared
 from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 
 LAGS_S = (4.0, 10.0, 30.0, 60.0, 120.0)
-# More would only make the curve smoother.
-MOST_TRIALS = 6
-LEAVING = 5
-# Where it is judged: the start is settled, and all craters are in view.
+# Enough for curves without visible noise; each trial is run once per lag.
+MAX_TRIALS = 6
+# States that are read out before they leave the lag: several may leave at one frame.
+_LEAVING_STATES = 5
+# Altitudes of the comparison: the start has converged, and all craters are in view.
 BAND_KM = (50.0, 30.0)
-_OWN = "the paper has no smoother"
+_NO_SMOOTHER = "the paper has no smoother"
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,19 @@ class LagTask:
 
 
 def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
-    """Error of the newest state and of the one that leaves the lag, and time of a frame, over the lag."""
+    """Measure errors of the newest and the oldest state in the lag, and the time per frame, over the lag.
+
+    Parameters
+    ----------
+    options : ReproduceOptions
+    progress : callable, optional
+
+    Returns
+    -------
+    Reproduction
+    """
     scenario = scenario_of(options)
-    tasks = [LagTask(scenario, n) for n in range(min(options.descents, MOST_TRIALS))]
+    tasks = [LagTask(scenario, n) for n in range(min(options.descents, MAX_TRIALS))]
     data = pa.concat_tables(run_all(_trial, tasks, options.workers, "lags", progress))
     columns = {name: data[name].to_numpy() for name in data.column_names}
     newest, oldest, cost = [], [], []
@@ -58,24 +71,52 @@ def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduc
         for quantity, value, unit, bound in (
             ("position error, RMS, newest state", newest[k], "m", bounds[0]),
             ("position error, RMS, state one lag old", oldest[k], "m", bounds[1]),
-            ("processor time a frame, median", cost[k], "ms", None),
+            ("processor time per frame, median", cost[k], "ms", None),
         ):
-            rows.append(Row("lag", quantity, where, unit, efficient=value, bound=bound, verdict=_OWN))
-    scatter = 100.0 / np.sqrt(6.0 * len(tasks))
-    note = (
-        f"Fixed-lag smoothers of {LAGS_S[0]:g} to {LAGS_S[-1]:g} s on the first {len(tasks)} trials of "
-        f"figs. 17 and 18, from {BAND_KM[0]:g} to {BAND_KM[1]:g} km. The newest state is as good with any "
-        f"lag, {number(min(newest))} to {number(max(newest))} m RMS where the bound is {number(bounds[0])} "
-        f"(of so few trials an RMS scatters by some {scatter:.0f} %, all lags alike): a longer lag pays only "
-        f"who can wait for the state one lag old, {number(oldest[0])} m at {LAGS_S[0]:g} s and "
-        f"{number(oldest[-1])} m at {LAGS_S[-1]:g} s, where all data allow {number(bounds[1])}. A frame "
-        f"takes {number(cost[0])} ms of processor time at {LAGS_S[0]:g} s and {number(cost[-1])} ms at "
-        f"{LAGS_S[-1]:g} s on this machine. Below 30 s the first frames, which 25 deg make nonlinear, are "
-        "linearised for good before they have settled: that is the default."
-    )
+            rows.append(Row("lag", quantity, where, unit, efficient=value, bound=bound, verdict=_NO_SMOOTHER))
     drawing = _draw(np.array(newest), np.array(oldest), np.array(cost), bounds)
+    text = note(newest, oldest, cost, bounds, len(tasks))
     return Reproduction(
-        "lag", "Accuracy and cost of the fixed-lag smoother over its lag", rows, note, drawing, data
+        "lag", "Accuracy and cost of the fixed-lag smoother over its lag", rows, text, drawing, data
+    )
+
+
+def note(
+    newest: Sequence[float],
+    oldest: Sequence[float],
+    cost: Sequence[float],
+    bounds: Sequence[float],
+    trials: int,
+) -> str:
+    """Paragraph of the figure.
+
+    Parameters
+    ----------
+    newest, oldest : sequence of float
+        RMS position errors of the newest state and of the state one lag old, by `LAGS_S`, m.
+    cost : sequence of float
+        Processor time per frame, by `LAGS_S`, ms.
+    bounds : sequence of float
+        RMS of the posterior Cramér-Rao bound: of filtering and of smoothing, m.
+    trials : int
+
+    Returns
+    -------
+    str
+    """
+    # Of an RMS over three components per trial.
+    scatter = 100.0 / np.sqrt(6.0 * trials)
+    short, long = f"{LAGS_S[0]:g} s", f"{LAGS_S[-1]:g} s"
+    return (
+        f"Fixed-lag smoothers of {short} to {long} on the first {trials} trials of figs. 17 and 18, from "
+        f"{BAND_KM[0]:g} to {BAND_KM[1]:g} km. The RMS error of the newest state is {number(min(newest))} to "
+        f"{number(max(newest))} m over the lags (bound {number(bounds[0])} m); at {long} it is "
+        f"{compared(newest[-1], newest[0])} that at {short}. The state one lag old has {number(oldest[0])} m "
+        f"at {short} and {number(oldest[-1])} m at {long}, {compared(oldest[-1], oldest[0])} at {short} "
+        f"(bound from all data {number(bounds[1])} m). With {trials} trials an RMS has a standard error of "
+        f"about {scatter:.0f} %, common to all lags. A frame takes {number(cost[0])} ms of processor time at "
+        f"{short} and {number(cost[-1])} ms at {long} on this machine, {compared(cost[-1], cost[0])} at "
+        f"{short}."
     )
 
 
@@ -102,7 +143,7 @@ def _trial(task: LagTask) -> pa.Table:
 
 
 def _run(problem: Problem, lag_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions (k, 3) of each frame as the newest and as it left the lag; time (k,) it took, ms."""
+    """Position (k, 3) of each frame as the newest and as it left the lag; processor time (k,) of each, ms."""
     solver = FixedLagIsam(lag_s)
     session = OnlineSession(problem, solver=solver)
     oldest = np.zeros((len(problem.frames), 3))
@@ -118,8 +159,8 @@ def _run(problem: Problem, lag_s: float) -> tuple[FloatArray, FloatArray, FloatA
         numbers = session.frame_numbers
         while not solver.tree.valueExists(X(numbers[first])):
             first += 1
-        # The next to leave the lag, which several may do at once, and the newest; at the end, all.
-        leaving = range(first, k + 1 if k + 1 == len(problem.frames) else min(first + LEAVING, k + 1))
+        # The next states to leave the lag and the newest; at the end, all.
+        leaving = range(first, k + 1 if k + 1 == len(problem.frames) else min(first + _LEAVING_STATES, k + 1))
         for older in {*leaving, k}:
             oldest[older] = solver.tree.calculateEstimatePose3(X(numbers[older])).translation()
     return session.filtered().gP, oldest, frame_ms
@@ -141,7 +182,7 @@ def _draw(newest: FloatArray, oldest: FloatArray, cost: FloatArray, bounds: list
     axes.legend(frameon=False, fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5))
     below.plot(LAGS_S, cost, "o-", color="0.3")
     below.set_ylim(bottom=0.0)
-    below.set_ylabel("a frame, CPU ms")
+    below.set_ylabel("CPU ms per frame")
     below.set_xlabel("lag, s")
     for one in (axes, below):
         one.set_xscale("log")

@@ -1,4 +1,4 @@
-"""Drawings of the reproduced figures."""
+"""Line plots of the reproduced figures: errors over altitude, deviation and descent."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,12 @@ from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator, StrMetho
 
 FloatArray = npt.NDArray[np.float64]
 
+# Inches.
 _SIZE = (8.0, 5.0)
+# A descent reaches an altitude when one of its frames is this near to it.
+_PASSED_WITHIN_KM = 1.0
+# Offset of neighbouring bars, as a share of the altitude step.
+_BAR_OFFSET = 0.08
 
 
 @dataclass(frozen=True)
@@ -22,10 +27,10 @@ class Series:
     Attributes
     ----------
     colour, marker, line : str
-        Line "" draws none.
+        In matplotlib's notation; line "" draws none.
     mean : ndarray, shape (k,)
     low, high : ndarray, shape (k,), or None
-        16 and 84 % of the trials.
+        16 % and 84 % quantiles of the trials.
     """
 
     colour: str
@@ -39,7 +44,21 @@ class Series:
 def draw_deviation(
     tilts_deg: FloatArray, altitudes: FloatArray, values: FloatArray, pixel_deg: float
 ) -> Figure:
-    """Fig. 2: deviation (tilts, altitudes) in deg over the altitude in radii, and what a pixel is."""
+    """Draw fig. 2: deviation of the line of sight over the altitude, and the angle of a pixel.
+
+    Parameters
+    ----------
+    tilts_deg : ndarray, shape (m,)
+    altitudes : ndarray, shape (n,)
+        In radii.
+    values : ndarray, shape (m, n)
+        Deviations, deg.
+    pixel_deg : float
+
+    Returns
+    -------
+    Figure
+    """
     figure, axes = _axes()
     axes.axhline(pixel_deg, color="0.4", ls="--", lw=1.0)
     axes.annotate("one pixel", (altitudes.max(), pixel_deg), ha="right", va="bottom", color="0.3")
@@ -49,7 +68,20 @@ def draw_deviation(
 
 
 def draw_centre_error(tilts_deg: FloatArray, altitudes: FloatArray, values: FloatArray) -> Figure:
-    """Fig. 3: median position error (tilts, altitudes) in radii over the altitude in radii."""
+    """Draw fig. 3: median position error over the altitude.
+
+    Parameters
+    ----------
+    tilts_deg : ndarray, shape (m,)
+    altitudes : ndarray, shape (n,)
+        In radii.
+    values : ndarray, shape (m, n)
+        Errors in radii.
+
+    Returns
+    -------
+    Figure
+    """
     figure, axes = _axes()
     _curves(axes, altitudes, values, tilts_deg)
     axes.set_ylabel("position error (median), crater radii")
@@ -70,7 +102,21 @@ def _curves(axes: Axes, altitudes: FloatArray, values: FloatArray, tilts_deg: Fl
 
 
 def draw_error_over_deviation(altitudes: FloatArray, deviation: FloatArray, error: FloatArray) -> Figure:
-    """Fig. 4: median position error over the deviation, each (tilts, altitudes), a line per altitude."""
+    """Draw fig. 4: median position error over the deviation of the line of sight, a line per altitude.
+
+    Parameters
+    ----------
+    altitudes : ndarray, shape (n,)
+        In radii.
+    deviation : ndarray, shape (m, n)
+        By tilt and altitude, deg.
+    error : ndarray, shape (m, n)
+        In radii.
+
+    Returns
+    -------
+    Figure
+    """
     figure, axes = _axes()
     for j, (colour, altitude) in enumerate(zip(_shades(len(altitudes)), altitudes, strict=True)):
         axes.plot(deviation[:, j], error[:, j], "o-", color=colour, ms=4, lw=1.5, label=f"{altitude} r")
@@ -89,15 +135,29 @@ def draw_errors(
     title: str,
     paper: Sequence[tuple[float, float, float]] = (),
 ) -> Figure:
-    """Figs. 11 to 14: mean errors over the altitude, and the paper's printed (altitude, mean, deviation)."""
+    """Draw figs. 11 to 14: mean errors over the altitude.
+
+    Parameters
+    ----------
+    altitudes_km : ndarray, shape (k,)
+    series : mapping of str to Series
+        By their names in the legend.
+    quantity, title : str
+    paper : sequence of tuple of float
+        The paper's printed numbers: altitude, km, mean and standard deviation.
+
+    Returns
+    -------
+    Figure
+    """
     figure, axes = _axes()
     spread = altitudes_km[1] - altitudes_km[0] if len(altitudes_km) > 1 else 1.0
     with_bars = [name for name, s in series.items() if s.low is not None]
     for name, s in series.items():
         x = altitudes_km
         if s.low is not None and s.high is not None:
-            # Side by side, not on top of one another.
-            x = altitudes_km + 0.08 * spread * (with_bars.index(name) - 0.5 * (len(with_bars) - 1))
+            # Bars of one altitude stand side by side.
+            x = altitudes_km + _BAR_OFFSET * spread * (with_bars.index(name) - 0.5 * (len(with_bars) - 1))
             axes.vlines(x, s.low, s.high, color=s.colour, lw=1.2, alpha=0.6)
         axes.plot(x, s.mean, s.line, marker=s.marker, color=s.colour, ms=4.5, lw=1.5, label=name)
     if paper:
@@ -109,7 +169,7 @@ def draw_errors(
     axes.set_yscale("log")
     if paper:
         bottom = axes.get_ylim()[0]
-        # An end at or below zero is not on a logarithmic axis: the bar runs to the axis, without a cap.
+        # A lower end at or below zero is not on a logarithmic axis: the bar runs to the axis, without a cap.
         axes.vlines(
             x, np.where(shown, mean - deviation, bottom), mean + deviation, color="k", lw=1.2, zorder=5
         )
@@ -129,7 +189,7 @@ def _axes() -> tuple[Figure, Axes]:
 
 
 def _shades(count: int) -> FloatArray:
-    """Colours from dark to light, for curves that stand in an order."""
+    """Colours from dark to light, for ordered curves."""
     return np.asarray(colormaps["viridis"](np.linspace(0.0, 0.88, count)))
 
 
@@ -156,24 +216,28 @@ def draw_descent(
     title: str,
     paper: tuple[float, float, str] | None = None,
 ) -> Figure:
-    """Figs. 15 to 18: errors over the altitude, which falls to the right, and craters in view below.
+    """Draw figs. 15 to 18: errors over the altitude, falling to the right, and craters in view below.
 
     Parameters
     ----------
     altitude_km : ndarray, shape (k,)
     lines : mapping of str to Line
     craters : ndarray, shape (k,)
-        In view, in the mean.
+        Mean number in view.
     quantity, title : str
     paper : tuple, optional
-        Altitude, value and name of what the paper prints.
+        Altitude, km, value and name of the paper's printed number.
+
+    Returns
+    -------
+    Figure
     """
     figure = Figure(figsize=_SIZE, layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     for name, line in lines.items():
         axes.plot(altitude_km, line.value, line.style, color=line.colour, lw=1.4, label=name)
-    # One that the descents do not reach would be drawn beside the axes.
-    if paper is not None and np.abs(altitude_km - paper[0]).min() < 1.0:
+    # Drawn only where the descents pass: elsewhere it would lie outside the axes.
+    if paper is not None and np.abs(altitude_km - paper[0]).min() < _PASSED_WITHIN_KM:
         axes.plot(paper[0], paper[1], "*", color="k", ms=12, zorder=5, label=paper[2], clip_on=False)
     axes.set_yscale("log")
     axes.set_ylabel(quantity)

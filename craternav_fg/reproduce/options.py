@@ -1,45 +1,48 @@
-"""What can be changed about the reproduction."""
+"""Options of the reproduction; the defaults are the paper's set-up."""
 
 from dataclasses import dataclass
 
 from craternav_fg.errors import CraternavError
 from craternav_fg.simulation.flat_scenes import SEMI_AXES_M
 
-# No ellipse fit is of use on arcs shorter than about a third of the rim.
+# Shortest arc, as a share of the rim: on shorter ones ellipse fits have errors as large as the rim.
 LEAST_ARC = 0.35
-# From higher up rims have semi-axes under 3 px, and ellipses of their points fail.
-HIGHEST_KM_OF_SEMI_AXIS_M = 0.4
+# Highest altitude over the smallest semi-axis: it then spans about 3 px, the least that an ellipse fit takes.
+MAX_ALTITUDE_KM_PER_M = 0.4
+MAX_NOISE_PX = 10.0
+# A fitted ellipse has five unknowns; fewer points leave too little redundancy.
+MIN_EDGE_POINTS = 8
 
 
 @dataclass(frozen=True)
 class ReproduceOptions:
-    """Set-up of the reproduction; the defaults are the paper's.
+    """Set-up of the reproduction.
 
     Attributes
     ----------
     craters : int
-        Of figs. 11 and 12; figs. 13 and 14 are of two.
+        Number in figs. 11 and 12; figs. 13 and 14 have two.
     altitudes_km : tuple of float
-        Lowest and highest altitude of figs. 11 to 14; at most 0.4 km for each metre of the least semi-axis.
+        Lowest and highest altitude of figs. 11 to 14; at most 0.4 km per metre of the smallest semi-axis.
     altitude_steps : int
-        Altitudes from the one to the other.
+        Number of altitudes.
     semi_axes_m : tuple of float
-        Least and largest semi-axis of the rims of figs. 11 to 14.
+        Smallest and largest semi-axis of the rims of figs. 11 to 14.
     noise_px : float
         Standard deviation of each coordinate of an edge point.
     points : tuple of int
-        Range of the number of edge points of a rim: the paper's "length of the crater edge".
+        Smallest and largest number of edge points of a rim: the paper's "length of the crater edge".
     arc : float
-        Part of the rim that the points cover, of 1.
+        Share of the rim that the points cover, 0 to 1.
     trials : int
-        At each altitude, and triples of craters at each point of fig. 3.
+        Number at each altitude, and of crater triples at each point of fig. 3.
     images : int
-        From each altitude of table 2, and a measure of the other sets of rendered images.
+        Number at each altitude of table 2; the other sets of rendered images have fixed shares of it.
     descents : int
-        Trials of figs. 17 and 18, each with a terrain of its own; figs. 15 and 16 show the first.
+        Trials of figs. 17 and 18, each with its own terrain; figs. 15 and 16 show the first.
     seed : int
     workers : int
-        Processes.
+        Number of processes.
     """
 
     craters: int = 3
@@ -58,24 +61,27 @@ class ReproduceOptions:
     def __post_init__(self) -> None:
         low, high = self.altitudes_km
         least_m, largest_m = self.semi_axes_m
-        highest = HIGHEST_KM_OF_SEMI_AXIS_M * least_m
+        highest = MAX_ALTITUDE_KM_PER_M * least_m
         checks = (
             (self.craters >= 3, f"craters: expected 3 or more, found {self.craters}"),
             (
                 0.0 < least_m <= largest_m,
-                f"semi-axes: expected 0 < least <= largest, found {least_m:g} {largest_m:g} m",
+                f"semi-axes: expected 0 < smallest <= largest, found {least_m:g} {largest_m:g} m",
             ),
             (
                 0.0 < low <= high <= highest,
-                f"altitudes: expected 0 < low <= high <= {highest:g} km, found {low:g} {high:g}: from "
+                f"altitudes: expected 0 < low <= high <= {highest:g} km, found {low:g} {high:g}: "
                 f"higher up the smallest rims, of {least_m:g} m, have too few pixels",
             ),
             (self.altitude_steps >= 1, f"altitude steps: expected 1 or more, found {self.altitude_steps}"),
             (
-                0.0 < self.noise_px <= 10.0,
-                f"noise: expected more than 0, at most 10 px, found {self.noise_px:g}",
+                0.0 < self.noise_px <= MAX_NOISE_PX,
+                f"noise: expected more than 0, at most {MAX_NOISE_PX:g} px, found {self.noise_px:g}",
             ),
-            (8 <= self.points[0] <= self.points[1], f"points: expected 8 or more, found {self.points}"),
+            (
+                MIN_EDGE_POINTS <= self.points[0] <= self.points[1],
+                f"points: expected {MIN_EDGE_POINTS} or more, rising, found {self.points}",
+            ),
             (
                 LEAST_ARC <= self.arc <= 1.0,
                 f"arc: expected {LEAST_ARC:g} to 1 of the rim, found {self.arc:g}: "

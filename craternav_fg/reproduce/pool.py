@@ -1,4 +1,4 @@
-"""Trials over processes, the same whatever their number."""
+"""Trials distributed over processes; the results do not depend on their number."""
 
 import tempfile
 from collections import deque
@@ -12,7 +12,7 @@ from craternav_fg.errors import CraternavError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-# What is being done, how many of its steps are done, how many there are.
+# Called with a description, the number of finished steps and the number of all steps.
 Progress = Callable[[str, int, int], None]
 
 
@@ -23,16 +23,16 @@ def run_all(
     what: str,
     progress: Progress | None,
 ) -> list[Result]:
-    """Do every task, in processes if there is more than one worker.
+    """Run every task, in processes if there is more than one worker.
 
     Parameters
     ----------
     work : callable
-        A function of a module, of one argument; all that it needs, a seed included, is in the task.
+        Function at the top level of a module; its one argument, the task, holds all it needs, with the seed.
     tasks : sequence
     workers : int
     what : str
-        For the progress report.
+        Description for the progress report.
     progress : callable, optional
 
     Returns
@@ -43,7 +43,7 @@ def run_all(
     Raises
     ------
     CraternavError
-        When a process died, as for want of memory.
+        When a process died, for example of lack of memory.
     """
     results: dict[int, Result] = {}
 

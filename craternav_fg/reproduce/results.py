@@ -1,4 +1,4 @@
-"""What a reproduced figure consists of: rows with a verdict, a paragraph, a drawing, the data."""
+"""A reproduced figure: its rows with a verdict each, a paragraph, a drawing and the data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,30 +8,33 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 # A number of the paper counts as reproduced within this share of it.
-_MET = 0.1
+_REPRODUCED_WITHIN = 0.1
 _STANDARD_ERRORS = 3.0
-_SAME_ORDER = 10.0**0.5
+# Numbers within this factor of each other are of the same order.
+_SAME_ORDER_FACTOR = 10.0**0.5
+# Magnitudes below this are rounding.
+_ROUNDING = 1e-6
 NO_NUMBER = "the paper prints no number"
 
 
 @dataclass(frozen=True)
 class Row:
-    """One number of a figure; None where there is none.
+    """One quantity of a figure under one condition; a number is None where there is none.
 
     Attributes
     ----------
     figure, quantity, condition, unit : str
     paper : float or None
-        As the paper's text prints it; what only its plots show is not known.
+        As printed in the paper's text; what only its plots show is not known.
     as_printed, corrected : float or None
-        By the paper's equations as printed, and put right.
+        By the paper's equations as printed, and corrected.
     efficient : float or None
         By the maximum-likelihood solver.
     bound : float or None
-        Of an estimator that attains the Cramér-Rao bound, in the same statistic.
+        The same statistic of an estimator that attains the Cramér-Rao bound.
     verdict : str
     headline : bool
-        Whether the row stands in the printed table; not part of what is written.
+        Whether the row is in the printed table; not part of what is written.
     """
 
     figure: str
@@ -65,15 +68,15 @@ class Reproduction:
     Attributes
     ----------
     name : str
-        Of the figure: fig02.
+        Of the figure, such as fig02.
     title : str
-        What it shows, one line.
+        One line.
     rows : sequence of Row
     note : str
-        A paragraph: what holds of the paper's statements, what cannot be had and why.
+        A paragraph: set-up, and the paper's statements beside the numbers found here.
     drawing : Figure
     data : pyarrow.Table
-        All that the drawing and the rows rest on.
+        The trials behind the drawing and the rows.
     """
 
     name: str
@@ -92,46 +95,53 @@ def verdict(
     error: float = 0.0,
     bound_error: float = 0.0,
 ) -> str:
-    """Judge a number of the paper by what its corrected equations give, and by the bound.
+    """Judge a number of the paper by that of its corrected equations, and by the bound.
 
-    "Reproduced" needs trials enough to tell: a standard error as small as the difference that is allowed.
+    "Reproduced" needs enough trials: a standard error no larger than the difference that is allowed.
 
     Parameters
     ----------
     paper, corrected, bound : float or None
         In one statistic and unit.
     error, bound_error : float
-        Standard error of the difference between the paper and what is corrected, and of that between the
-        paper and the bound, by the number of trials.
+        Standard errors of the differences between `paper` and `corrected`, and between `paper` and `bound`.
+
+    Returns
+    -------
+    str
     """
     if paper is None:
         return NO_NUMBER
     parts = []
     if corrected is None:
         parts.append("not reproduced")
-    elif max(abs(corrected - paper), error) <= _MET * paper:
+    elif max(abs(corrected - paper), error) <= _REPRODUCED_WITHIN * paper:
         parts.append("reproduced")
     else:
         ratio = corrected / paper
         if abs(corrected - paper) <= _STANDARD_ERRORS * error:
             word = "within the trials' scatter"
+        elif 1.0 / _SAME_ORDER_FACTOR <= ratio <= _SAME_ORDER_FACTOR:
+            word = "same order"
         else:
-            word = "same order" if 1.0 / _SAME_ORDER <= ratio <= _SAME_ORDER else "not reproduced"
+            word = "not reproduced"
         parts.append(f"{word}: {ratio:.2g} times the paper's")
-    if bound is not None and paper < bound - max(_MET * paper, _STANDARD_ERRORS * bound_error):
-        parts.append(f"out of reach: the bound is {bound / paper:.2g} times the paper's")
+    if bound is not None:
+        tolerance = max(_REPRODUCED_WITHIN * paper, _STANDARD_ERRORS * bound_error)
+        if paper < bound - tolerance:
+            parts.append(f"out of reach: the bound is {bound / paper:.2g} times the paper's")
     return "; ".join(parts)
 
 
 def known(value: float) -> float | None:
-    """Give a number as a row holds it: None for NaN."""
-    return None if np.isnan(value) else float(value)
+    """Give a number as a row holds it: None where it is not finite."""
+    return float(value) if np.isfinite(value) else None
 
 
 def number(value: float | None) -> str:
-    """Give a number as the tables show it: three digits, a dash where there is none."""
+    """Format a number as the tables show it: three digits, a dash where there is none."""
     if value is None:
         return "-"
-    if abs(value) < 1e-6:
+    if abs(value) < _ROUNDING:
         return "0"
     return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.3g}"

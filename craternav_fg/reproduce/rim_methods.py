@@ -1,10 +1,10 @@
-"""Three ways to find a rim in an image, and the columns of a row in which their numbers stand."""
+"""Three methods that find a rim in an image, and the columns of a row in which their numbers stand."""
 
 from collections.abc import Mapping
 
-from craternav_fg.reproduce.results import Row
+from craternav_fg.reproduce.results import NO_NUMBER, Row, verdict
 
-# The paper's way; without a prior, the edge taken where the crest is; the same from a predicted pose.
+# Ellipses through Canny edges, as in the paper; the blind detector; guided measurement from a predicted pose.
 CANNY, BLIND, GUIDED = "canny", "blind", "guided"
 METHODS = (CANNY, BLIND, GUIDED)
 
@@ -16,11 +16,25 @@ def image_row(
     unit: str,
     values: Mapping[str, float | None],
     *,
-    verdict: str,
+    verdict: str = NO_NUMBER,
     paper: float | None = None,
     headline: bool = True,
 ) -> Row:
-    """Row of a number by each way: as printed, corrected and efficient; None where there is none."""
+    """Make the row of a number by each method: Canny as printed, blind as corrected, guided as efficient.
+
+    Parameters
+    ----------
+    figure, quantity, condition, unit : str
+    values : mapping of str to float or None
+        By method.
+    verdict : str
+    paper : float, optional
+    headline : bool
+
+    Returns
+    -------
+    Row
+    """
     return Row(
         figure,
         quantity,
@@ -33,3 +47,20 @@ def image_row(
         verdict=verdict,
         headline=headline,
     )
+
+
+def judged(paper: float | None, by_canny: float | None, ours: float | None, error: float = 0.0) -> str:
+    """Judge a number of the paper by that of Canny edges, and say how ours compares.
+
+    Parameters
+    ----------
+    paper, by_canny, ours : float or None
+    error : float
+        Standard error of the difference between the paper's number and that of Canny edges.
+
+    Returns
+    -------
+    str
+    """
+    words = verdict(paper, by_canny, None, error=error)
+    return words if paper is None or ours is None else f"{words}; ours {ours / paper:.2g} times"

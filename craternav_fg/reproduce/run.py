@@ -2,9 +2,9 @@
 
 reproduction.json   every number: a list of rows {figure, quantity, condition, unit, paper, as_printed,
                     corrected, efficient, bound, verdict}
-reproduction.md     the same to read: tables, drawings, and a paragraph on what cannot be had and why
+reproduction.md     the same for reading: tables, drawings and a paragraph on each figure
 NAME.png            drawings: figNN, tableN, front_end, lag, ablation
-NAME.parquet        what they rest on, trial by trial
+NAME.parquet        the trials behind them
 """
 
 import json
@@ -43,19 +43,19 @@ FIGURES = (
     "fig02", "fig03", "fig04", "table1", "fig10", "table2", "fig11", "fig12", "fig13", "fig14", *DESCENTS,
     "front_end",
 )  # fmt: skip
-# Not of the paper, and not part of "all".
+# Not figures of the paper, and not part of "all".
 OTHERS = ("lag", "ablation")
 MARKER = "reproduction.json"
 CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in (*FIGURES, *OTHERS)))
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """Figures of some names, "all" among them, in the paper's order.
+    """Give the figures of some names, "all" included, in the paper's order.
 
     Raises
     ------
     CraternavError
-        For an unknown one.
+        For an unknown name.
     """
     for name in names:
         if name not in (*FIGURES, *OTHERS, "all"):
@@ -68,7 +68,7 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 def reproduce(
     names: Sequence[str], options: ReproduceOptions, progress: Progress | None = None
 ) -> list[Reproduction]:
-    """Reproduce figures; those that share their trials share the computing.
+    """Reproduce figures; figures with common trials run them once.
 
     Parameters
     ----------
@@ -76,6 +76,10 @@ def reproduce(
         Of `FIGURES` and `OTHERS`.
     options : ReproduceOptions
     progress : callable, optional
+
+    Returns
+    -------
+    list of Reproduction
     """
     out = []
     if "fig02" in names:
@@ -129,17 +133,18 @@ def _report(results: Sequence[Reproduction], options: ReproduceOptions) -> str:
         "",
         f"craternav_fg {craternav_fg.__version__}; {set_up}.",
         "",
-        "As printed: the paper's equations as they stand; corrected: put right; efficient: the "
-        "maximum-likelihood solver; bound: an estimator that attains the Cramér-Rao bound, in the same "
+        "As printed: the paper's equations as they are; corrected: with their errors corrected; efficient: "
+        "the maximum-likelihood solver; bound: an estimator that attains the Cramér-Rao bound, in the same "
         "statistic. reproduction.json has all rows.",
         "",
         "In figs. 2 to 14 the paper's methods are started at the truth, the efficient solver without a "
-        "start: their errors there are what the equations are worth, and leave out what a worse start would "
-        "cost.",
+        "start: "
+        "the errors are those of the equations, without those of a poor start.",
         "",
-        "Of tables 1 and 2, fig. 10 and the front end, which are measured in rendered images, as printed "
-        "stands for Canny edges, the paper's way, corrected for the blind detector, efficient for rims "
-        "measured from a predicted pose.",
+        "Tables 1 and 2, fig. 10 and the front end are measured in rendered images. There as printed stands "
+        "for Canny edges, the paper's method, corrected for the blind detector, and efficient for rims "
+        "measured from "
+        "a predicted pose.",
     ]
     for result in results:
         lines += [

@@ -1,4 +1,4 @@
-"""Table 2: errors of the rims' conic coefficients A to F by altitude, from rendered images."""
+"""Trials behind table 2: errors of the conic coefficients A to F of single rims in rendered images."""
 
 from dataclasses import dataclass
 
@@ -24,14 +24,13 @@ from factors.kernels.conic import chart_to_conic, project_rims
 FloatArray = npt.NDArray[np.float64]
 
 ALTITUDES_KM = (50, 40, 30, 20, 10)
-PARAMETERS = "ABCDEF"
-# Behind a coefficient's name: of the same rim moved to the optical axis.
+COEFFICIENTS = "ABCDEF"
+# Suffix of a column: the same rim moved to the optical axis.
 CENTRAL = "_central"
 
 _BATCH = 8
-# The crater's surroundings are small.
-_GROUND = TerrainOptions(cells=1024)
-# Each image is one of its kind.
+# Windows are smaller than whole images: finer grids reach as far as they.
+_TERRAIN = TerrainOptions(cells=1024)
 
 
 @dataclass(frozen=True)
@@ -45,14 +44,14 @@ class Batch:
 
 
 def run_batch(batch: Batch) -> list[dict[str, float]]:
-    """Errors of every way in every image of a batch; NaN where a way finds no rim."""
+    """Give the errors of every method in every image of a batch; NaN where it finds no rim."""
     return [_run_image(batch, image) for image in range(batch.first, batch.last)]
 
 
 def _run_image(batch: Batch, image: int) -> dict[str, float]:
     rng = np.random.default_rng([batch.seed, 2, batch.altitude_km, image])
     view = single_crater(rng, 1e3 * batch.altitude_km, int(rng.integers(2**31)))
-    one, _ = photograph_window(view, rng, _GROUND)
+    one, _ = photograph_window(view, rng, _TERRAIN)
     true = project_rims(one.gTb, one.camera.bTc, view.catalog.centres, view.catalog.axes)[0]
     true_px = pixel_chart(true, one.camera)
     ellipse = axes_of_chart(true_px)[0]
@@ -62,29 +61,29 @@ def _run_image(batch: Batch, image: int) -> dict[str, float]:
         "semi_major_px": float(ellipse[2]), "semi_minor_px": float(ellipse[3]),
     }  # fmt: skip
     found = {CANNY: canny_rim(one, 0), BLIND: _blind(one, ellipse), GUIDED: _guided(one, rng)}
-    for way, chart_px in found.items():
+    for method, chart_px in found.items():
         error, central, difference = np.full(6, np.nan), np.full(6, np.nan), np.full(5, np.nan)
-        # What lies further off is another edge, no measurement of this rim.
+        # An ellipse further off follows other edges than this rim.
         if chart_px is not None and len(match(axes_of_chart(chart_px[None]), ellipse[None]).true):
             chart, _ = normalised_chart(chart_px, one.camera)
             error = chart_to_conic(chart) - chart_to_conic(true[0])
             to_axis = np.append(true[0, :2], np.zeros(3))
             central = chart_to_conic(chart - to_axis) - chart_to_conic(true[0] - to_axis)
             difference = axes_of_chart(chart_px[None])[0] - ellipse
-        for name, e, e0 in zip(PARAMETERS, error, central, strict=True):
-            record |= {f"{way}_{name}": float(e), f"{way}_{name}{CENTRAL}": float(e0)}
-        record[f"{way}_centre_px"] = float(np.hypot(*difference[:2]))
-        record[f"{way}_semi_major_px"], record[f"{way}_semi_minor_px"] = map(float, difference[2:4])
+        for name, e, e0 in zip(COEFFICIENTS, error, central, strict=True):
+            record |= {f"{method}_{name}": float(e), f"{method}_{name}{CENTRAL}": float(e0)}
+        record[f"{method}_centre_px"] = float(np.hypot(*difference[:2]))
+        record[f"{method}_semi_major_px"], record[f"{method}_semi_minor_px"] = map(float, difference[2:4])
     return record
 
 
 def _blind(one: Scene, ellipse: FloatArray) -> FloatArray | None:
-    """Chart (5,), px, that the blind detector has for the true rim."""
+    """Chart (5,), px, that the blind detector finds for the true rim."""
     try:
-        # In the whole image many craters tell where the light is; here there is one.
+        # A whole image has many craters that give the direction towards the sun; a window has one.
         rims = find_rims(one.image, one.sun_angle_rad)
     except EstimationError:
-        # The specks around a lone crater can outvote it.
+        # Small features around a lone crater can contradict the given direction.
         return None
     hit = match(rims.ellipses_px, ellipse[None]).detected
     return rims.charts_px[hit[0]] if len(hit) else None
@@ -96,7 +95,13 @@ def _guided(one: Scene, rng: np.random.Generator) -> FloatArray | None:
 
 
 def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.Table:
-    """All images of table 2, a row each."""
+    """Run the trials of table 2.
+
+    Returns
+    -------
+    pyarrow.Table
+        A row per image.
+    """
     batches = [
         Batch(km, options.seed, first, min(first + _BATCH, options.images))
         for km in ALTITUDES_KM

@@ -1,4 +1,4 @@
-"""A reproduced figure as tables of the terminal."""
+"""Terminal tables of a reproduced figure."""
 
 from collections.abc import Iterator
 
@@ -9,13 +9,13 @@ from craternav_fg.reproduce.results import NO_NUMBER, NUMBERS, Reproduction, num
 
 
 def tables(result: Reproduction) -> Iterator[tuple[str, Table]]:
-    """Heading and table of each quantity: its headlines, without the columns that have no number."""
+    """Give heading and table of each quantity: its headline rows, without columns that have no number."""
     headlines = [row for row in result.rows if row.headline]
     for quantity, unit in dict.fromkeys((row.quantity, row.unit) for row in headlines):
         rows = [row for row in headlines if (row.quantity, row.unit) == (quantity, unit)]
         shown = [name for name in NUMBERS if any(getattr(row, name) is not None for row in rows)]
         table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
-        # In a narrow terminal words fold; a number that is cut short would be another.
+        # In a narrow terminal words wrap; numbers must not, as a truncated number is another number.
         table.add_column("", min_width=14)
         for name in shown:
             table.add_column(name.replace("_", "\n"), justify="right", no_wrap=True)

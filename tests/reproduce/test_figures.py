@@ -81,7 +81,10 @@ def test_fig03_has_the_trends_and_magnitudes_of_the_reference() -> None:
 
 def test_fig04_gives_the_power_of_the_deviation() -> None:
     deviation = np.array([[tilt * 10.0 / h**2 for h in los.ALTITUDES] for tilt in los.TILTS_DEG]).ravel()
-    for power, words in ((2.0, ": faster than in proportion"), (0.5, "not everywhere faster")):
+    for power, words in (
+        (2.0, "faster than the deviation at 6 of the 6"),
+        (0.5, "faster than the deviation at 0 of the 6"),
+    ):
         columns = {"centres_error_radii": deviation**power, "edges_error_radii": 0.0 * deviation}
         data = pa.table({"deviation_deg": deviation, **columns})
         note = centres.fig04(data).note

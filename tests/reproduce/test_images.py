@@ -1,4 +1,4 @@
-"""Tables 1 and 2, fig. 10 and the front end's figures, from a few rendered images."""
+"""Table 2, fig. 10 and single craters, from a few rendered images."""
 
 import json
 from pathlib import Path
@@ -8,23 +8,9 @@ import pyarrow as pa
 import pytest
 
 from craternav_fg.ellipse import axes_of_chart
-from craternav_fg.reproduce import (
-    run,
-    table1_trials,
-)
-from craternav_fg.reproduce import (
-    table1 as rim_errors,
-)
-from craternav_fg.reproduce import (
-    table2 as coefficients,
-)
-from craternav_fg.reproduce import (
-    table2_trials as edge_parameters,
-)
+from craternav_fg.reproduce import run, table2, table2_trials
 from craternav_fg.reproduce.canny_rim import canny_rim
-from craternav_fg.reproduce.front_end import Limit, front_end
 from craternav_fg.reproduce.options import ReproduceOptions
-from craternav_fg.reproduce.results import FIELDS
 from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED
 from craternav_fg.simulation.flat_scenes import CAMERA
 from craternav_fg.simulation.paper_scenes import four_craters, photograph_window, single_crater, window
@@ -35,13 +21,8 @@ FEW = ReproduceOptions(images=2, workers=1)
 
 
 @pytest.fixture(scope="module")
-def measured() -> table1_trials.Sets:
-    return table1_trials.simulate(FEW)
-
-
-@pytest.fixture(scope="module")
 def coefficient_data() -> pa.Table:
-    return edge_parameters.simulate(FEW)
+    return table2_trials.simulate(FEW)
 
 
 def test_a_window_has_the_pixels_of_the_whole_image() -> None:
@@ -102,7 +83,7 @@ def test_coefficients_have_the_errors_of_their_ellipses(coefficient_data: pa.Tab
 
 
 def test_table2_has_a_row_for_each_coefficient_and_altitude(coefficient_data: pa.Table) -> None:
-    result = coefficients.table2(coefficient_data, FEW)
+    result = table2.table2(coefficient_data, FEW)
     shown = [row for row in result.rows if row.headline]
     assert len(shown) == 6 * (5 + 1)
     printed = {(row.quantity, row.condition): row.paper for row in shown}
@@ -112,54 +93,6 @@ def test_table2_has_a_row_for_each_coefficient_and_altitude(coefficient_data: pa
         assert row.efficient is None or 1e-6 < row.efficient < 0.1
     assert "out of line" in next(row.verdict for row in shown if row.condition.startswith("50 km"))
     assert "nan" not in result.note
-
-
-def test_table1_and_the_front_end_agree_on_the_same_rims(measured: table1_trials.Sets) -> None:
-    table = rim_errors.table1(measured)
-    result = front_end(measured, FEW)
-    by_name = {(row.quantity, row.condition): row for row in result.rows}
-    fine = next(row for row in table.rows if row.quantity == "centre, average error")
-    assert "fine" in fine.condition
-    assert by_name["guided, fine rims", "centre, mean absolute"].efficient == fine.efficient
-    assert by_name["blind, plain ground", "centre, mean absolute"].corrected == fine.corrected
-    assert by_name["blind, plain ground", "recall"].paper == 0.92
-    # Coarse: one image of each set.
-    assert fine.efficient is not None
-    assert fine.efficient < 0.2
-    assert fine.as_printed is not None
-    assert fine.as_printed > 1.5 * fine.efficient
-    for name in ("noise", "gradient"):
-        row = by_name["images without craters", f"rims in 20 {name} images"]
-        assert (row.corrected, row.as_printed) == (0.0, 0.0)
-        assert row.verdict == "holds: at most 0"
-    crest = by_name["crest against projection, 4x zoom", "mean, absolute"]
-    assert crest.efficient is not None
-    assert crest.efficient < 0.03
-    for row in (*table.rows, *result.rows):
-        assert set(row.as_dict()) == set(FIELDS)
-        assert row.verdict
-    assert json.dumps([row.as_dict() for row in (*table.rows, *result.rows)], allow_nan=False)
-
-
-@pytest.mark.parametrize(
-    ("limit", "value", "holds", "share"),
-    [
-        (Limit(high=0.2), 0.1, True, 0.5),
-        (Limit(high=0.2), 0.3, False, 1.5),
-        (Limit(low=0.9), 0.95, True, 0.5),
-        (Limit(low=0.9), 0.7, False, 3.0),
-        (Limit(0.7, 1.3), 1.3, True, 1.0),
-        (Limit(0.7, 1.3), 0.7, True, 1.0),
-        (Limit(0.7, 1.3), 1.5, False, 1.545),
-        (Limit(high=0.0), 0.0, True, 0.0),
-        (Limit(high=0.0), 1.0, False, 2.0),
-    ],
-)
-def test_limits(limit: Limit, value: float, holds: bool, share: float) -> None:
-    assert limit.holds(value) is holds
-    assert limit.verdict(value).startswith("holds" if holds else "missed")
-    assert limit.share(value) == pytest.approx(share, abs=1e-3)
-    assert limit.verdict(None).startswith("not measured")
 
 
 def test_fig10_is_written_with_its_rows(tmp_path: Path) -> None:
@@ -177,17 +110,10 @@ def test_fig10_is_written_with_its_rows(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-@pytest.mark.slow
-def test_every_figure_of_the_front_end_holds() -> None:
-    result = front_end(table1_trials.simulate(ReproduceOptions()), ReproduceOptions())
-    missed = [(row.quantity, row.condition, row.verdict) for row in result.rows if "holds" not in row.verdict]
-    assert not missed
-
-
 def test_the_same_seed_gives_the_same_images() -> None:
-    batch = edge_parameters.Batch(50, 1, 0, 1)
-    first, again = edge_parameters.run_batch(batch), edge_parameters.run_batch(batch)
+    batch = table2_trials.Batch(50, 1, 0, 1)
+    first, again = table2_trials.run_batch(batch), table2_trials.run_batch(batch)
     np.testing.assert_equal(first, again)
-    other = edge_parameters.run_batch(edge_parameters.Batch(50, 2, 0, 1))
+    other = table2_trials.run_batch(table2_trials.Batch(50, 2, 0, 1))
     assert other[0]["semi_major_px"] != first[0]["semi_major_px"]
     assert {CANNY, BLIND, GUIDED} == {name.split("_")[0] for name in first[0] if name.endswith("_central")}

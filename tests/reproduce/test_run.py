@@ -169,7 +169,7 @@ def test_what_did_not_converge_is_said() -> None:
     column = data.column_names.index("shapes_converged")
     data = data.set_column(column, "shapes_converged", pa.array([1.0, 0.0, 1.0, 1.0]))
     text = pose_notes.efficiency({10.0: Condition(data, 1e4, 1.0, "m")})
-    assert "did not converge, (19), unweighted in 25.0% (25.0% of those from 10 km)" in text
+    assert "did not converge: (19), unweighted in 25.0% (25.0% of those from 10 km)" in text
 
 
 @pytest.mark.parametrize(
