@@ -12,6 +12,8 @@ import pyarrow.parquet as pq
 from craternav_fg.campaign.store import MARKER, SUMMARY, TIMES, TRIAL_NAME, TRIALS
 from craternav_fg.campaign.trial import METADATA, SCHEMA
 from craternav_fg.errors import InputError
+from craternav_fg.estimators.registry import present_name
+from craternav_fg.runs.columns import with_present_names
 
 
 @dataclass(frozen=True)
@@ -55,10 +57,11 @@ class Campaign:
         """
         path = self.path / SUMMARY
         try:
-            return dict(json.loads(path.read_text(encoding="utf-8")))
+            found = dict(json.loads(path.read_text(encoding="utf-8")))
+            return {**found, "estimators": _present(found["estimators"])}
         except FileNotFoundError:
             raise InputError(path, "is missing: complete the campaign first") from None
-        except ValueError as error:
+        except (ValueError, KeyError) as error:
             raise InputError(path, f"is damaged: {error}") from None
 
 
@@ -88,13 +91,13 @@ def read_campaign(folder: Path | str) -> Campaign:
         if metadata["error"] is not None:
             failed[number] = metadata["error"]
             continue
-        failures[number] = metadata["failures"]
+        failures[number] = _present(metadata["failures"])
         tables.append(_table(file))
     lines = read_times(path / TIMES)
     wall_s: dict[int, float] = {}
     for line in lines:
         wall_s[line["session"]] = max(line["elapsed_s"], wall_s.get(line["session"], 0.0))
-    times_s = {line["trial"]: line["times_s"] for line in lines if "trial" in line}
+    times_s = {line["trial"]: _present(line["times_s"]) for line in lines if "trial" in line}
     table = pa.concat_tables(tables) if tables else SCHEMA.empty_table()
     return Campaign(path, identity, table, failed, failures, times_s, sum(wall_s.values()))
 
@@ -117,9 +120,12 @@ def read_identity(folder: Path) -> dict[str, Any]:
     """
     path = folder / MARKER
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise InputError(path, f"is damaged: {error}") from None
+    if isinstance(found.get("estimators"), list):
+        found["estimators"] = [present_name(name) for name in found["estimators"]]
+    return found
 
 
 def trial_files(folder: Path) -> dict[int, Path]:
@@ -156,7 +162,12 @@ def _table(path: Path) -> pa.Table:
         table = pq.read_table(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, error) from None
-    return table.replace_schema_metadata(None)
+    return with_present_names(table.replace_schema_metadata(None))
+
+
+def _present(by_estimator: dict[str, Any]) -> dict[str, Any]:
+    """Replace former names of estimators, which an earlier version wrote."""
+    return {present_name(name): value for name, value in by_estimator.items()}
 
 
 def _damaged(path: Path, error: Exception) -> InputError:

@@ -64,8 +64,7 @@ class CampaignOptions:
     retry: bool = False
 
     def __post_init__(self) -> None:
-        for name in self.estimators:
-            estimator(name)
+        object.__setattr__(self, "estimators", tuple(estimator(name).name for name in self.estimators))
         for name in ("trials", "workers"):
             if getattr(self, name) < 1:
                 raise CraternavError(f"{name}: expected 1 or more, found {getattr(self, name)}")

@@ -1,6 +1,7 @@
 """The application that the commands join, and what they share."""
 
 import sys
+import warnings
 from typing import Annotated
 
 import numpy as np
@@ -50,8 +51,18 @@ def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:
     return values
 
 
+def _one_line(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Format what users must know (`FutureWarning`) as one line, other warnings as Python does."""
+    if issubclass(category, FutureWarning):
+        return f"craternav: warning: {message}\n"
+    return f"{filename}:{lineno}: {category.__name__}: {message}\n"
+
+
 def main() -> None:
     """Run the command line: a known error is one line on stderr and exit code 2."""
+    warnings.formatwarning = _one_line
     try:
         app()
     except CraternavError as error:

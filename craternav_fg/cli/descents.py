@@ -107,9 +107,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct the trajectory of a data set."""
     began_s = time.perf_counter()
-    names = tuple(dict.fromkeys(estimators or DEFAULT))
-    for name in names:
-        estimator(name)
+    names = tuple(dict.fromkeys(estimator(name).name for name in estimators or DEFAULT))
     if data.resolve().is_relative_to(output.resolve()):
         raise InputError(output, f"holds the data set {data}, which would be lost when the run replaces it")
     if (data / MARKER).is_file() and (data / DATASET).is_dir():

@@ -1,6 +1,7 @@
 """The estimators by name."""
 
 import math
+import warnings
 from collections.abc import Callable
 
 from craternav_fg.errors import EstimationError
@@ -18,23 +19,23 @@ def _centre_smoother() -> Estimator:
     return BatchSmoother(GraphOptions(rims="centre"), "centre_smoother")
 
 
-def _calibrating_smoother() -> Estimator:
-    """Estimate along what thermal distortion and a clock leave open."""
+def _self_calibrating_smoother() -> Estimator:
+    """Estimate the camera's mounting and time offset: what thermal distortion and a clock leave uncertain."""
     calibration = Calibration(mounting_sigma_rad=math.radians(0.2), image_delay_sigma_s=0.02)
-    return BatchSmoother(GraphOptions(calibration=calibration), "calibrating_smoother")
+    return BatchSmoother(GraphOptions(calibration=calibration), "self_calibrating_smoother")
 
 
-def _mapping_smoother() -> Estimator:
-    """Estimate along what a good map leaves open."""
+def _map_refining_smoother() -> Estimator:
+    """Estimate the craters' errors on the map, as large as those of a good catalogue."""
     calibration = Calibration(map_place_sigma=0.01, map_height_sigma=0.01, map_size_sigma=0.01)
-    return BatchSmoother(GraphOptions(calibration=calibration), "mapping_smoother")
+    return BatchSmoother(GraphOptions(calibration=calibration), "map_refining_smoother")
 
 
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "smoother": BatchSmoother,
     "gnc_smoother": GncSmoother,
-    "calibrating_smoother": _calibrating_smoother,
-    "mapping_smoother": _mapping_smoother,
+    "self_calibrating_smoother": _self_calibrating_smoother,
+    "map_refining_smoother": _map_refining_smoother,
     "online": OnlineSmoother,
     "fixed_lag": FixedLagSmoother,
     "ekf": ekf,
@@ -42,23 +43,64 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "centre_smoother": _centre_smoother,
     "dead_reckoning": DeadReckoning,
 }
-
-
-# A freedom that is not needed costs accuracy: these are run when they are asked for.
-ON_REQUEST = ("calibrating_smoother", "mapping_smoother")
+# Names of version 0.1, accepted until 0.3.
+FORMER_NAMES = {
+    "calibrating_smoother": "self_calibrating_smoother",
+    "mapping_smoother": "map_refining_smoother",
+}
+# Run only when asked for: each extra parameter raises the variance.
+ON_REQUEST = ("self_calibrating_smoother", "map_refining_smoother")
 DEFAULT = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
-# Their estimate at a frame uses the data after it, too; those of the others only what came before.
-RETROSPECTIVE = ("smoother", "gnc_smoother", "calibrating_smoother", "mapping_smoother", "centre_smoother")
+# Their estimate at a frame uses later data as well; that of the others only the data up to it.
+RETROSPECTIVE = (
+    "smoother",
+    "gnc_smoother",
+    "self_calibrating_smoother",
+    "map_refining_smoother",
+    "centre_smoother",
+)
 
 
 def estimator(name: str) -> Estimator:
     """Make an estimator.
+
+    Parameters
+    ----------
+    name : str
+        One of `ESTIMATORS`. A former name gives a `FutureWarning`, and the estimator under its present name.
+
+    Returns
+    -------
+    Estimator
 
     Raises
     ------
     EstimationError
         When there is none of that name.
     """
+    if name in FORMER_NAMES:
+        present = FORMER_NAMES[name]
+        warnings.warn(
+            f"estimator {name!r} is now called {present!r}; the former name will be removed in version 0.3",
+            FutureWarning,
+            stacklevel=2,
+        )
+        name = present
     if name not in ESTIMATORS:
         raise EstimationError(f"unknown estimator {name!r}; expected one of {', '.join(ESTIMATORS)}")
     return ESTIMATORS[name]()
+
+
+def present_name(name: str) -> str:
+    """Give the present name of an estimator that a file of an earlier version names.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str
+        The same name where it is no former one.
+    """
+    return FORMER_NAMES.get(name, name)

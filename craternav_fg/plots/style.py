@@ -16,8 +16,8 @@ FloatArray = npt.NDArray[np.float64]
 COLOURS = {
     "smoother": "#0072B2",
     "gnc_smoother": "#F0E442",
-    "calibrating_smoother": "#332288",
-    "mapping_smoother": "#882255",
+    "self_calibrating_smoother": "#332288",
+    "map_refining_smoother": "#882255",
     "online": "#56B4E9",
     "fixed_lag": "#CC79A7",
     "ekf": "#009E73",

@@ -1,8 +1,11 @@
-"""Arrays as columns of Arrow tables: one fixed-size list per row."""
+"""Columns of Arrow tables: arrays as fixed-size lists, and names of estimators."""
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
+
+from craternav_fg.estimators.registry import FORMER_NAMES
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -41,3 +44,24 @@ def list_values(column: pa.ChunkedArray) -> FloatArray | None:
         return None
     flat = array.flatten().to_numpy(zero_copy_only=False)
     return np.asarray(flat, dtype=np.float64).reshape(len(array), array.type.list_size)
+
+
+def with_present_names(table: pa.Table) -> pa.Table:
+    """Replace former names of estimators in a table that an earlier version wrote.
+
+    Parameters
+    ----------
+    table : pyarrow.Table
+        With or without a column `estimator`.
+
+    Returns
+    -------
+    pyarrow.Table
+    """
+    column = table.schema.get_field_index("estimator")
+    if column < 0:
+        return table
+    names = table.column(column)
+    for former, present in FORMER_NAMES.items():
+        names = pc.if_else(pc.equal(names, former), present, names)
+    return table.set_column(column, table.schema.field(column), names)

@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 
 from craternav_fg import frames
 from craternav_fg.errors import InputError
+from craternav_fg.estimators.registry import present_name
 from craternav_fg.runs import store
-from craternav_fg.runs.columns import list_values
+from craternav_fg.runs.columns import list_values, with_present_names
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -78,6 +79,7 @@ def read_run(folder: Path | str) -> Run:
         description = tomllib.loads((path / store.MARKER).read_text(encoding="utf-8"))
         trajectories = _trajectories(states)
         dataset = path / description["dataset"]
+        metrics["estimators"] = {present_name(name): each for name, each in metrics["estimators"].items()}
         for values in metrics["estimators"].values():
             for former, name in _FORMER_METRICS.items():
                 if former in values:
@@ -114,7 +116,8 @@ def read_residuals(folder: Path) -> pa.Table:
         table = pq.read_table(path)
     except (pa.ArrowException, OSError) as error:
         raise InputError(path, f"is damaged: {error}") from None
-    return table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
+    table = table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
+    return with_present_names(table)
 
 
 def _trajectories(states: pa.Table) -> dict[str, Trajectory]:
@@ -123,7 +126,7 @@ def _trajectories(states: pa.Table) -> dict[str, Trajectory]:
     out = {}
     for name in dict.fromkeys(names):
         rows = np.flatnonzero([other == name for other in names])
-        out[name] = _trajectory(states.take(pa.array(rows)))
+        out[present_name(name)] = _trajectory(states.take(pa.array(rows)))
     return out
 
 

@@ -74,11 +74,11 @@ def test_figures_of_known_errors() -> None:
 
 def test_smoothers_run_on_request_are_held_against_the_smoothed_bound_too() -> None:
     table = []
-    for name in ("calibrating_smoother", "mapping_smoother"):
+    for name in ("self_calibrating_smoother", "map_refining_smoother"):
         table += estimate(0, name, 3.0, 0.1, 6.0)
     for name, sigma_m in ((FILTERED_BOUND, 30.0), (SMOOTHED_BOUND, np.sqrt(3.0))):
         table += rows(0, name, pose_sigma=[9.0] * 3 + [sigma_m] * 3)
-    found = summarise(campaign(table, ["calibrating_smoother", "mapping_smoother"]))["estimators"]
+    found = summarise(campaign(table, ["self_calibrating_smoother", "map_refining_smoother"]))["estimators"]
     assert [values["rms_over_pcrb"] for values in found.values()] == pytest.approx([1.0, 1.0])
 
 

@@ -287,7 +287,7 @@ def test_an_imu_in_units_of_g_is_warned_of(tmp_path: Path) -> None:
 
 def test_help_tells_defaults_that_are_not_values() -> None:
     shown = CliRunner().invoke(app, ["reconstruct", "--help"], env={"COLUMNS": "200"}).output
-    assert "all but calibrating_smoother" in shown
+    assert "all but self_calibrating_smoother" in shown
 
 
 @pytest.mark.parametrize(

@@ -281,8 +281,8 @@ def test_registry_names_what_there_is() -> None:
     assert list(ESTIMATORS) == [
         "smoother",
         "gnc_smoother",
-        "calibrating_smoother",
-        "mapping_smoother",
+        "self_calibrating_smoother",
+        "map_refining_smoother",
         "online",
         "fixed_lag",
         "ekf",
@@ -294,6 +294,17 @@ def test_registry_names_what_there_is() -> None:
         assert estimator(name).name == name
     with pytest.raises(EstimationError, match=r"unknown estimator 'nobody'.*smoother"):
         estimator("nobody")
+
+
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [("calibrating_smoother", "self_calibrating_smoother"), ("mapping_smoother", "map_refining_smoother")],
+)
+def test_former_names_are_accepted_with_a_warning(former: str, present: str) -> None:
+    with pytest.warns(FutureWarning, match=f"'{former}' is now called '{present}'") as told:
+        assert estimator(former).name == present
+    assert len(told) == 1
+    assert "\n" not in str(told[0].message)
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))

@@ -44,20 +44,20 @@ def test_a_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
 
 def test_rims_fit_the_camera_as_it_was_found_to_be(tmp_path: Path) -> None:
     data = Dataset.open(simulate(load_scenario("hard_mounting"), tmp_path / "data", trial=0))
-    result = reconstruct(data, ["smoother", "calibrating_smoother"])
+    result = reconstruct(data, ["smoother", "self_calibrating_smoother"])
     (tmp_path / "run").mkdir()
     summary = write_run(
         tmp_path / "run", result, dataset="", truth=None, times_s={}, wall_s=0.0
     )  # fmt: skip
-    assert summary["estimators"]["calibrating_smoother"]["rim_outlier_share"] < 0.01
+    assert summary["estimators"]["self_calibrating_smoother"]["rim_outlier_share"] < 0.01
     found = read_residuals(tmp_path / "run")
     chi2 = {
         name: found.filter(pc.equal(found["estimator"], name))["chi2"].to_numpy().mean()
         for name in result.trajectories
     }
     # They fit with it, and with the freedom better than without.
-    assert 3.0 < chi2["calibrating_smoother"] < chi2["smoother"]
-    assert calibrated_line(summary["estimators"]["calibrating_smoother"]["calibrated"]).startswith(
+    assert 3.0 < chi2["self_calibrating_smoother"] < chi2["smoother"]
+    assert calibrated_line(summary["estimators"]["self_calibrating_smoother"]["calibrated"]).startswith(
         "the camera's mounting turned by "
     )
 
@@ -69,7 +69,7 @@ def test_every_hard_case_is_as_expected(name: str, tmp_path: Path) -> None:
 
 
 # What answers a fault, and its scenario; clean data are those of the scenario on which they all rest.
-ANSWERS = {"hard_wrong_matches": "gnc_smoother", "hard_mounting": "calibrating_smoother"}
+ANSWERS = {"hard_wrong_matches": "gnc_smoother", "hard_mounting": "self_calibrating_smoother"}
 CLEAN = "measured_descent"
 
 
