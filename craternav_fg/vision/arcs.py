@@ -1,7 +1,7 @@
-"""Edge points of rims of which only a part is seen: cut by the image's border, or half in shadow.
+"""Arcs: edge points of rims of which only a part is seen, cut by the image's border or half in shadow.
 
-They are judged against the rim that the pose of the whole rims predicts, and leave as points: an ellipse
-through so little of a rim would be arbitrary.
+They are judged against the rim that the pose of the whole rims predicts, and are measured as points: an
+ellipse through so little of a rim would be arbitrary.
 """
 
 from dataclasses import dataclass
@@ -9,35 +9,40 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.vision import ellipse_kernel
+from craternav_fg.vision.edges import EdgePoints
+from craternav_fg.vision.ellipse_distance import signed_distance
 
 FloatArray = npt.NDArray[np.float64]
 
+# Standard deviation of a Gaussian over its median absolute deviation.
 _MAD_TO_SIGMA = 1.4826
-# Points further than this from the others, in standard deviations, are other edges'.
+# Points farther from the smooth line along the arc, in standard deviations, belong to another edge.
 _OUTLIER_SIGMAS = 3.5
-# Error of points on fine rims, px, that their own scatter may understate.
+# Least standard deviation of the points, px: the scatter of few points on a fine rim understates it.
 _MIN_SCATTER_PX = 0.1
+# Rounds of outlier rejection: the kept points no longer change.
+_REJECTION_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class ArcOptions:
-    """Which arcs are believed.
+    """Which arcs are accepted.
 
     Attributes
     ----------
     min_points : int
-        Fewer edge points are none.
+        Least number of edge points.
     min_found_share : float
         Least share of the searched normals with an edge.
     max_rms_px, max_rms_share : float
-        Largest scatter of the points about a smooth line along the rim: max_rms_px + max_rms_share b.
+        Largest scatter of the points about a smooth line along the rim: max_rms_px + max_rms_share b, b the
+        semi-minor axis.
     shared_px : float
         Standard deviation of an error that an arc's points share in one frame.
     gate : float
         Largest distance of an arc from its prediction, in standard deviations of both.
     margin_px : float
-        Rims are looked at as long as no part of them is further outside the image.
+        Rims are traced as long as no part of them is farther than this outside the image.
     """
 
     min_points: int = 12
@@ -50,11 +55,10 @@ class ArcOptions:
 
 
 def judge(
-    points_px: FloatArray,
-    ratio: FloatArray,
+    edges: EdgePoints,
     chart_px: FloatArray,
     minor_px: float,
-    lasting_px: float,
+    correlated_px: float,
     predicted_px: float,
     options: ArcOptions,
 ) -> tuple[FloatArray, FloatArray] | None:
@@ -62,39 +66,41 @@ def judge(
 
     Parameters
     ----------
-    points_px : ndarray, shape (n, 2)
-    ratio : ndarray, shape (n,)
-        As `edges.trace_rim` gives it.
+    edges : EdgePoints
+        Of n points.
     chart_px : ndarray, shape (5,)
-        Predicted rim.
+        Predicted rim, chart in pixels.
     minor_px : float
         Its semi-minor axis.
-    lasting_px : float
-        Standard deviation of an error that all points of the arc share and that lasts.
+    correlated_px : float
+        Standard deviation of the time-correlated error that all points of the arc share.
     predicted_px : float
-        Standard deviation of the prediction there.
+        Standard deviation of the prediction.
     options : ArcOptions
 
     Returns
     -------
     points_px : ndarray, shape (m, 2)
+        The points that belong to the rim.
     sigma_px : ndarray, shape (m,)
-        Without what lasts, as if the points' errors were independent: their mean is as uncertain as it is.
+        Standard deviations as if the points' white errors were independent, so large that the mean of the
+        points has the right one. Without the time-correlated error.
     None
-        When they are no arc of that rim.
+        When the points are no arc of that rim.
     """
-    if len(points_px) < options.min_points:
+    points, ratio = edges.points_px, edges.sigma_ratio
+    if len(points) < options.min_points:
         return None
-    distance, along = np.empty(len(points_px)), np.empty(len(points_px))
+    distance, along = np.empty(len(points)), np.empty(len(points))
     normal, derivative = np.empty(2), np.empty(5)
-    for i, (x, y) in enumerate(points_px):
-        distance[i] = ellipse_kernel.signed_distance(x, y, chart_px, normal, derivative)
+    for i, (x, y) in enumerate(points):
+        distance[i] = signed_distance(x, y, chart_px, normal, derivative)
         along[i] = np.arctan2(normal[1], normal[0])
-    # Angles along the arc, from its middle.
+    # Angles of the normals, from the middle of the arc.
     along = np.angle(np.exp(1j * (along - np.angle(np.mean(np.exp(1j * along))))))
     line = np.stack([np.ones_like(along), along, along**2], axis=1)
     kept, scatter, smooth = np.ones(len(distance), dtype=np.bool_), 0.0, distance
-    for _ in range(5):
+    for _ in range(_REJECTION_ROUNDS):
         A = line[kept] / ratio[kept, None]
         smooth = line @ np.linalg.lstsq(A, distance[kept] / ratio[kept], rcond=None)[0]
         off = (distance - smooth) / ratio
@@ -107,8 +113,8 @@ def judge(
     if np.sqrt(np.mean(own**2)) > options.max_rms_px + options.max_rms_share * minor_px:
         return None
     count = int(np.count_nonzero(kept))
-    # Curvature and slope of the misfit are as telling as its mean.
+    # Slope and curvature of the misfit show a wrong rim as well as its mean does.
     misfit = np.sqrt(np.mean(smooth[kept] ** 2))
-    if misfit > options.gate * np.sqrt(lasting_px**2 + predicted_px**2 + np.mean(own**2) / count):
+    if misfit > options.gate * np.sqrt(correlated_px**2 + predicted_px**2 + np.mean(own**2) / count):
         return None
-    return points_px[kept], np.sqrt(own**2 + count * options.shared_px**2)
+    return points[kept], np.sqrt(own**2 + count * options.shared_px**2)

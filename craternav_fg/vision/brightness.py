@@ -1,4 +1,4 @@
-"""Images of any origin as what the front end expects: one channel, about 0 to 255, holes told apart."""
+"""Brightness of images of any origin: one channel, 0 to 255, missing and saturated pixels marked."""
 
 import cv2
 import numpy as np
@@ -8,26 +8,33 @@ ImageArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
 SATURATED_BRIGHTNESS = 255.0
-# Brighter than this, of 255, counts as saturated in `edges`.
+# Brightness of the brightest pixel that is not saturated: `edge_kernel` takes pixels above 250 for saturated.
 _MAX_VALID_BRIGHTNESS = 249.0
-# Weights of red, green and blue.
+# Weights of red, green and blue in the luma (ITU-R BT.601).
 _RGB_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-# An image whose bright end is below the first is stretched until it is at the second.
+# An 8-bit image is stretched if its bright end, the upper percentile below, is under the first of these;
+# other images always are. The bright end is then at the second.
 _DIM_BRIGHTNESS, _STRETCHED_BRIGHTNESS = 100.0, 200.0
-# Pixels that tell the dark and the bright end.
+_DARK_PERCENTILE, _BRIGHT_PERCENTILE = 0.5, 99.5
+# Pixels sampled for the percentiles.
 _MAX_SAMPLED_PIXELS = 40_000
+# Pixels at the maximum, as a number and as a share of the image, above which they count as saturated.
+_MIN_SATURATED_PIXELS, _MIN_SATURATED_SHARE = 4, 1e-4
+# Holes are filled by the mean of windows of these sides, px, where more than the share of a window is known.
+_SMALL_HOLE_PX, _MIN_KNOWN_SMALL = 3, 0.5
+_FILL_WINDOWS_PX, _MIN_KNOWN_LARGE = (33, 257), 0.05
 
 
 def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
-    """Give an image's brightness.
+    """Compute an image's brightness.
 
-    8-bit images stay as they are unless they are dim; others are scaled by their bright end. Colour is
-    made grey, an alpha channel makes holes of what it hides.
+    8-bit images stay as they are unless they are dim; others are scaled by their bright end. Colours become
+    grey; transparent pixels become holes.
 
     Parameters
     ----------
     image : ndarray, shape (H, W) or (H, W, 1 to 4)
-        Integers or floats; grey, grey and alpha, red-green-blue, or red-green-blue and alpha.
+        Integers or floats; grey, grey and alpha, RGB, or RGB and alpha.
 
     Returns
     -------
@@ -52,12 +59,12 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     valid = out[~holes]
     if len(valid) == 0:
         return out
-    low, high = (
-        float(v) for v in np.percentile(valid[:: max(1, len(valid) // _MAX_SAMPLED_PIXELS)], [0.5, 99.5])
-    )
+    sample = valid[:: max(1, len(valid) // _MAX_SAMPLED_PIXELS)]
+    low, high = (float(v) for v in np.percentile(sample, [_DARK_PERCENTILE, _BRIGHT_PERCENTILE]))
     top = float(valid.max())
-    # A plateau at the top is saturation, whatever the number of bits.
-    saturated = out >= top if np.count_nonzero(valid == top) > max(4, 1e-4 * len(valid)) else out > np.inf
+    # A plateau at the maximum is saturation, whatever the bit depth.
+    plateau = max(_MIN_SATURATED_PIXELS, _MIN_SATURATED_SHARE * len(valid))
+    saturated = out >= top if np.count_nonzero(valid == top) > plateau else out > np.inf
     if raw.dtype == np.uint8 and high >= _DIM_BRIGHTNESS:
         saturated &= out > _MAX_VALID_BRIGHTNESS
     else:
@@ -73,12 +80,17 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
 def filled(image: ImageArray) -> tuple[ImageArray, ImageArray]:
     """Fill the holes of an image.
 
+    Parameters
+    ----------
+    image : ndarray of float32, shape (H, W)
+        NaN in holes.
+
     Returns
     -------
     everywhere : ndarray of float32, shape (H, W)
-        With all holes filled by their wide surroundings.
+        All holes filled by the mean of their surroundings.
     narrow : ndarray of float32, shape (H, W)
-        With single missing pixels filled only; NaN in larger holes.
+        Only single missing pixels filled; NaN in larger holes.
     """
     holes = np.isnan(image)
     if not holes.any():
@@ -86,13 +98,16 @@ def filled(image: ImageArray) -> tuple[ImageArray, ImageArray]:
     known = (~holes).astype(np.float32)
     values = np.where(holes, np.float32(0.0), image)
     narrow = image.copy()
-    mass, mean = cv2.blur(known, (3, 3)), cv2.blur(values, (3, 3))
-    small = holes & (mass > 0.5)
+    mass, mean = (
+        cv2.blur(known, (_SMALL_HOLE_PX, _SMALL_HOLE_PX)),
+        cv2.blur(values, (_SMALL_HOLE_PX, _SMALL_HOLE_PX)),
+    )
+    small = holes & (mass > _MIN_KNOWN_SMALL)
     narrow[small] = mean[small] / mass[small]
     everywhere = narrow.copy()
-    for side in (33, 257):
+    for side in _FILL_WINDOWS_PX:
         mass, mean = cv2.blur(known, (side, side)), cv2.blur(values, (side, side))
-        near = np.isnan(everywhere) & (mass > 0.05)
+        near = np.isnan(everywhere) & (mass > _MIN_KNOWN_LARGE)
         everywhere[near] = mean[near] / mass[near]
     rest = np.isnan(everywhere)
     if rest.any():

@@ -1,10 +1,14 @@
-"""Crater rims from Canny edges: bright and dark arcs paired by the direction of the light.
+"""Crater rims from Canny edges: dark and bright arcs paired along the direction towards the sun.
 
-For comparison with `detect`; the way of Tian et al. (2019, section 4.1) and of most crater detectors
-before it. Along a rim the brightness rises towards the light on both walls: from the shadowed wall to the
-ground outside, and from the ground outside to the lit wall. Edges that fall towards the light are none of
-a rim's. What is left falls into arcs; two that face each other along the light and bend around one centre
-are taken for one crater's, and an ellipse is fitted to their points.
+For comparison with `detect`: the method of Tian et al. (2019, section 4.1) and of most crater detectors
+before it. Along a rim the brightness rises towards the sun on both walls: from the shadowed wall to the
+ground outside, and from the ground outside to the lit wall. Edges that fall towards the sun belong to no rim.
+The other edges fall into arcs; two that face each other along the direction towards the sun and bend around
+one centre are taken for one crater's, and an ellipse is fitted to their points.
+
+References
+----------
+Tian et al. (2019), DOI 10.1017/S0373463318000966, section 4.1.
 """
 
 from dataclasses import dataclass
@@ -17,31 +21,39 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.vision.brightness import brightness, filled
-from craternav_fg.vision.candidates import distinct, find_candidates
-from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_sun_angle, gather
+from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_sun_angle, candidates_in, gather
 from craternav_fg.vision.ellipse_fit import FitFailure, RimFit, fit_rim
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
-# Gaussian blur before gradients are taken.
+# Standard deviation of the Gaussian blur before gradients are taken, px.
 _BLUR_PX = 1.2
-# Canny's thresholds, as shares of the gradient's 98 % quantile, and the least of the upper one, of 255.
-_LOW_THRESHOLD_SHARE, _HIGH_THRESHOLD_SHARE, _GRADIENT_PERCENTILE, _MIN_BRIGHTNESS_STEP = 0.25, 0.6, 98.0, 4.0
-# Least cosine between an edge's gradient and the light.
+# Canny's thresholds, as shares of this percentile of the gradient, and the least upper one, brightness per
+# pixel.
+_LOW_THRESHOLD_SHARE, _HIGH_THRESHOLD_SHARE, _GRADIENT_PERCENTILE = 0.25, 0.6, 98.0
+_MIN_HIGH_THRESHOLD = 0.5
+# Canny takes gradients as 16-bit integers: this many units per brightness and pixel, up to this limit.
+_GRADIENT_UNITS, _MAX_GRADIENT_UNITS = 32.0, 32000
+# Least cosine between an edge's gradient and the direction towards the sun.
 _MIN_SUN_COSINE = 0.2
+# Least number of points of an arc; its radius within these factors of the searched ones.
 _MIN_ARC_POINTS = 8
-# Two arcs of a crater: ratio of their radii; distance of their centres, and how far the line between their
-# middles is off the light, in radii.
+_MIN_RADIUS_FACTOR, _MAX_RADIUS_FACTOR = 0.5, 2.0
+# Two arcs of one crater: largest ratio of their radii; largest distance of their centres, and of the line
+# between their middles from the direction towards the sun, in mean radii; range of its length along it, in
+# mean radii.
 _MAX_RADIUS_RATIO, _MAX_CENTRE_DISTANCE_RADII, _MAX_LATERAL_OFFSET_RADII = 2.0, 0.8, 0.7
-# Largest scatter of the points about the ellipse: pixels, share of the semi-minor axis.
+_MIN_SEPARATION_RADII, _MAX_SEPARATION_RADII = 0.8, 2.4
+# Largest scatter of the points about the ellipse: px, share of the semi-minor axis.
 _MAX_SCATTER = (0.5, 0.05)
+# Least share of the rim that the arcs cover, and largest ratio of its axes.
 _MIN_COVERED_SHARE, _MAX_AXIS_RATIO = 0.45, 2.2
 
 
 @dataclass(frozen=True)
 class _Arc:
-    """Edge points (n, 2), the circle through them, and whether the gradient points away from its centre."""
+    """Edge points (n, 2), px, their circle, and whether the gradient points away from its centre."""
 
     points: FloatArray
     centre: FloatArray
@@ -56,8 +68,12 @@ def find_rims_canny(
 
     Parameters
     ----------
-    image, sun_angle_rad, options
-        See `detect.find_rims`; of the options those of sizes, light, fit and least quality count.
+    image : ndarray, shape (H, W) or (H, W, channels)
+        See `brightness.brightness`.
+    sun_angle_rad : float, optional
+        Direction towards the sun in the image, from x towards y; found in the image if not given.
+    options : BlindOptions, optional
+        Those of sizes, candidates, fit and least quality count.
 
     Returns
     -------
@@ -67,30 +83,33 @@ def find_rims_canny(
     Raises
     ------
     ValueError, EstimationError
-        As `detect.find_rims`.
+        As `detect.find_rims` does.
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, section 4.1.
     """
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
     largest = options.max_radius_share * min(pixels.shape)
-    places = find_candidates(everywhere, options.min_radius_px, largest, options.min_correlation)
-    places = distinct(places, options.max_candidates)
+    candidates = candidates_in(everywhere, options)
     nothing = float("nan") if sun_angle_rad is None else float(sun_angle_rad)
-    if len(places) == 0:
+    if len(candidates) == 0:
         return gather([], [], [], nothing)
-    light, certain = agreed_sun_angle(places, sun_angle_rad)
+    agreed, certain = agreed_sun_angle(candidates, sun_angle_rad)
     if not certain:
-        return gather([], [], [], light)
-    arcs = _arcs(everywhere, np.isnan(pixels), light, options.min_radius_px, largest)
+        return gather([], [], [], agreed)
+    arcs = _arcs(everywhere, np.isnan(pixels), agreed, options.min_radius_px, largest)
     camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
     fits: list[RimFit] = []
     covered: list[float] = []
-    for one, other in _pairs(arcs, light):
+    for one, other in _pairs(arcs, agreed):
         fit = fit_rim(np.concatenate([one.points, other.points]), camera, options.fit)
         if isinstance(fit, FitFailure) or not _plausible(fit, options, largest):
             continue
         fits.append(fit)
         covered.append(fit.arc_share)
-    return gather(fits, covered, [light] * len(fits), light)
+    return gather(fits, covered, [agreed] * len(fits), agreed)
 
 
 def _arcs(
@@ -100,27 +119,17 @@ def _arcs(
     min_radius_px: float,
     max_radius_px: float,
 ) -> list[_Arc]:
-    """Chains of edge pixels whose brightness rises towards the light."""
+    """Chains of edge pixels whose brightness rises towards the sun."""
     smooth = cv2.GaussianBlur(image, (0, 0), _BLUR_PX)
     gx = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125)
     gy = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
     strength = cv2.magnitude(gx, gy)
-    # Canny takes gradients as 16-bit integers: quarters of the Sobel sum are enough.
-    high = max(
-        _HIGH_THRESHOLD_SHARE * float(np.percentile(strength, _GRADIENT_PERCENTILE)),
-        _MIN_BRIGHTNESS_STEP / 8.0,
-    )
-    whole = [np.rint(32.0 * g).clip(-32000, 32000).astype(np.int16) for g in (gx, gy)]
-    edge = (
-        cv2.Canny(
-            whole[0],
-            whole[1],
-            32.0 * _LOW_THRESHOLD_SHARE / _HIGH_THRESHOLD_SHARE * high,
-            32.0 * high,
-            L2gradient=True,
-        )
-        > 0
-    )
+    high = _HIGH_THRESHOLD_SHARE * float(np.percentile(strength, _GRADIENT_PERCENTILE))
+    high = max(high, _MIN_HIGH_THRESHOLD)
+    low = _GRADIENT_UNITS * _LOW_THRESHOLD_SHARE / _HIGH_THRESHOLD_SHARE * high
+    limit = _MAX_GRADIENT_UNITS
+    whole = [np.rint(_GRADIENT_UNITS * g).clip(-limit, limit).astype(np.int16) for g in (gx, gy)]
+    edge = cv2.Canny(whole[0], whole[1], low, _GRADIENT_UNITS * high, L2gradient=True) > 0
     towards = np.cos(sun_angle_rad) * gx + np.sin(sun_angle_rad) * gy
     edge &= (towards > _MIN_SUN_COSINE * strength) & ~holes
     count, label = cv2.connectedComponents(edge.astype(np.uint8), connectivity=8)
@@ -135,7 +144,7 @@ def _arcs(
         rows, columns = y[first:last], x[first:last]
         points = np.column_stack([columns, rows]).astype(np.float64)
         centre, radius = _circle(points)
-        if not 0.5 * min_radius_px < radius < 2.0 * max_radius_px:
+        if not _MIN_RADIUS_FACTOR * min_radius_px < radius < _MAX_RADIUS_FACTOR * max_radius_px:
             continue
         out_of = (points - centre) * np.column_stack([gx[rows, columns], gy[rows, columns]])
         out.append(_Arc(points, centre, radius, bool(out_of.sum() > 0.0)))
@@ -155,7 +164,7 @@ def _circle(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _pairs(arcs: list[_Arc], sun_angle_rad: float) -> list[tuple[_Arc, _Arc]]:
-    """Shadowed and lit walls that may belong together."""
+    """Pairs of a shadowed and a lit wall that may belong to one crater."""
     dark, lit = [a for a in arcs if a.outward], [a for a in arcs if not a.outward]
     if not dark or not lit:
         return []
@@ -171,18 +180,19 @@ def _pairs(arcs: list[_Arc], sun_angle_rad: float) -> list[tuple[_Arc, _Arc]]:
     good = (
         (ratio < np.log(_MAX_RADIUS_RATIO))
         & (apart < _MAX_CENTRE_DISTANCE_RADII * size)
-        & (along > 0.8 * size)
-        & (along < 2.4 * size)
+        & (along > _MIN_SEPARATION_RADII * size)
+        & (along < _MAX_SEPARATION_RADII * size)
         & (aside < _MAX_LATERAL_OFFSET_RADII * size)
     )
     return [(dark[i], lit[j]) for i, j in zip(*np.nonzero(good), strict=True)]
 
 
 def _plausible(fit: RimFit, options: BlindOptions, largest: float) -> bool:
+    """Tell whether a fit may be the rim of one crater."""
     _, _, major, minor, _ = axes_of_chart(fit.chart_px[None])[0]
     return bool(
         fit.arc_share >= max(_MIN_COVERED_SHARE, options.min_quality)
         and fit.rms_px < _MAX_SCATTER[0] + _MAX_SCATTER[1] * minor
-        and 0.5 * options.min_radius_px < minor
+        and _MIN_RADIUS_FACTOR * options.min_radius_px < minor
         and major < min(largest, _MAX_AXIS_RATIO * minor)
     )

@@ -1,6 +1,7 @@
 """Robust least-squares ellipse on distances, its covariance and second-order bias; see `ellipse_fit`.
 
-The ellipse is the chart y of pixel coordinates (see `factors.kernels.conic`).
+The ellipse is the chart y of pixel coordinates (see `craternav_fg.ellipse`): m + L [cos t, sin t] are its
+points, L = [[e^y3, 0], [y4 e^y3, e^y5]], S = L L'.
 """
 
 import numpy as np
@@ -8,155 +9,84 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.ellipse import whiten_kernel
+from craternav_fg.vision.dense_kernel import factorised, inverse_block, ordered, solved
+from craternav_fg.vision.ellipse_bias import PSI_VARIANCE, second_order_bias
+from craternav_fg.vision.ellipse_distance import signed_distance
 
 FloatArray = npt.NDArray[np.float64]
 
+# Cut-off of Tukey's biweight in standard deviations: 95 % efficiency under Gaussian errors.
 _TUKEY_SIGMAS = 4.685
+# Standard deviation of a Gaussian over its median absolute deviation.
 _MAD_TO_SIGMA = 1.4826
+# Iterations under Cauchy's weights, which only down-weight; up to which the scale follows the residuals; up
+# to which the weights do; and in all. Numerics: enough for convergence, few enough against cycles.
 _CAUCHY_ITERATIONS = 5
 _SCALE_ITERATIONS = 15
 _WEIGHT_ITERATIONS = 22
-# Moments of Tukey's psi for a Gaussian error e of standard deviation 1, relative to m = E[psi']: of its
-# variance E[psi^2]/m^2, E[psi' e^2]/m, E[psi psi' e]/m^2 and Var[psi']/m^2. All but the last are 1 for least
-# squares.
-_PSI_VARIANCE, _PSI_CURVATURE, _PSI_MIXED, _PSI_SLOPE_VARIANCE = 1.0526, 0.4428, 0.5720, 0.1597
-# Relative variance of the scatter's estimate, times the number of points (2 for least squares).
+_MAX_ITERATIONS = 30
+# Step of the ellipse, px, below which the iteration ends; above which the result has not converged: a robust
+# cycle of a few thousandths of a pixel is as good as convergence.
+_STEP_TOLERANCE_PX = 1e-4
+_MAX_LAST_STEP_PX = 0.01
+# Largest |S_xy / S_xx| of a result: a flatter ellipse is a line.
+_MAX_SHEAR = 20.0
+# Fewest points of non-zero weight; least mean slope of psi over them, below which the scale is meaningless.
+_MIN_KEPT = 8
+_MIN_PSI_SLOPE = 0.3
+# Var[psi'] / E[psi']^2 of Tukey's psi for a Gaussian error, by numerical integration.
+_PSI_SLOPE_VARIANCE = 0.1597
+# Relative variance of the estimated scatter, times the number of points: 2 for least squares.
 _SCALE_VARIANCE = 2.33
-# Harmonics of an outline that is no ellipse: lower ones would be another ellipse. Amplitudes fall with the
-# order, as outlines of craters are red; this much of the variance is in each of the two of an order.
+# Largest relative standard deviation, squared, of an axis at which the second-order bias is subtracted: a
+# hardly determined ellipse has no second-order expansion.
+_MAX_EXPANDED_VARIANCE = 0.06
+# Harmonics of an outline that is not an ellipse; lower orders would be another ellipse. Amplitudes fall with
+# the order, as the spectra of crater outlines are red. HARMONIC_VARIANCE_SHARE is the variance of each
+# component's amplitude over the outline's mean square deviation; the shares of the two components per order
+# sum to 2, as the mean square of a cosine is 1/2.
 FIRST_HARMONIC, LAST_HARMONIC = 3, 8
 _HARMONIC_ORDERS = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
 HARMONIC_VARIANCE_SHARE = (1.0 / _HARMONIC_ORDERS**2) / np.sum(0.5 / _HARMONIC_ORDERS**2)
-# The outline's variance is told by few harmonics, partly seen: its inverse's mean is larger than its mean's.
-_OUTLINE_VARIANCE_FACTOR = 1.4
+# Factor on the prior variance of the harmonics in the covariance: the variance is estimated from few, partly
+# seen harmonics, so the mean of its inverse is larger than the inverse of its mean.
+OUTLINE_VARIANCE_FACTOR = 1.4
+# Largest root mean square deviation of an outline that is estimated, in radii.
 _MAX_OUTLINE_RADII = 0.15
-# What the points say of the lever's unknown, those of little gain most, is wrong by so many times the
-# outline's deviation in radii: by 0.010 on rendered ground with outlines 2 % off an ellipse and worn crests,
-# where the fits claim 0.004; by 0.003 on ellipses.
+# Error of the estimated reference brightness, relative, per deviation of the outline from an ellipse in
+# radii. On rendered ground it is 0.010 with outlines 2 % off an ellipse and worn rim crests, where the fits
+# claim 0.004; it is 0.003 on ellipses.
 BRIGHTNESS_ERROR_PER_OUTLINE = 0.5
-# Unknowns: 5 of the ellipse, the lever's, its slopes across and along the light, then harmonics.
+# Bartlett window, points, for errors that neighbouring points share, and the largest variance factor for
+# them.
+_CORRELATION_WINDOW = 5
+_MAX_CORRELATION_FACTOR = 4.0
+# Indices of the unknowns: 5 of the ellipse, then the reference brightness, its slopes across and along the
+# illumination direction, then the harmonics.
 _BRIGHTNESS, _SLOPE_ACROSS, _SLOPE_ALONG, _OUTLINE = 5, 6, 7, 8
-# Variance of an unknown that is held.
+# Prior variance of an unknown that is held at zero.
 _HELD_VARIANCE = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
-def _factorised(N: FloatArray, L: FloatArray) -> bool:
-    """Write the Cholesky factor of N, scaled by its diagonal; False when N is not well determined.
-
-    Written out, as are `_solved` and `_ordered`: numba takes seconds to compile the library's.
-    """
-    n = N.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            total = N[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i == j:
-                # Also False for NaN.
-                if not total > 1e-12 * N[i, i]:
-                    return False
-                L[i, i] = np.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
-        for j in range(i + 1, n):
-            L[i, j] = 0.0
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _solved(L: FloatArray, rhs: FloatArray) -> FloatArray:
-    """Solve L L' x = rhs (n,)."""
-    n = len(rhs)
-    x = rhs.copy()
-    for i in range(n):
-        for k in range(i):
-            x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
-    return x
-
-
-@njit(cache=True, error_model="numpy")
-def _inverse_block(N: FloatArray, C: FloatArray) -> bool:
-    """Write the first rows and columns of the inverse of N into C; False when N is not well determined."""
-    L = np.zeros_like(N)
-    if not _factorised(N, L):
-        return False
-    unit = np.zeros(N.shape[0])
-    for a in range(C.shape[0]):
-        unit[:] = 0.0
-        unit[a] = 1.0
-        column = _solved(L, unit)
-        for b in range(C.shape[0]):
-            C[b, a] = column[b]
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _ordered(values: FloatArray) -> FloatArray:
-    """Sort by insertion: few values, often almost in order."""
-    out = values.copy()
-    for i in range(1, len(out)):
-        value = out[i]
-        j = i
-        while j > 0 and out[j - 1] > value:
-            out[j] = out[j - 1]
-            j -= 1
-        out[j] = value
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def signed_distance(px: float, py: float, y: FloatArray, n: FloatArray, w: FloatArray) -> float:
-    """Distance of a point to the ellipse, positive outside; writes its normal (2,) and derivative (5,).
-
-    The derivative is the rim's: the part that vanishes with the distance is left out.
-    """
-    x, z = px - y[0], py - y[1]
-    ea, es, beta = np.exp(y[2]), np.exp(y[4]), y[3]
-    # Whitened point: S = L L', L = [[ea, 0], [beta ea, es]].
-    u = x / ea
-    v = (z - beta * x) / es
-    r = np.sqrt(u * u + v * v)
-    if r < 1e-9:
-        r = 1e-9
-    nx = (u / ea - beta * v / es) / r
-    ny = v / es / r
-    g = np.sqrt(nx * nx + ny * ny)
-    n[0] = nx / g
-    n[1] = ny / g
-    # df = (u du + v dv) / r, divided by |grad f|.
-    ig = 1.0 / g
-    w[0] = -n[0]
-    w[1] = -n[1]
-    w[2] = -u * u / r * ig
-    w[3] = -v * x / es / r * ig
-    w[4] = -v * v / r * ig
-    return (r - 1.0) * ig
-
-
-@njit(cache=True, error_model="numpy")
 def _point_row(
-    px: float, py: float, lever: FloatArray, toward: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray
+    px: float, py: float, motion: FloatArray, sun_px: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray
 ) -> float:
-    """Distance as `signed_distance`; writes its derivative (m,) for chart, lever's unknowns and outline, too.
+    """Distance as `signed_distance`; writes its derivative (m,) in chart, brightness and outline, too.
 
-    The lever's unknown has slopes across `toward` and along it. The outline deviates from the ellipse by
-    harmonics of the angle in which that is a circle, as shares of the radius: a share moves a tangent by as
-    much of its distance from the centre.
+    The reference brightness moves the point by `motion` (2,) per unit; it has slopes across and along the
+    direction `sun_px` (2,) towards the sun. The outline deviates from the ellipse by harmonics of the angle
+    in which that is a circle, as shares of the radius: a share moves a tangent by that share of its distance
+    from the centre.
     """
     d = signed_distance(px, py, y, n, w)
-    w[_BRIGHTNESS] = -(n[0] * lever[0] + n[1] * lever[1])
+    w[_BRIGHTNESS] = -(n[0] * motion[0] + n[1] * motion[1])
     ea, es = np.exp(y[2]), np.exp(y[4])
     x = px - y[0]
     u, v = x / ea, (py - y[1] - y[3] * x) / es
     r = np.sqrt(u * u + v * v)
     c1, s1 = u / r, v / r
-    tu, tv = toward[0] / ea, (toward[1] - y[3] * toward[0]) / es
+    tu, tv = sun_px[0] / ea, (sun_px[1] - y[3] * sun_px[0]) / es
     t = np.sqrt(tu * tu + tv * tv) + 1e-300
     w[_SLOPE_ACROSS] = w[_BRIGHTNESS] * (c1 * tv - s1 * tu) / t
     w[_SLOPE_ALONG] = w[_BRIGHTNESS] * (c1 * tu + s1 * tv) / t
@@ -176,7 +106,7 @@ def _point_row(
 def _normal_equations(
     rows: FloatArray, m: int, distance: FloatArray, base: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Build the normal matrix (m, m) and gradient (m,) from the points' first m derivatives."""
+    """Build the normal matrix (m, m) and gradient (m,) from the first m derivatives of the distances."""
     N = np.zeros((m, m))
     grad = np.zeros(m)
     for i in range(rows.shape[0]):
@@ -195,87 +125,8 @@ def _normal_equations(
 
 
 @njit(cache=True, error_model="numpy")
-def _second_order_bias(
-    points: FloatArray, base: FloatArray, weight: FloatArray, y: FloatArray, C: FloatArray, sigma2: float
-) -> FloatArray:
-    """Bias (5,) of the estimate from Gaussian errors of variance sigma2 / base along the normals.
-
-    The estimate solves sum k psi(r) J = 0, r = e + J d + d'Hd/2 + e K d + c e^2/2, J's own change with r
-    being M. To second order its mean is
-
-        -sigma^2 C sum k {J [v tr(HC)/2 - x K'CJ + u c/2] + M (1 - x J'CJ)},    C = (sum k J J')^-1,
-
-    v, u, x = E[psi^2]/m^2, E[psi' e^2]/m, E[psi psi' e]/m^2 with m = E[psi'], 1 for least squares. The
-    derivatives are taken by differences at the points' feet.
-    """
-    n, J, Jp, Jm, Jx = np.empty(2), np.empty(5), np.empty(5), np.empty(5), np.empty(5)
-    nx = np.empty(2)
-    K, M = np.empty(5), np.empty(5)
-    root = np.zeros((5, 5))
-    if not _factorised(C, root):
-        return np.zeros(5)
-    size = np.exp(0.5 * (y[2] + y[4]))
-    h = 0.02 * size
-    total = np.zeros(5)
-    moved = np.empty(5)
-    steps = np.empty(5)
-    for j in range(5):
-        # A step of each column that moves the rim by about h.
-        steps[j] = h / max(
-            np.abs(root[0, j]) + np.abs(root[1, j])
-            + size * (np.abs(root[2, j]) + np.abs(root[3, j]) + np.abs(root[4, j])), 1e-12,
-        )  # fmt: skip
-    for i in range(points.shape[0]):
-        fx, fy = points[i, 0], points[i, 1]
-        for _ in range(3):
-            d = signed_distance(fx, fy, y, n, J)
-            fx -= d * n[0]
-            fy -= d * n[1]
-        r0 = signed_distance(fx, fy, y, n, J)
-        rp = signed_distance(fx + h * n[0], fy + h * n[1], y, nx, Jp)
-        rm = signed_distance(fx - h * n[0], fy - h * n[1], y, nx, Jm)
-        c = (rp + rm - 2.0 * r0) / (h * h)
-        for a in range(5):
-            M[a] = (Jp[a] - Jm[a]) / (2.0 * h)
-            # K, the mixed derivative of the distance itself, not of the simplified J.
-            e = h if a < 2 else h / size
-            for b in range(5):
-                moved[b] = y[b]
-            moved[a] = y[a] + e
-            up = signed_distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
-            um = signed_distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
-            moved[a] = y[a] - e
-            dp = signed_distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
-            dm = signed_distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
-            K[a] = (up - um - dp + dm) / (4.0 * h * e)
-        trace = 0.0
-        for j in range(5):
-            for b in range(5):
-                moved[b] = y[b] + steps[j] * root[b, j]
-            up = signed_distance(fx, fy, moved, nx, Jx)
-            for b in range(5):
-                moved[b] = y[b] - steps[j] * root[b, j]
-            dm = signed_distance(fx, fy, moved, nx, Jx)
-            trace += (up + dm - 2.0 * r0) / (steps[j] * steps[j])
-        leverage, KCJ = 0.0, 0.0
-        for a in range(5):
-            for b in range(5):
-                leverage += base[i] * weight[i] * J[a] * C[a, b] * J[b]
-                KCJ += K[a] * C[a, b] * J[b]
-        variance = 1.0 / base[i]
-        scale = 0.5 * _PSI_VARIANCE * trace - _PSI_MIXED * KCJ + 0.5 * _PSI_CURVATURE * c * variance
-        for a in range(5):
-            total[a] += base[i] * weight[i] * (J[a] * scale + M[a] * variance * (1.0 - _PSI_MIXED * leverage))
-    out = np.zeros(5)
-    for a in range(5):
-        for b in range(5):
-            out[a] -= sigma2 * C[a, b] * total[b]
-    return out
-
-
-@njit(cache=True, error_model="numpy")
 def _covered(points: FloatArray, weight: FloatArray, y: FloatArray, max_gap_rad: float) -> float:
-    """Part of the rim that points of non-zero weight cover, gaps above `max_gap_rad` left out."""
+    """Share of the rim that points of non-zero weight cover, without gaps above `max_gap_rad`."""
     angles = np.empty(points.shape[0])
     k = 0
     for i in range(points.shape[0]):
@@ -285,7 +136,7 @@ def _covered(points: FloatArray, weight: FloatArray, y: FloatArray, max_gap_rad:
             k += 1
     if k < 2:
         return 0.0
-    angles = _ordered(angles[:k])
+    angles = ordered(angles[:k])
     open_rad = 0.0
     for i in range(k):
         gap = angles[i + 1] - angles[i] if i + 1 < k else angles[0] + 2.0 * np.pi - angles[i]
@@ -295,28 +146,28 @@ def _covered(points: FloatArray, weight: FloatArray, y: FloatArray, max_gap_rad:
 
 
 @njit(cache=True, error_model="numpy")
-def _run_length(r: FloatArray, weight: FloatArray) -> float:
-    """Variance factor, 1 to 4, of neighbouring points' common errors (Bartlett's window, five points)."""
+def _correlation_factor(r: FloatArray, weight: FloatArray) -> float:
+    """Variance factor, at least 1, for errors that neighbouring points share (Bartlett's window)."""
     count = len(r)
     variance = 0.0
     for i in range(count):
         variance += weight[i] * r[i] * r[i]
     factor = 1.0
-    for lag in range(1, 5):
+    for lag in range(1, _CORRELATION_WINDOW):
         product = 0.0
         for i in range(count):
             j = (i + lag) % count
             product += np.sqrt(weight[i] * weight[j]) * r[i] * r[j]
-        factor += 2.0 * (1.0 - lag / 5.0) * product / (variance + 1e-300)
-    return min(max(factor, 1.0), 4.0)
+        factor += 2.0 * (1.0 - lag / _CORRELATION_WINDOW) * product / (variance + 1e-300)
+    return min(max(factor, 1.0), _MAX_CORRELATION_FACTOR)
 
 
 @njit(cache=True, error_model="numpy")
 def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: float) -> float:
-    """Variance, in radii, of the outline's deviation from the ellipse that explains residuals r (n,).
+    """Variance of the outline's deviation from the ellipse, radii^2, that explains residuals r (n,).
 
-    Their mean square is that of the points' own errors, which differ from neighbour to neighbour, and what a
-    fit of the ellipse alone leaves of the harmonics.
+    The mean square of the residuals is that of the points' own errors, told from the differences of
+    neighbours, plus what a fit of the ellipse alone leaves of the harmonics.
     """
     count, m = rows.shape
     jump, power = np.empty(count - 1), 0.0
@@ -324,36 +175,72 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
         power += min(abs(r[i]), _TUKEY_SIGMAS * sigma) ** 2
         if i > 0:
             jump[i - 1] = abs(r[i] - r[i - 1])
-    own = 0.5 * (_MAD_TO_SIGMA * _ordered(jump)[(count - 1) // 2]) ** 2
+    own = 0.5 * (_MAD_TO_SIGMA * ordered(jump)[(count - 1) // 2]) ** 2
     N, _ = _normal_equations(rows, m, r, base, np.ones(count))
     ellipse = np.ascontiguousarray(N[:5, :5])
     L = np.zeros((5, 5))
-    if not _factorised(ellipse, L):
+    if not factorised(ellipse, L):
         return 0.0
     left = 0.0
     for j in range(_OUTLINE, m):
-        column = _solved(L, N[j, :5])
+        column = solved(L, N[j, :5])
         rest = N[j, j]
         for a in range(5):
             rest -= N[j, a] * column[a]
         left += HARMONIC_VARIANCE_SHARE[j - _OUTLINE] * rest
-    # What the errors' own mean square may be by chance is no outline.
+    # Two standard deviations of the points' own mean square are not taken for an outline.
     own *= count + 2.0 * np.sqrt(2.0 * count)
     return min(max(power - own, 0.0) / left, _MAX_OUTLINE_RADII**2)
 
 
 @njit(cache=True, error_model="numpy")
 def fit(
-    points: FloatArray, ratio: FloatArray, lever: FloatArray, lever_sigma: float, lever_slope: float,
-    toward: FloatArray, start: FloatArray, min_scatter: float, max_gap_rad: float, outline_share: float,
+    points: FloatArray, ratio: FloatArray, motion: FloatArray, brightness_sigma: float, slope_sigma: float,
+    sun_px: FloatArray, start: FloatArray, min_scatter: float, max_gap_rad: float, outline_share: float,
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray, FloatArray, float, int, float, float]:  # fmt: skip
-    """Robust fit.
+    """Fit an ellipse robustly.
 
-    Returns whether it converged, chart (5,), covariance (5, 5) and the part of it (5, 5) that is from the
-    lever's slope and the outline; a standard deviation of the chart (5,) from what an outline makes of the
-    lever's unknown, which the covariance has not; rms of the distances, points kept, arc share and the
-    outline's rms deviation from the ellipse in radii. `outline_share`, that expected, is corrected by what
-    the points say; 0 leaves no room for any.
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Edge points, px.
+    ratio : ndarray, shape (n,)
+        Standard deviations of the points relative to one another.
+    motion : ndarray, shape (n, 2)
+        Motion of the points, px, per relative error of the reference brightness.
+    brightness_sigma, slope_sigma : float
+        Prior standard deviations of that error and of its change from the centre to the rim, per direction.
+    sun_px : ndarray, shape (2,)
+        Direction towards the sun in the image, of any length.
+    start : ndarray, shape (5,)
+        Chart in pixels.
+    min_scatter : float
+        Lower bound of the points' standard deviation, px.
+    max_gap_rad : float
+        Longest step between neighbouring points that counts as covered.
+    outline_share : float
+        Expected root mean square deviation of the outline from an ellipse, in radii; the estimate adds what
+        the points show. 0 allows none.
+
+    Returns
+    -------
+    ok : bool
+        Whether the fit converged; nothing else is valid if it did not.
+    y : ndarray, shape (5,)
+        Chart in pixels, bias removed.
+    covariance, outline_covariance : ndarray, shape (5, 5)
+        Covariance, and the part of it from the slopes of the brightness and the outline.
+    brightness_root : ndarray, shape (5,)
+        Standard deviation of the chart, with sign, from the error that an irregular outline makes in the
+        estimated brightness. The covariance does not contain it.
+    rms : float
+        Root mean square of the distances under the robust weights, px, without the outline's harmonics.
+    kept : int
+        Points of non-zero weight.
+    arc_share : float
+        Share of the rim that they cover.
+    outline_share : float
+        Root mean square deviation of the outline from an ellipse, in radii.
     """
     count = points.shape[0]
     size_all = _OUTLINE + (len(HARMONIC_VARIANCE_SHARE) if outline_share > 0.0 else 0)
@@ -365,28 +252,28 @@ def fit(
     r, d = np.empty(count), np.empty(count)
     n = np.empty(2)
     rows = np.empty((count, size_all))
-    # The unknowns beside the ellipse and their prior variances. A slope along the light does what a change of
-    # size does: it is an uncertainty, but what would be found of it were other errors.
-    other = np.zeros(size_all)
+    # Unknowns beside the ellipse and their prior variances. A slope along the illumination direction has the
+    # effect of a change of size: it enters the covariance, but is not estimated.
+    nuisance = np.zeros(size_all)
     prior = np.full(size_all, _HELD_VARIANCE)
-    prior[_BRIGHTNESS] = lever_sigma * lever_sigma
-    prior[_SLOPE_ACROSS] = max(lever_slope * lever_slope, _HELD_VARIANCE)
+    prior[_BRIGHTNESS] = brightness_sigma * brightness_sigma
+    prior[_SLOPE_ACROSS] = max(slope_sigma * slope_sigma, _HELD_VARIANCE)
     outline2 = outline_share * outline_share
     L = np.zeros((size_all, size_all))
     unit = np.zeros(size_all)
     sigma, length = 1.0, np.inf
-    for iteration in range(30):
+    for iteration in range(_MAX_ITERATIONS):
         for i in range(count):
-            d[i] = _point_row(points[i, 0], points[i, 1], lever[i], toward, y, n, rows[i])
+            d[i] = _point_row(points[i, 0], points[i, 1], motion[i], sun_px, y, n, rows[i])
             for j in range(_BRIGHTNESS, size_all):
-                d[i] += rows[i, j] * other[j]
+                d[i] += rows[i, j] * nuisance[j]
             r[i] = d[i] * np.sqrt(base[i])
-        # With a scale that follows the points' order the weights can go round for ever.
+        # The scale is a median: with a scale that keeps changing, the weights may cycle for ever.
         if iteration < _SCALE_ITERATIONS:
-            sigma = max(_MAD_TO_SIGMA * _ordered(np.abs(r))[count // 2], min_scatter)
+            sigma = max(_MAD_TO_SIGMA * ordered(np.abs(r))[count // 2], min_scatter)
         for i in range(count):
             t = r[i] / (_TUKEY_SIGMAS * sigma)
-            # The first rounds down-weigh only: a poor start must not throw the good points away. The last
+            # The first weights are never zero: a poor start must not reject good points. The last iterations
             # leave the weights as they are.
             if iteration < _CAUCHY_ITERATIONS:
                 weight[i] = 1.0 / (1.0 + (r[i] / sigma) ** 2)
@@ -396,16 +283,16 @@ def fit(
             outline2 += _outline_variance(rows, r, base, sigma)
             for j in range(_OUTLINE, size_all):
                 prior[j] = outline2 * HARMONIC_VARIANCE_SHARE[j - _OUTLINE]
-        # The outline's variance is known from here on.
+        # The harmonics are unknowns once their variance is known.
         used = _OUTLINE if iteration < _CAUCHY_ITERATIONS else size_all
         L = np.zeros((used, used))
         N, grad = _normal_equations(rows, used, d, base, weight)
         for j in range(_BRIGHTNESS, used):
             N[j, j] += sigma * sigma / prior[j]
-            grad[j] += sigma * sigma / prior[j] * other[j]
-        if not _factorised(N, L):
+            grad[j] += sigma * sigma / prior[j] * nuisance[j]
+        if not factorised(N, L):
             return False, y, cov, cov, cov[0], 0.0, 0, 0.0, 0.0
-        step = _solved(L, -grad)
+        step = solved(L, -grad)
         size = np.exp(0.5 * (y[2] + y[4]))
         length = np.abs(step[0]) + np.abs(step[1])
         length += size * (np.abs(step[2]) + np.abs(step[3]) + np.abs(step[4]))
@@ -413,24 +300,26 @@ def fit(
         for a in range(5):
             y[a] += damp * step[a]
         for j in range(_BRIGHTNESS, used):
-            other[j] += damp * step[j]
-        if iteration > _CAUCHY_ITERATIONS and length < 1e-4:
+            nuisance[j] += damp * step[j]
+        if iteration > _CAUCHY_ITERATIONS and length < _STEP_TOLERANCE_PX:
             break
-    # A robust cycle of a few thousandths of a pixel is as good as convergence.
-    if not (length < 0.01 and np.abs(y[3]) < 20.0):
+    if not (length < _MAX_LAST_STEP_PX and np.abs(y[3]) < _MAX_SHEAR):
         return False, y, cov, cov, cov[0], 0.0, 0, 0.0, 0.0
     kept = 0
     psi2, slope, square, mass = 0.0, 0.0, 0.0, 0.0
-    level = points.copy()
+    unmoved = points.copy()
     for i in range(count):
-        d[i] = _point_row(points[i, 0], points[i, 1], lever[i], toward, y, n, rows[i])
+        d[i] = _point_row(points[i, 0], points[i, 1], motion[i], sun_px, y, n, rows[i])
         if rows[i, _BRIGHTNESS] != 0.0:
-            moved = rows[i, _BRIGHTNESS] * other[_BRIGHTNESS] + rows[i, _SLOPE_ACROSS] * other[_SLOPE_ACROSS]
+            moved = (
+                rows[i, _BRIGHTNESS] * nuisance[_BRIGHTNESS]
+                + rows[i, _SLOPE_ACROSS] * nuisance[_SLOPE_ACROSS]
+            )
             d[i] += moved
-            level[i] -= moved / rows[i, _BRIGHTNESS] * lever[i]
+            unmoved[i] -= moved / rows[i, _BRIGHTNESS] * motion[i]
         whole = d[i] * np.sqrt(base[i])
         for j in range(_OUTLINE, size_all):
-            d[i] += rows[i, j] * other[j]
+            d[i] += rows[i, j] * nuisance[j]
         r[i] = d[i] * np.sqrt(base[i])
         t = r[i] / (_TUKEY_SIGMAS * sigma)
         weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
@@ -440,38 +329,39 @@ def fit(
             slope += (1.0 - t * t) * (1.0 - 5.0 * t * t)
             square += weight[i] * whole * whole
             mass += weight[i]
-    if kept < 8 or not slope > 0.3 * kept:
+    if kept < _MIN_KEPT or not slope > _MIN_PSI_SLOPE * kept:
         return False, y, cov, cov, cov[0], 0.0, kept, 0.0, 0.0
     rms = np.sqrt(square / mass)
-    # Covariance of an M-estimate: psi's mean square over its mean slope squared.
+    # Covariance of an M-estimate: the mean square of psi over the square of its mean slope.
     sigma2 = psi2 * count / (slope * slope)
     fitted = 5.0
     for j in range(_SLOPE_ACROSS, size_all):
         unit[:] = 0.0
         unit[j] = 1.0
-        fitted += max(0.0, 1.0 - sigma2 * _solved(L, unit)[j] / prior[j])
-    white2 = sigma2 * count / (count - fitted) / _PSI_VARIANCE
-    # With Huber's correction for few points, and right in its inverse's mean: it is itself an estimate.
+        fitted += max(0.0, 1.0 - sigma2 * solved(L, unit)[j] / prior[j])
+    white2 = sigma2 * count / (count - fitted) / PSI_VARIANCE
+    # Huber's correction for few points; unbiased in its inverse, as the variance is itself an estimate.
     sigma2 *= count / (count - fitted - _SCALE_VARIANCE) * (1.0 + fitted * _PSI_SLOPE_VARIANCE / count) ** 2
-    sigma2 = max(sigma2 * _run_length(r, weight), min_scatter * min_scatter)
+    sigma2 = max(sigma2 * _correlation_factor(r, weight), min_scatter * min_scatter)
     N, _ = _normal_equations(rows, size_all, d, base, np.ones(count))
     prior[_SLOPE_ALONG] = prior[_SLOPE_ACROSS]
     for j in range(_BRIGHTNESS, size_all):
-        N[j, j] += sigma2 / (prior[j] * (_OUTLINE_VARIANCE_FACTOR if j >= _OUTLINE else 1.0))
+        N[j, j] += sigma2 / (prior[j] * (OUTLINE_VARIANCE_FACTOR if j >= _OUTLINE else 1.0))
     C, noise = np.empty((5, 5)), np.empty((5, 5))
-    if not (_inverse_block(N, C) and _inverse_block(np.ascontiguousarray(N[:6, :6]), noise)):
+    if not (inverse_block(N, C) and inverse_block(np.ascontiguousarray(N[:6, :6]), noise)):
         return False, y, cov, cov, cov[0], 0.0, kept, 0.0, 0.0
     L = np.zeros((size_all, size_all))
-    if not _factorised(N, L):
+    if not factorised(N, L):
         return False, y, cov, cov, cov[0], 0.0, kept, 0.0, 0.0
     unit[:] = 0.0
     unit[_BRIGHTNESS] = 1.0
-    joint = _solved(L, unit)
-    misled = (
-        min(BRIGHTNESS_ERROR_PER_OUTLINE * np.sqrt(outline2), lever_sigma) / joint[_BRIGHTNESS] * joint[:5]
+    joint = solved(L, unit)
+    brightness_root = (
+        min(BRIGHTNESS_ERROR_PER_OUTLINE * np.sqrt(outline2), brightness_sigma)
+        / joint[_BRIGHTNESS]
+        * joint[:5]
     )
     arc = _covered(points, weight, y, max_gap_rad)
-    # A hardly determined ellipse has no second-order expansion; it is refused by its covariance.
-    if sigma2 * max(C[2, 2], C[4, 4]) < 0.06:
-        y = y - _second_order_bias(level, base, np.ones(count), y, noise, white2)
-    return True, y, sigma2 * C, sigma2 * (C - noise), misled, rms, kept, arc, np.sqrt(outline2)
+    if sigma2 * max(C[2, 2], C[4, 4]) < _MAX_EXPANDED_VARIANCE:
+        y = y - second_order_bias(unmoved, base, np.ones(count), y, noise, white2)
+    return True, y, sigma2 * C, sigma2 * (C - noise), brightness_root, rms, kept, arc, np.sqrt(outline2)

@@ -1,4 +1,4 @@
-"""Images as the detectors take them: whatever their bits and their lens."""
+"""Images as the detectors take them, whatever their bit depth and their lens."""
 
 import cv2
 import numpy as np
@@ -11,13 +11,18 @@ GreyArray = npt.NDArray[np.uint8] | npt.NDArray[np.float32]
 
 
 def on_8_bit_scale(image: ImageArray, camera: Camera) -> GreyArray:
-    """Image with its grey levels from 0 to 255, with fractions if it has more than 8 bits.
+    """Scale an image's grey levels to 0 to 255.
 
     Parameters
     ----------
     image : ndarray of uint8 or uint16, shape (H, W)
     camera : Camera
-        Its full scale is the image's.
+        Gives the full scale of the image.
+
+    Returns
+    -------
+    ndarray of uint8 or float32, shape (H, W)
+        With fractions if the image has more than 8 bits.
     """
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
@@ -25,14 +30,19 @@ def on_8_bit_scale(image: ImageArray, camera: Camera) -> GreyArray:
 
 
 def undistorted(image: GreyArray, camera: Camera) -> GreyArray:
-    """Image as `camera.pinhole` would have taken it, interpolated; where it saw nothing, the nearest border.
+    """Resample an image to the pixels of the camera without lens distortion.
 
-    For detectors that need not be exact: what is measured is measured in the image itself.
+    For detectors that need not be exact: the guided front end measures in the image itself.
 
     Parameters
     ----------
-    image : ndarray, shape (H, W)
+    image : ndarray of uint8 or float32, shape (H, W)
     camera : Camera
+
+    Returns
+    -------
+    ndarray of uint8 or float32, shape (H, W)
+        As `camera.pinhole` would have taken it; the nearest border where the image ends.
     """
     if not camera.distorts:
         return image

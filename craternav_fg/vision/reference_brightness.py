@@ -1,4 +1,4 @@
-"""An image's brightness over that of level ground: exposure, albedo and what the Lunar-Lambert law misses."""
+"""Reference brightness of an image: that of locally flat terrain, lit and seen as each place is."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,38 +6,47 @@ import numpy.typing as npt
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.photometry import level_ground
-from craternav_fg.vision.edges import noise_level
+from craternav_fg.vision.image_sampling import noise_level
 
 FloatArray = npt.NDArray[np.float64]
 
-# An image has at least so many blocks along a side; fewer in all tell no quadratic.
+# Reference brightness, of 255, below which the terrain is too dark to show edges.
+MIN_REFERENCE_BRIGHTNESS = 6.0
+# Blocks along the shorter side of an image, at least, and blocks of lit ground that determine a quadratic.
 _MIN_BLOCKS_PER_SIDE, _MIN_BLOCKS_QUADRATIC = 6, 24
+# Blocks count if the photometric law gives them at least this brightness (1 at the zenith), and their own
+# median, of 255, is below saturation.
+_MIN_LAW, _SATURATED_BRIGHTNESS = 0.02, 250.0
+# Iterations of the robust fit, its cut-off in standard deviations, and the standard deviation of a Gaussian
+# over its median absolute deviation.
+_ITERATIONS, _CUTOFF_SIGMAS, _MAD_TO_SIGMA = 10, 3.0, 1.4826
 
 
 class ReferenceBrightness:
-    """Ratio of an image's brightness to the Lunar-Lambert law's on level ground, smooth over the image.
+    """Ratio of an image's brightness to the Lunar-Lambert law's on flat terrain, smooth over the image.
 
-    A quadratic in the image coordinates through the medians of blocks, under a redescending loss:
-    exposure, albedo and what the law misses of the phase angle. Where few blocks show lit ground it is the
-    same all over.
+    The ratio holds exposure, albedo, and what the law misses of the phase angle. It is a quadratic in the
+    image coordinates, fitted robustly to the medians of blocks; a constant where too few blocks show lit
+    ground.
 
     Parameters
     ----------
-    image : ndarray, shape (H, W)
+    image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
     camera : Camera
     radius_m : float
         Of the ground's sphere about the origin of g.
     gTb : ndarray, shape (4, 4)
-        Predicted pose.
+        Predicted pose of the body in g.
     sun_g : ndarray, shape (3,)
         Unit vector towards the sun in g.
     block_px : int
-        Side of the blocks, at most: small images have smaller ones.
+        Largest side of the blocks; small images have smaller ones.
 
     Attributes
     ----------
     noise : float
-        Standard deviation of the pixels' noise.
+        Standard deviation of the pixel noise.
     """
 
     def __init__(
@@ -57,27 +66,33 @@ class ReferenceBrightness:
         side = block_px // 2
         blocks = blocks.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(rows * columns, -1)
         median = np.median(blocks, axis=1).astype(np.float64)
-        centre_px = np.stack(
-            np.meshgrid(
-                (np.arange(columns) + 0.5) * block_px - 0.5, (np.arange(rows) + 0.5) * block_px - 0.5
-            ),
-            axis=-1,
-        ).reshape(-1, 2)
-        points = camera.normalised(centre_px)
+        x_px, y_px = ((np.arange(n) + 0.5) * block_px - 0.5 for n in (columns, rows))
+        points = camera.normalised(np.stack(np.meshgrid(x_px, y_px), axis=-1).reshape(-1, 2))
         ground, hit = ground_points(gTc[:3, :3], gTc[:3, 3], points, radius_m)
         view = gTc[:3, 3] - ground
         view /= np.linalg.norm(view, axis=-1, keepdims=True)
-        brightness, _ = level_ground(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
-        keep = hit & (brightness > 0.02) & (median < 250.0)
+        law, _ = level_ground(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
+        keep = hit & (law > _MIN_LAW) & (median < _SATURATED_BRIGHTNESS)
         self._coefficients = np.zeros(6)
-        ratio = median[keep] / brightness[keep]
+        ratio = median[keep] / law[keep]
         if len(ratio) >= _MIN_BLOCKS_QUADRATIC:
             self._coefficients = _robust_quadratic(_powers(points[keep]), ratio)
         elif len(ratio) > 0:
             self._coefficients[0] = np.median(ratio)
 
     def ratio(self, points: FloatArray) -> FloatArray:
-        """Ratio (n,) at normalised image coordinates (n, 2); 0 where the image has no lit ground."""
+        """Compute the ratio of the image's brightness to that of the photometric law.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 2)
+            Normalised image coordinates.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            0 where the image has no lit ground.
+        """
         return np.maximum(_powers(points) @ self._coefficients, 0.0)
 
 
@@ -89,10 +104,10 @@ def _powers(points: FloatArray) -> FloatArray:
 def _robust_quadratic(A: FloatArray, values: FloatArray) -> FloatArray:
     weight = np.ones(len(values))
     out: FloatArray = np.zeros(6)
-    for _ in range(10):
+    for _ in range(_ITERATIONS):
         out = np.asarray(np.linalg.lstsq(A * weight[:, None], values * weight, rcond=None)[0], np.float64)
         residual = values - A @ out
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
-        t = residual / (3.0 * scale)
+        scale = _MAD_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-12
+        t = residual / (_CUTOFF_SIGMAS * scale)
         weight = np.where(np.abs(t) < 1.0, 1.0 - t * t, 0.0)
     return out

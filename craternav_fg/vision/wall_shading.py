@@ -1,9 +1,9 @@
-"""Where the light comes from, as the walls of known craters show it.
+"""Direction towards the sun from the shading of known craters' walls.
 
-A bowl whose rim is an ellipse has a slope of (cos t / a, sin t / b) f(r) at the affine angle t of its rim:
-brightness around rings inside it varies with the shading gain's components along the axes divided by a
-and b (see `photometry`), whatever f is. Each crater so gives a direction with its sign; what the ellipse,
-the perspective and the view make of it is known from the catalogue and the pose.
+A bowl whose rim is an ellipse has the slope (cos t / a, sin t / b) f(r) at the affine angle t of its rim. So
+the brightness around rings inside it varies with the components of the slope contrast along the axes, divided
+by a and b (see `photometry`), whatever f is. Each crater gives a direction with its sense. The catalogue and
+the pose account for the ellipse, the perspective and the view.
 """
 
 import cv2
@@ -16,20 +16,24 @@ from craternav_fg.photometry import level_ground
 
 FloatArray = npt.NDArray[np.float64]
 
-# Rings on the wall: below the crest, where texture and the outline count, and above the flat floor.
+# Rings on the wall, in radii: below the rim crest, where texture and the outline count, and above the flat
+# floor.
 _WALL_RING_RADII = np.array([0.6, 0.7, 0.8])
 _RING_ANGLES_RAD = 2.0 * np.pi * (np.arange(48) + 0.5) / 48.0
-# Scatter of single craters' directions, rad, before they are seen, and how many craters that counts for.
+# Scatter of single craters' directions that is expected before they are seen, rad, and its weight in craters.
 _PRIOR_SCATTER_RAD, _PRIOR_SCATTER_COUNT = float(np.deg2rad(2.0)), 3.0
-# Brighter than this, of 255, is saturated; so much of a wall may be: like a shadow it lies alike on both
-# sides of the light's direction.
+# Brightness, of 255, above which a pixel is saturated, and the largest share of a wall that may be: like a
+# shadow, saturation is symmetric about the illumination direction.
 _SATURATED_BRIGHTNESS, _MAX_SATURATED_SHARE = 250.0, 0.35
+# Iterations of the robust mean, its scale in standard deviations, and the standard deviation of a Gaussian
+# over its median absolute deviation.
+_ITERATIONS, _SCALE_SIGMAS, _MAD_TO_SIGMA = 10, 2.0, 1.4826
 
 
 def sun_azimuth_offset(
     image: npt.NDArray[np.float32], camera: Camera, craters: Catalog, gTb: FloatArray, sun_g: FloatArray
 ) -> tuple[float, float]:
-    """Turn of the light's azimuth against its prediction, about the ground's normal, and its scatter.
+    """Measure how much the azimuth of the sun differs from the predicted one.
 
     Parameters
     ----------
@@ -37,18 +41,18 @@ def sun_azimuth_offset(
         Grey levels up to 255.
     camera : Camera
     craters : Catalog
-        Those whose rims are in the image, whole.
+        Those whose whole rims are in the image.
     gTb : ndarray, shape (4, 4)
-        Pose, good enough to find them by.
+        Pose of the body in g, good enough to find them by.
     sun_g : ndarray, shape (3,)
-        Unit vector towards the sun in g.
+        Predicted unit vector towards the sun in g.
 
     Returns
     -------
-    turn_rad : float
-        A weighted median of all craters'; NaN without any that is lit.
+    offset_rad : float
+        Robust mean over the craters of the rotation about the ground's normal; NaN without a lit crater.
     sigma_rad : float
-        Its standard deviation from their scatter; infinite without any.
+        Its standard deviation, from the scatter of the craters; infinite without any.
     """
     centres, gRl, gTc = craters.centres, craters.gRl, camera.gTc(gTb)
     a, b = craters.semi_major_m[:, None], craters.semi_minor_m[:, None]
@@ -65,27 +69,29 @@ def sun_azimuth_offset(
     view = gTc[:3, 3] - centres
     view /= np.linalg.norm(view, axis=1, keepdims=True)
     normals = gRl[:, :, 2]
-    _, gain = level_ground(normals, sun_g, view)
-    # The wall that rises towards the light is the dark one.
+    _, contrast = level_ground(normals, sun_g, view)
+    # The wall that rises towards the sun is the dark one.
     along = -a * np.mean(value * np.tile(c, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 0]
     along -= b * np.mean(value * np.tile(s, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 1]
-    turn = np.arctan2(np.sum(np.cross(gain, along) * normals, axis=1), np.sum(gain * along, axis=1))
+    offset = np.arctan2(np.sum(np.cross(contrast, along) * normals, axis=1), np.sum(contrast * along, axis=1))
     saturated = np.mean(value > _SATURATED_BRIGHTNESS, axis=1)
-    turn = turn[np.isfinite(turn) & (saturated < _MAX_SATURATED_SHARE) & (np.linalg.norm(gain, axis=1) > 0.0)]
-    if len(turn) == 0:
+    offset = offset[
+        np.isfinite(offset) & (saturated < _MAX_SATURATED_SHARE) & (np.linalg.norm(contrast, axis=1) > 0.0)
+    ]
+    if len(offset) == 0:
         return float("nan"), float("inf")
-    # About their middle direction, which has no end as the median of angles has.
-    middle = float(np.angle(np.median(np.cos(turn)) + 1j * np.median(np.sin(turn))))
-    off = np.angle(np.exp(1j * (turn - middle)))
+    # Angles are taken from a middle direction: they must not wrap around.
+    middle = float(np.angle(np.median(np.cos(offset)) + 1j * np.median(np.sin(offset))))
+    off = np.angle(np.exp(1j * (offset - middle)))
     best, scatter = 0.0, 0.0
-    for _ in range(10):
-        found = 1.4826 * float(np.median(np.abs(off - best)))
+    for _ in range(_ITERATIONS):
+        found = _MAD_TO_SIGMA * float(np.median(np.abs(off - best)))
         scatter = float(
             np.sqrt(
                 (len(off) * found**2 + _PRIOR_SCATTER_COUNT * _PRIOR_SCATTER_RAD**2)
                 / (len(off) + _PRIOR_SCATTER_COUNT)
             )
         )
-        weight = 1.0 / (1.0 + ((off - best) / (2.0 * scatter)) ** 2) ** 2
+        weight = 1.0 / (1.0 + ((off - best) / (_SCALE_SIGMAS * scatter)) ** 2) ** 2
         best = float(weight @ off / weight.sum())
     return middle + best, scatter / float(np.sqrt(weight.sum()))

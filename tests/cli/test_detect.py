@@ -96,7 +96,7 @@ def test_wrong_sun_is_one_line(one, detect, tmp_path):
     assert code == 2
     assert output == ""
     assert error.count("\n") == 1
-    assert "frame.png: the light is said to come from" in error
+    assert "frame.png: the sun is given at" in error
     assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.png"]
 
 

@@ -2,20 +2,20 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, edges
+from craternav_fg.vision import crater_profile, edge_kernel, shift_kernel
 
-LEVEL = 100.0
+REFERENCE = 100.0
 CENTRE = np.array([61.3, 58.8])
 CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
-# Gain towards -x: walls facing +x, on the left, are dark.
-GAIN = np.array([-20.0, 0.0])
-NO_BIAS = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_CONTRASTS)))
+# Slope contrast towards -x: walls facing +x, on the left, are dark.
+CONTRAST_PX = np.array([-20.0, 0.0])
+NO_OFFSET = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_CONTRASTS)))
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
 def rim_image(centre=CENTRE, contrast=0.5):
-    """Brightness with an edge on the rim of CHART: level on it, antisymmetric about it."""
+    """Brightness with an edge on the rim of CHART: the reference on it, antisymmetric about it."""
     v, u = np.mgrid[0:128, 0:128]
     x = (u - centre[0]) / 20.0
     y = (v - centre[1] - 0.2 * (u - centre[0])) / 17.0
@@ -24,15 +24,15 @@ def rim_image(centre=CENTRE, contrast=0.5):
     gx, gy = (x / 20.0 - 0.2 * y / 17.0) / r, y / 17.0 / r
     distance = (r - 1.0) / np.hypot(gx, gy)
     shape = -np.tanh(distance / 2.0) * np.exp(-0.5 * (distance / 8.0) ** 2)
-    return (LEVEL * (1.0 + contrast * gx / np.hypot(gx, gy) * shape)).astype(np.float32)
+    return (REFERENCE * (1.0 + contrast * gx / np.hypot(gx, gy) * shape)).astype(np.float32)
 
 
-def trace(image, chart=CHART, min_slope_contrast=0.12, level=LEVEL):
-    return edges.trace_rim(
+def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE):
+    return edge_kernel.trace_rim(
         image,
         chart,
-        GAIN,
-        level,
+        CONTRAST_PX,
+        reference,
         4.0,
         0.02,
         0.4,
@@ -41,7 +41,7 @@ def trace(image, chart=CHART, min_slope_contrast=0.12, level=LEVEL):
         0.02,
         0.0,
         72,
-        NO_BIAS,
+        NO_OFFSET,
         crater_profile.BLUR_RADII,
         crater_profile.SLOPE_CONTRASTS,
         PLAIN,
@@ -58,13 +58,13 @@ def off_px(points):
 
 def test_points_lie_on_the_rim_though_predicted_beside_it():
     chart = np.add(CHART, [1.5, -1.0, 0.03, 0.0, -0.02])
-    points, ratio, lever, tried, _ = trace(rim_image(), chart)
-    assert len(points) == len(ratio) == len(lever)
+    points, ratio, motion, tried, _ = trace(rim_image(), chart)
+    assert len(points) == len(ratio) == len(motion)
     assert len(points) >= 0.95 * tried >= 55
     assert np.max(np.abs(off_px(points))) < 0.06
 
 
-def test_no_points_where_the_light_runs_along_the_rim():
+def test_no_points_where_the_rim_runs_along_the_illumination_direction():
     points, ratio, _, tried, _ = trace(rim_image(), min_slope_contrast=0.5)
     assert 40 <= tried < 60
     x = points - CENTRE
@@ -80,15 +80,15 @@ def test_the_wrong_sense_of_shading_has_no_edge():
     assert len(points) < 0.1 * tried
 
 
-def test_lever_is_the_motion_of_the_points_with_the_level():
+def test_motion_is_that_of_the_points_with_the_reference_brightness():
     image = rim_image()
-    points, _, lever, _, _ = trace(image)
+    points, _, motion, _, _ = trace(image)
     brighter, _, _, _, _ = trace(image / np.float32(1.01))
     assert len(points) == len(brighter)
-    # A level raised by 1 % is an image dimmed by 1 %.
+    # A reference raised by 1 % is an image dimmed by 1 %.
     moved = (brighter - points) / 0.01
-    inner = np.linalg.norm(lever, axis=1) < np.median(np.linalg.norm(lever, axis=1))
-    np.testing.assert_allclose(moved[inner], lever[inner], rtol=0.1, atol=0.3)
+    inner = np.linalg.norm(motion, axis=1) < np.median(np.linalg.norm(motion, axis=1))
+    np.testing.assert_allclose(moved[inner], motion[inner], rtol=0.1, atol=0.3)
 
 
 def test_saturated_and_missing_parts_give_no_points():
@@ -104,7 +104,7 @@ def test_saturated_and_missing_parts_give_no_points():
 
 def test_an_overexposed_wall_gives_no_points():
     image = np.minimum(1.9 * rim_image(contrast=0.6), 255.0).astype(np.float32)
-    points, _, _, tried, _ = trace(image, level=1.9 * LEVEL)
+    points, _, _, tried, _ = trace(image, reference=1.9 * REFERENCE)
     # The bright wall is on the right.
     assert np.all(points[:, 0] < CENTRE[0] + 16.0)
     assert 0.4 * tried < len(points) < 0.8 * tried
@@ -113,29 +113,39 @@ def test_an_overexposed_wall_gives_no_points():
 @pytest.mark.parametrize("shift", [(3.0, -4.0), (-6.0, 5.0), (0.0, 0.0)])
 def test_common_shift(shift):
     image = rim_image(CENTRE + shift)
-    best, score = edges.search_shift(
-        image, CHART[None], GAIN[None], np.array([LEVEL]), ANGLES, np.zeros(2), 8.0, 1.0, 0.12, 1.0, PLAIN
+    best, score = shift_kernel.search_shift(
+        image,
+        CHART[None],
+        CONTRAST_PX[None],
+        np.array([REFERENCE]),
+        ANGLES,
+        np.zeros(2),
+        8.0,
+        1.0,
+        0.12,
+        1.0,
+        PLAIN,
     )
     np.testing.assert_array_equal(best, shift)
     assert score > 0.1
 
 
-@pytest.mark.parametrize("gain", [-2.0, 1.5])
+@pytest.mark.parametrize("contrast", [-2.0, 1.5])
 @pytest.mark.parametrize("blur", [0.05, 0.1])
-def test_crest_table_against_a_rendered_crater(gain, blur):
-    """Blur the canonical crater's brightness along a line and look where it meets the level."""
+def test_crossing_table_against_a_rendered_crater(contrast, blur):
+    """Blur the canonical crater's brightness along a line and look where it meets that of flat terrain."""
     rho = np.linspace(0.2, 2.0, 9001)
     slope = crater_profile.slopes(rho)
     assert abs(np.interp(1.0, rho, slope)) < 1e-6
-    light = np.maximum((1.0 + gain * slope) / np.sqrt(1.0 + slope**2), 0.0)
+    light = np.maximum((1.0 + contrast * slope) / np.sqrt(1.0 + slope**2), 0.0)
     x = np.linspace(0.8, 1.3, 501)
     weight = np.exp(-0.5 * ((x[:, None] - rho) / blur) ** 2)
-    excess = np.sign(gain) * (weight @ light / weight.sum(axis=1) - 1.0)
+    excess = np.sign(contrast) * (weight @ light / weight.sum(axis=1) - 1.0)
     crossing = x[np.flatnonzero((excess[:-1] > 0.0) & (excess[1:] <= 0.0))[0]]
     table = crater_profile.crossing_table()
     i = int(np.argmin(np.abs(crater_profile.BLUR_RADII - blur)))
-    j = int(np.argmin(np.abs(crater_profile.SLOPE_CONTRASTS - gain)))
+    j = int(np.argmin(np.abs(crater_profile.SLOPE_CONTRASTS - contrast)))
     at = np.interp(blur, crater_profile.BLUR_RADII, table[:, j])
-    assert crater_profile.SLOPE_CONTRASTS[j] == gain
+    assert crater_profile.SLOPE_CONTRASTS[j] == contrast
     assert abs(table[i, j] - at) < 0.02
     assert abs(at - (crossing - 1.0)) < 0.003

@@ -7,13 +7,14 @@ from scipy.stats import chi2
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import normalised_chart, pixel_chart
 from craternav_fg.vision.ellipse_fit import (
+    BrightnessUnknown,
     FitFailure,
     FitOptions,
     RimFit,
     fit_rim,
-    floor_covariance,
     refine_rim,
 )
+from craternav_fg.vision.error_model.systematic import floor_covariance
 
 CAMERA = Camera(1024, 1024, 1267.0, 1267.0, 511.5, 511.5)
 WIDE = Camera(1024, 768, 1267.0, 1100.0, 500.0, 400.0)
@@ -184,45 +185,46 @@ def test_an_unknown_common_motion_of_the_points_is_estimated():
     side = normals @ [0.6, 0.8]
     keep = np.abs(side) > 0.15
     # What a wrong level does to crossings: the less the slope across the rim, the farther they move.
-    lever = (normals / side[:, None])[keep]
-    points = points[keep] + 0.3 * lever + normals[keep] * rng.normal(0.0, 0.05, (np.count_nonzero(keep), 1))
+    motion = (normals / side[:, None])[keep]
+    points = points[keep] + 0.3 * motion + normals[keep] * rng.normal(0.0, 0.05, (np.count_nonzero(keep), 1))
     start = pixel_chart(chart_of(30.0, 25.0, 0.2, CAMERA), CAMERA)
     ones = np.ones(len(points))
     truth = start[:2]
     without = refine_rim(points, start, CAMERA, BARE, ones)
-    given_lever = refine_rim(points, start, CAMERA, BARE, ones, lever, 1.0)
+    with_unknown = refine_rim(points, start, CAMERA, BARE, ones, BrightnessUnknown(motion, 1.0))
     assert isinstance(without, RimFit)
-    assert isinstance(given_lever, RimFit)
+    assert isinstance(with_unknown, RimFit)
     assert np.hypot(*(without.chart_px[:2] - truth)) > 0.25
-    assert np.hypot(*(given_lever.chart_px[:2] - truth)) < 0.08
+    assert np.hypot(*(with_unknown.chart_px[:2] - truth)) < 0.08
 
 
 def test_a_slope_of_that_motion_is_in_the_covariance():
-    """Ground that is not evenly bright under a large rim: across the light its shape tells, along it none."""
+    """A large rim's shape shows how the brightness changes across the sun direction, but not along it."""
     rng = np.random.default_rng(12)
     points, normals = rim(110.0, 100.0, 0.2, 120)
-    light = np.array([0.6, 0.8])
-    side = normals @ light
+    sun_px = np.array([0.6, 0.8])
+    side = normals @ sun_px
     keep = np.abs(side) > 0.15
     place = ((points - points.mean(axis=0)) / 105.0)[keep]
-    lever = 20.0 * (normals / side[:, None])[keep]
+    motion = 20.0 * (normals / side[:, None])[keep]
     truth = chart_of(110.0, 100.0, 0.2, CAMERA)
     start = pixel_chart(truth, CAMERA)
-    blind, knowing, too_sure, honest = [], [], [], []
+    blind, knowing, too_sure, consistent = [], [], [], []
     for _ in range(100):
         slope = place @ rng.normal(0.0, 0.01, 2)
-        off = rng.normal(0.0, 0.08, (len(lever), 1))
-        moved = points[keep] + slope[:, None] * lever + normals[keep] * off
-        args = (moved, start, CAMERA, BARE, np.abs(1.0 / side[keep]), lever, 0.02)
+        off = rng.normal(0.0, 0.08, (len(motion), 1))
+        moved = points[keep] + slope[:, None] * motion + normals[keep] * off
+        args = (moved, start, CAMERA, BARE, np.abs(1.0 / side[keep]))
+        level, sloping = BrightnessUnknown(motion, 0.02), BrightnessUnknown(motion, 0.02, 0.01, sun_px)
         for fit, errors, distances in (
-            (refine_rim(*args), blind, too_sure), (refine_rim(*args, 0.01, light), knowing, honest)
+            (refine_rim(*args, level), blind, too_sure), (refine_rim(*args, sloping), knowing, consistent)
         ):  # fmt: skip
             assert isinstance(fit, RimFit)
             error = fit.chart - truth
             errors.append(error)
             distances.append(error @ np.linalg.solve(fit.covariance, error) / 5.0)
     assert np.mean(too_sure) > 3.0
-    assert 0.7 < np.mean(honest) < 1.3
+    assert 0.7 < np.mean(consistent) < 1.3
     assert np.std(knowing, axis=0)[3] < 0.7 * np.std(blind, axis=0)[3]
 
 
@@ -323,35 +325,36 @@ def test_chart_conversion_is_that_of_the_points():
         np.testing.assert_allclose(pixel_chart(y, camera), chart_px, atol=1e-7)
 
 
-def level_fits(rms, share):
-    """Charts, covariances and level roots of rims whose points a wrong level moves, too; their true chart."""
-    light = np.array([0.6, 0.8])
+def brightness_fits(rms, share):
+    """Covariances and brightness roots of rims whose points a wrong reference brightness moves, too."""
+    sun_px = np.array([0.6, 0.8])
     truth = chart_of(30.0, 24.0, 0.4, CAMERA)
     options = FitOptions(floor_px=0.0, floor_share=0.0, outline_share=share)
     rng = np.random.default_rng(14)
     _, normals = rim(30.0, 24.0, 0.4, 90)
-    side = normals @ light
+    side = normals @ sun_px
     keep = np.abs(side) > 0.15
-    lever = 20.0 * (normals / side[:, None])[keep]
+    motion = 20.0 * (normals / side[:, None])[keep]
+    unknown = BrightnessUnknown(motion, 0.02)
     fits = []
     for _ in range(150):
-        points = outlined(rng, rms, FULL)[keep] + 0.015 * rng.normal() * lever
+        points = outlined(rng, rms, FULL)[keep] + 0.015 * rng.normal() * motion
         start = pixel_chart(truth, CAMERA)
-        fits.append(refine_rim(points, start, CAMERA, options, np.abs(1.0 / side[keep]), lever, 0.02))
+        fits.append(refine_rim(points, start, CAMERA, options, np.abs(1.0 / side[keep]), unknown))
     good = [f for f in fits if isinstance(f, RimFit)]
     assert len(good) >= 148
-    return *(np.array([getattr(f, name) for f in good]) for name in ("chart", "covariance", "level")), truth
+    return np.array([f.covariance for f in good]), np.array([f.errors.brightness_root for f in good])
 
 
-def test_an_irregular_outline_leaves_the_level_uncertain():
-    """As much as it deviates, along the light, within all that is uncertain and lasts."""
-    light = np.array([0.6, 0.8])
-    _, covariances, levels, _ = level_fits(0.02, 0.003)
-    along = np.abs(levels[:, :2] @ light)
-    assert np.all(np.abs(levels[:, :2] @ [-light[1], light[0]]) < 0.3 * along)
-    # A relative error of 0.01 moves the points by 0.2 px and more, the less the light falls across the rim.
+def test_an_irregular_outline_leaves_the_reference_brightness_uncertain():
+    """In proportion to its deviation, along the illumination direction, and within the whole covariance."""
+    sun_px = np.array([0.6, 0.8])
+    covariances, roots = brightness_fits(0.02, 0.003)
+    along = np.abs(roots[:, :2] @ sun_px)
+    assert np.all(np.abs(roots[:, :2] @ [-sun_px[1], sun_px[0]]) < 0.3 * along)
+    # A relative error of 0.01 moves the points by 0.2 px or more.
     assert 0.2 < np.median(along) * CAMERA.fx_px < 0.4
-    rest = covariances - levels[:, :, None] * levels[:, None, :]
+    rest = covariances - roots[:, :, None] * roots[:, None, :]
     assert np.linalg.eigvalsh(rest)[:, 0].min() > 0.0
-    _, _, none, _ = level_fits(0.0, 0.0003)
-    assert np.median(np.abs(none[:, :2] @ light)) < 0.1 * np.median(along)
+    _, none = brightness_fits(0.0, 0.0003)
+    assert np.median(np.abs(none[:, :2] @ sun_px)) < 0.1 * np.median(along)

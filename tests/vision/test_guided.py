@@ -6,6 +6,7 @@ import pytest
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
+from craternav_fg.vision.error_model.systematic import RimErrors
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import SINGLE_IMAGE, GuidedOptions
 from factors.kernels.conic import project_rims
@@ -250,8 +251,8 @@ def test_what_all_rims_share_follows_camera_and_light():
     rows = np.arange(len(catalog))
     none = np.tile(1e-9 * np.eye(5), (len(rows), 1, 1))
     gTb, sun_g = scene.pose(0.0, 0.0), scene.sun(20.0, 50.0)
-    level = rng.normal(size=(len(rows), 5))
-    shared = correlated_roots(none, 0.0 * level, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
+    errors = RimErrors(none, none, np.zeros((len(rows), 5)))
+    shared = correlated_roots(errors, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
     # A step on the ground towards the light, as the camera sees it.
     ahead = project_rims(gTb, np.eye(4), catalog.centres + 10.0 * sun_g, catalog.axes)[0][:, :2]
     step = ahead - project_rims(gTb, np.eye(4), catalog.centres, catalog.axes)[0][:, :2]
@@ -276,7 +277,7 @@ def test_the_level_of_the_ground_errs_in_part_for_all_rims_alike():
     of_level = level[:, :, None] * level[:, None, :]
     systematic = np.tile(1e-8 * np.eye(5), (len(rows), 1, 1)) + of_level
     view = scene.pose(0.0, 10.0), scene.sun(20.0, 50.0), scene.camera(), catalog, options
-    own, shared = correlated_roots(systematic, level, rows, *view)
+    own, shared = correlated_roots(RimErrors(systematic, systematic, level), rows, *view)
     column = shared[:, :, 7]
     np.testing.assert_allclose(column[:, :, None] * column[:, None, :], 0.3 * of_level, atol=1e-15)
     np.testing.assert_allclose(own @ np.swapaxes(own, 1, 2), systematic - 0.3 * of_level, atol=1e-13)

@@ -1,12 +1,11 @@
-"""What of rims' errors outlasts a frame: of each crater, and of all of them alike.
+"""Correlated errors of rims: what a crater keeps from frame to frame, and what all rims of a descent share.
 
-The ground differs from an ellipse and from level ground as long as it is looked at, so part of a rim's error
-is the same in the next frame, up to what the view does to it: it is fixed to the ground, in directions of
-the rim's plane. Beside that all rims of a descent err alike. A crest is not seen as sharp as it is and hides
-the ground behind it, which shifts blurred rims towards the camera and stretches them along the line of sight,
-by pixels and by parts of the radius; what is not known of the ground's brightness shifts them along the
-light, those of irregular outlines by parts of the radius, as the ground about the landing site has a slope of
-its own; other crests than the canonical one make all rims larger or smaller.
+The terrain under a crater differs from a plane and its outline from an ellipse in the same way in every
+frame, so a part of a rim's error is fixed to the ground, in directions of the rim's plane. Other errors are
+common to all rims. A blurred rim crest that hides the ground behind it shifts rims towards the camera and
+stretches them along the line of sight. An unknown ground brightness shifts them along the illumination
+direction; the regional slope does so in proportion to their radius where outlines are irregular. A crest
+profile unlike the canonical one makes all rims too large or too small.
 """
 
 from dataclasses import dataclass
@@ -17,43 +16,50 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SHARED_SIZE
+from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.kernels.rim_errors import ground_slopes
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Of `ground_slopes`: what moves a rim in its own plane.
+# Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
+# growth along l2. The third column, a shift along the normal, is left out.
 _IN_PLANE = [0, 1, 3, 4, 5]
 
 
 @dataclass(frozen=True)
 class CorrelatedErrorOptions:
-    """How large errors are that outlast a frame.
+    """Size of the errors of rims that are correlated over frames or over rims.
+
+    All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
+    unless they are shares of a variance.
 
     Attributes
     ----------
     crater_share : float
-        Part of a rim's systematic variance (`RimFit.systematic`) that its crater keeps. The rest is new in
-        each frame: the gaps in an outline, its neighbours, the pixels' grid are not the same in each.
+        Share of a rim's systematic variance (`RimErrors.systematic`) that is time-correlated for its crater.
+        The rest is white: gaps in the seen outline, neighbouring craters and the pixel grid change from frame
+        to frame.
     excess_white_share : float
-        Part of the systematic variance that is new in each frame besides, where a frame's rims scatter more
-        than they say: for each unit by which their variance, that of the median rim, is larger than that. On
-        rough ground many rims are worse than the median, and near ones alike: of use to those who fuse
-        frames; 0 is honest for a single image.
+        White variance to add where a frame's rims scatter more than they claim (`frame_scatter`), as a share
+        of the systematic variance per unit of the excess of the variance factor over 1. On rough terrain many
+        rims are worse than the median, neighbouring ones alike. Set to 0 for single images: it is consistent
+        for estimators that fuse frames.
     camera_shift_px : float
-        Common shift of rims towards the camera, seen along the ground: px for a camera at the horizon, that
-        grows with the sine of the angle to the vertical, and as much that grows with its cube.
+        Common shift towards the camera along the ground, for a camera at the horizon. One component grows
+        with the sine of the emission angle, another of the same size with its cube.
     sun_shift_px : float
-        Common shift of rims towards the light, px for a sun at the horizon.
+        Common shift towards the sun along the ground, for a sun at the horizon.
     stretch_px, stretch_share : float
-        Common growth of the radius along the line of sight, seen along the ground, for a camera at the
-        horizon: px, and radii. Grows with the sine's square.
+        Common growth of the radius along the line of sight, for a camera at the horizon: px, and share of the
+        radius. It grows with the square of the sine of the emission angle.
     size_px, size_share : float
-        Common growth of the radius: px, and radii.
+        Common growth of the radius: px, and share of the radius.
     brightness_share : float
-        Part of the variance of `RimFit.level` that all rims have in common.
+        Share of the variance from the unknown reference brightness (`RimErrors.brightness_root`) that all
+        rims have in common.
     arc_px, arc_share : float
-        Error of an arc's edge points that they share and keep: px, and radii.
+        Time-correlated shift that the edge points of an arc share: px, and share of the radius.
     """
 
     crater_share: float = 0.7
@@ -77,21 +83,21 @@ def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Ca
     rows : ndarray of int, shape (n,)
         The rims' craters in the catalogue.
     gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
     camera : Camera
     catalog : Catalog
 
     Returns
     -------
     ndarray, shape (n, 5, 5)
-        Columns in units of the rim's mean radius: shift along l1 and l2, growth along l1, shear, growth
-        along l2.
+        Derivatives of the charts, in normalised image coordinates. Columns in units of the rim's mean radius:
+        shift along l1 and l2, growth along l1, shear, growth along l2.
     """
     return ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])[:, :, _IN_PLANE]
 
 
 def correlated_roots(
-    systematic: FloatArray,
-    level: FloatArray,
+    errors: RimErrors,
     rows: IntArray,
     gTb: FloatArray,
     sun_g: FloatArray,
@@ -99,18 +105,16 @@ def correlated_roots(
     catalog: Catalog,
     options: CorrelatedErrorOptions,
 ) -> tuple[FloatArray, FloatArray]:
-    """Roots of what lasts of the errors of a frame's rims.
+    """Compute the roots of the correlated errors of a frame's rims.
 
     Parameters
     ----------
-    systematic : ndarray, shape (n, 5, 5)
-        Systematic part of the charts' covariances.
-    level : ndarray, shape (n, 5)
-        Root of the part of it that is from the level of the ground's brightness.
+    errors : RimErrors
+        Of n rims.
     rows : ndarray of int, shape (n,)
         The rims' craters in the catalogue.
     gTb : ndarray, shape (4, 4)
-        Pose that sees them.
+        Pose of the body in g that sees them.
     sun_g : ndarray, shape (3,)
         Unit vector towards the sun in g.
     camera : Camera
@@ -122,33 +126,103 @@ def correlated_roots(
     correlated, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
         As in `RimSet`.
     """
-    centres, axes = catalog.centres[rows], catalog.axes[rows]
+    brightness = errors.brightness_root
     slopes = in_plane_slopes(rows, gTb, camera, catalog)
     inverse = np.linalg.inv(slopes)
-    own = systematic - options.brightness_share * level[:, :, None] * level[:, None, :]
+    own = errors.systematic - options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
     on_ground = options.crater_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
     correlated = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
+    shared = slopes @ _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
+    shared[:, :, 7] = np.sqrt(options.brightness_share) * brightness
+    return correlated, shared
+
+
+def _shared_on_ground(
+    rows: IntArray,
+    gTb: FloatArray,
+    sun_g: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    options: CorrelatedErrorOptions,
+) -> FloatArray:
+    """Roots (n, 5, 8) of the shared errors in the rims' planes, in radii; the last column is left zero."""
+    centres, axes = catalog.centres[rows], catalog.axes[rows]
     length_m = np.linalg.norm(axes, axis=-1)
     view = camera.gTc(gTb)[:3, 3] - centres
     range_m = np.linalg.norm(view, axis=-1)
     radius_px = camera.focal_px * np.sqrt(length_m.prod(axis=-1)) / range_m
-    # Towards the camera and the light, along l1 and l2.
+    # Unit vectors towards the camera and the sun: components along l1 and l2.
     along = axes / length_m[:, :, None]
-    toward = np.einsum("nki,ni->nk", along, view / range_m[:, None])
-    lit = along @ sun_g
-    sine2 = np.sum(toward**2, axis=-1, keepdims=True)
-    x, y = toward.T
-    # Of the map 1 + t t': growth along l1, shear, growth along l2.
+    camera_l = np.einsum("nki,ni->nk", along, view / range_m[:, None])
+    sun_l = along @ sun_g
+    sine2 = np.sum(camera_l**2, axis=-1, keepdims=True)
+    x, y = camera_l.T
+    # A stretch t along c is the map 1 + t c c': growth along l1, shear, growth along l2.
     stretch = np.stack([x * x, x * y, y * y], axis=-1)
     px = 1.0 / radius_px[:, None]
-    errors = np.zeros((len(rows), 5, SHARED_SIZE))
-    errors[:, :2, 0] = options.camera_shift_px * px * toward
-    errors[:, :2, 1] = options.camera_shift_px * px * sine2 * toward
-    errors[:, :2, 2] = options.sun_shift_px * px * lit
-    errors[:, 2:, 3] = options.stretch_px * px * stretch
-    errors[:, 2:, 4] = options.stretch_share * stretch
-    errors[:, [2, 4], 5] = options.size_px * px
-    errors[:, [2, 4], 6] = options.size_share
-    shared = slopes @ errors
-    shared[:, :, 7] = np.sqrt(options.brightness_share) * level
-    return correlated, shared
+    roots = np.zeros((len(rows), 5, SHARED_SIZE))
+    roots[:, :2, 0] = options.camera_shift_px * px * camera_l
+    roots[:, :2, 1] = options.camera_shift_px * px * sine2 * camera_l
+    roots[:, :2, 2] = options.sun_shift_px * px * sun_l
+    roots[:, 2:, 3] = options.stretch_px * px * stretch
+    roots[:, 2:, 4] = options.stretch_share * stretch
+    roots[:, [2, 4], 5] = options.size_px * px
+    roots[:, [2, 4], 6] = options.size_share
+    return roots
+
+
+def split(
+    errors: RimErrors,
+    variance_factor: float,
+    rows: IntArray,
+    gTb: FloatArray,
+    sun_g: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    options: CorrelatedErrorOptions,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Split the errors of a frame's rims into white, time-correlated and shared parts.
+
+    Parameters
+    ----------
+    errors : RimErrors
+        Of n rims, scaled by the frame's variance factor.
+    variance_factor : float
+        See `frame_scatter.variance_factor`.
+    rows, gTb, sun_g, camera, catalog, options
+        See `correlated_roots`: shapes (n,), (4, 4), (3,).
+
+    Returns
+    -------
+    covariance : ndarray, shape (n, 5, 5)
+        Of the whole error.
+    correlated, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
+        Roots of the time-correlated and the shared part of it.
+    """
+    correlated, shared = correlated_roots(errors, rows, gTb, sun_g, camera, catalog, options)
+    brightness = errors.brightness_root
+    # The time-correlated part and the shared brightness are in the covariance already, the other shared parts
+    # are new.
+    covariance = errors.covariance + shared @ np.swapaxes(shared, 1, 2)
+    covariance -= options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
+    covariance = covariance + options.excess_white_share * (variance_factor - 1.0) * errors.systematic
+    return covariance, correlated, shared
+
+
+def arc_sigma_px(minor_px: float, outline_share: float, options: CorrelatedErrorOptions) -> float:
+    """Compute the time-correlated standard deviation that the edge points of an arc share.
+
+    Parameters
+    ----------
+    minor_px : float
+        Semi-minor axis of the arc's rim, px.
+    outline_share : float
+        Median deviation of the frame's outlines from ellipses, in radii.
+    options : CorrelatedErrorOptions
+
+    Returns
+    -------
+    float
+        Outward shift, px.
+    """
+    return options.arc_px + float(np.hypot(options.arc_share, outline_share)) * minor_px

@@ -1,10 +1,11 @@
-"""What rims of rough ground usually err by.
+"""Pooled covariances: means over the frames that show the same crater.
 
-Where outlines deviate from ellipses a fit tells its own covariance poorly: from few harmonics, with points
-that one frame takes for the rim and the next for something else. So it is several times larger or smaller in
-the next frame. A mean over frames would follow those that happen to claim most, and an error that lasts would
-be thought to change as its claimed size does. What a crater's rim errs by is therefore taken from all frames
-that have shown it, most from those that showed it in the same size and slant.
+Where outlines deviate from ellipses, a fit estimates its own covariance poorly: from few harmonics, and with
+edge points that one frame assigns to the rim and the next to something else. The estimate is several times
+larger or smaller in the next frame. A weighted mean over frames would follow the frames that happen to claim
+the smallest covariance, and a time-correlated error would seem to change with its claimed size. Therefore a
+rim's covariance is pooled over all frames that have shown its crater, those with most weight that showed it
+at about the same size and foreshortening.
 """
 
 from dataclasses import dataclass, replace
@@ -20,18 +21,19 @@ from craternav_fg.vision.error_model.correlated import in_plane_slopes
 
 FloatArray = npt.NDArray[np.float64]
 
-# As many frames as what the rims of the present one err by in the mean counts for.
+# Weight, in frames, of the mean covariance of a frame's rims in the pool of a crater that is new: one frame
+# tells the covariance of a single rim poorly.
 PRIOR_FRAMES = 2.0
 
 
 @dataclass(frozen=True)
 class PoolingOptions:
-    """Which rims are given their usual covariances.
+    """Which rims get pooled covariances.
 
     Attributes
     ----------
     min_outline_share : float
-        Those of frames whose median rim deviates by more from an ellipse, in radii.
+        Rims are pooled in frames whose median rim deviates by more than this from an ellipse, in radii.
     memory : float
         Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e.
     """
@@ -41,17 +43,21 @@ class PoolingOptions:
 
 
 @dataclass(frozen=True)
-class _Crater:
-    """Sums over frames: weights, lasting and other covariance on the ground; the last frame's chart."""
+class _Pool:
+    """Weighted sums over the frames of one crater.
+
+    The sums (5, 5) of time-correlated and white covariance are those of errors on the ground, in radii;
+    `chart` (5,) is the rim's in the last frame.
+    """
 
     weight: float
-    lasting: FloatArray
+    correlated: FloatArray
     white: FloatArray
     chart: FloatArray
 
 
 class PooledErrors:
-    """Remembers what rims erred by, frame by frame.
+    """Pools of the craters of a descent, updated frame by frame.
 
     Parameters
     ----------
@@ -64,19 +70,25 @@ class PooledErrors:
         self._camera = camera
         self._catalog = catalog
         self._options = options
-        self._craters: dict[int, _Crater] = {}
+        self._pools: dict[int, _Pool] = {}
 
     def pool(self, rims: RimSet, gTb: FloatArray) -> RimSet:
-        """Return the rims of the next frame with their usual covariances.
+        """Add the rims of the next frame to the pools, and give them pooled covariances.
 
-        What lasts of an error is as usual. What does not is as usual at least: a fit that claims less than
-        others, of a rim half in the shade, is believed.
+        The time-correlated part becomes that of the pool. The white part becomes that of the pool, too, but
+        in no direction smaller than the fit claims: a fit that claims a larger covariance than others, of a
+        rim half in shadow, is believed.
 
         Parameters
         ----------
         rims : RimSet
+            Returned as it is when it has no correlated errors, no quality, or nearly elliptic outlines.
         gTb : ndarray, shape (4, 4)
-            Pose that sees them, about.
+            Approximate pose of the body in g that sees them.
+
+        Returns
+        -------
+        RimSet
         """
         quality = rims.quality
         if rims.correlated is None or quality is None or len(rims) == 0:
@@ -85,49 +97,52 @@ class PooledErrors:
             return rims
         slopes = in_plane_slopes(rims.craters, gTb, self._camera, self._catalog)
         inverse = np.linalg.inv(slopes)
-        turned = np.swapaxes(inverse, 1, 2)
         root = inverse @ rims.correlated
-        lasting, white = root @ np.swapaxes(root, 1, 2), inverse @ rims.uncorrelated_covariance @ turned
-        others = lasting.mean(axis=0), white.mean(axis=0)
+        correlated = root @ np.swapaxes(root, 1, 2)
+        white = inverse @ rims.uncorrelated_covariance @ np.swapaxes(inverse, 1, 2)
+        prior = correlated.mean(axis=0), white.mean(axis=0)
         for i, crater in enumerate(rims.craters.tolist()):
-            one = self._with(crater, rims.chart[i], lasting[i], white[i], others)
-            self._craters[crater] = one
-            lasting[i] = one.lasting / one.weight
-            white[i] = _at_least(one.white / one.weight, white[i])
-        correlated = slopes @ np.linalg.cholesky(lasting)
-        covariance = slopes @ white @ np.swapaxes(slopes, 1, 2) + correlated @ np.swapaxes(correlated, 1, 2)
+            pool = self._updated(crater, rims.chart[i], correlated[i], white[i], prior)
+            self._pools[crater] = pool
+            correlated[i] = pool.correlated / pool.weight
+            white[i] = _at_least(pool.white / pool.weight, white[i])
+        roots = slopes @ np.linalg.cholesky(correlated)
+        covariance = slopes @ white @ np.swapaxes(slopes, 1, 2) + roots @ np.swapaxes(roots, 1, 2)
         if rims.shared is not None:
             covariance = covariance + rims.shared @ np.swapaxes(rims.shared, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
-        return replace(rims, covariance=covariance, correlated=correlated)
+        return replace(rims, covariance=covariance, correlated=roots)
 
-    def _with(
+    def _updated(
         self,
         crater: int,
         chart: FloatArray,
-        lasting: FloatArray,
+        correlated: FloatArray,
         white: FloatArray,
-        others: tuple[FloatArray, FloatArray],
-    ) -> _Crater:
-        """Give a crater's sums with those of a frame; it begins with the mean of the frame's rims."""
-        before = self._craters.get(crater)
+        prior: tuple[FloatArray, FloatArray],
+    ) -> _Pool:
+        """Add one frame to a crater's pool; a new pool begins with the mean covariances of the frame."""
+        before = self._pools.get(crater)
         if before is None:
-            return _Crater(
+            return _Pool(
                 1.0 + PRIOR_FRAMES,
-                PRIOR_FRAMES * others[0] + lasting,
-                PRIOR_FRAMES * others[1] + white,
+                PRIOR_FRAMES * prior[0] + correlated,
+                PRIOR_FRAMES * prior[1] + white,
                 chart,
             )
-        kept = np.exp(-float(shape_change(before.chart, chart)) / self._options.memory)
-        return _Crater(
-            1.0 + kept * before.weight, kept * before.lasting + lasting, kept * before.white + white, chart
+        decay = np.exp(-float(shape_change(before.chart, chart)) / self._options.memory)
+        return _Pool(
+            1.0 + decay * before.weight,
+            decay * before.correlated + correlated,
+            decay * before.white + white,
+            chart,
         )
 
 
-def _at_least(usual: FloatArray, found: FloatArray) -> FloatArray:
-    """Covariance (5, 5) that is `found`, in its principal directions relative to `usual`, but not smaller."""
-    L = np.linalg.cholesky(usual)
+def _at_least(pooled: FloatArray, claimed: FloatArray) -> FloatArray:
+    """Covariance (5, 5) with the larger variance in each principal direction of one against the other."""
+    L = np.linalg.cholesky(pooled)
     inverse = np.linalg.inv(L)
-    ratio, directions = np.linalg.eigh(inverse @ found @ inverse.T)
+    ratio, directions = np.linalg.eigh(inverse @ claimed @ inverse.T)
     root = L @ directions
     return np.asarray((root * np.maximum(ratio, 1.0)) @ root.T)

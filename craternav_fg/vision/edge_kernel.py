@@ -1,0 +1,246 @@
+"""Edge points along the normals of one rim, compiled; see `edges`."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.vision.image_sampling import bicubic
+from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
+
+FloatArray = npt.NDArray[np.float64]
+ImageArray = npt.NDArray[np.float32]
+
+# Brightness, of 255, above which a pixel counts as saturated.
+_SATURATED_BRIGHTNESS = 250.0
+# Width of the second smoothing over that of the first: the crossing's displacement between them is observed.
+_SECOND_SMOOTHING_FACTOR = 2.2
+# Share of a rim's largest slope contrast below which errors of the reference brightness and of the rim's own
+# slope direction, which the prediction does not know, outweigh the noise of the pixels. Chosen on rendered
+# ground.
+_FLAT_CONTRAST_SHARE = 0.35
+# Prior weight of the canonical crater's displacement against the observed one, px^2.
+_BLUNTNESS_PRIOR_PX2 = 0.1
+# The inner wall and the outer slope are judged over this length, px, at least, and this share of the radius.
+_MIN_SIDE_PX, _SIDE_SHARE = 2.0, 0.12
+# Distance of the samples along a normal on small rims, px; it grows with the radius above 50 px.
+_SAMPLE_STEP_PX = 0.5
+# An edge is ambiguous if the second best one on its normal scores more than this share of the best.
+_MAX_SECOND_SCORE = 0.75
+
+
+@njit(cache=True, error_model="numpy")
+def _gaussian(width: float) -> FloatArray:
+    """Half of a Gaussian kernel (n,) from its centre, not normalised; `width` is in samples."""
+    kernel = np.empty(int(np.ceil(2.5 * width)) + 1)
+    for i in range(len(kernel)):
+        kernel[i] = np.exp(-0.5 * (i / width) ** 2)
+    return kernel
+
+
+@njit(cache=True, error_model="numpy")
+def _smoothed(raw: FloatArray, i: int, kernel: FloatArray) -> float:
+    """Sample `i` of a profile (n,) after smoothing, as if it ended where the samples do."""
+    total, mass = kernel[0] * raw[i], kernel[0]
+    for j in range(1, len(kernel)):
+        if i >= j:
+            total += kernel[j] * raw[i - j]
+            mass += kernel[j]
+        if i + j < len(raw):
+            total += kernel[j] * raw[i + j]
+            mass += kernel[j]
+    return total / mass
+
+
+@njit(cache=True, error_model="numpy")
+def _crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray) -> float:
+    """Place, in samples, of the fall of the smoothed profile through zero nearest `start`; NaN if none."""
+    i0 = int(np.floor(start))
+    best = np.nan
+    low, high = max(0, i0 - reach), min(len(raw) - 2, i0 + reach)
+    here = _smoothed(raw, low, kernel)
+    for i in range(low, high + 1):
+        after = _smoothed(raw, i + 1, kernel)
+        if here > 0.0 and after <= 0.0:
+            place = i + here / (here - after)
+            if not np.abs(place - start) > np.abs(best - start):
+                best = place
+        here = after
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def trace_rim(
+    image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float, reach_px: float,
+    smoothing_share: float, smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float,
+    noise_step: float, count: int, crossing_offset: FloatArray, table_blur: FloatArray,
+    table_contrast: FloatArray, lens: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:  # fmt: skip
+    """Find the edge points of one rim.
+
+    Parameters
+    ----------
+    image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
+    chart_px : ndarray, shape (5,)
+        Predicted rim, chart in pixels of the camera without distortion, as all results.
+    contrast_px : ndarray, shape (2,)
+        Slope contrast c in the image, per pixel of crater radius: ground that rises outward with slope 1 at a
+        rim point with image normal n and support distance h is brighter by the share -c . n / h.
+    reference : float
+        Reference brightness: that of locally flat terrain.
+    reach_px : float
+        Half length of the searched normals.
+    smoothing_share, smoothing_px : float
+        Standard deviation of the Gaussian smoothing along the normal: smoothing_share of the radius, at least
+        smoothing_px.
+    psf_px : float
+        Standard deviation of the point-spread function.
+    min_slope_contrast : float
+        Least absolute slope contrast across the rim of a normal that is searched.
+    min_step : float
+        Least relative brightness step across the edge, for a slope contrast of 1.
+    noise_step : float
+        Least relative brightness step between two pixels that noise does not explain; means over several
+        pixels on both sides scatter less.
+    count : int
+        Normals around the rim.
+    crossing_offset : ndarray, shape (m, k)
+        Outward displacement of the crossing in radii, see `crater_profile.crossing_table`.
+    table_blur, table_contrast : ndarray, shapes (m,), (k,)
+        The regular grid on which it is given: blur in radii, and slope contrast across the rim.
+    lens : ndarray, shape (10,)
+        `Camera.lens`.
+
+    Returns
+    -------
+    points : ndarray, shape (n, 2)
+        Pixels.
+    sigma_ratio : ndarray, shape (n,)
+        Standard deviations relative to one another: an edge is the less certain the smaller the slope
+        contrast, by itself and relative to the rim's largest.
+    motion : ndarray, shape (n, 2)
+        Motion of the points, px, per relative change of the reference brightness.
+    tried : int
+        Normals with enough contrast that lie in the image.
+    bluntness : float
+        Measured displacement of the crossing under more smoothing, relative to the canonical crater's.
+    """
+    points = np.empty((count, 2))
+    ratio = np.empty(count)
+    motion = np.empty((count, 2))
+    normal = np.empty((count, 2))
+    first = np.empty(count)
+    contrasts = np.empty(count)
+    more = np.empty(count)
+    found, tried, largest = 0, 0, 0.0
+    dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
+    q = np.empty(6)
+    bent = distorts(lens)
+    shrinks = 1.0
+    for k in range(count):
+        rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
+        h = q[4]
+        contrast = -(contrast_px[0] * q[2] + contrast_px[1] * q[3]) / h
+        if np.abs(contrast) < min_slope_contrast:
+            continue
+        if bent:
+            shrinks = through_lens(q, lens)
+            h = q[4]
+        smooth = max(smoothing_px, smoothing_share * h)
+        side = max(_MIN_SIDE_PX, _SIDE_SHARE * h)
+        step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
+        half = int(np.ceil((reach_px + side + 4.0 * smooth) / step))
+        raw = np.empty(2 * half + 1)
+        inside = True
+        sign = 1.0 if contrast > 0.0 else -1.0
+        for i in range(2 * half + 1):
+            t = (i - half) * step
+            value = bicubic(image, q[0] + t * q[2], q[1] + t * q[3])
+            if np.isnan(value):
+                inside = False
+                break
+            raw[i] = sign * (value / reference - 1.0)
+        if not inside:
+            continue
+        tried += 1
+        n_side = int(side / step + 0.5)
+        least = max(min_step * np.abs(contrast), noise_step / np.sqrt(side))
+        n_reach = int(np.ceil(reach_px / step))
+        best, second, where, fall = 0.0, 0.0, 0.0, 0.0
+        kernel = _gaussian(smooth / step)
+        here = _smoothed(raw, half - n_reach, kernel)
+        for i in range(half - n_reach, half + n_reach):
+            after = _smoothed(raw, i + 1, kernel)
+            if here > 0.0 and after <= 0.0:
+                inner, outer = 0.0, 0.0
+                for j in range(n_side):
+                    inner += raw[i - j]
+                    outer += raw[i + 1 + j]
+                place = i + here / (here - after)
+                t = (place - half) * step
+                score = (inner - outer) / n_side
+                if score > least:
+                    # Of two equal edges the one nearer to the prediction.
+                    score *= np.exp(-0.5 * (t / reach_px) ** 2)
+                    if score > best:
+                        second = best
+                        best = score
+                        where = place
+                        fall = (here - after) / step
+                    elif score > second:
+                        second = score
+            here = after
+        if not (best > 0.0 and second < _MAX_SECOND_SCORE * best):
+            continue
+        brightest = 0.0
+        for j in range(int(where) - n_side, int(where) + n_side + 2):
+            brightest = max(brightest, reference * (1.0 + sign * raw[j]))
+        if brightest > _SATURATED_BRIGHTNESS:
+            continue
+        blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
+        shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast)
+        wide = _SECOND_SMOOTHING_FACTOR * smooth
+        again = _crossing_near(raw, where, n_side + n_side // 2, _gaussian(wide / step))
+        if not np.isnan(again):
+            blur = np.sqrt(wide * wide + psf_px * psf_px) / h
+            expected = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast) - shift
+            moved = (again - where) * step
+            if np.abs(moved) < 4.0 * np.abs(expected) + 0.5:
+                dot += contrast * contrast * moved * expected
+                square += contrast * contrast * expected * expected
+        points[found, 0] = q[0]
+        points[found, 1] = q[1]
+        normal[found, 0] = q[2]
+        normal[found, 1] = q[3]
+        first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5]
+        more[found] = shift
+        ratio[found] = shrinks
+        contrasts[found] = np.abs(contrast)
+        largest = max(largest, np.abs(contrast))
+        motion[found, 0] = -sign * q[2] / fall
+        motion[found, 1] = -sign * q[3] / fall
+        found += 1
+    bluntness = dot / square
+    for i in range(found):
+        flat = _FLAT_CONTRAST_SHARE * largest / contrasts[i]
+        ratio[i] *= np.sqrt(1.0 + flat * flat) / contrasts[i]
+        t = first[i] - bluntness * more[i]
+        points[i, 0] += t * normal[i, 0]
+        points[i, 1] += t * normal[i, 1]
+        if bent:
+            back_through_lens(points[i], motion[i], lens)
+    return points[:found], ratio[:found], motion[:found], tried, bluntness
+
+
+@njit(cache=True, error_model="numpy")
+def _interpolate(
+    table: FloatArray, rows: FloatArray, columns: FloatArray, row: float, column: float
+) -> float:
+    """Bilinear value of a table on a regular grid, constant beyond its ends."""
+    x = min(max((row - rows[0]) / (rows[1] - rows[0]), 0.0), len(rows) - 1.0)
+    y = min(max((column - columns[0]) / (columns[1] - columns[0]), 0.0), len(columns) - 1.0)
+    i, j = min(int(x), len(rows) - 2), min(int(y), len(columns) - 2)
+    u, v = x - i, y - j
+    return (1.0 - u) * ((1.0 - v) * table[i, j] + v * table[i, j + 1]) + u * (
+        (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+    )

@@ -1,0 +1,33 @@
+"""Scatter of a frame's rims about their common pose, beyond what their covariances claim."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+FloatArray = npt.NDArray[np.float64]
+
+# With fewer rims the scatter about a pose of six unknowns says little about the covariances.
+_MIN_RIMS = 6
+
+
+def variance_factor(distance2: FloatArray, components: int) -> float:
+    """Compute the factor, at least 1, by which residuals exceed their covariances.
+
+    Rims on rough terrain scatter more about any pose than their own edge points show. The median is robust
+    against rims that are matched to the wrong crater.
+
+    Parameters
+    ----------
+    distance2 : ndarray, shape (n,)
+        Squared Mahalanobis distances of the residuals.
+    components : int
+        Components of each residual.
+
+    Returns
+    -------
+    float
+        Variance factor; 1 with too few rims.
+    """
+    if len(distance2) < _MIN_RIMS:
+        return 1.0
+    return max(1.0, float(np.median(distance2) / chi2.median(components)))

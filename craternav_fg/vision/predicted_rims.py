@@ -1,0 +1,130 @@
+"""Rims that a pose predicts in an image: their ellipses, slope contrast and reference brightness."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import pixel_chart, semi_minor_bound
+from craternav_fg.photometry import level_ground
+from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS, ReferenceBrightness
+from factors.kernels import conic
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PredictedRims:
+    """Predicted rims of one frame, in the image without lens distortion.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (n,)
+        The rims' craters in the catalogue.
+    charts : ndarray, shape (n, 5)
+        Ellipse charts in normalised image coordinates.
+    charts_px : ndarray, shape (n, 5)
+        The same in the pixels of `Camera.pinhole`.
+    slope_contrast : ndarray, shape (n,)
+        Relative change of brightness per unit slope, see `photometry`.
+    contrast_px : ndarray, shape (n, 2)
+        The same as a vector in the image, per pixel of crater radius, see `edge_kernel.trace_rim`.
+    reference : ndarray, shape (n,)
+        Reference brightness: that of locally flat terrain there, 0 to 255.
+    jacobians : ndarray, shape (n, 5, 6)
+        Derivative of the charts in the right twist of the body's pose (rotation, rad; translation in b, m).
+    """
+
+    rows: IntArray
+    charts: FloatArray
+    charts_px: FloatArray
+    slope_contrast: FloatArray
+    contrast_px: FloatArray
+    reference: FloatArray
+    jacobians: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def take(self, keep: IntArray) -> "PredictedRims":
+        """Select some rims.
+
+        Parameters
+        ----------
+        keep : ndarray of int, shape (k,)
+            Their indices.
+        """
+        return PredictedRims(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+    def smallest_radius_px(self, i: int) -> float:
+        """Give the approximate semi-minor axis of a rim, px."""
+        return float(semi_minor_bound(self.charts_px[i]))
+
+    def motion_px(self, camera: Camera) -> FloatArray:
+        """Differentiate the rims' centres, px, in the right twist of the body's pose.
+
+        Parameters
+        ----------
+        camera : Camera
+
+        Returns
+        -------
+        ndarray, shape (n, 2, 6)
+        """
+        return np.array([[camera.fx_px], [camera.fy_px]]) * self.jacobians[:, :2]
+
+
+def predict_rims(
+    rows: IntArray,
+    camera: Camera,
+    catalog: Catalog,
+    gTb: FloatArray,
+    sun_g: FloatArray,
+    brightness: ReferenceBrightness,
+) -> PredictedRims:
+    """Predict rims from a pose.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (n,)
+        Craters in the catalogue.
+    camera : Camera
+    catalog : Catalog
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    sun_g : ndarray, shape (3,)
+        Unit vector towards the sun in g.
+    brightness : ReferenceBrightness
+
+    Returns
+    -------
+    PredictedRims
+        Without those that the pose cannot see, and those on ground too dark to show an edge.
+    """
+    centres = catalog.centres[rows]
+    charts, H, seen = conic.chart_jacobian(gTb, camera.bTc, centres, catalog.axes[rows])
+    rows, centres, charts, H = rows[seen], centres[seen], charts[seen], H[seen]
+    gTc = camera.gTc(gTb)
+    view = gTc[:3, 3] - centres
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    law, contrast = level_ground(catalog.normals[rows], sun_g, view)
+    centres_c = (centres - gTc[:3, 3]) @ gTc[:3, :3]
+    points = centres_c[:, :2] / centres_c[:, 2:]
+    contrast_c = contrast @ gTc[:3, :3]
+    radius_m = np.sqrt(catalog.semi_major_m[rows] * catalog.semi_minor_m[rows])
+    contrast_px = (contrast_c[:, :2] - points * contrast_c[:, 2:]) * (radius_m / centres_c[:, 2])[:, None]
+    contrast_px *= [camera.fx_px, camera.fy_px]
+    reference = law * brightness.ratio(points)
+    lit = reference > MIN_REFERENCE_BRIGHTNESS
+    return PredictedRims(
+        rows[lit],
+        charts[lit],
+        pixel_chart(charts[lit], camera),
+        np.linalg.norm(contrast[lit], axis=-1),
+        np.ascontiguousarray(contrast_px[lit]),
+        reference[lit],
+        H[lit],
+    )
