@@ -10,18 +10,27 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 from evo.core import metrics as evo_metrics
 from evo.tools import file_interface
+from scipy.stats import chi2
 from typer.testing import CliRunner
 
 from craternav_fg.cli.app import app
 from craternav_fg.cli.descents import reconstruct
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
+from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.registry import DEFAULT
+from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
+from craternav_fg.pipeline.reconstruct import reconstruct as reconstruct_in_process
 from craternav_fg.runs.read import read_run
 from craternav_fg.simulation.scenario_file import load_scenario
+
+FloatArray = npt.NDArray[np.float64]
 
 FIELDS = {
     "position_rms_m",
@@ -98,20 +107,43 @@ def test_demo_writes_a_run_and_says_where(demo: tuple[Path, subprocess.Completed
         assert path.stat().st_size > 10_000
 
 
+def claimed(run: Path, estimator: str) -> FloatArray:
+    """Pose covariances (k, 6, 6) in a run's states."""
+    table = pq.read_table(run / "states.parquet")
+    own = table.filter(pc.equal(table["estimator"], estimator))
+    return np.array(own["pose_covariance"].to_pylist()).reshape(-1, 6, 6)
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def test_demo_finds_the_lander_from_25_deg_and_4_km(
     demo: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Nothing but the images can have told it: the prior is off by degrees and kilometres."""
+    """To the bound, from the images alone: the prior is off by degrees and kilometres."""
     run, _ = demo
     data = Dataset.open(run / "dataset")
     assert data.truth is not None
     assert np.linalg.norm(data.initial.gTb[:3, 3] - data.truth.gP[0]) > 1000.0
-    estimators = json.loads((run / "metrics.json").read_text())["estimators"]
-    for name in ("smoother", "online", "ekf"):
-        assert estimators[name]["position_rms_m"] < 60.0
-        assert estimators[name]["attitude_rms_deg"] < 0.1
-        assert estimators[name]["anees"] < 20.0
-    assert min(json.loads((run / "metrics.json").read_text())["craters_per_frame"]) >= 3
+    summary = json.loads((run / "metrics.json").read_text())
+    assert min(summary["craters_per_frame"]) >= 10
+    frames = reconstruct_in_process(data, ["dead_reckoning"]).frames
+    bound = posterior_bound(Descent.of(data), frames, data.truth)
+    # The EKF treats time-correlated errors as white with an inflated variance: it claims to know less.
+    for name, least, most in (
+        ("smoother", bound.smoothed, 1.05),
+        ("online", bound.filtered, 1.15),
+        ("ekf", bound.filtered, 2.0),
+    ):
+        best_m = rms(position_rms_m(least))
+        assert best_m < 10.0
+        assert 0.95 < rms(position_rms_m(claimed(run, name))) / best_m < most
+        # The errors of six frames in 20 s are nearly one error: chi-square of 3 and of 6.
+        errors = summary["estimators"][name]
+        assert errors["position_rms_m"] < best_m * np.sqrt(chi2.ppf(0.999, 3) / 3)
+        assert errors["anees"] < chi2.ppf(0.99, 6)
+        assert errors["attitude_rms_deg"] < 0.02
 
 
 def test_reconstruct_in_a_new_process_gives_the_demo_s_numbers(
@@ -236,8 +268,9 @@ def test_a_first_image_that_shows_nothing_only_delays_the_start(
     summary = json.loads(done.stdout)
     assert summary["craters_per_frame"][0] == 0
     for name in ("smoother", "ekf"):
-        assert summary["estimators"][name]["position_final_m"] < 60.0
-        assert summary["estimators"][name]["anees"] < 20.0
+        # As for the whole descent, whose last frame is known to 8 m.
+        assert summary["estimators"][name]["position_final_m"] < 8.0 * np.sqrt(chi2.ppf(0.999, 3) / 3)
+        assert summary["estimators"][name]["anees"] < chi2.ppf(0.99, 6)
 
 
 def test_version() -> None:
