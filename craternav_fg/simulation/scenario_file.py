@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from craternav_fg.camera import Camera
 from craternav_fg.config import BodySection, Positive, Section, Vector, read_toml, validate
@@ -330,8 +330,10 @@ class FaultsSection(Section):
     """Error of the catalogue's rim heights, as a part of the semi-major axis."""
     mounting_deg: NotNegative = 0.0
     """Angle by which the camera is turned from its mounting in the data set, about an axis at random."""
-    image_delay_s: float = 0.0
-    """Images are exposed so much later than they are stamped."""
+    time_offset_s: Annotated[
+        float, Field(validation_alias=AliasChoices("time_offset_s", "image_delay_s"))
+    ] = 0.0
+    """Camera-IMU time offset: an image is exposed this much after its stamp; formerly `image_delay_s`."""
     outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
     """Times from and to which there is no image; the first one is always there."""
     without_sun: bool = False

@@ -28,7 +28,7 @@ def catalogue(n: int) -> Catalog:
     )  # fmt: skip
 
 
-def test_a_misread_map_is_off_by_the_parts_asked_for() -> None:
+def test_a_perturbed_map_has_the_errors_asked_for() -> None:
     true = catalogue(4000)
     faults = FaultsSection(map_place=0.02, map_size=0.01, map_height=0.05)
     told = perturb_map(true, faults, np.random.default_rng(2))
@@ -43,7 +43,7 @@ def test_a_misread_map_is_off_by_the_parts_asked_for() -> None:
     assert told.identifiers == true.identifiers
 
 
-def test_a_rim_that_is_misread_in_size_only_keeps_its_outline_but_for_the_size() -> None:
+def test_errors_of_size_alone_keep_the_directions_of_the_axes() -> None:
     true = catalogue(500)
     told = perturb_map(true, FaultsSection(map_size=0.1), np.random.default_rng(3))
     swapped = told.angle_rad != true.angle_rad
@@ -84,7 +84,7 @@ def made(folder: Path, **faults: object) -> Dataset:
 
 def test_each_fault_changes_what_it_should_and_nothing_else(tmp_path: Path) -> None:
     plain = made(tmp_path / "plain")
-    late = made(tmp_path / "late", image_delay_s=0.5)
+    late = made(tmp_path / "late", time_offset_s=0.5)
     lost = made(tmp_path / "lost", outages_s=((2.0, 6.0),))
     dark = made(tmp_path / "dark", without_sun=True)
     assert plain.truth is not None

@@ -174,6 +174,21 @@ def test_a_base_may_stand_beside_and_have_a_base_and_rims_take_the_place_of_imag
     assert case.measurements == load_scenario("paper_case3").measurements
 
 
+@pytest.mark.parametrize("key", ["time_offset_s", "image_delay_s"])
+def test_the_time_offset_has_a_former_name(key, tmp_path):
+    text = f'base = "measured_descent"\n[faults]\n{key} = 0.015\n'
+    assert load_scenario(write(tmp_path, "a.toml", text)).faults.time_offset_s == 0.015
+
+
+def test_an_error_names_the_key_of_the_file(tmp_path):
+    text = 'base = "measured_descent"\n[faults]\nimage_delay_s = "0.01"\n'
+    with pytest.raises(InputError, match=r"a\.toml:3: faults\.(time_offset_s|image_delay_s): .*number"):
+        load_scenario(write(tmp_path, "a.toml", text))
+    both = 'base = "measured_descent"\n[faults]\nimage_delay_s = 0.01\ntime_offset_s = 0.01\n'
+    with pytest.raises(InputError, match=r"b\.toml:3: faults\.image_delay_s: unknown key"):
+        load_scenario(write(tmp_path, "b.toml", both))
+
+
 def test_craters_of_another_source_replace_the_base_s(tmp_path):
     text = 'base = "lunar_descent"\n[craters]\nsource = "file"\npath = "map.csv"\n'
     craters = load_scenario(write(tmp_path, "a.toml", text)).craters

@@ -1,0 +1,253 @@
+"""The simulated world of a scenario: trajectory, sun, terrain and craters, without any error of a sensor."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import SunVectors
+from craternav_fg.errors import CraternavError
+from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.relief import Relief, ReliefOptions
+from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
+from craternav_fg.simulation.scenario_file import (
+    Crater,
+    CraterFile,
+    CraterList,
+    RandomCraters,
+    Scenario,
+    TrajectorySection,
+)
+from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+from craternav_fg.simulation.trajectory import Descent
+
+FloatArray = npt.NDArray[np.float64]
+AnyCraters = RandomCraters | CraterFile | CraterList
+
+# Stored directions towards the sun are interpolated; it moves by less than 0.005 deg in this time.
+SUN_INTERVAL_NS = 10_000_000_000
+
+
+@dataclass(frozen=True)
+class World:
+    """A scenario's descent and what is seen on it.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    descent : Descent
+    camera : Camera
+        With its true mounting.
+    stamps_ns : ndarray of int, shape (k,)
+        Of the frames.
+    sun : SunVectors
+    relief : Relief or None
+        None where the scenario has no terrain.
+    catalog : Catalog
+        True craters.
+    clutter : Catalog or None
+        Craters of the terrain that the catalogue does not have.
+    """
+
+    scenario: Scenario
+    descent: Descent
+    camera: Camera
+    stamps_ns: npt.NDArray[np.int64]
+    sun: SunVectors
+    relief: Relief | None
+    catalog: Catalog
+    clutter: Catalog | None
+
+    def renderer(self) -> Renderer:
+        """Make the renderer of the scenario's images."""
+        terrain, light = self.scenario.terrain, self.scenario.render
+        assert self.relief is not None
+        assert terrain is not None
+        assert light is not None
+        options = TerrainOptions(
+            depth_scatter=terrain.depth_scatter,
+            irregularity=terrain.irregularity,
+            degradation=terrain.degradation,
+            peaks_from_m=math.inf if terrain.peaks_from_m is None else terrain.peaks_from_m,
+        )
+        same = light.model_dump(exclude={"sun_radius_deg", "bit_depth", "exposure_s", "hapke"})
+        hapke = None if light.hapke is None else Hapke(**light.hapke.model_dump())
+        sun_radius_rad = math.radians(light.sun_radius_deg)
+        return Renderer(
+            self.camera,
+            Terrain(self.catalog, self.relief, options, self.clutter),
+            RenderOptions(sun_radius_rad=sun_radius_rad, hapke=hapke, **same),
+        )
+
+
+def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> World:
+    """Make the world of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    rng : Generator
+        Terrain and craters.
+    trial : bool
+        Whether this is a trial of a Monte Carlo campaign: listed craters are then drawn anew if the list
+        says so.
+
+    Returns
+    -------
+    World
+
+    Raises
+    ------
+    InputError
+        When the scenario's crater file or elevation model is wrong.
+    CraternavError
+        When the trajectory leads into the ground.
+    """
+    body = scenario.body.body()
+    try:
+        descent = Descent(body, scenario.trajectory)
+    except ValueError as error:
+        raise CraternavError(f"scenario: [trajectory]: {error}") from None
+    stamps = frame_stamps(scenario.trajectory, scenario.faults.outages_s)
+    track = descent.evaluate(np.multiply(stamps, 1e-9)).gP
+    relief = _relief(scenario, body, rng)
+    if relief is not None and relief.dem is not None:
+        clear_m = float(np.min(body.altitude_m(track) - relief.dem.heights_m(track)))
+        if clear_m <= 0.0:
+            problem = f"the descent leads {-clear_m:.0f} m below the elevation model"
+            raise CraternavError(f"scenario: [trajectory]: {problem}")
+    if trial:
+        scenario = scenario.model_copy(update={"craters": trial_craters(scenario.craters, rng)})
+    catalog, clutter = _craters(scenario, body, track, relief, rng)
+    sun = sun_vectors(scenario, body, int(stamps[-1]))
+    return World(scenario, descent, _camera(scenario), stamps, sun, relief, catalog, clutter)
+
+
+def trial_craters(craters: AnyCraters, rng: np.random.Generator) -> AnyCraters:
+    """Draw the craters of one trial: those of a list with `trials` anew, all others unchanged."""
+    if not isinstance(craters, CraterList) or craters.trials is None:
+        return craters
+    n = len(craters.crater)
+    east, north = rng.normal(scale=craters.trials.place_sigma_m, size=(2, n))
+    axes = np.sort(rng.uniform(*craters.trials.semi_axes_m, size=(n, 2)), axis=1)
+    angles = rng.uniform(0.0, 180.0, size=n)
+    drawn = tuple(
+        crater.model_copy(
+            update={
+                "east_m": crater.east_m + float(east[k]),
+                "north_m": crater.north_m + float(north[k]),
+                "semi_major_m": float(axes[k, 1]),
+                "semi_minor_m": float(axes[k, 0]),
+                "angle_deg": float(angles[k]),
+            }
+        )
+        for k, crater in enumerate(craters.crater)
+    )
+    return craters.model_copy(update={"crater": drawn})
+
+
+def frame_stamps(
+    options: TrajectorySection, outages_s: Sequence[tuple[float, float]] = ()
+) -> npt.NDArray[np.int64]:
+    """Stamps of the images, from 0 to the end of the descent, without those in outages.
+
+    Parameters
+    ----------
+    options : TrajectorySection
+    outages_s : sequence of tuple of float
+        Beginnings and ends.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        Nanoseconds; the first image is always there.
+    """
+    count = math.floor(options.duration_s / options.frame_interval_s + 1e-9) + 1
+    seconds = np.arange(count) * options.frame_interval_s
+    lost = np.zeros(count, dtype=np.bool_)
+    for begin, end in outages_s:
+        lost |= (seconds >= begin) & (seconds < end)
+    lost[0] = False
+    return np.round(seconds[~lost] * 1e9).astype(np.int64)
+
+
+def sun_vectors(scenario: Scenario, body: Body, end_ns: int) -> SunVectors:
+    """Directions towards the sun in g from 0 to the end; the sun is fixed inertially."""
+    elevation, azimuth = math.radians(scenario.sun.elevation_deg), math.radians(scenario.sun.azimuth_deg)
+    level = math.cos(elevation)
+    enu = np.array([level * math.sin(azimuth), level * math.cos(azimuth), math.sin(elevation)])
+    stamps = np.append(np.arange(0, end_ns, SUN_INTERVAL_NS, dtype=np.int64), end_ns)
+    turned = frames.rotation_exp(np.multiply.outer(-stamps * 1e-9, np.array(body.spin_rad_s)))
+    return SunVectors(stamps, turned @ (_site(scenario.trajectory) @ enu))
+
+
+def _camera(scenario: Scenario) -> Camera:
+    """Give the camera with the blur and the bit depth that the data set states."""
+    camera, render = scenario.camera.camera(), scenario.render
+    if render is None:
+        return camera
+    # Averaging over a pixel's samples blurs by their standard deviation.
+    pixel_px = math.sqrt((1.0 - render.samples**-2) / 12.0)
+    return replace(camera, psf_sigma_px=math.hypot(render.psf_sigma_px, pixel_px), bit_depth=render.bit_depth)
+
+
+def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief | None:
+    terrain = scenario.terrain
+    if terrain is None:
+        return None
+    options = ReliefOptions(
+        slope=terrain.slope,
+        hurst=terrain.hurst,
+        coarsest_m=terrain.coarsest_m,
+        seed=int(rng.integers(2**31)),
+    )
+    dem = None if terrain.dem is None else read_dem(Path(terrain.dem), terrain.dem_unit_m, body.radius_m)
+    return Relief(body, _site(scenario.trajectory)[:, 2], options, dem)
+
+
+def _craters(
+    scenario: Scenario, body: Body, track: FloatArray, relief: Relief | None, rng: np.random.Generator
+) -> tuple[Catalog, Catalog | None]:
+    """Craters of the catalogue, and those of the terrain that it does not have."""
+    match scenario.craters:
+        case RandomCraters() as random:
+            assert relief is not None
+            options = CraterFieldOptions(
+                focal_px=scenario.camera.camera().focal_px, **random.model_dump(exclude={"source"})
+            )
+            catalog = random_craters(rng, body, track, options, relief)
+            if scenario.render is None:
+                return catalog, None
+            return catalog, random_clutter(rng, body, track, options, catalog)
+        case CraterFile() as file:
+            return import_catalog(Path(file.path), body)[0], None
+        case CraterList() as named:
+            return _named_craters(named.crater, _site(scenario.trajectory), body), None
+
+
+def _named_craters(craters: Sequence[Crater], gRe: FloatArray, body: Body) -> Catalog:
+    places = np.array([[c.east_m, c.north_m, body.radius_m] for c in craters])
+    lat, lon = frames.latitude_longitude(places @ gRe.T)
+    return Catalog(
+        identifiers=tuple(f"C{i + 1}" for i in range(len(craters))),
+        latitude_rad=lat,
+        longitude_rad=lon,
+        semi_major_m=np.array([c.semi_major_m for c in craters]),
+        semi_minor_m=np.array([c.semi_minor_m for c in craters]),
+        angle_rad=np.radians([c.angle_deg for c in craters]),
+        height_m=np.array([c.height_m for c in craters]),
+        body=body,
+    )
+
+
+def _site(options: TrajectorySection) -> FloatArray:
+    return frames.east_north_up(np.radians(options.site_latitude_deg), np.radians(options.site_longitude_deg))
