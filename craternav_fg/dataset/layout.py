@@ -132,7 +132,7 @@ TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 # Folder of the sensors, and those in it that every data set may have.
 SENSORS = "mav0"
-OWN_SENSORS = ("cam0", "imu0", "state_groundtruth_estimate0")
+OWN_SENSORS = ("cam0", "imu0", "features0", "state_groundtruth_estimate0")
 CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, ARCS, TILTS, SENSORS)
 
 STAMP = "timestamp"

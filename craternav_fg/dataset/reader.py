@@ -23,6 +23,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.sensors.files import folder_of, read_sensor
+from craternav_fg.sensors.point_features import FeatureTracks, read_features
 from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.sensors.registry import sensors
 from craternav_fg.tables import Table, read_table
@@ -66,6 +67,8 @@ class Dataset:
         Logs of the sensors beside camera and IMU.
     ignored : tuple of str
         Folders below `mav0` that no sensor known here reads.
+    features : FeatureTracks or None
+        Points tracked from frame to frame.
     """
 
     path: Path
@@ -82,6 +85,7 @@ class Dataset:
     measurements: tuple[FrameMeasurement, ...] | None
     sensors: tuple[Sensor, ...] = ()
     ignored: tuple[str, ...] = ()
+    features: FeatureTracks | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -139,6 +143,7 @@ class Dataset:
             truth,
             measurements,
             *_read_sensors(folder, catalog, int(stamps[0]), int(stamps[-1])),
+            read_features(folder, camera, stamps),
         )
 
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:

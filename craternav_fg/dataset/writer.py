@@ -21,6 +21,7 @@ from craternav_fg.files import replacing_folder
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.sensors.files import write_sensor
+from craternav_fg.sensors.point_features import FeatureTracks, write_features
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.tables import write_table
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -45,6 +46,7 @@ def write_dataset(
     images: Iterable[ImageArray] | None = None,
     measurements: Sequence[FrameMeasurement] | None = None,
     sensors: Sequence[Sensor] = (),
+    features: FeatureTracks | None = None,
     truth: Trajectory | None = None,
 ) -> Path:
     """Write a data set that `Dataset.open` reads; numbers read back exactly.
@@ -63,6 +65,7 @@ def write_dataset(
         Given in place of images.
     sensors : sequence of Sensor
         Logs of further sensors.
+    features : FeatureTracks, optional
     truth : Trajectory, optional
 
     Returns
@@ -105,6 +108,8 @@ def write_dataset(
         )
         for sensor in sensors:
             write_sensor(temporary, sensor)
+        if features is not None:
+            write_features(temporary, features)
         if truth is not None:
             (temporary / layout.TRUTH).parent.mkdir()
             q = frames.to_quaternion_wxyz(truth.gRb)

@@ -14,6 +14,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
 
@@ -54,6 +55,8 @@ class Descent:
         The prior, before the first frame.
     sensors : tuple of Sensor
         Beside camera and IMU.
+    features : FeatureTracks or None
+        Points tracked from frame to frame.
     """
 
     body: Body
@@ -63,6 +66,7 @@ class Descent:
     imu_noise: ImuNoise
     initial: InitialState
     sensors: tuple[Sensor, ...] = field(default=(), kw_only=True)
+    features: FeatureTracks | None = field(default=None, kw_only=True)
 
     @staticmethod
     def of(dataset: Dataset, initial: InitialState | None = None) -> "Descent":
@@ -88,7 +92,7 @@ class Descent:
             raise EstimationError("expected an initial state: the data set has none")
         return Descent(
             dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, known,
-            sensors=dataset.sensors,
+            sensors=dataset.sensors, features=dataset.features,
         )  # fmt: skip
 
 

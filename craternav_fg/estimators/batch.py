@@ -32,6 +32,7 @@ from craternav_fg.estimators.graph import (
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
+from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import FrameMeasurement
@@ -199,6 +200,8 @@ def build_graph(
     states = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
     added = gtsam.Values()
     bank = SensorBank(problem.sensors)
+    tracks = problem.features
+    features = None if tracks is None else FeatureStates(tracks, problem.camera)
     known: set[int] = set()
     add_calibration(graph, values, options.calibration)
 
@@ -213,6 +216,10 @@ def build_graph(
             errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed, known)
         add_frame(graph, problem, options, key, frame, states=states, values=added, map_errors=errors)
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), number, frame.stamp_ns)
+        if features is not None:
+            features.enter(
+                graph, added, number, frame.stamp_ns, lambda n: values.atPose3(X(n)).matrix(), values.exists
+            )
 
     add_image(0, problem.frames[0])
     number = 0

@@ -30,12 +30,14 @@ RELINEARISE = {
     "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
+    "l": np.full(3, 20.0),
     **{letter: np.full(int(letter), 1e3) for letter in SENSOR_BIASES},
 }
 # Letters of what belongs to one state; one of another letter, such as the mounting, belongs to all of them.
 STATE = ("x", "v", "b")
-# Letters of errors that outlast a frame: of one rim, shared by all rims, biases of sensors.
-LASTING = ("r", "s", *SENSOR_BIASES)
+# Letters of errors that outlast a frame: of one rim, shared by all rims, tracked points,
+# biases of sensors.
+LASTING = ("r", "s", "l", *SENSOR_BIASES)
 # Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
 # are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
 WILDFIRE = 1.0

@@ -28,6 +28,7 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -82,6 +83,8 @@ class OnlineSession:
     ) -> None:
         self._descent = descent
         self._bank = SensorBank(descent.sensors)
+        tracks = descent.features
+        self._features = None if tracks is None else FeatureStates(tracks, descent.camera)
         self._options = options
         self._solver = Isam(self._relinearise_m(descent.initial.gTb)) if solver is None else solver
         self._last = 0
@@ -132,6 +135,7 @@ class OnlineSession:
         add_sensors(graph, values, self._descent, self._bank.at(frame.stamp_ns), 0, frame.stamp_ns)
         gTb = start.gTb if start.frame == 0 else initial.gTb
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
+        self._add_features(graph, values, 0, frame.stamp_ns)
         self._update(graph, values, 0, frame.stamp_ns)
 
     def predict(self, stamp_ns: int) -> FilterState:
@@ -177,7 +181,22 @@ class OnlineSession:
             graph, values, self._descent, self._bank.at(frame.stamp_ns), last, frame.stamp_ns,
             self._solver.tree.valueExists,
         )  # fmt: skip
+        self._add_features(graph, values, last, frame.stamp_ns)
         self._update(graph, values, last, frame.stamp_ns)
+
+    def _add_features(self, graph: FactorGraph, values: gtsam.Values, number: int, stamp_ns: int) -> None:
+        """Add what tracked points say of a frame."""
+        if self._features is None:
+            return
+        tree = self._solver.tree
+
+        def pose(n: int) -> FloatArray | None:
+            key = int(X(n))
+            if values.exists(key):
+                return np.asarray(values.atPose3(key).matrix())
+            return np.asarray(tree.calculateEstimatePose3(key).matrix()) if tree.valueExists(key) else None
+
+        self._features.enter(graph, values, number, stamp_ns, pose, tree.valueExists)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
         predicted = position = values.atPose3(X(last)).translation()

@@ -26,6 +26,7 @@ STEP_SCALES: dict[str, FloatArray] = {
     "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
     "r": np.full(5, 1.0),
     "s": np.full(SHARED_SIZE, 1.0),
+    "l": np.full(3, 1e3),
     **{str(size): np.full(size, 1.0) for size in range(1, 10)},
     "b": np.array([3e-3, 3e-3, 3e-3, 5e-6, 5e-6, 5e-6]),
 }

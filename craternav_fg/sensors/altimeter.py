@@ -112,12 +112,13 @@ class Altimeter(Sensor):
         Returns
         -------
         ndarray, shape (1,)
-            NaN where the beam does not meet the ground.
+            NaN where the beam does not meet the ground, or the ground is too near to measure.
         """
         hit = self._hit(state)
         if hit is None:
             return np.full(1, np.nan)
-        return np.array([hit[0] + bias.sum() + self._sigma(hit[0]) * rng.standard_normal()])
+        range_m = hit[0] + bias.sum() + self._sigma(hit[0]) * rng.standard_normal()
+        return np.array([range_m if range_m > 0.0 else np.nan])
 
     def fault(self, row: int) -> tuple[str, str] | None:
         """Refuse ranges that are not positive or beyond ten radii; see `Sensor.fault`.

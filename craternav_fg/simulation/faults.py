@@ -9,7 +9,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.simulation.scenario_file import FaultsSection
 
 FloatArray = npt.NDArray[np.float64]
@@ -85,3 +85,21 @@ def perturb_mounting(camera: Camera, faults: FaultsSection, rng: np.random.Gener
     bTc = camera.bTc.copy()
     bTc[:3, :3] = bTc[:3, :3] @ turn
     return replace(camera, bTc=bTc)
+
+
+def without_craters(frame: FrameMeasurement, faults: FaultsSection) -> FrameMeasurement:
+    """Take the rims and the sun tilt out of a frame inside a stretch without craters.
+
+    Parameters
+    ----------
+    frame : FrameMeasurement
+    faults : FaultsSection
+
+    Returns
+    -------
+    FrameMeasurement
+    """
+    seconds = 1e-9 * frame.stamp_ns
+    if any(begin <= seconds < end for begin, end in faults.craterless_s):
+        return FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
+    return frame

@@ -4,10 +4,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from craternav_fg.camera import Camera
+from craternav_fg.sensors.point_features import NAME as FEATURES
+from craternav_fg.sensors.point_features import FeatureTracks, simulate_features
 from craternav_fg.sensors.protocol import Sensor, SensorState, Surroundings
-from craternav_fg.simulation.sensor_tables import sensor_plan
+from craternav_fg.simulation.sensor_tables import feature_plan, sensor_plan
 from craternav_fg.simulation.trajectory import Descent
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 
 def simulate_sensors(
@@ -38,6 +45,8 @@ def simulate_sensors(
     """
     out = []
     for name, table in tables.items():
+        if name == FEATURES:
+            continue
         kind, settings, plan = sensor_plan(name, table)
         step = round(1e9 / settings.rate_hz)
         stamps = np.arange(begin_ns, end_ns + 1, step, dtype=np.int64)
@@ -54,3 +63,37 @@ def simulate_sensors(
         if sound.any():
             out.append(kind(settings, sensor.stamps_ns[sound], sensor.values[sound], surroundings))
     return out
+
+
+def simulate_tracks(
+    tables: Mapping[str, Mapping[str, Any]],
+    camera: Camera,
+    stamps_ns: IntArray,
+    gTb: FloatArray,
+    surroundings: Surroundings,
+    rng: np.random.Generator,
+) -> FeatureTracks | None:
+    """Draw the tracks of `[sensors.features]`; None without that table.
+
+    Parameters
+    ----------
+    tables : mapping
+        `[sensors]` of the scenario.
+    camera : Camera
+    stamps_ns : ndarray of int, shape (k,)
+        Of the frames, ns.
+    gTb : ndarray, shape (k, 4, 4)
+        True poses of the body in g, m.
+    surroundings : Surroundings
+        The true ones.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    FeatureTracks or None
+    """
+    if FEATURES not in tables:
+        return None
+    settings, plan = feature_plan(tables[FEATURES])
+    poses = list(zip(stamps_ns.tolist(), gTb, strict=True))
+    return simulate_features(settings, plan, camera, poses, surroundings, rng.spawn(1)[0])

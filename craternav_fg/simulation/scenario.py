@@ -13,7 +13,7 @@ from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.simulation import faults, sensors
-from craternav_fg.simulation.other_sensors import simulate_sensors
+from craternav_fg.simulation.other_sensors import simulate_sensors, simulate_tracks
 from craternav_fg.simulation.scenario_file import Scenario
 from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.simulation.world import World, make_world
@@ -73,6 +73,8 @@ def simulate(
     )
     surroundings = Surroundings(descent.body, ground_heights(world.catalog))
     others = simulate_sensors(scenario.sensors, descent, surroundings, begin_ns, end_ns, sensor_rng)
+    poses = descent.evaluate(_exposures_s(world)).gTb
+    features = simulate_tracks(scenario.sensors, world.camera, stamps, poses, surroundings, sensor_rng)
     catalog = faults.perturb_map(world.catalog, scenario.faults, fault_rng)
     camera = faults.perturb_mounting(world.camera, scenario.faults, fault_rng)
 
@@ -98,6 +100,7 @@ def simulate(
         images=images,
         measurements=measured,
         sensors=others,
+        features=features,
         truth=_truth(descent, imu, bias, stamps, others),
     )
 
@@ -141,7 +144,8 @@ def _measurements(
             options=options,
             rng=rngs[0],
         )
-        yield faults.swap_matches(frame, world.catalog, world.scenario.faults, rngs[1])
+        frame = faults.swap_matches(frame, world.catalog, world.scenario.faults, rngs[1])
+        yield faults.without_craters(frame, world.scenario.faults)
         done(k)
 
 

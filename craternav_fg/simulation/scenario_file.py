@@ -13,7 +13,7 @@ from craternav_fg.config import BodySection, Positive, Section, Vector, read_tom
 from craternav_fg.errors import InputError
 from craternav_fg.frames import pose, rotation_exp
 from craternav_fg.imu import ImuNoise
-from craternav_fg.simulation.sensor_tables import sensor_plan
+from craternav_fg.simulation.sensor_tables import check_sensor
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 
@@ -336,14 +336,17 @@ class FaultsSection(Section):
     """Camera-IMU time offset: an image is exposed this much after its stamp; formerly `image_delay_s`."""
     outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
     """Times from and to which there is no image; the first one is always there."""
+    craterless_s: tuple[tuple[NotNegative, Positive], ...] = ()
+    """Times from and to which images show no crater of the catalogue; not with images."""
     without_sun: bool = False
     """No sun tilt is measured; not with images."""
 
     @model_validator(mode="after")
     def _outages_last(self) -> "FaultsSection":
-        for begin, end in self.outages_s:
-            if not begin < end:
-                raise ValueError(f"outages_s: expected ends after beginnings, found {begin} to {end}")
+        for name in ("outages_s", "craterless_s"):
+            for begin, end in getattr(self, name):
+                if not begin < end:
+                    raise ValueError(f"{name}: expected ends after beginnings, found {begin} to {end}")
         return self
 
 
@@ -386,11 +389,13 @@ class Scenario(Section):
         if (self.render is None) == (self.measurements is None):
             raise ValueError("expected either a table [render] or a table [measurements]")
         for name, table in self.sensors.items():
-            sensor_plan(name, table)
+            check_sensor(name, table)
         if self.terrain is None and (self.render is not None or self.craters.source == "random"):
             raise ValueError("expected a table [terrain] for [render] and for random craters")
-        if self.measurements is None and (self.faults.wrong_matches > 0.0 or self.faults.without_sun):
-            raise ValueError("wrong_matches and without_sun need a table [measurements]")
+        if self.measurements is None and (
+            self.faults.wrong_matches > 0.0 or self.faults.without_sun or self.faults.craterless_s
+        ):
+            raise ValueError("wrong_matches, without_sun and craterless_s need a table [measurements]")
         return self
 
 

@@ -11,6 +11,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
 from craternav_fg.estimators.ekf.fusion import Rule, combine, fuse_updates
+from craternav_fg.estimators.ekf.point_features import FeatureWindow
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import (
     LinearMeasurement,
@@ -97,6 +98,10 @@ class DistributedEkf:
         filters = dict.fromkeys(problem.frames[first].rims.craters.tolist(), base)
         fusion = self.options.fusion
         bank = SensorBank(problem.sensors)
+        window = None
+        if problem.features is not None:
+            window = FeatureWindow(problem.features, problem.camera, len(base.covariance))
+            base = window.update(base, problem.frames[first].stamp_ns)
         for last, frame in itertools.pairwise(problem.frames[first:]):
             prior = filter_state.propagate(base, problem, last.stamp_ns, frame.stamp_ns)
             if fusion == "paper":
@@ -109,7 +114,9 @@ class DistributedEkf:
                 states.append(fused)
             else:
                 base = self._update(prior, frame, problem, fusion, bank)
-                states.append(base)
+                if window is not None:
+                    base = window.update(base, frame.stamp_ns)
+                states.append(base if window is None else window.without_clones(base))
         return states
 
     def _step_each(
