@@ -1,4 +1,8 @@
-"""Linear algebra of small matrices whose unknowns differ by orders of magnitude, and orthonormal triads."""
+"""Linear algebra of small covariances whose unknowns differ by orders of magnitude, and orthonormal triads.
+
+Radians beside metres cost half the digits of an inverse. So matrices are scaled to a unit diagonal before
+they are factored or inverted, and the result is scaled back.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,33 +11,129 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def scaled_inverse(N: FloatArray) -> FloatArray:
-    """Inverse of positive definite matrices (..., n, n), scaled to a unit diagonal before it is taken."""
+    """Invert positive definite matrices, scaled to a unit diagonal.
+
+    Parameters
+    ----------
+    N : ndarray, shape (..., n, n)
+        Covariances or information matrices.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+        Inverses.
+    """
     s = 1.0 / np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
     scale = s[..., :, None] * s[..., None, :]
     return np.asarray(np.linalg.inv(N * scale) * scale)
 
 
+def square_root(covariance: FloatArray) -> FloatArray:
+    """Factor covariances by Cholesky, scaled to a unit diagonal.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (..., n, n)
+        Positive definite.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+        Lower triangular L with L L' = covariance.
+
+    Raises
+    ------
+    LinAlgError
+        When a covariance is not positive definite.
+    """
+    L, sigmas = _scaled_root(covariance)
+    return np.asarray(sigmas[..., :, None] * L)
+
+
+def whitening(covariance: FloatArray) -> FloatArray:
+    """Compute matrices that turn errors of some covariances into errors of unit covariance.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (..., n, n)
+        Positive definite.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+        W with W covariance W' = I and W' W = covariance^-1; lower triangular, to rounding.
+
+    Raises
+    ------
+    LinAlgError
+        When a covariance is not positive definite.
+    """
+    L, sigmas = _scaled_root(covariance)
+    # The inverse of a small factor, not a triangular solve: LAPACK's starts threads whatever the size.
+    return np.asarray(np.linalg.inv(L) / sigmas[..., None, :])
+
+
+def squared_distance(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Compute squared Mahalanobis distances r' C^-1 r.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (..., n)
+        Residuals r.
+    covariance : ndarray, shape (..., n, n)
+        Covariances C, positive definite.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Chi-square with n degrees of freedom when C is the covariance of r.
+    """
+    sigmas = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    e = residual / sigmas
+    solved = np.linalg.solve(covariance / (sigmas[..., :, None] * sigmas[..., None, :]), e[..., None])
+    return np.asarray(np.sum(e * solved[..., 0], axis=-1))
+
+
+def _scaled_root(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cholesky factors of the correlations, and the standard deviations."""
+    sigmas = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    return np.linalg.cholesky(covariance / (sigmas[..., :, None] * sigmas[..., None, :])), sigmas
+
+
 def triads(along: FloatArray, aside: FloatArray) -> FloatArray:
-    """Rotations with a first column along given unit vectors.
+    """Build rotations whose first column is along a given direction (TRIAD).
 
     Parameters
     ----------
     along : ndarray, shape (..., 3)
         Unit vectors: the first columns.
     aside : ndarray, shape (..., 3)
-        Its part orthogonal to `along` gives the second columns.
+        Vectors of any length; the part orthogonal to `along` gives the second columns.
 
     Returns
     -------
     ndarray, shape (..., 3, 3)
+        Right-handed rotations.
     """
     e = aside - np.sum(aside * along, axis=-1, keepdims=True) * along
+    # Where both are parallel the second column is zero, not NaN.
     e /= np.linalg.norm(e, axis=-1, keepdims=True) + 1e-300
     return np.stack([along, e, np.cross(along, e)], axis=-1)
 
 
 def bisecting_triads(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Rotations (..., 3, 3) with columns along the sum and the difference of unit vectors (..., 3)."""
+    """Build rotations from pairs of directions that count alike: along their sum and their difference.
+
+    Parameters
+    ----------
+    one, other : ndarray, shape (..., 3)
+        Unit vectors, neither equal nor opposite.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Right-handed rotations.
+    """
     middle = one + other
     middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
     across = one - other

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.linalg import squared_distance
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -126,8 +128,7 @@ class RimSet:
             Predicted charts, in normalised image coordinates.
         """
         off = self.chart[:, 2:] - charts[:, 2:]
-        white = np.linalg.solve(self.covariance[:, 2:, 2:], off[..., None])[..., 0]
-        near = np.sum(off * white, axis=1) < EXPECTED_SIGMAS**2
+        near = squared_distance(off, self.covariance[:, 2:, 2:]) < EXPECTED_SIGMAS**2
         T = np.zeros((len(self), 5, 5))
         T[:] = np.eye(5)
         first = np.exp(off[near, 0])

@@ -23,6 +23,7 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.linearisation import LinearMeasurement, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.start import find_start
+from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import FrameMeasurement, RimSet
 
 FloatArray = npt.NDArray[np.float64]
@@ -134,7 +135,7 @@ def _track(problem: Problem, start: Start, frames: Sequence[FrameMeasurement], l
     states = filter_state.until_start(replace(problem, start=start))
     prior = filter_state.carried_prior(problem, frames[: first + 1])[-1]
     off = states[-1].minus(prior)[POSE]
-    cost = float(off @ np.linalg.solve(prior.covariance[POSE, POSE], off))
+    cost = float(squared_distance(off, prior.covariance[POSE, POSE]))
     _, residual, usable = _linearised(problem, frames[first], start.gTb)
     squared = np.where(usable, np.sum(residual**2, axis=1), np.inf)
     cost += float(np.minimum(squared, limit2).sum())
@@ -203,9 +204,7 @@ def agreeing(
         off = residual - A @ (to_i @ solved[i, :, 0])
         left = covariance - to_i @ solved[i, :, 1:] @ covariance
         spread = A @ left @ np.swapaxes(A, 1, 2) + np.eye(m)
-        squared = np.where(
-            usable, np.sum(off * np.linalg.solve(spread, off[:, :, None])[:, :, 0], axis=1), np.inf
-        )
+        squared = np.where(usable, squared_distance(off, spread), np.inf)
         squared[i] = alone[i]
         total = float(np.minimum(squared, limit2).sum())
         if total < cost:

@@ -24,6 +24,7 @@ from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval
 from craternav_fg.estimators.linearisation import linearise_arcs
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.trajectory import Trajectory
@@ -153,7 +154,7 @@ class GncSmoother:
         for i in range(len(arcs)):
             for one in linearise_arcs(gTb, alone.take(np.array([i])), problem.camera, problem.catalog):
                 S = one.A @ covariance @ one.A.T + np.eye(len(one.A))
-                squared = float(one.residual @ np.linalg.solve(S, one.residual))
+                squared = float(squared_distance(one.residual, S))
                 fits[i] = squared <= self._limit2(len(one.residual))
         return arcs.take(fits)
 

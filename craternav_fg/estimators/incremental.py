@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
+from craternav_fg.linalg import whitening
 from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
@@ -239,11 +240,11 @@ class Isam:
         if pose in keys and not np.diag(joint.at(pose, pose))[:3].max() < SNAPSHOT_RAD**2:
             return None
         try:
-            whitening = np.linalg.inv(np.linalg.cholesky(joint.fullMatrix()))
+            W = whitening(joint.fullMatrix())
         except np.linalg.LinAlgError:
             # Rounding; a larger tree is better than a wrong prior.
             return None
-        blocks = np.split(whitening, np.cumsum([joint.at(key, key).shape[0] for key in keys])[:-1], axis=1)
+        blocks = np.split(W, np.cumsum([joint.at(key, key).shape[0] for key in keys])[:-1], axis=1)
         point = self._tree.calculateBestEstimate()
         for symbol in symbols:
             if symbol.key() not in keys:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import conic_jacobians, conics_of_charts
+from craternav_fg.linalg import whitening
 from craternav_fg.measurements import ArcSet, RimSet, SunTilt
 from factors.kernels import conic, rim, robust, shape, sun
 
@@ -109,12 +110,9 @@ def _conic_jacobians(rims: RimSet) -> FloatArray:
 
 
 def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    # The rows of eq. (19) differ by the square of a length in metres: scale before factoring.
-    scale = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    root = np.linalg.cholesky(covariance / (scale[:, :, None] * scale[:, None, :]))
-    stacked = np.concatenate([H, innovation[:, :, None]], axis=2) / scale[:, :, None]
-    white: FloatArray = np.linalg.solve(root, stacked).astype(np.float64)
-    return white[:, :, :6], white[:, :, 6]
+    # The rows of eq. (19) differ by the square of a length in metres.
+    W = whitening(covariance)
+    return W @ H, np.einsum("nij,nj->ni", W, innovation)
 
 
 def linearise_arcs(

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import FrameMeasurement
 from factors.kernels import conic
 
@@ -67,8 +68,7 @@ def noise_inflation(
         bounds a measurement's influence as Huber's loss does.
     """
     predicted = A @ covariance @ np.swapaxes(A, 1, 2)
-    solved = np.linalg.solve(predicted + np.eye(A.shape[1]), residual[:, :, None])[:, :, 0]
-    squared = np.sum(residual * solved, axis=1)
+    squared = squared_distance(residual, predicted + np.eye(A.shape[1]))
     factor = np.ones(len(A))
     for i in np.flatnonzero(squared > limit * limit):
         values, vectors = np.linalg.eigh(predicted[i])

@@ -16,6 +16,7 @@ from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.frames import rotate_position_block
+from craternav_fg.linalg import scaled_inverse
 from craternav_fg.measurements import FrameMeasurement
 
 FloatArray = npt.NDArray[np.float64]
@@ -64,9 +65,7 @@ def find_start(
         add_frame(graph, descent, options, X(0), frames[number], scale)
         values = levenberg_marquardt(graph, values).values
     information, _ = graph.linearize(values).hessian()
-    # Scaled before inversion: radians and metres differ by six orders of magnitude.
-    scales = 1.0 / np.sqrt(np.diag(information))
-    posterior = np.linalg.inv(information * np.outer(scales, scales)) * np.outer(scales, scales)
+    posterior = scaled_inverse(information)
     gTb = np.ascontiguousarray(values.atPose3(X(0)).matrix())
     return Start(gTb, rotate_position_block(posterior, gTb[:3, :3]), number)
 

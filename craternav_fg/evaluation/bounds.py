@@ -18,6 +18,7 @@ from craternav_fg.estimators.correlated_errors import SIZE, VARIANCE_INFLATION, 
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
+from craternav_fg.linalg import square_root, whitening
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import Trajectory
@@ -206,16 +207,16 @@ def _information(
     rims = frame.rims
     white = replace(rims, covariance=rims.uncorrelated_covariance)
     A, _, usable = linearise_rims(gTb, white, camera, catalog, model="chart", noise="measured")
-    root = np.linalg.cholesky(white.covariance)
+    W = whitening(white.covariance)
     rows = []
     for i in np.flatnonzero(usable):
         J = np.zeros((5, beside.size))
         J[:, _POSE] = A[i] * sigmas[_POSE]
         if rims.correlated is not None:
             first = beside.first[int(rims.craters[i])]
-            J[:, first : first + SIZE] = np.linalg.solve(root[i], rims.correlated[i])
+            J[:, first : first + SIZE] = W[i] @ rims.correlated[i]
         if rims.shared is not None:
-            J[:, _SIZE : _SIZE + SHARED_SIZE] = np.linalg.solve(root[i], rims.shared[i])
+            J[:, _SIZE : _SIZE + SHARED_SIZE] = W[i] @ rims.shared[i]
         rows.append(J)
     others = linearise_arcs(gTb, frame.arcs.inflate_correlated(VARIANCE_INFLATION), camera, catalog)
     sun = linearise_sun(gTb, frame.sun, camera)
@@ -267,7 +268,6 @@ def _transition(
 
 def _updated(covariance: FloatArray, information: FloatArray) -> FloatArray:
     """Covariance (n, n) after information (n, n) is added: (P^-1 + I)^-1."""
-    L = np.linalg.cholesky(covariance)
-    inverse = np.linalg.inv(np.linalg.cholesky(np.eye(len(L)) + L.T @ information @ L))
-    root = inverse @ L.T
+    L = square_root(covariance)
+    root = whitening(np.eye(len(L)) + L.T @ information @ L) @ L.T
     return np.asarray(root.T @ root)

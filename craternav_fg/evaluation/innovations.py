@@ -19,6 +19,7 @@ from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.evaluation.consistency import mean_interval
+from craternav_fg.linalg import whitening
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -157,9 +158,8 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
 
 def _whitened(A: FloatArray, residual: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows (m, 6) in units of the prediction's sigmas, and innovations (m,), both of unit covariance."""
-    L = np.linalg.cholesky(A @ P @ A.T + np.eye(len(A)))
-    sigmas = np.sqrt(np.diag(P))
-    return np.linalg.solve(L, A * sigmas), np.linalg.solve(L, residual)
+    W = whitening(A @ P @ A.T + np.eye(len(A)))
+    return W @ A * np.sqrt(np.diag(P)), W @ residual
 
 
 def _along_prediction(rows: FloatArray, innovation: FloatArray) -> tuple[float, int]:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
+from craternav_fg.linalg import squared_distance
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -97,11 +98,7 @@ def errors(estimate: Trajectory, truth: Trajectory) -> Errors:
 
 def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
     """Normalised estimation error squared e' S^-1 e, shape (k,), of errors (k, d)."""
-    # Scaled to unit diagonal: radians beside metres would cost half the digits.
-    scale = np.sqrt(np.einsum("kii->ki", covariance))
-    correlation = covariance / (scale[:, :, None] * scale[:, None, :])
-    e = error / scale
-    return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(correlation, e[..., None])[..., 0]))
+    return squared_distance(error, covariance)
 
 
 def metrics(estimate: Trajectory, truth: Trajectory | None) -> Metrics:

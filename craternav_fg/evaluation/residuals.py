@@ -8,6 +8,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.linalg import whitening
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import conic
@@ -43,8 +44,7 @@ def rim_residuals(
         predicted, _ = conic.project_rims(
             gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]
         )
-        L = np.linalg.cholesky(rims.covariance)
-        parts.append(np.linalg.solve(L, (rims.chart - predicted)[..., None])[..., 0])
+        parts.append(np.einsum("nij,nj->ni", whitening(rims.covariance), rims.chart - predicted))
     return np.concatenate(parts)
 
 

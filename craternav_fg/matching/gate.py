@@ -19,7 +19,7 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import mean_radius, relative_covariance
-from craternav_fg.linalg import bisecting_triads, scaled_inverse
+from craternav_fg.linalg import bisecting_triads, scaled_inverse, squared_distance
 from craternav_fg.matching.gate_geometry import raised_above_ground
 from factors.kernels import conic, rim_poses
 
@@ -324,7 +324,7 @@ class _Search:
             # Two rims close together tell the roll badly.
             slack = slack / max(float(np.linalg.norm(self.ray[i] - self.ray[j])), 0.05) ** 2
         spread = self.covariance[:3, :3] + slack[:, None, None] * np.eye(3)
-        cost = np.einsum("ni,ni->n", turn, np.linalg.solve(spread, turn[:, :, None])[:, :, 0])
+        cost = squared_distance(turn, spread)
         near = cost < chi2.ppf(self.options.probability, 3)
         pairs = np.column_stack([np.full(len(m), i), m, np.full(len(m), j), k])
         return pairs[near], gRc[near], cost[near]

@@ -15,6 +15,7 @@ from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import find_start
+from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.acquire.search import acquire, image_spread_px
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
@@ -231,9 +232,7 @@ class Tracker:
         self._poor_frames = 0
         step = _pose_step(predicted, fix)
         spread = predicted.covariance[POSE, POSE] + FIX_VARIANCE_INFLATION * fix.pose_covariance
-        scale = np.sqrt(np.diag(spread))
-        whitened = np.linalg.solve(spread / np.outer(scale, scale), step / scale) @ (step / scale)
-        if index > 0 and whitened < CONTRADICTION_CHI2:
+        if index > 0 and squared_distance(step, spread) < CONTRADICTION_CHI2:
             self._session.update(frame)
             return
         tracked = [k for k, one in enumerate(self._measured) if len(one.rims) >= MIN_AGREEING_RIMS]

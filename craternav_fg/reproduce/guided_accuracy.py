@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.ellipse import axes_of_chart, pixel_chart
+from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation.scenes import Scene
 from craternav_fg.vision.guided import GuidedFrontEnd
@@ -145,7 +146,7 @@ def rim_errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> R
     centres, axes = one.catalog.centres[rims.craters], one.catalog.axes[rims.craters]
     truth = project_rims(one.gTb, one.camera.bTc, centres, axes)[0]
     error = rims.chart - truth
-    chi2 = np.einsum("ni,ni->n", error, np.linalg.solve(rims.covariance, error[..., None])[..., 0])
+    chi2 = squared_distance(error, rims.covariance)
     measured, true = (axes_of_chart(pixel_chart(charts, one.camera)) for charts in (rims.chart, truth))
     difference = measured - true
     return RimErrors(difference[:, :2], difference[:, 2:4], chi2, true[:, 3], len(wanted))

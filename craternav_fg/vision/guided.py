@@ -14,13 +14,14 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
 from craternav_fg.frames import rotate_position_block
+from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import judge
 from craternav_fg.vision.error_model.correlated import arc_sigma_px, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
-from craternav_fg.vision.pose_correction import corrected_pose, squared_distance
+from craternav_fg.vision.pose_correction import corrected_pose
 from craternav_fg.vision.predicted_rims import PredictedRims, predict_rims
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
 from craternav_fg.vision.rim_fitting import FittedRims, RimFitter

@@ -4,26 +4,12 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
+from craternav_fg.linalg import scaled_inverse, whitening
 
 FloatArray = npt.NDArray[np.float64]
 
 # Iterations of the weights, and the largest change at which they have converged.
 _MAX_ITERATIONS, _WEIGHT_TOLERANCE = 12, 1e-3
-
-
-def squared_distance(residual: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Compute squared Mahalanobis distances.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (n, k)
-    covariance : ndarray, shape (n, k, k)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
 
 
 def corrected_pose(
@@ -60,9 +46,9 @@ def corrected_pose(
     """
     Rt = predicted[:3, :3].T
     moved = np.concatenate([frames.rotation_log(Rt @ pose[:3, :3]), Rt @ (pose[:3, 3] - predicted[:3, 3])])
-    information = np.linalg.inv(prior)
-    white = np.linalg.solve(np.linalg.cholesky(covariance), np.concatenate([H, residual[..., None]], axis=2))
-    H, residual = white[..., :6], white[..., 6]
+    information = scaled_inverse(prior)
+    W = whitening(covariance)
+    H, residual = W @ H, np.einsum("nij,nj->ni", W, residual)
     each = np.swapaxes(H, 1, 2) @ H
     pull = np.einsum("nij,ni->nj", H, residual)
     delta, last = np.zeros(6), np.zeros(len(H))
@@ -78,4 +64,4 @@ def corrected_pose(
     out = pose.copy()
     out[:3, :3] = pose[:3, :3] @ frames.rotation_exp(delta[:3])
     out[:3, 3] = pose[:3, 3] + pose[:3, :3] @ delta[3:]
-    return out, np.linalg.inv(N)
+    return out, scaled_inverse(N)

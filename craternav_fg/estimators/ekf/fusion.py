@@ -13,21 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.estimators.linearisation import LinearMeasurement
+from craternav_fg.linalg import square_root, whitening
 
 FloatArray = npt.NDArray[np.float64]
 Rule = Literal["paper-fed-back", "exact", "covariance-intersection"]
-
-
-def square_root(covariance: FloatArray) -> FloatArray:
-    """Lower triangular L with L L' = covariance, for states of very different units.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the covariance is not positive definite.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    return np.asarray(scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale)))
 
 
 def fuse_updates(
@@ -72,8 +61,7 @@ def fuse_updates(
         prior = 1.0
         gain /= count
         vector /= count
-    # inv of a small factor, not a triangular solve: LAPACK's starts threads whatever the size.
-    inverse = np.linalg.inv(np.linalg.cholesky(prior * np.eye(k) + gain))
+    inverse = whitening(prior * np.eye(k) + gain)
     root = L / np.sqrt(prior)
     root[:, :k] = L[:, :k] @ inverse.T
     delta = root[:, :k] @ (inverse @ vector)
@@ -95,10 +83,8 @@ def combine(deltas: FloatArray, covariances: FloatArray) -> tuple[FloatArray, Fl
     delta : ndarray, shape (n,)
     covariance : ndarray, shape (n, n)
     """
-    scale = np.sqrt(np.mean(np.diagonal(covariances, axis1=1, axis2=2), axis=0))
-    white = np.linalg.inv(np.linalg.cholesky(covariances / np.outer(scale, scale)))
+    white = whitening(covariances)
     total = np.einsum("kij,kil->jl", white, white)
-    vector = np.einsum("kij,ki->j", white, np.einsum("kij,kj->ki", white, deltas / scale))
-    inverse = np.linalg.inv(np.linalg.cholesky(total))
-    root = scale[:, None] * inverse.T
-    return root @ (inverse @ vector), root @ root.T
+    vector = np.einsum("kij,ki->j", white, np.einsum("kij,kj->ki", white, deltas))
+    inverse = whitening(total)
+    return inverse.T @ (inverse @ vector), inverse.T @ inverse

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from craternav_fg import frames
+from craternav_fg.linalg import squared_distance
 from craternav_fg.resection.efficient import refine
 from craternav_fg.resection.least_squares import (
     EVERYTHING,
@@ -196,4 +197,4 @@ def _distance(prior: PosePrior, gTb: FloatArray) -> float:
     """Squared distance of a pose from the prior, in standard deviations."""
     step = frames.inverse(prior.gTb) @ gTb
     twist = np.concatenate([frames.rotation_log(step[:3, :3]), step[:3, 3]])
-    return float(twist @ np.linalg.solve(prior.covariance, twist))
+    return float(squared_distance(twist, prior.covariance))
