@@ -1,4 +1,5 @@
 """The measurement equations of crater-edge navigation, each with its GTSAM factor.
 
-`factors.kernels.validity` says what a factor answers at poses from which a crater has no image.
+Every factor says when it is zero. `factors.kernels.validity` says what a factor gives at poses from which a
+crater has no image; docs/equations.md derives the equations.
 """

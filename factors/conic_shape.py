@@ -1,7 +1,7 @@
 """Conic-shape factor: the rim's image against its prediction, in the ellipse chart.
 
-Zero when every predicted rim has the measured image. It carries the same information as eq. (19) whitened
-and has the same optimum, with a far wider basin of convergence.
+Zero when every predicted rim has the measured image. It carries the same information as eq. (19) whitened and
+has the same optimum, with a far wider basin of convergence (docs/equations.md, "The chart").
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,9 @@ def conic_shape_factor(
     mounting_key: int | None = None,
     errors: Sequence[ChartError] = (),
 ) -> gtsam.CustomFactor:
-    """All rims of a frame as one factor of the body's pose.
+    """Build a factor of the body's pose from the rims of a frame.
+
+    Zero when the predicted images of all rims are the measured ones.
 
     Parameters
     ----------
@@ -70,7 +72,6 @@ def conic_shape_factor(
         Applied to each crater's 5-dimensional norm.
     mounting_key : int, optional
         Key of the mounting as a variable (`Pose3`), to be estimated.
-
     errors : sequence of ChartError
         Errors of the charts, beside those of `covariances`, to be estimated.
 

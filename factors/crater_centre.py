@@ -1,8 +1,8 @@
-"""Crater-centre factor: the image ellipse's centre taken as the image of the crater's centre.
+"""Crater-centre factor: the image ellipse's centre taken for the image of the crater's centre.
 
-Zero when they coincide, which perspective denies: this is the assumption of eq. (10), kept to compare with.
-The paper compares cosines of the angles between pairs of centres; here each centre is reprojected, which is
-the same assumption with each point's own noise, and knows the attitude, too.
+Zero when they coincide. Perspective shifts one from the other: this is the assumption of eq. (10), kept for
+comparison. The paper compares cosines of the angles between pairs of centres. Here each centre is
+reprojected: the same assumption with each point's own noise, and with a derivative in the attitude.
 """
 
 import gtsam
@@ -26,7 +26,9 @@ def crater_centre_factor(
     *,
     mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
-    """All crater centres of a frame as one factor of the body's pose.
+    """Build a factor of the body's pose from the crater centres of a frame.
+
+    Zero when the predicted images of all centres are the measured points.
 
     Parameters
     ----------

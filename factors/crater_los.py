@@ -1,4 +1,4 @@
-"""Line-of-sight factor, eq. (11): the direction of the true crater centre, from the rim's conic.
+"""Line-of-sight factor, eq. (11) corrected: the direction of the true crater centre, from the rim's conic.
 
 Zero when K n_c points to the crater's centre. It is contained in rows 2 to 4 of eq. (19): never put it on a
 crater that already has a conic-shape factor.
@@ -25,7 +25,7 @@ class LineOfSight(NamedTuple):
     direction : ndarray, shape (3,)
         Unit vector in c.
     covariance : ndarray, shape (3, 3)
-        Rank 2: none along the direction.
+        Of the direction in c; rank 2, as there is no error along it.
     """
 
     direction: FloatArray
@@ -33,16 +33,16 @@ class LineOfSight(NamedTuple):
 
 
 def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) -> LineOfSight:
-    """Direction of a crater's true centre in c, and its covariance from the rim's.
+    """Direction of a crater's true centre, and its covariance from the rim's.
 
     Parameters
     ----------
     chart : ndarray, shape (5,)
-        Measured image of the rim.
+        Measured image of the rim: an ellipse chart, normalised.
     covariance : ndarray, shape (5, 5)
         Of the chart.
     n_c : ndarray, shape (3,)
-        Outward normal of the rim's plane in the camera frame.
+        Outward normal of the rim's plane in c, a unit vector.
 
     Returns
     -------
@@ -65,7 +65,9 @@ def crater_los_factor(
     *,
     mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
-    """All lines of sight of a frame as one factor of the body's pose.
+    """Build a factor of the body's pose from the lines of sight of a frame.
+
+    Zero when each of them points to its crater's centre.
 
     Parameters
     ----------
@@ -76,9 +78,9 @@ def crater_los_factor(
     centres, normals : array_like, shape (n, 3)
         Crater centres, m, and outward unit normals, in g.
     charts, covariances : array_like, shape (n, 5), (n, 5, 5)
-        Measured rims.
+        Measured rims: ellipse charts, normalised, and their covariances.
     gRc_nominal : array_like, shape (3, 3)
-        Attitude at which the noise is evaluated and the tangents are laid; a few degrees do not matter.
+        Attitude of the camera at which the noise and the tangents are evaluated; a few degrees do not matter.
     loss : Loss
         Applied to each crater's 2-dimensional norm.
     mounting_key : int, optional
@@ -93,6 +95,11 @@ def crater_los_factor(
     ------
     FactorError
         Naming the field at fault.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (8), (9), (11), (12);
+    docs/equations.md.
     """
     n = validation.count("charts", charts)
     centres = validation.array("centres", centres, (n, 3))

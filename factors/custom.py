@@ -1,7 +1,7 @@
 """The only place that builds a `gtsam.CustomFactor`.
 
-An unset, mis-shaped or non-finite Jacobian in a callback is a segmentation fault or a silently wrong
-answer; here both buffers are allocated once with the right shapes, and what the kernel wrote is checked.
+An unset, mis-shaped or non-finite Jacobian in a callback is a segmentation fault or a silently wrong answer.
+Here both buffers are allocated once with the right shapes, and what the kernel wrote is checked.
 """
 
 import math
@@ -55,9 +55,24 @@ class Loss:
 
 
 def constant_mounting(key: int, bTc: npt.ArrayLike | None, mounting_key: int | None) -> FloatArray:
-    """Give the mounting a kernel works with: `bTc`, or where that is a variable the identity.
+    """Give the mounting that a kernel works with: `bTc`, or the identity where the mounting is a variable.
 
-    For a body that is the camera a kernel gives the camera's own twist: that of a variable bTc.
+    With the identity a kernel's body is the camera, and its Jacobian is for the camera's own twist: that of a
+    variable bTc.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4), or None
+        Mounting of the camera when it is known.
+    mounting_key : int or None
+        Key of the mounting when it is a variable.
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        Mounting of the camera, or the identity.
 
     Raises
     ------
@@ -141,10 +156,11 @@ def packed_pose_factor(
     rows : int
         Length of the residual, at least 1.
     kernel : callable
-        Writes J', columns for the right twist [w, rho], and e below it into one array (7, rows); returns
-        a sum that is finite only where all that is.
-    data : ndarray
-        Handed to the kernel, with the mounting that `constant_mounting` gives; nobody else may change it.
+        Writes J', columns for the right twist [w, rho], and e below it into one array (7, rows); returns a
+        sum that is finite only where all that is.
+    data : ndarray, shape (n_data,)
+        Constants of the kernel, among them the mounting that `constant_mounting` gives; nobody else may
+        change them.
     mounting_key : int, optional
         Key of the mounting (`Pose3`) when it is a variable.
 
@@ -194,8 +210,8 @@ def packed_pose_factor_with_errors(
     rows : int
         Length of the residual, at least 1.
     kernel : callable
-        kernel(pose, z, linearise, out, slopes): as a packed kernel; z (m,) are all errors, one after
-        the other, the Jacobian in them is written to slopes (rows, m).
+        kernel(pose, z, linearise, out, slopes): as a packed kernel; z (m,) are all errors, one after the
+        other, and the Jacobian in them is written to slopes (rows, m).
     errors : sequence of (int, int)
         Key and length of each error.
     mounting_key : int, optional
@@ -204,7 +220,13 @@ def packed_pose_factor_with_errors(
     Returns
     -------
     gtsam.CustomFactor
-        Of the pose, the mounting if that is a variable, and the errors, in this order.
+        Of the pose, the mounting if it is a variable, and the errors, in this order. Its callback raises
+        `FactorError` when the kernel wrote something that is not finite.
+
+    Raises
+    ------
+    FactorError
+        When `rows` is not positive.
     """
     out = np.zeros((7, _positive(rows)))
     e, J = out[6], out[:6].T

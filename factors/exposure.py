@@ -1,8 +1,8 @@
-"""Exposure factor: where the lander was when an image was exposed, with the camera as it is mounted.
+"""Exposure factor: pose of the body at an exposure, from that at the image's stamp and the camera's mounting.
 
-Zero when the exposure's pose is gTb Exp(delay [w, v]) bTb': the pose at the image's stamp, carried on for as
-long as the exposure was later than its stamp, and turned by how the camera's mounting differs from the one
-believed. Image factors of the exposure's pose then hold as they are, with the mounting believed.
+Zero when the exposure's pose is gTb Exp(delay [w, v]) bTb': the pose at the image's stamp, moved on for as
+long as the exposure was later than its stamp, and turned by the error of the camera's mounting. Image factors
+of the exposure's pose then hold as they are, with the nominal mounting.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
 
-# By so much the exposure's pose may leave what it is defined to be: far less than any image tells.
+# Noise of the definition: the factor stands for an equality. An image's own noise is a hundred times larger.
 ROTATION_SIGMA_RAD = 1e-7
 POSITION_SIGMA_M = 1e-4
 
@@ -29,7 +29,7 @@ def exposure_factor(
     delay_key: int | None = None,
     mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
-    """Define the pose of an exposure, with a delay or an error of the mounting to be estimated.
+    """Build a factor that defines the pose of an exposure, with a time offset or mounting error as variable.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def exposure_factor(
     twist : array_like, shape (6,)
         Angular velocity of b relative to g, rad/s, and velocity relative to g, m/s, both in b.
     delay_key : int, optional
-        Key of the delay, s (vector of one).
+        Key of the camera-IMU time offset, s (vector of one).
     mounting_key : int, optional
-        Key of the mounting's error `bTb'` (`Pose3`): the camera's mounting is that times the one believed.
+        Key of the mounting's error `bTb'` (`Pose3`): the camera's mounting is that times the nominal one.
 
     Returns
     -------

@@ -1,11 +1,11 @@
 """Implicit shape factor, eq. (19) as printed, whitened by J_q S_q J_q' at every pose.
 
 Zero when every measured conic is the image of its rim. It carries the information of the conic-shape factor
-and has its optimum, up to the curvature of the map between conic and chart, but a narrower basin of
-convergence, under Gauss-Newton (as iSAM2 steps) much narrower: for comparison, not for use.
+and has its optimum, up to the curvature of the map between conic and chart. Its basin of convergence is
+narrower, under Gauss-Newton (as iSAM2 steps) much narrower.
 
-The whitening depends on the pose, and the derivative includes that: `factors.kernels.implicit` shows that
-the whitened residual is a constant-noise residual in q, exactly, and differentiates that.
+The whitening depends on the pose, and the derivative includes that: `factors.kernels.implicit` shows that the
+whitened residual is a constant-noise residual in q, exactly, and differentiates that.
 """
 
 import gtsam
@@ -30,7 +30,9 @@ def implicit_shape_factor(
     *,
     mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
-    """All rims of a frame as one factor of the body's pose.
+    """Build a factor of the body's pose from the rims of a frame.
+
+    Zero when the residual of eq. (19) is, for each of them.
 
     Parameters
     ----------
@@ -60,6 +62,10 @@ def implicit_shape_factor(
     ------
     FactorError
         Naming the field that is not finite, mis-shaped, or not positive definite.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (19); docs/equations.md.
     """
     n = validation.count("charts", charts)
     centres = validation.array("centres", centres, (n, 3))

@@ -1,8 +1,9 @@
 """IMU preintegration in the frame g that rotates with the body, with central gravity.
 
-GTSAM's preintegration knows a constant gravity vector and, through `setOmegaCoriolis`, the exact kinematics
+GTSAM's preintegration takes a constant gravity vector and, through `setOmegaCoriolis`, the exact kinematics
 of a rotating frame (Coriolis and centrifugal). Central gravity enters as that constant, taken at the
-predicted midpoint of an interval of at most a second: second order in the interval's length.
+predicted midpoint of an interval of at most a second: second order in the interval's length
+(docs/equations.md, "Gravity over a preintegrated interval").
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 INTEGRATION_VARIANCE = 1e-10
 
 
-# Below this a density has no square.
+# The square of a density of less underflows.
 LEAST_DENSITY = 1e-150
 
 
@@ -68,7 +69,7 @@ def preintegrate(
     accelerometer: npt.ArrayLike,
     bias: npt.ArrayLike,
 ) -> gtsam.PreintegratedCombinedMeasurements:
-    """Preintegrate the rows of one interval.
+    """Preintegrate the rows of one interval, eqs. (26), (27).
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def preintegrate(
     gyro, accelerometer : array_like, shape (m, 3)
         Mean angular velocity (rad/s) and mean specific force (m/s^2) of each row, in b.
     bias : array_like, shape (6,)
-        Gyro, then accelerometer: where the preintegration is linearised.
+        Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
 
     Returns
     -------
@@ -93,6 +94,11 @@ def preintegrate(
     ------
     FactorError
         When a field is not finite or mis-shaped, or the interval is empty.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (26), (27);
+    docs/equations.md.
     """
     return integrate(parameters(noise, spin, gravity), dt_s, gyro, accelerometer, bias)
 
@@ -100,15 +106,22 @@ def preintegrate(
 def parameters(
     noise: ImuNoise, spin: npt.ArrayLike, gravity: npt.ArrayLike
 ) -> gtsam.PreintegrationCombinedParams:
-    """Parameters of one interval.
+    """Make the parameters of one interval.
 
     They stay those of the factor that is made with them: what is later written to their `n_gravity` changes
-    its gravity, which the preintegration itself knows nothing of.
+    the factor's gravity, on which the preintegrated measurement does not depend.
 
     Parameters
     ----------
-    noise, spin, gravity
-        As for `preintegrate`.
+    noise : ImuNoise
+    spin : array_like, shape (3,)
+        Angular velocity of g, rad/s, in g.
+    gravity : array_like, shape (3,)
+        Newtonian gravity in g at the predicted midpoint, m/s^2, without the centrifugal term.
+
+    Returns
+    -------
+    gtsam.PreintegrationCombinedParams
 
     Raises
     ------
@@ -133,14 +146,22 @@ def integrate(
     accelerometer: npt.ArrayLike,
     bias: npt.ArrayLike,
 ) -> gtsam.PreintegratedCombinedMeasurements:
-    """Preintegrate the rows of one interval with parameters that no other interval may have.
+    """Preintegrate the rows of one interval with parameters that no other interval may share.
 
     Parameters
     ----------
     params : gtsam.PreintegrationCombinedParams
         From `parameters`.
-    dt_s, gyro, accelerometer, bias
-        As for `preintegrate`.
+    dt_s : array_like, shape (m,)
+        Positive durations of the rows.
+    gyro, accelerometer : array_like, shape (m, 3)
+        Mean angular velocity (rad/s) and mean specific force (m/s^2) of each row, in b.
+    bias : array_like, shape (6,)
+        Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
+
+    Returns
+    -------
+    gtsam.PreintegratedCombinedMeasurements
 
     Raises
     ------
@@ -164,7 +185,7 @@ def integrate(
 
 
 def imu_factor(keys: Sequence[int], pim: gtsam.PreintegratedCombinedMeasurements) -> gtsam.CombinedImuFactor:
-    """IMU factor between two states; zero when the second is the first moved by the preintegration.
+    """IMU factor between two states: zero when the second is the first moved by the preintegration.
 
     Parameters
     ----------
@@ -172,6 +193,10 @@ def imu_factor(keys: Sequence[int], pim: gtsam.PreintegratedCombinedMeasurements
         Pose and velocity at the beginning, pose and velocity at the end, bias at the beginning and end.
     pim : gtsam.PreintegratedCombinedMeasurements
         From `preintegrate`.
+
+    Returns
+    -------
+    gtsam.CombinedImuFactor
 
     Raises
     ------

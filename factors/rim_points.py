@@ -19,7 +19,7 @@ from factors.kernels import rim
 
 FloatArray = npt.NDArray[np.float64]
 
-# Below this a weight has no square.
+# The square of a weight of less overflows.
 LEAST_SIGMA = 1e-150
 
 
@@ -34,7 +34,9 @@ def rim_points_factor(
     *,
     mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
-    """All edge points of a frame as one factor of the body's pose.
+    """Build a factor of the body's pose from edge points of a frame's rims.
+
+    Zero when every point lies on its predicted rim.
 
     Parameters
     ----------
@@ -51,8 +53,8 @@ def rim_points_factor(
     sigmas : sequence of n array_like, shape (m_i,) or ()
         Standard deviations along the rim's normal, normalised coordinates.
     loss : Loss
-        Applied to each crater as a whole; it begins to bite where the root mean square of the crater's
-        whitened distances exceeds `loss.scale`.
+        Applied to each crater as a whole; it bites where the root mean square of the crater's whitened
+        distances exceeds `loss.scale`.
     mounting_key : int, optional
         Key of the mounting as a variable (`Pose3`), to be estimated.
 

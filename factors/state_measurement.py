@@ -10,7 +10,7 @@ from factors.custom import Loss, state_factor
 
 FloatArray = npt.NDArray[np.float64]
 
-# Error state of the derivatives, as `kernels.strapdown` has it.
+# Error state of the derivatives: that of `kernels.strapdown`.
 ATTITUDE, POSITION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 GYRO_BIAS, ACCELEROMETER_BIAS = slice(12, 15), slice(15, 18)
 

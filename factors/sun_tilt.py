@@ -1,4 +1,4 @@
-"""Sun-tilt factor, eq. (24): the direction of illumination in the image.
+"""Sun-tilt factor, eq. (24) in its perspective form: the direction of illumination in the image.
 
 Zero when the predicted tilt of the sun's ground azimuth is the measured one; the difference is wrapped.
 """
@@ -14,7 +14,7 @@ from factors.kernels import sun
 
 FloatArray = npt.NDArray[np.float64]
 
-# Below this a weight has no square.
+# The square of a weight of less overflows.
 LEAST_SIGMA_RAD = 1e-150
 
 
@@ -28,7 +28,9 @@ def sun_tilt_factor(
     *,
     mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
-    """Tilt of the illumination in one image as a factor of the body's pose.
+    """Build a factor of the body's pose from the tilt of the illumination in one image.
+
+    Zero when the predicted tilt is the measured one.
 
     Parameters
     ----------
@@ -37,14 +39,14 @@ def sun_tilt_factor(
     bTc : array_like, shape (4, 4), or None
         Mounting of the camera; None when `mounting_key` is given.
     direction : array_like, shape (3,)
-        In g: the sun's direction along the ground, s - (s.n) n (with the sun's own direction and the
-        point (0, 0), eq. (24) as printed, with atan2).
+        In g: the direction towards the sun along the ground, s - (s.n) n. With the sun's own direction and
+        the point (0, 0) this is eq. (24) as printed, with atan2.
     tilt_rad : float
         Measured, from the image's x axis towards its y axis.
     sigma_rad : float
-        Standard deviation at the view it was measured in. Where a pose turns the direction into the
-        line of sight (image direction shorter than `sun.FLOOR`) the tilt is undefined: the factor costs
-        what the worst tilt does, and has no pull.
+        Standard deviation in the view it was measured in. Where a pose turns the direction into the line of
+        sight (image direction shorter than `sun.FLOOR`) the tilt is undefined: the factor costs what the
+        worst tilt does, and has no slope.
     point : array_like, shape (2,)
         Normalised image point.
     mounting_key : int, optional
@@ -59,6 +61,10 @@ def sun_tilt_factor(
     ------
     FactorError
         Naming the field at fault.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (24); docs/equations.md.
     """
     direction = validation.array("direction", direction, (3,))
     u, v = validation.array("point", point, (2,))

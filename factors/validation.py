@@ -1,4 +1,4 @@
-"""Checks that every factor makes of what it is built from."""
+"""Checks of the measurements and constants that every factor is built from."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,21 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Give a finite, C-ordered float array of one shape, a copy that nobody else can change.
+    """Check that a field holds finite numbers, and copy it.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (...,)
+        In any unit.
+    shape : tuple of int
+        Expected shape of `value`.
+
+    Returns
+    -------
+    ndarray, shape (...,)
+        C-ordered, in the unit of `value`: a copy that nobody else can change.
 
     Raises
     ------
@@ -23,11 +37,12 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
     try:
         given = np.asarray(value)
         # Complex numbers would lose their imaginary part, masked ones their mask.
-        if given.dtype.kind not in "biuf" or np.ma.is_masked(value):
-            raise TypeError(f"found {given.dtype}")
-        out = np.array(given, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise FactorError(f"{name}: expected real numbers of shape {shape}") from error
+        real = given.dtype.kind in "biuf" and not np.ma.is_masked(value)
+    except (TypeError, ValueError):
+        real = False
+    if not real:
+        raise FactorError(f"{name}: expected real numbers of shape {shape}")
+    out = np.array(given, dtype=np.float64, order="C")
     if out.shape != shape:
         raise FactorError(f"{name}: expected shape {shape}, found {out.shape}")
     # One sum of squares finds NaN and infinity at a fraction of an element-wise test's cost; it can overflow.
@@ -37,7 +52,19 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
 
 
 def length(name: str, value: Sequence[npt.ArrayLike]) -> int:
-    """Give the number of craters, the length of a sequence with an array per crater.
+    """Count the craters of a sequence with an array per crater.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : sequence of array_like, shape (n, ...)
+        One array per crater, in any unit.
+
+    Returns
+    -------
+    int
+        Number n of craters.
 
     Raises
     ------
@@ -51,7 +78,19 @@ def length(name: str, value: Sequence[npt.ArrayLike]) -> int:
 
 
 def count(name: str, value: npt.ArrayLike) -> int:
-    """Give the number of rows of a field.
+    """Count the rows of a field.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (n, ...)
+        In any unit.
+
+    Returns
+    -------
+    int
+        Number n of rows.
 
     Raises
     ------
@@ -68,7 +107,20 @@ def count(name: str, value: npt.ArrayLike) -> int:
 
 
 def charts(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
-    """Give charts (n, 5) of ellipses that double precision can hold as conics.
+    """Check the charts of ellipses.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (n, 5)
+        Ellipse charts, normalised.
+    n : int
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        Charts of ellipses that double precision can hold as conics.
 
     Raises
     ------
@@ -83,12 +135,24 @@ def charts(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
 
 
 def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArray:
-    """Lower triangular W (n, m, m) with W S W' = 1, of covariances S (n, m, m).
+    """Whitening matrices of covariances.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    covariances : array_like, shape (n, m, m)
+    n, m : int
+
+    Returns
+    -------
+    ndarray, shape (n, m, m)
+        Lower triangular W with W S W' = 1, for each covariance S.
 
     Raises
     ------
     FactorError
-        Naming the first that is not symmetric or not positive definite.
+        Naming the first covariance that is not symmetric or not positive definite.
     """
     S = array(name, covariances, (n, m, m))
     W = np.empty((n, m, m))
@@ -107,12 +171,24 @@ def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArr
 
 
 def rotation(name: str, value: npt.ArrayLike) -> FloatArray:
-    """Give a proper rotation matrix (3, 3).
+    """Check a rotation matrix.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (3, 3)
+        Rotation between any frames.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        The rotation.
 
     Raises
     ------
     FactorError
-        When it is none.
+        When it is no proper rotation.
     """
     R = array(name, value, (3, 3))
     if not admission.is_rotation(R):
@@ -121,7 +197,20 @@ def rotation(name: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def unit_vectors(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
-    """Give unit vectors (n, 3).
+    """Check unit vectors.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (n, 3)
+        Directions in any frame.
+    n : int
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The directions in the same frame.
 
     Raises
     ------
@@ -138,12 +227,24 @@ def unit_vectors(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
 
 
 def pose(name: str, value: npt.ArrayLike) -> FloatArray:
-    """Give a homogeneous matrix (4, 4) whose rotation is one.
+    """Check the homogeneous matrix of a pose.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (4, 4)
+        Pose of any frame in another, m.
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        The pose.
 
     Raises
     ------
     FactorError
-        When it is not a proper rotation with a last row (0, 0, 0, 1).
+        When it is not a proper rotation and a position above a last row (0, 0, 0, 1).
     """
     T = array(name, value, (4, 4))
     if not (admission.is_rotation(T) and T[3].tolist() == [0.0, 0.0, 0.0, 1.0]):
@@ -152,12 +253,25 @@ def pose(name: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def rim_axes(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
-    """Give semi-axes (n, 2, 3): perpendicular, the first not shorter than the second, neither zero.
+    """Check the semi-axes of rims.
+
+    Parameters
+    ----------
+    name : str
+        Of the field, for the error.
+    value : array_like, shape (n, 2, 3)
+        Semi-axes a l1 and b l2 in any frame, m.
+    n : int
+
+    Returns
+    -------
+    ndarray, shape (n, 2, 3)
+        The semi-axes in the same frame, m.
 
     Raises
     ------
     FactorError
-        Naming the first crater at fault.
+        Naming the first crater whose semi-axes are not perpendicular with a >= b > 0.
     """
     axes = array(name, value, (n, 2, 3))
     k, a, b = admission.first_bad_axes(axes)

@@ -78,7 +78,7 @@ def entry(section: str, name: str) -> str | None:
     """What a section says of a name: the line that begins with it or a list with it, and what is indented."""
     other = r"\*{0,2}\w+"
     found = re.search(
-        rf"^(?:{other}, )*\*{{0,2}}{name}(?:, {other})*(?: :.*)?\n?(?:\n?[ ]+.*|\n(?=[ ]))*",
+        rf"^(?:{other}, )*\*{{0,2}}{name}\b(?:, {other})*(?: :.*)?\n?(?:\n?[ ]+.*|\n(?=[ ]))*",
         section,
         re.MULTILINE,
     )

@@ -1,4 +1,4 @@
-"""Checks of what a factor is built from, at the cost of a few craters' residuals."""
+"""Checks of the numbers that a factor is built from, at the cost of a few craters' residuals."""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,17 +6,29 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
-# Of a matrix of unit diagonal: less is rounding of a singular one.
+# Smallest pivot of a matrix of unit diagonal: a smaller one is rounding of a singular matrix.
 _LEAST_PIVOT = 1e-12
 SOUND, ASYMMETRIC, VARIANCE, INDEFINITE = 0, 1, 2, 3
 
 
 @njit(cache=True, error_model="numpy")
 def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
-    """Write lower triangular W (n, m, m) with W S W' = 1, of covariances S (n, m, m).
+    """Write the whitening matrices of covariances.
 
-    Returns `SOUND`, or what the first matrix at fault is (`ASYMMETRIC`, with a `VARIANCE` that is not
-    positive, or `INDEFINITE`), and its number.
+    Parameters
+    ----------
+    S : ndarray, shape (n, m, m)
+        Covariances.
+    W : ndarray, shape (n, m, m)
+        Written: lower triangular, with W S W' = 1.
+
+    Returns
+    -------
+    fault : int
+        `SOUND`, or the fault of the first covariance that has one: `ASYMMETRIC`, `VARIANCE` (a variance that
+        is not positive) or `INDEFINITE`.
+    index : int
+        Of that covariance; -1 when all are sound.
     """
     m = S.shape[1]
     scale = np.empty(m)
@@ -56,20 +68,42 @@ def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
 
 @njit(cache=True, error_model="numpy")
 def sum_of_squares(a: FloatArray) -> float:
-    """Sum of squares of an array (n,), infinite without a warning where it overflows."""
+    """Sum of squares of an array, infinite without a warning where it overflows.
+
+    Parameters
+    ----------
+    a : ndarray, shape (n,)
+        In any unit.
+
+    Returns
+    -------
+    float
+        Finite only where all elements are.
+    """
     total = 0.0
     for i in range(a.shape[0]):
         total += a[i] * a[i]
     return total
 
 
-# Of a chart: its logarithms and its other components, far beyond any image.
+# Bounds of a chart's logarithms and of its other components, normalised: far beyond any image.
 _LOGARITHM, _COMPONENT = 50.0, 1e10
 
 
 @njit(cache=True, error_model="numpy")
 def first_bad_chart(charts: FloatArray) -> int:
-    """Find the first chart (n, 5) whose conic would leave double precision: its number or -1."""
+    """Find the first chart whose conic would leave double precision.
+
+    Parameters
+    ----------
+    charts : ndarray, shape (n, 5)
+        Ellipse charts in normalised image coordinates.
+
+    Returns
+    -------
+    int
+        Its index, or -1.
+    """
     for k in range(charts.shape[0]):
         for i in range(5):
             if not abs(charts[k, i]) < (_LOGARITHM if i in (2, 4) else _COMPONENT):
@@ -79,7 +113,20 @@ def first_bad_chart(charts: FloatArray) -> int:
 
 @njit(cache=True, error_model="numpy")
 def first_bad_axes(axes: FloatArray) -> tuple[int, float, float]:
-    """Find the first of axes (n, 2, 3) not perpendicular with a >= b > 0: its number or -1, its lengths."""
+    """Find the first pair of semi-axes that is not perpendicular with a >= b > 0.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (n, 2, 3)
+        Semi-axes a l1 and b l2 in any frame, m.
+
+    Returns
+    -------
+    index : int
+        Of that pair, or -1.
+    a, b : float
+        Its lengths, m.
+    """
     for k in range(axes.shape[0]):
         a2 = b2 = dot = 0.0
         for i in range(3):
@@ -95,7 +142,17 @@ def first_bad_axes(axes: FloatArray) -> tuple[int, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def is_rotation(R: FloatArray) -> bool:
-    """Whether the upper left (3, 3) of a matrix is a proper rotation, to 1e-6."""
+    """Whether the upper left (3, 3) of a matrix is a proper rotation, to 1e-6.
+
+    Parameters
+    ----------
+    R : ndarray, shape (3, 3) or (4, 4)
+        A rotation or a pose, between any frames.
+
+    Returns
+    -------
+    bool
+    """
     for i in range(3):
         for j in range(i + 1):
             dot = R[i, 0] * R[j, 0] + R[i, 1] * R[j, 1] + R[i, 2] * R[j, 2]

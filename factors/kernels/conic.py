@@ -19,7 +19,20 @@ BoolArray = npt.NDArray[np.bool_]
 
 @njit(cache=True, error_model="numpy")
 def camera_pose(gTb: FloatArray, bTc: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation gRc (3, 3) and position gPc (3,) of the camera."""
+    """Pose of the camera from that of the body.
+
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
+
+    Returns
+    -------
+    gRc : ndarray, shape (3, 3)
+        Rotation of the camera.
+    gPc : ndarray, shape (3,)
+        Its position in g, m.
+    """
     R = np.empty((3, 3))
     P = np.empty(3)
     for i in range(3):
@@ -34,6 +47,15 @@ def body_columns(J: FloatArray, bTc: FloatArray, out: FloatArray) -> None:
     """Turn a Jacobian for the camera's twist [w, rho] into one for the body's: J Ad(bTc^-1).
 
     Both twists perturb from the right, in GTSAM's order: R exp(w), t + R rho.
+
+    Parameters
+    ----------
+    J : ndarray, shape (m, 6)
+        Derivatives in the camera's twist, rad and m.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    out : ndarray, shape (m, 6)
+        Written: derivatives in the body's twist. Another array than J.
     """
     for r in range(J.shape[0]):
         for j in range(3):
@@ -55,9 +77,22 @@ def body_columns(J: FloatArray, bTc: FloatArray, out: FloatArray) -> None:
 def rim_in_camera(
     R: FloatArray, P: FloatArray, centre: FloatArray, axes: FloatArray, p: FloatArray, c: FloatArray
 ) -> None:
-    """Write p (3,) and c (2, 3), the rim's centre and semi-axes in the camera frame.
+    """Turn a rim into the camera's frame.
 
-    `centre` (3,) and `axes` (2, 3) are the same in g; R (3, 3) is gRc, P (3,) is gPc.
+    Parameters
+    ----------
+    R : ndarray, shape (3, 3)
+        gRc, rotation of the camera.
+    P : ndarray, shape (3,)
+        gPc, position of the camera, m.
+    centre : ndarray, shape (3,)
+        Rim centre in g, m.
+    axes : ndarray, shape (2, 3)
+        Semi-axes a l1 and b l2 in g, m.
+    p : ndarray, shape (3,)
+        Written: the centre in c, m.
+    c : ndarray, shape (2, 3)
+        Written: the semi-axes in c, m.
     """
     for i in range(3):
         p[i] = R[0, i] * (centre[0] - P[0]) + R[1, i] * (centre[1] - P[1]) + R[2, i] * (centre[2] - P[2])
@@ -69,10 +104,23 @@ def rim_in_camera(
 def moments(
     px: float, py: float, pz: float, ax: float, ay: float, az: float, bx: float, by: float, bz: float
 ) -> tuple[bool, float, float, float, float, float]:
-    """Whether the image of a rim (p, c1, c2) is a visible ellipse; m_x, m_y, S_xx, S_xy, S_yy - S_xy^2/S_xx.
+    """Image ellipse of a rim, in scalars: for kernels that have no time for arrays.
 
-    Visible: in front of the camera, wholly so (Q*_33 < 0), seen from above (p.n < 0). In scalars: the kernels
-    that have no time for arrays call it.
+    Parameters
+    ----------
+    px, py, pz : float
+        Rim centre in c, m.
+    ax, ay, az, bx, by, bz : float
+        Semi-axes a l1 and b l2 in c, m.
+
+    Returns
+    -------
+    visible : bool
+        In front of the camera, wholly so (Q*_33 < 0), and seen from above (p.n < 0). Not: within the image.
+    m_x, m_y : float
+        Centre of the image ellipse, normalised.
+    S_xx, S_xy, s : float
+        Of its matrix S, with s = S_yy - S_xy^2/S_xx. All five are 0 where not visible.
     """
     q33 = az * az + bz * bz - pz * pz
     facing = px * (ay * bz - az * by) + py * (az * bx - ax * bz) + pz * (ax * by - ay * bx)
@@ -93,10 +141,19 @@ def moments(
 def chart_slopes(
     mx: float, my: float, sxx: float, sxy: float, s: float, ux: float, uy: float, uz: float, J: FloatArray
 ) -> None:
-    """Write the chart's Jacobian J (5, 6) for the camera's right twist [w, rho]; u = p/Q*_33.
+    """Write the chart's Jacobian for the camera's right twist.
 
-    With N = Q*/Q*_33 a turn gives dN = N [w]x - [w]x N and a shift dN = rho u' + u rho', less N times its own
-    last element.
+    With N = Q*/Q*_33 a turn gives dN = N [w]x - [w]x N and a shift dN = rho u' + u rho', minus N times its
+    own last element.
+
+    Parameters
+    ----------
+    mx, my, sxx, sxy, s : float
+        From `moments`.
+    ux, uy, uz : float
+        p/Q*_33 in c, 1/m.
+    J : ndarray, shape (5, 6)
+        Written: derivatives of the chart in the camera's twist [w, rho], rad and m.
     """
     beta = sxy / sxx
     syy = s + beta * sxy
@@ -122,7 +179,22 @@ def chart_slopes(
 
 @njit(cache=True, error_model="numpy")
 def chart(p: FloatArray, c: FloatArray, y: FloatArray) -> bool:
-    """Write the chart y (5,) of a rim's image; False (y untouched) when that is no visible ellipse."""
+    """Write the chart of a rim's image.
+
+    Parameters
+    ----------
+    p : ndarray, shape (3,)
+        Rim centre in c, m.
+    c : ndarray, shape (2, 3)
+        Semi-axes in c, m.
+    y : ndarray, shape (5,)
+        Written: the chart, normalised. Untouched where the image is no visible ellipse.
+
+    Returns
+    -------
+    bool
+        Whether it is, see `moments`.
+    """
     visible, mx, my, sxx, sxy, s = moments(
         p[0], p[1], p[2], c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2]
     )
@@ -133,9 +205,23 @@ def chart(p: FloatArray, c: FloatArray, y: FloatArray) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def chart_and_jacobian(p: FloatArray, c: FloatArray, y: FloatArray, J: FloatArray) -> bool:
-    """Write the chart y (5,) and its Jacobian J (5, 6) for the camera's right twist [w, rho].
+    """Write the chart of a rim's image and its Jacobian.
 
-    Returns False as `chart` does.
+    Parameters
+    ----------
+    p : ndarray, shape (3,)
+        Rim centre in c, m.
+    c : ndarray, shape (2, 3)
+        Semi-axes in c, m.
+    y : ndarray, shape (5,)
+        Written: the chart, normalised. Untouched where the image is no visible ellipse.
+    J : ndarray, shape (5, 6)
+        Written: derivatives in the camera's right twist [w, rho], rad and m. Untouched likewise.
+
+    Returns
+    -------
+    bool
+        Whether the image is a visible ellipse, see `moments`.
     """
     visible, mx, my, sxx, sxy, s = moments(
         p[0], p[1], p[2], c[0, 0], c[0, 1], c[0, 2], c[1, 0], c[1, 1], c[1, 2]
@@ -151,7 +237,7 @@ def chart_and_jacobian(p: FloatArray, c: FloatArray, y: FloatArray, J: FloatArra
 def project_rims(
     gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Charts (n, 5) of rims seen from a pose, and which of them are visible ellipses (n,).
+    """Project rims into the image of a camera.
 
     Parameters
     ----------
@@ -165,7 +251,7 @@ def project_rims(
     Returns
     -------
     charts : ndarray, shape (n, 5)
-        NaN where not visible.
+        Ellipse charts, normalised; NaN where not visible.
     visible : ndarray of bool, shape (n,)
         In front of the camera, wholly so, and seen from above. Not: within the image.
     """
@@ -185,9 +271,25 @@ def project_rims(
 def chart_jacobian(
     gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Charts (n, 5), their Jacobians (n, 5, 6) for the body's right twist, and visibility (n,).
+    """Project rims into the image of a camera, with derivatives in the body's pose.
 
-    Parameters as in `project_rims`. Rows of rims that are not visible: NaN charts, zero Jacobians.
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
+    centres : ndarray, shape (n, 3)
+        Rim centres in g, m.
+    axes : ndarray, shape (n, 2, 3)
+        Semi-axes a l1 and b l2 in g, m; n = l1 x l2 is outward.
+
+    Returns
+    -------
+    charts : ndarray, shape (n, 5)
+        Ellipse charts, normalised; NaN where not visible.
+    jacobians : ndarray, shape (n, 5, 6)
+        Derivatives in the body's right twist [w, rho], rad and m; zero where not visible.
+    visible : ndarray of bool, shape (n,)
+        As `project_rims` gives it.
     """
     n = centres.shape[0]
     R, P = camera_pose(gTb, bTc)
@@ -207,7 +309,22 @@ def chart_jacobian(
 
 @njit(cache=True, error_model="numpy")
 def chart_to_conic(y: FloatArray) -> FloatArray:
-    """Conic q = (A, B, C, D, E, F), |q| = 1, of a chart (5,): eq. (3)."""
+    """Conic of an ellipse, of unit norm: eq. (3).
+
+    Parameters
+    ----------
+    y : ndarray, shape (5,)
+        Ellipse chart.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        Coefficients (A, B, C, D, E, F), |q| = 1, in the units of the chart; negative inside the ellipse.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (3); docs/equations.md.
+    """
     a = np.exp(2.0 * y[2])
     s = np.exp(2.0 * y[4])
     beta = y[3]
@@ -230,7 +347,18 @@ def chart_to_conic(y: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def conic_to_chart(q: FloatArray) -> FloatArray:
-    """Chart (5,) of a conic (A, B, C, D, E, F) of any sign and scale; NaN when it is no ellipse."""
+    """Ellipse chart of a conic.
+
+    Parameters
+    ----------
+    q : ndarray, shape (6,)
+        Conic (A, B, C, D, E, F), of any sign and scale.
+
+    Returns
+    -------
+    ndarray, shape (5,)
+        Ellipse chart; NaN when the conic is no ellipse.
+    """
     y = np.full(5, np.nan)
     det = 4.0 * q[0] * q[2] - q[1] * q[1]
     if not det > 0.0:
@@ -255,7 +383,18 @@ def conic_to_chart(q: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def chart_to_conic_jacobian(y: FloatArray) -> FloatArray:
-    """Jacobian (6, 5) of `chart_to_conic` (the unit-norm conic) in the chart."""
+    """Jacobian of `chart_to_conic`.
+
+    Parameters
+    ----------
+    y : ndarray, shape (5,)
+        Ellipse chart.
+
+    Returns
+    -------
+    ndarray, shape (6, 5)
+        Derivatives of the unit-norm conic in the chart. Its columns are orthogonal to the conic.
+    """
     a = np.exp(2.0 * y[2])
     s = np.exp(2.0 * y[4])
     beta, mx, my = y[3], y[0], y[1]

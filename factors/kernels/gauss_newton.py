@@ -1,6 +1,6 @@
-"""What a Gauss-Newton iteration on a pose needs: a small solve, a prior, a step.
+"""Parts of a Gauss-Newton iteration on a pose: a small linear solve, a prior, a step.
 
-Written out: numba takes seconds to compile the library's linear algebra.
+Written out in loops: numba takes seconds to compile the library's linear algebra.
 """
 
 import numpy as np
@@ -11,8 +11,40 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")
+def substitute(L: FloatArray, x: FloatArray) -> None:
+    """Solve L L' x = b by forward and back substitution, in place.
+
+    Parameters
+    ----------
+    L : ndarray, shape (n, n)
+        Lower triangular, such as a Cholesky factor; its unknowns may have different units.
+    x : ndarray, shape (n,)
+        The right-hand side b, in the units that follow from L; overwritten by the solution.
+    """
+    n = x.shape[0]
+    for i in range(n):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+
+
+@njit(cache=True, error_model="numpy")
 def solve(N: FloatArray, g: FloatArray, x: FloatArray) -> None:
-    """Solve N x = g for a positive definite N (n, n), by Cholesky, scaled to a unit diagonal."""
+    """Solve N x = g by Cholesky decomposition, scaled to a unit diagonal.
+
+    Parameters
+    ----------
+    N : ndarray, shape (n, n)
+        Positive definite, such as a normal matrix; its unknowns may have different units.
+    g : ndarray, shape (n,)
+        Right-hand side, in the units that follow from N.
+    x : ndarray, shape (n,)
+        Written: the solution; NaN where N is not positive definite.
+    """
     n = g.shape[0]
     L = np.empty((n, n))
     for i in range(n):
@@ -22,14 +54,7 @@ def solve(N: FloatArray, g: FloatArray, x: FloatArray) -> None:
             for k in range(j):
                 total -= L[i, k] * L[j, k]
             L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
-    for i in range(n):
-        for k in range(i):
-            x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
+    substitute(L, x)
     for i in range(n):
         x[i] /= np.sqrt(N[i, i])
 
@@ -53,9 +78,25 @@ def _rotation_log(M: FloatArray, w: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def prior_terms(prior: FloatArray, W: FloatArray, pose: FloatArray, N: FloatArray, g: FloatArray) -> float:
-    """Write normal matrix (6, 6) and gradient (6,) of a prior for the right twist; return its cost.
+    """Write normal matrix and gradient of a prior on a pose.
 
-    `W` (6, 6) is the inverse covariance of (attitude error, rotation vector in b; position error in g).
+    Parameters
+    ----------
+    prior : ndarray, shape (4, 4)
+        Mean of the pose gTb.
+    W : ndarray, shape (6, 6)
+        Inverse covariance of the errors of attitude (rotation vector in b, rad) and position (in g, m).
+    pose : ndarray, shape (4, 4)
+        Pose gTb at which to linearise.
+    N : ndarray, shape (6, 6)
+        Written: normal matrix for the body's right twist [w, rho].
+    g : ndarray, shape (6,)
+        Written: gradient of half the cost in that twist.
+
+    Returns
+    -------
+    float
+        Squared Mahalanobis distance of the pose from the prior.
     """
     e = np.zeros(6)
     D = np.zeros((6, 6))
@@ -90,7 +131,15 @@ def prior_terms(prior: FloatArray, W: FloatArray, pose: FloatArray, N: FloatArra
 
 @njit(cache=True, error_model="numpy")
 def move(pose: FloatArray, delta: FloatArray) -> None:
-    """Move a pose by a right twist [w, rho], in place: R exp(w), t + R rho."""
+    """Move a pose by a right twist: R exp(w), t + R rho.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (4, 4)
+        Of the body in g, m; moved in place.
+    delta : ndarray, shape (6,)
+        Twist [w, rho] in b, rad and m.
+    """
     angle2 = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2
     angle = np.sqrt(angle2)
     a = np.sin(angle) / angle if angle > 1e-6 else 1.0
@@ -113,9 +162,16 @@ def move(pose: FloatArray, delta: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def screw(pose: FloatArray, delta: FloatArray) -> None:
-    """Move a pose by the exponential of a right twist [w, rho], in place; to first order as `move` does.
+    """Move a pose by the exponential of a right twist; equal to `move` to first order.
 
     A turn that keeps the view on one place of the ground is a screw: one twist, however far it goes.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (4, 4)
+        Of the body in g, m; moved in place.
+    delta : ndarray, shape (6,)
+        Twist [w, rho] in b, rad and m.
     """
     w, rho = delta[:3], delta[3:]
     angle2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -136,7 +192,15 @@ def screw(pose: FloatArray, delta: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def screw_between(a: FloatArray, b: FloatArray, delta: FloatArray) -> None:
-    """Write the right twist [w, rho] whose `screw` takes pose a to pose b."""
+    """Write the right twist whose `screw` takes one pose to another.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (4, 4)
+        Poses of the body in g, m.
+    delta : ndarray, shape (6,)
+        Written: the twist [w, rho] in the body's frame at a, rad and m.
+    """
     M = np.zeros((3, 3))
     t = np.zeros(3)
     for i in range(3):

@@ -22,9 +22,24 @@ def _adjugate(q: FloatArray, K: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def line_of_sight(q: FloatArray, n_c: FloatArray) -> FloatArray:
-    """Give the unit vector (3,) in c to the true crater centre: K n_c / |K n_c|, K = -4 adj(Q).
+    """Direction to the true crater centre from the image of its rim: K n_c / |K n_c|, K = -4 adj(Q).
 
-    `q` (6,) is the conic (A, B, C, D, E, F) of any sign and scale, `n_c` (3,) the outward normal in c.
+    Parameters
+    ----------
+    q : ndarray, shape (6,)
+        Conic (A, B, C, D, E, F), of any sign and scale.
+    n_c : ndarray, shape (3,)
+        Outward normal of the rim's plane in c, a unit vector.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Unit vector in c, from the camera to the crater.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (8), (9), (12);
+    docs/equations.md.
     """
     K = np.empty((3, 3))
     _adjugate(q, K)
@@ -38,9 +53,21 @@ def line_of_sight(q: FloatArray, n_c: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def line_of_sight_jacobian(q: FloatArray, n_c: FloatArray) -> FloatArray:
-    """Jacobian (3, 6) of `line_of_sight` in the conic's six coefficients.
+    """Jacobian of `line_of_sight` in the conic.
 
     The adjugate is quadratic, so its derivative is exactly adj(Q + dQ) - adj(Q) - adj(dQ).
+
+    Parameters
+    ----------
+    q : ndarray, shape (6,)
+        Conic (A, B, C, D, E, F), of any sign and scale.
+    n_c : ndarray, shape (3,)
+        Outward normal of the rim's plane in c, a unit vector.
+
+    Returns
+    -------
+    ndarray, shape (3, 6)
+        Derivatives of the direction in c in the conic's six coefficients.
     """
     K = np.empty((3, 3))
     K1 = np.empty((3, 3))
@@ -64,9 +91,26 @@ def line_of_sight_jacobian(q: FloatArray, n_c: FloatArray) -> FloatArray:
 def los_residual(
     p: FloatArray, n_c: FloatArray, q: FloatArray, basis: FloatArray, e: FloatArray, J: FloatArray
 ) -> None:
-    """Write e (2,) = basis' (p/|p| - K n_c/|K n_c|) and J (2, 6) for the camera's right twist.
+    """Write the line-of-sight residual of one crater: e = basis' (p/|p| - K n_c/|K n_c|), eq. (11).
 
-    `p` (3,) is the crater's centre in c, `basis` (3, 2) spans the tangent at the measured direction.
+    Parameters
+    ----------
+    p : ndarray, shape (3,)
+        Crater centre in c, m.
+    n_c : ndarray, shape (3,)
+        Outward normal of the rim's plane in c, a unit vector.
+    q : ndarray, shape (6,)
+        Measured conic, of any sign and scale.
+    basis : ndarray, shape (3, 2)
+        Orthonormal tangents in c at the measured direction.
+    e : ndarray, shape (2,)
+        Written: the residual, rad.
+    J : ndarray, shape (2, 6)
+        Written: derivatives in the camera's right twist [w, rho].
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (11); docs/equations.md.
     """
     K = np.empty((3, 3))
     _adjugate(q, K)

@@ -2,7 +2,7 @@
 
 A call from Python pays for every array it hands over, and an array made inside costs more than a crater. So a
 frame's constants are packed into one array, residual and Jacobian are written into one that lives as long as
-the factor, and between the two everything is a scalar.
+the factor, and in between everything is a scalar.
 """
 
 import numpy as np
@@ -36,15 +36,16 @@ def pack(
     centres, axes : ndarray, shape (n, 3), (n, 2, 3)
         Rims in g, m.
     charts : ndarray, shape (n, 5)
-        Measured.
+        Measured charts.
     W : ndarray, shape (n, 5, 5)
-        Lower triangular, with W S W' = 1.
+        Whitening matrices of the charts: lower triangular, with W S W' = 1.
     kind, scale : int, float
         Loss, see `robust`.
 
     Returns
     -------
-    ndarray, shape (14 + 29 n,)
+    ndarray, shape (n_data,)
+        14 + 29 n numbers, in the order of `HEADER` and `CRATER`, in the units of what is packed.
     """
     data = np.empty(HEADER + CRATER * len(charts))
     for i in range(3):
@@ -75,7 +76,8 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
     Parameters
     ----------
     gTb : ndarray, shape (4, 4)
-    data : ndarray
+        Pose of the body in g.
+    data : ndarray, shape (n_data,)
         From `pack`.
     linearise : bool
         Whether the Jacobian is written.
@@ -85,8 +87,8 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
     Returns
     -------
     float
-        A sum that is finite only where all that was written is; `validity` says what a crater gets that the
-        pose cannot see.
+        A sum that is finite only where all that was written is. `validity` says what is written for a crater
+        that the pose cannot see.
     """
     B = data[:12]
     R = np.empty(9)

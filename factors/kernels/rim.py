@@ -1,8 +1,9 @@
 """Distances of edge points from the predicted rim.
 
 The distance is Sampson's, to first order in the level function f = sqrt((u - m)' S^-1 (u - m)) - 1:
-d = f / |grad f|, positive outside. Of f^2 + 2 f, the conic's own form, it would fall short by d^2 / 2R and
-shrink small rims; this one is exact for circles, and is the distance that ellipses are fitted with.
+d = f / |grad f|, positive outside. The conic's own level function f^2 + 2 f would give a distance that falls
+short by d^2 / 2R and shrinks small rims; this one is exact for circles, and is the distance that ellipses are
+fitted with.
 """
 
 import numpy as np
@@ -16,13 +17,29 @@ from factors.kernels.validity import unseen
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Radius, of 1, within which a point counts as the rim's centre, where the distance has no derivative.
+# Radius, in units of the rim's, within which a point counts as its centre, where the distance has no
+# derivative.
 _CENTRE = 1e-9
 
 
 @njit(cache=True, error_model="numpy")
 def rim_distance(u: float, v: float, y: FloatArray, D: FloatArray) -> float:
-    """Distance of a point (u, v) from the ellipse of a chart y (5,); writes its derivative D (5,) in y."""
+    """Distance of a point from an ellipse.
+
+    Parameters
+    ----------
+    u, v : float
+        The point, in the chart's coordinates.
+    y : ndarray, shape (5,)
+        Ellipse chart.
+    D : ndarray, shape (5,)
+        Written: derivatives of the distance in the chart.
+
+    Returns
+    -------
+    float
+        Positive outside, in the unit of the coordinates.
+    """
     ea, es, beta = np.exp(y[2]), np.exp(y[4]), y[3]
     x = u - y[0]
     # The point in the ellipse's own coordinates: S = L L', L = [[ea, 0], [beta ea, es]].
@@ -70,6 +87,7 @@ def rim_residuals(
     Parameters
     ----------
     gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
     centres, axes : ndarray, shape (n, 3), (n, 2, 3)
         Rims in g, m.
     offsets : ndarray of int, shape (n + 1,)
@@ -77,7 +95,7 @@ def rim_residuals(
     points, sigmas : ndarray, shape (m, 2), (m,)
         Normalised, with standard deviations along the rim's normal.
     kind, scale : int, float
-        Loss, see `robust`: on the norm of a rim's residuals, with its `scale` for one of them.
+        Loss, see `robust`: on the norm of a rim's residuals; `scale` refers to their root mean square.
     linearise : bool
         Whether J is written.
     e, J : ndarray, shape (m,), (m, 6)

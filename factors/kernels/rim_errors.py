@@ -1,4 +1,4 @@
-"""Errors of a rim that outlast a frame: how they move its image, and the residual less what they move."""
+"""Time-correlated errors of rims: how errors on the ground move an image, and the residual with them."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @njit(cache=True, error_model="numpy")
 def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray) -> FloatArray:
-    """Differentiate charts for errors of the rims on the ground.
+    """Differentiate charts in errors of the rims on the ground.
 
     Parameters
     ----------
@@ -27,9 +27,9 @@ def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: F
     Returns
     -------
     ndarray, shape (n, 5, 6)
-        Columns: the centre's shift along l1, l2 and their normal; then the growth of the rim along l1, its
-        shear (l1 moves towards l2 and l2 towards l1), its growth along l2. All in units of the rim's mean
-        radius sqrt(a b). Zero for a rim that the pose cannot see.
+        Derivatives in the centre's shift along l1, l2 and their normal; then in the growth of the rim along
+        l1, its shear (l1 moves towards l2 and l2 towards l1) and its growth along l2. The shifts are in units
+        of the rim's mean radius sqrt(a b). Zero for a rim that the pose cannot see.
     """
     R, P = camera_pose(gTb, bTc)
     out = np.zeros((centres.shape[0], 5, 6))
@@ -91,16 +91,17 @@ def shape_residuals_with_errors(
     Parameters
     ----------
     gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
     z : ndarray, shape (m,)
-        The errors of all rims, in the units of `roots`.
-    data : ndarray
+        Errors of all rims, in the units of `roots`.
+    data : ndarray, shape (n_data,)
         From `packed.pack`, without a loss; its charts are overwritten.
     charts : ndarray, shape (n, 5)
-        Measured.
+        Measured charts.
     roots : ndarray, shape (5 n, m)
         The errors add roots z to the predicted charts.
     white : ndarray, shape (5 n, m)
-        Roots, whitened.
+        The roots, whitened.
     kind, scale : int, float
         Loss, see `robust`.
     linearise : bool

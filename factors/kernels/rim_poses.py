@@ -1,4 +1,4 @@
-"""Poses that take rims for craters, maximum a posteriori; and pairs of rim and crater that a pose gives."""
+"""Maximum a posteriori poses from matched rims, and the matches that a pose implies."""
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,9 @@ from factors.kernels.sun import sun_tilt, wrap
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# A true pair of rim and crater, 5 degrees of freedom, is hardly ever further apart (chi-square, 0.9997).
+# Gate of a match's squared distance: the 99.97 % quantile of chi-square with 5 degrees of freedom.
 PAIR_GATE = 23.0
+# Gauss-Newton iterations: quadratic convergence from a few sigmas.
 _ITERATIONS = 4
 
 
@@ -29,18 +30,19 @@ def map_poses(
     prior, W : ndarray, shape (4, 4) and (6, 6)
         Prior pose gTb and the inverse of its covariance.
     start : ndarray, shape (h, 4, 4)
-        Where to begin.
+        Poses gTb at which to begin.
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centres, axes, gains : ndarray, shapes (m, 3), (m, 2, 3), (m, 3)
-        Of the craters: as in the catalogue; directions in g in which their walls are darkest.
+        Of the craters: rims in g, m; directions in g in which their walls are darkest.
     charts, weights, tilts : ndarray, shapes (n, 5), (n, 5, 5), (n,)
         Of the rims: ellipse charts, inverses of their covariances, directions in the image in which their
         walls are darkest, rad.
     tilt_weight : float
-        Inverse variance of a tilt, shared out among a pose's rims: their errors are common. 0 for none.
+        Inverse variance of a tilt, 1/rad^2, divided among a pose's rims, as their errors are common; 0 for
+        none.
     crater, rim : ndarray of int, shape (h, k)
-        The pairs that each pose rests on.
+        The matches that each pose rests on.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def map_poses(
     information : ndarray, shape (h, 6, 6)
         For the right twist at the last linearisation.
     cost : ndarray, shape (h,)
-        Squared Mahalanobis norm of all residuals; inf when a rim came out of sight.
+        Squared Mahalanobis norm of all residuals; inf when a rim is out of sight.
     """
     poses = start.copy()
     informations = np.empty((start.shape[0], 6, 6))
@@ -104,20 +106,29 @@ def distances2(
     gTb: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
     charts: FloatArray, rim_covariance: FloatArray, gate: float, reach: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Squared Mahalanobis distances (n, m) of rims from the craters' charts that a pose predicts.
+    """Squared Mahalanobis distances of rims from the charts that a pose predicts of craters.
 
     Parameters
     ----------
     gTb, covariance : ndarray, shapes (4, 4) and (6, 6)
         Pose, and its covariance for the right twist.
-    bTc, centres, axes, charts : ndarray
-        As for `map_poses`.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes : ndarray, shapes (m, 3), (m, 2, 3)
+        Of the craters in g, m.
+    charts : ndarray, shape (n, 5)
+        Ellipse charts of the rims.
     rim_covariance : ndarray, shape (n, 5, 5)
         Of the charts.
     gate : float
         Beyond it the distance is inf.
     reach : ndarray, shape (2,)
-        Craters further from the optical axis, normalised coordinates, are not looked at: inf.
+        Largest |u|, |v| of a crater's image centre, normalised; craters beyond it are skipped.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        Of every rim from every crater, in squared sigmas of 5 degrees of freedom; inf beyond gate or reach.
     """
     count = charts.shape[0]
     out = np.full((count, centres.shape[0]), np.inf)
@@ -166,14 +177,29 @@ def nearest(
     gTb: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
     charts: FloatArray, rim_covariance: FloatArray, reach: FloatArray,
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """For each rim the crater that a pose with its covariance (6, 6, right twist) puts nearest to it.
+    """Match each rim with the crater that a pose puts nearest to it.
+
+    Parameters
+    ----------
+    gTb, covariance : ndarray, shapes (4, 4) and (6, 6)
+        Pose, and its covariance for the right twist.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes : ndarray, shapes (m, 3), (m, 2, 3)
+        Of the craters in g, m.
+    charts : ndarray, shape (n, 5)
+        Ellipse charts of the rims.
+    rim_covariance : ndarray, shape (n, 5, 5)
+        Of the charts.
+    reach : ndarray, shape (2,)
+        Largest |u|, |v| of a crater's image centre, normalised; craters beyond it are skipped.
 
     Returns
     -------
     crater : ndarray of int, shape (n,)
         -1 when none passes the gate, or when another rim is nearer to the same crater.
     distance2 : ndarray, shape (n,)
-        Squared Mahalanobis distance of the charts.
+        Squared Mahalanobis distance of the charts, in squared sigmas; `PAIR_GATE` without a match.
     """
     count = charts.shape[0]
     crater = np.full(count, -1, np.int64)
@@ -200,7 +226,27 @@ def support(
     poses: FloatArray, covariance: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray,
     charts: FloatArray, rim_covariance: FloatArray, reach: FloatArray,
 ) -> IntArray:  # fmt: skip
-    """Count the rims (h,) for which `nearest` names a crater."""
+    """Count the rims that `nearest` matches, for each of several poses.
+
+    Parameters
+    ----------
+    poses, covariance : ndarray, shapes (h, 4, 4) and (h, 6, 6)
+        Poses gTb, and their covariances for the right twist.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes : ndarray, shapes (m, 3), (m, 2, 3)
+        Of the craters in g, m.
+    charts : ndarray, shape (n, 5)
+        Ellipse charts of the rims.
+    rim_covariance : ndarray, shape (n, 5, 5)
+        Of the charts.
+    reach : ndarray, shape (2,)
+        Largest |u|, |v| of a crater's image centre, normalised; craters beyond it are skipped.
+
+    Returns
+    -------
+    ndarray of int, shape (h,)
+    """
     out = np.zeros(poses.shape[0], np.int64)
     for k in range(poses.shape[0]):
         crater, _ = nearest(poses[k], covariance[k], bTc, centres, axes, charts, rim_covariance, reach)

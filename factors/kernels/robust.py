@@ -34,10 +34,22 @@ def loss_and_weight(d2: float, kind: int, scale: float) -> tuple[float, float]:
 
 @njit(cache=True, error_model="numpy")
 def apply_loss(e: FloatArray, J: FloatArray, kind: int, scale: float, linearise: bool) -> None:
-    """Scale one crater's whitened residual e (m,) and Jacobian J (m, 6) in place.
+    """Scale one crater's whitened residual and Jacobian by a robust loss, in place.
 
-    To linearise: sqrt(w) e and sqrt(w) J. For the error alone: e sqrt(2 rho)/|e|, so that half the
-    squared norm is the loss. Equal to GTSAM's `noiseModel.Robust` on a factor of this crater alone.
+    To linearise: sqrt(w) e and sqrt(w) J. For the error alone: e sqrt(2 rho)/|e|, so that half the squared
+    norm is the loss. Equal to GTSAM's `noiseModel.Robust` on a factor of this crater alone.
+
+    Parameters
+    ----------
+    e : ndarray, shape (m,)
+        Whitened residual.
+    J : ndarray, shape (m, k)
+        Its Jacobian; not used unless `linearise`.
+    kind : int
+        `NONE`, `HUBER`, `CAUCHY`, `GEMAN_MCCLURE` or `TRUNCATED`.
+    scale : float
+        Norm of e, in sigmas, beyond which the loss bites.
+    linearise : bool
     """
     if kind == NONE:
         return

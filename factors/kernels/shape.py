@@ -1,8 +1,9 @@
 """Conic-shape residual of a rim, eq. (19) as printed, with its derivatives.
 
-h is linear in the conic's coefficients q = (A, B, C, D, E, F) and vanishes when q is the image of the
-rim. It vanishes as well at (R, -T), (R Rz180, Rz180 T), (R Rx180, (-tx, ty, tz)) and (R Rx180, Rx180 T);
-of these the checks t_z > 0 and p_z > 0 exclude all but the ellipse's own half turn.
+h is linear in the conic's coefficients q = (A, B, C, D, E, F) and vanishes when q is the image of the rim. It
+vanishes as well at (R, -T), (R Rz180, Rz180 T), (R Rx180, (-tx, ty, tz)) and (R Rx180, Rx180 T); the checks
+t_z > 0 and p_z > 0 exclude all of these but the ellipse's own half turn (docs/equations.md, "Its other
+zeros").
 """
 
 import numpy as np
@@ -26,12 +27,12 @@ def shape(
     H: FloatArray,
     D: FloatArray,
 ) -> None:
-    """Write the residual of eq. (19) and its derivatives.
+    """Write the residual of eq. (19) and its derivatives: zero when the conic is the image of the rim.
 
     Parameters
     ----------
     R : ndarray, shape (3, 3)
-        `cRl`, from the crater's local frame to the camera.
+        Rotation `cRl`, from the crater's local frame to the camera.
     T : ndarray, shape (3,)
         Position of the camera in the crater's local frame, m.
     semi_major, semi_minor : float
@@ -44,6 +45,11 @@ def shape(
         Written: derivative for the camera's right twist [w, rho].
     D : ndarray, shape (5, 6)
         Written: derivative in q; h = D q.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (3), (19);
+    docs/equations.md.
     """
     a2 = semi_major * semi_major
     b2 = semi_minor * semi_minor
@@ -118,7 +124,7 @@ def shape_jacobian(
     semi_axes: FloatArray,
     conics: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Residuals (19) of several rims at a pose, and their derivatives.
+    """Residuals of eq. (19) of several rims at a pose, and their derivatives.
 
     Parameters
     ----------
@@ -136,13 +142,17 @@ def shape_jacobian(
     Returns
     -------
     h : ndarray, shape (n, 5)
+        Residuals, see `shape`.
     H : ndarray, shape (n, 5, 6)
-        For the body's right twist [w, rho].
+        Derivatives in the body's right twist [w, rho].
     D : ndarray, shape (n, 5, 6)
-        In the conic's coefficients.
+        Derivatives in the conic's coefficients.
     in_front : ndarray of bool, shape (n,)
-        Camera above the rim's plane and rim centre in front of the camera: elsewhere zeros of h are
-        no poses.
+        Camera above the rim's plane and rim centre in front of the camera: elsewhere zeros of h are no poses.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (19); docs/equations.md.
     """
     n = centres.shape[0]
     h = np.empty((n, 5))

@@ -1,7 +1,7 @@
 """Crater centres and lines of sight of a frame, whitened and robust per crater.
 
 Every kernel writes the residual e and, when `linearise` is set, the Jacobian J for the body's right twist
-[w, rho]. `validity` says what a crater gets that the pose cannot see.
+[w, rho]. `validity` says what is written for a crater that the pose cannot see.
 """
 
 import numpy as np
@@ -20,16 +20,16 @@ def centre_residuals(
     gTb: FloatArray, bTc: FloatArray, centres: FloatArray, points: FloatArray,
     whitening: FloatArray, kind: int, scale: float, linearise: bool, e: FloatArray, J: FloatArray,
 ) -> None:  # fmt: skip
-    """Crater centres as points: zero when each one's image is the image ellipse's centre.
+    """Crater centres as points: zero when the image of each centre is the centre of the image ellipse.
 
-    That is the assumption of the centre-based methods, eq. (10); it is wrong by the eccentricity of
-    perspective.
+    That is the assumption of centre-based methods, eq. (10). Perspective shifts the one from the other.
 
     Parameters
     ----------
     gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
     centres : ndarray, shape (n, 3)
-        In g, m.
+        Crater centres in g, m.
     points : ndarray, shape (n, 2)
         Centres of the image ellipses, normalised.
     whitening : ndarray, shape (n, 2, 2)
@@ -40,6 +40,10 @@ def centre_residuals(
         Whether J is written.
     e, J : ndarray, shape (2 n,), (2 n, 6)
         Written.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (10); docs/equations.md.
     """
     R, P = camera_pose(gTb, bTc)
     p = np.empty(3)
@@ -72,10 +76,31 @@ def los_residuals(
     bases: FloatArray, whitening: FloatArray, kind: int, scale: float, linearise: bool,
     e: FloatArray, J: FloatArray,
 ) -> None:  # fmt: skip
-    """Lines of sight, eq. (11): zero when K n_c points to every crater's centre.
+    """Lines of sight, eq. (11): zero when K n_c points to the centre of every crater.
 
-    `normals` (n, 3) in g, `conics` (n, 6), `bases` (n, 3, 2) orthonormal tangents at the measured line
-    of sight, `whitening` (n, 2, 2); the rest as above.
+    Parameters
+    ----------
+    gTb, bTc : ndarray, shape (4, 4)
+        Pose of the body in g, mounting of the camera.
+    centres, normals : ndarray, shape (n, 3)
+        Crater centres, m, and outward unit normals, in g.
+    conics : ndarray, shape (n, 6)
+        Measured conics, of any sign and scale.
+    bases : ndarray, shape (n, 3, 2)
+        Orthonormal tangents in c at the measured directions.
+    whitening : ndarray, shape (n, 2, 2)
+        Lower triangular W with W S W' = 1.
+    kind, scale : int, float
+        Loss, see `robust`.
+    linearise : bool
+        Whether J is written.
+    e, J : ndarray, shape (2 n,), (2 n, 6)
+        Written.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (8), (11);
+    docs/equations.md.
     """
     R, P = camera_pose(gTb, bTc)
     p = np.empty(3)

@@ -1,8 +1,8 @@
-"""Strapdown propagation of mean and covariance in the rotating frame g, eqs (26)-(28).
+"""Strapdown propagation of mean and covariance in the rotating frame g, eqs. (26)-(28).
 
-Error state, 18: attitude (rotation vector in b, R_true = R exp(phi)), position and velocity (in g),
-angular velocity (in b), gyro bias, accelerometer bias. All but the angular velocity are propagated row
-by row; the angular velocity is what the last gyro row says of it.
+Error state, 18: attitude (rotation vector in b, R_true = R exp(phi)), position and velocity (in g), angular
+velocity (in b), gyro bias, accelerometer bias. All but the angular velocity are propagated row by row; the
+angular velocity is that of the last gyro row.
 """
 
 import numpy as np
@@ -262,11 +262,11 @@ def propagate(
     spin: FloatArray,
     noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Propagate a state and its covariance through rows of an IMU log.
+    """Propagate a state and its covariance through rows of an IMU log, eqs. (26), (27).
 
-    A row's specific force is a mean along turning axes; it counts with the first orders of the turn
-    inside the row, f + (w dt) x f / 2. Gravity and the frame's rotation act at the row's predicted
-    midpoint; the spin is removed from the attitude exactly.
+    A row's specific force is a mean along turning axes; it counts with the first orders of the turn inside
+    the row, f + (w dt) x f / 2. Gravity and the frame's rotation act at the row's predicted midpoint; the
+    spin is removed from the attitude exactly.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def propagate(
     gV : ndarray, shape (3,)
         Velocity relative to g, in g, m/s.
     bias : ndarray, shape (6,)
-        Gyro (rad/s), accelerometer (m/s^2).
+        Gyro (rad/s), accelerometer (m/s^2), in b.
     covariance : ndarray, shape (18, 18)
         Of the error state.
     dt_s : ndarray, shape (m,)
@@ -285,17 +285,24 @@ def propagate(
     mu : float
         Gravitational parameter, m^3/s^2.
     spin : ndarray, shape (3,)
-        Of the body in g, rad/s.
+        Angular velocity of the target body in g, rad/s.
     noise : ndarray, shape (4,)
-        Gyro and accelerometer densities, gyro and accelerometer bias walks.
+        Densities of gyro (rad/s/sqrt(Hz)) and accelerometer (m/s^2/sqrt(Hz)), then of their biases' random
+        walks (rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)).
 
     Returns
     -------
     gTb : ndarray, shape (4, 4)
     gV : ndarray, shape (3,)
+        In g, m/s.
     rate : ndarray, shape (3,)
         Inertial angular velocity in b, mean over the last row, rad/s.
     covariance : ndarray, shape (18, 18)
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (26)-(28);
+    docs/equations.md.
     """
     return _propagate(gTb, gV, bias, covariance, dt_s, gyro, accelerometer, mu, spin, noise, np.empty((0, 0)))
 
@@ -316,8 +323,23 @@ def transition(
 
     Parameters
     ----------
-    gTb, gV, bias, dt_s, gyro, accelerometer, mu, spin, noise
-        As for `propagate`.
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    gV : ndarray, shape (3,)
+        Velocity relative to g, in g, m/s.
+    bias : ndarray, shape (6,)
+        Gyro (rad/s), accelerometer (m/s^2), in b.
+    dt_s : ndarray, shape (m,)
+        Durations of the rows, m >= 1.
+    gyro, accelerometer : ndarray, shape (m, 3)
+        Interval means of the inertial angular velocity (rad/s) and the specific force (m/s^2) in b.
+    mu : float
+        Gravitational parameter, m^3/s^2.
+    spin : ndarray, shape (3,)
+        Angular velocity of the target body in g, rad/s.
+    noise : ndarray, shape (4,)
+        Densities of gyro (rad/s/sqrt(Hz)) and accelerometer (m/s^2/sqrt(Hz)), then of their biases' random
+        walks (rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)).
 
     Returns
     -------

@@ -8,7 +8,8 @@ from factors.kernels.conic import body_columns, camera_pose
 
 FloatArray = npt.NDArray[np.float64]
 
-# Below this length of the image direction (of a unit vector) the tilt says nothing.
+# Length of the image direction (of a unit vector) below which the tilt is undefined: within 3 deg of the line
+# of sight, where an attitude error of a degree turns it by tens of degrees.
 FLOOR = 0.05
 
 
@@ -18,9 +19,9 @@ def sun_tilt(
 ) -> tuple[float, float]:
     """Predicted tilt of a direction at an image point, and its Jacobian.
 
-    theta = atan2(s_y - v s_z, s_x - u s_z), s = gRc' direction. With u = v = 0 and the direction
-    towards the sun this is eq. (24) as printed, with atan2 for atan; with the direction's part along
-    the ground it is what brightness shows.
+    theta = atan2(s_y - v s_z, s_x - u s_z), s = gRc' direction. With u = v = 0 and the direction towards the
+    sun this is eq. (24) as printed, with atan2 for atan. With the direction's part along the ground it is the
+    tilt that brightness shows.
 
     Parameters
     ----------
@@ -37,8 +38,12 @@ def sun_tilt(
     -------
     tilt_rad : float
     strength : float
-        Length of the image direction (s_x - u s_z, s_y - v s_z) for a unit direction: 0 when the
-        direction points along the line of sight, where the tilt is undefined; J is then zero.
+        Length of the image direction (s_x - u s_z, s_y - v s_z) for a unit direction: 0 when the direction
+        points along the line of sight, where the tilt is undefined; J is then zero.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (24); docs/equations.md.
     """
     R, _ = camera_pose(gTb, bTc)
     norm = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
@@ -69,18 +74,19 @@ def wrap(angle_rad: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def tilt_residual(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
-    """Sun tilt: zero when the predicted one is the measured one; in units of its sigma.
+    """Sun tilt: zero when the predicted tilt is the measured one; in units of its sigma.
 
     Parameters
     ----------
     gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
     data : ndarray, shape (23,)
-        Mounting bTc row by row, direction in g, image point, tilt and its sigma (rad).
+        Mounting bTc row by row, direction in g, image point (normalised), tilt and its sigma (rad).
     linearise : bool
         Whether the Jacobian is written.
     out : ndarray, shape (7, 1)
-        Written: the Jacobian's columns for the body's right twist [w, rho], then the residual. Where the
-        tilt is undefined the residual is the largest there is, and has no slope.
+        Written: the Jacobian's columns for the body's right twist [w, rho], then the residual. Where the tilt
+        is undefined the residual is the largest there is, and has no slope.
 
     Returns
     -------
