@@ -53,6 +53,22 @@ def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) ->
     return LineOfSight(los.line_of_sight(q, n_c), D @ covariance @ D.T)
 
 
+def tangents(direction: FloatArray) -> FloatArray:
+    """Give an orthonormal basis of the plane across a direction.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (3,)
+        Unit vector in c.
+
+    Returns
+    -------
+    ndarray, shape (3, 2)
+    """
+    # The two right singular vectors that are perpendicular to it.
+    return np.asarray(np.linalg.svd(direction[None])[2][1:].T)
+
+
 def crater_los_factor(
     key: int,
     bTc: npt.ArrayLike | None,
@@ -114,8 +130,7 @@ def crater_los_factor(
     for i in range(n):
         conics[i] = conic.chart_to_conic(charts[i])
         direction, S = line_of_sight(charts[i], covariances[i], gRc.T @ normals[i])
-        # The two right singular vectors that are perpendicular to the direction.
-        bases[i] = np.linalg.svd(direction[None])[2][1:].T
+        bases[i] = tangents(direction)
         tangent_covariances[i] = bases[i].T @ S @ bases[i]
     tangent_covariances = 0.5 * (tangent_covariances + np.swapaxes(tangent_covariances, 1, 2))
     W = validation.whitening("covariances", tangent_covariances, n, 2)

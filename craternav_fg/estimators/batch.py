@@ -214,7 +214,10 @@ def build_graph(
         if options.rims == "chart":
             exposed = values.atPose3(key).matrix()
             errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed, known)
-        add_frame(graph, problem, options, key, frame, states=states, values=added, map_errors=errors)
+        add_frame(
+            graph, problem, options, key, frame, states=states, values=added, map_errors=errors,
+            near=values.atPose3(key).matrix(),
+        )  # fmt: skip
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), number, frame.stamp_ns)
         if features is not None:
             features.enter(

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -14,10 +14,10 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions, RimErrorStates
+from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.conic_shape import ChartError, conic_shape_factor
-from factors.crater_centre import crater_centre_factor
 from factors.custom import Loss
 from factors.imu import imu_factor, integrate, parameters
 from factors.kernels import robust
@@ -38,8 +38,9 @@ class GraphOptions:
 
     Attributes
     ----------
-    rims : {"chart", "centre"}
-        Measurement of a rim: its ellipse chart, or (the baseline) its ellipse's centre only.
+    rims : {"chart", "eq19", "los", "los+shape", "points", "centre"}
+        Measurement of a rim: its ellipse chart; the paper's eq. (19); its line of sight, eq. (11), alone or
+        with what (19) says beside it; points of the ellipse; its centre only. See `rim_models.rim_factors`.
     loss : Loss
         On each crater's whitened norm. Huber at 3.3 sigma, about the 95 % point of 5 dimensions.
     keyframe_s : float
@@ -53,7 +54,7 @@ class GraphOptions:
         How often errors that outlast a frame count where they are taken as new: 1 for a single image.
     """
 
-    rims: Literal["chart", "centre"] = "chart"
+    rims: RimModel = "chart"
     loss: Loss = Loss(robust.HUBER, 3.3)
     keyframe_s: float = 1.0
     calibration: Calibration = Calibration()
@@ -61,8 +62,8 @@ class GraphOptions:
     variance_inflation: float = VARIANCE_INFLATION
 
     def __post_init__(self) -> None:
-        if self.rims not in ("chart", "centre"):
-            raise EstimationError(f"rims: expected 'chart' or 'centre', found {self.rims!r}")
+        if self.rims not in RIM_MODELS:
+            raise EstimationError(f"rims: expected one of {', '.join(RIM_MODELS)}, found {self.rims!r}")
         if not 0.0 < self.keyframe_s < np.inf:
             raise EstimationError(f"keyframe_s: expected a positive number, found {self.keyframe_s}")
 
@@ -143,20 +144,20 @@ def add_frame(
     values: gtsam.Values | None = None,
     holds: Callable[[int], bool] | None = None,
     map_errors: Sequence[ChartError] = (),
+    near: FloatArray | None = None,
 ) -> None:
     """Add what one image says of the pose at `key`, its noise multiplied by `noise_scale`.
 
     With `states` the errors that outlast the frame are variables, and `values` gets those that are new (see
     `RimErrorStates.enter`); without, they count as new in every frame. `map_errors` are further variables of
-    the rims.
+    the rims. Lines of sight are evaluated at the attitude of `near` (4, 4), a pose gTb, m.
     """
     carried = states is not None and values is not None and options.rims == "chart"
     rims = frame.rims if carried else frame.rims.inflate_correlated(options.variance_inflation)
     bTc = descent.camera.bTc
     if len(rims):
-        centres = descent.catalog.centres[rims.craters]
         if options.rims == "chart":
-            axes = descent.catalog.axes[rims.craters]
+            centres, axes = descent.catalog.centres[rims.craters], descent.catalog.axes[rims.craters]
             errors: list[ChartError] = []
             if states is not None and values is not None:
                 errors = states.enter(rims, graph, values, holds)
@@ -166,11 +167,14 @@ def add_frame(
                 conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
             )
         else:
-            points = rims.centres()
-            S = noise_scale**2 * points.covariance
-            graph.push_back(crater_centre_factor(key, bTc, centres, points.points, S, options.loss))
+            scaled = replace(rims, covariance=noise_scale**2 * rims.covariance)
+            gTb = descent.initial.gTb if near is None else near
+            for factor in rim_factors(
+                options.rims, key, descent.camera, descent.catalog, scaled, gTb, options.loss
+            ):
+                graph.push_back(factor)
     arcs = frame.arcs.inflate_correlated(options.variance_inflation)
-    if len(arcs) and options.rims == "chart":
+    if len(arcs) and options.rims in ("chart", "points"):
         centres, axes = descent.catalog.centres[arcs.craters], descent.catalog.axes[arcs.craters]
         sigmas = [noise_scale * sigma for sigma in arcs.sigmas]
         graph.push_back(rim_points_factor(key, bTc, centres, axes, arcs.points, sigmas, ARC_LOSS))

@@ -3,20 +3,24 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import gtsam
 import numpy as np
 import numpy.typing as npt
+from gtsam.symbol_shorthand import X
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import conic_jacobians, conics_of_charts
+from craternav_fg.estimators.rim_models import RimModel, rim_factors
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import ArcSet, RimSet, SunTilt
+from factors.custom import Loss
 from factors.kernels import conic, rim, robust, shape, sun
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-MeasurementModel = Literal["chart", "implicit"]
+MeasurementModel = Literal["chart", "implicit", "los", "los+shape", "points", "centre"]
 NoiseModel = Literal["measured", "fixed"]
 
 # Covariance of (A, ..., F) in 4.2.3, taken for conics with |q| = 1. Table 2 gives A and C errors of
@@ -60,7 +64,7 @@ def linearise_rims(
         n measured rims.
     camera : Camera
     catalog : Catalog
-    model : {"chart", "implicit"}
+    model : {"chart", "implicit", "los", "los+shape", "points", "centre"}
         Ellipse chart, or eq. (19) as an implicit measurement (Soatto): innovation -h, noise D S D'.
     noise : {"measured", "fixed"}
         Each rim's own covariance, or the paper's Qn.
@@ -74,6 +78,8 @@ def linearise_rims(
     usable : ndarray of bool, shape (n,)
         Rims that are visible ellipses from this pose; the others have zero rows.
     """
+    if model != "chart" and model != "implicit":
+        return _of_factors(model, gTb, rims, camera, catalog)
     n = len(rims)
     rows = rims.craters
     centres, axes = catalog.centres[rows], catalog.axes[rows]
@@ -100,6 +106,27 @@ def linearise_rims(
     residual = np.zeros((n, 5))
     if usable.any():
         A[usable], residual[usable] = _whiten(H[usable], innovation[usable], covariance[usable])
+    A[:, :, 3:] = A[:, :, 3:] @ gTb[:3, :3].T
+    return A, residual, usable
+
+
+def _of_factors(
+    model: RimModel, gTb: FloatArray, rims: RimSet, camera: Camera, catalog: Catalog
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Linearise the smoothers' factors of a frame's rims, which have the same rows for each rim."""
+    n = len(rims)
+    values = gtsam.Values()
+    values.insert(X(0), gtsam.Pose3(gTb))
+    parts = []
+    for factor in rim_factors(model, X(0), camera, catalog, rims, gTb, Loss()) if n else []:
+        J, residual = factor.linearize(values).jacobian()
+        parts.append((J.reshape(n, -1, 6), residual.reshape(n, -1)))
+    if not parts:
+        return np.zeros((0, 1, 6)), np.zeros((0, 1)), np.zeros(0, dtype=np.bool_)
+    A = np.concatenate([J for J, _ in parts], axis=1)
+    residual = np.concatenate([r for _, r in parts], axis=1)
+    # A rim out of sight has no pull: its rows are zero.
+    usable = np.asarray(A.reshape(n, -1).any(axis=1))
     A[:, :, 3:] = A[:, :, 3:] @ gTb[:3, :3].T
     return A, residual, usable
 

@@ -131,9 +131,11 @@ class OnlineSession:
         values = gtsam.Values()
         initial = self._descent.initial
         add_prior(graph, initial)
-        add_frame(graph, self._descent, self._options, X(0), frame, states=self._errors, values=values)
-        add_sensors(graph, values, self._descent, self._bank.at(frame.stamp_ns), 0, frame.stamp_ns)
         gTb = start.gTb if start.frame == 0 else initial.gTb
+        add_frame(
+            graph, self._descent, self._options, X(0), frame, states=self._errors, values=values, near=gTb
+        )
+        add_sensors(graph, values, self._descent, self._bank.at(frame.stamp_ns), 0, frame.stamp_ns)
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._add_features(graph, values, 0, frame.stamp_ns)
         self._update(graph, values, 0, frame.stamp_ns)
@@ -175,7 +177,7 @@ class OnlineSession:
         frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
         add_frame(
             graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
-            holds=self._solver.tree.valueExists,
+            holds=self._solver.tree.valueExists, near=state.gTb,
         )  # fmt: skip
         add_sensors(
             graph, values, self._descent, self._bank.at(frame.stamp_ns), last, frame.stamp_ns,
@@ -295,12 +297,13 @@ class OnlineSmoother:
     Parameters
     ----------
     options : GraphOptions
+    name : str
+        Under which its result is kept.
     """
 
-    name = "online"
-
-    def __init__(self, options: GraphOptions = GraphOptions()) -> None:
+    def __init__(self, options: GraphOptions = GraphOptions(), name: str = "online") -> None:
         self.options = options
+        self.name = name
 
     def run(self, problem: Problem) -> OnlineSession:
         """Feed all frames to a session."""

@@ -9,10 +9,12 @@ from craternav_fg.estimators.base import Estimator
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
-from craternav_fg.estimators.ekf.filter import ekf, ekf_paper
+from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper
 from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.linearisation import MeasurementModel
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
+from craternav_fg.estimators.rim_models import RimModel
 
 
 def _centre_smoother() -> Estimator:
@@ -31,14 +33,32 @@ def _map_refining_smoother() -> Estimator:
     return BatchSmoother(GraphOptions(calibration=calibration), "map_refining_smoother")
 
 
+def _smoother_of(rims: RimModel, name: str) -> Callable[[], Estimator]:
+    return lambda: BatchSmoother(GraphOptions(rims=rims), name)
+
+
+def _online_of(rims: RimModel, name: str) -> Callable[[], Estimator]:
+    return lambda: OnlineSmoother(GraphOptions(rims=rims), name)
+
+
+def _ekf_of(measurement: MeasurementModel, name: str) -> Callable[[], Estimator]:
+    return lambda: DistributedEkf(name, EkfOptions(measurement=measurement))
+
+
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "smoother": BatchSmoother,
     "gnc_smoother": GncSmoother,
     "self_calibrating_smoother": _self_calibrating_smoother,
     "map_refining_smoother": _map_refining_smoother,
+    "smoother_eq19": _smoother_of("eq19", "smoother_eq19"),
+    "smoother_los": _smoother_of("los", "smoother_los"),
     "online": OnlineSmoother,
+    "online_eq19": _online_of("eq19", "online_eq19"),
+    "online_los": _online_of("los", "online_los"),
     "fixed_lag": FixedLagSmoother,
     "ekf": ekf,
+    "ekf_eq19": _ekf_of("implicit", "ekf_eq19"),
+    "ekf_los": _ekf_of("los", "ekf_los"),
     "ekf_paper": ekf_paper,
     "centre_smoother": _centre_smoother,
     "dead_reckoning": DeadReckoning,
@@ -49,7 +69,16 @@ FORMER_NAMES = {
     "mapping_smoother": "map_refining_smoother",
 }
 # Run only when asked for: each extra parameter raises the variance.
-ON_REQUEST = ("self_calibrating_smoother", "map_refining_smoother")
+ON_REQUEST = (
+    "self_calibrating_smoother",
+    "map_refining_smoother",
+    "smoother_eq19",
+    "smoother_los",
+    "online_eq19",
+    "online_los",
+    "ekf_eq19",
+    "ekf_los",
+)
 DEFAULT = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
 # Their estimate at a frame uses later data as well; that of the others only the data up to it.
 RETROSPECTIVE = (
@@ -57,6 +86,8 @@ RETROSPECTIVE = (
     "gnc_smoother",
     "self_calibrating_smoother",
     "map_refining_smoother",
+    "smoother_eq19",
+    "smoother_los",
     "centre_smoother",
 )
 

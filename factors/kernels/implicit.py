@@ -50,13 +50,14 @@ def implicit_residuals(
         Rims in g, m.
     conics : ndarray, shape (n, 6)
         Measured conics, as `chart_to_conic` gives them.
-    projections : ndarray, shape (n, 5, 6)
-        P = L^-1 A+ of every rim, which whitens its conic, see above.
+    projections : ndarray, shape (n, m, 6)
+        P = L^-1 A+ of every rim, which whitens its conic, see above; or m combinations of its
+        five rows.
     kind, scale : int, float
         Loss, see `robust`.
     linearise : bool
         Whether J is written.
-    e, J : ndarray, shape (5 n,), (5 n, 6)
+    e, J : ndarray, shape (m n,), (m n, 6)
         Written; J for the body's right twist [w, rho].
 
     References
@@ -68,11 +69,12 @@ def implicit_residuals(
     c = np.empty((2, 3))
     y = np.empty(5)
     Jy = np.empty((5, 6))
-    Jc = np.empty((5, 6))
+    rows = projections.shape[1]
+    Jc = np.empty((rows, 6))
     for i in range(centres.shape[0]):
         rim_in_camera(R, P, centres[i], axes[i], p, c)
         seen = chart_and_jacobian(p, c, y, Jy) if linearise else chart(p, c, y)
-        ei, Ji = e[5 * i : 5 * i + 5], J[5 * i : 5 * i + 5]
+        ei, Ji = e[rows * i : rows * (i + 1)], J[rows * i : rows * (i + 1)]
         dot = 0.0
         if seen:
             q = chart_to_conic(y)
@@ -81,7 +83,7 @@ def implicit_residuals(
         if not dot > LEAST_COSINE:
             unseen(ei, Ji, kind, scale, linearise)
             continue
-        for r in range(5):
+        for r in range(rows):
             ei[r] = 0.0
             for k in range(6):
                 # Without the measured conic, which P maps to 0, the digits of a small residual would go.
@@ -94,7 +96,7 @@ def implicit_residuals(
                     along += conics[i, k] * A[k, m]
                 for k in range(6):
                     A[k, m] = (A[k, m] - q[k] * along / dot) / dot
-            for r in range(5):
+            for r in range(rows):
                 for d in range(6):
                     Jc[r, d] = 0.0
                 for m in range(5):

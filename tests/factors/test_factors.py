@@ -18,6 +18,7 @@ from factors.implicit_shape import implicit_shape_factor
 from factors.kernels import validity
 from factors.kernels.sun import wrap
 from factors.rim_points import rim_points_factor
+from factors.shape_beside_los import shape_beside_los_factor
 from factors.sun_tilt import sun_tilt_factor
 from tests.factors.conftest import View, make_view, rim_points
 
@@ -53,6 +54,13 @@ def rim(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
     return rim_points_factor(X(0), view.bTc, c.centres, c.axes, points, [1e-4] * len(points), loss)
 
 
+def shape_beside_los(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
+    c, gRc = view.catalog, (view.gTb @ view.bTc)[:3, :3]
+    return shape_beside_los_factor(
+        X(0), view.bTc, c.centres, c.axes, view.charts, view.covariances, gRc, loss
+    )
+
+
 def sun(view: View, loss: Loss = Loss()) -> gtsam.CustomFactor:
     east = view.catalog.gRl[0, :, 0]
     return sun_tilt_factor(X(0), view.bTc, east, 1.0, 0.1, (0.1, -0.2))
@@ -62,6 +70,7 @@ FACTORS: dict[str, Build] = {
     "shape": shape,
     "implicit": implicit,
     "los": los,
+    "shape_beside_los": shape_beside_los,
     "centre": centre,
     "rim": rim,
     "sun": sun,
@@ -94,9 +103,28 @@ def test_jacobian(name: str, altitude_m: float, tilt_deg: float, circular: bool)
             assert_allclose(J / columns, expected / columns, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["shape", "implicit", "los", "rim"])
+@pytest.mark.parametrize("name", ["shape", "implicit", "los", "shape_beside_los", "rim"])
 def test_zero_at_truth(view: View, name: str) -> None:
     assert FACTORS[name](view, Loss()).error(values_at(view.gTb)) < 1e-9
+
+
+def test_line_of_sight_and_what_is_beside_it_are_eq_19(view: View) -> None:
+    """Together they have the information of the conic-shape factor, and each less."""
+    at = values_at(view.gTb)
+
+    def information(factor: gtsam.CustomFactor) -> np.ndarray:
+        J = factor.linearize(at).jacobian()[0]
+        # In units in which the whole information is about one.
+        return J.T @ J
+
+    whole, parts = information(shape(view)), [information(los(view)), information(shape_beside_los(view))]
+    scale = np.sqrt(np.diag(whole))
+    assert_allclose(sum(parts) / np.outer(scale, scale), whole / np.outer(scale, scale), atol=1e-7)
+    for part in parts:
+        assert (
+            np.linalg.slogdet(part / np.outer(scale, scale))[1]
+            < -0.1 + np.linalg.slogdet(whole / np.outer(scale, scale))[1]
+        )
 
 
 def test_centre_is_not_zero_at_truth(view: View) -> None:

@@ -37,7 +37,7 @@ class EkfOptions:
 
     Attributes
     ----------
-    measurement : {"chart", "implicit"}
+    measurement : {"chart", "implicit", "los", "los+shape", "points", "centre"}
         Ellipse chart, or eq. (19) as an implicit measurement, eq. (25).
     noise : {"measured", "fixed"}
         Each rim's own covariance, taken where the prediction expects it, or the paper's Qn for all of them.

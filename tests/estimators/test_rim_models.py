@@ -1,0 +1,98 @@
+"""The paper's measurements in the graph: what each keeps of the information of the ellipse chart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from craternav_fg.estimators.base import Estimator, Problem
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
+from craternav_fg.estimators.registry import estimator
+from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel
+from craternav_fg.trajectory import Trajectory
+from tests import descents
+
+SAME: tuple[RimModel, ...] = ("eq19", "los+shape", "points")
+
+
+@pytest.fixture(scope="module")
+def descent(tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Trajectory]:
+    """Rims with edges known to 0.5 px."""
+    measured = descents.scenario().measurements
+    assert measured is not None
+    fine = measured.model_copy(update={"edge_sigma_px": 0.5})
+    return descents.problem(tmp_path_factory.mktemp("d"), descents.scenario(measurements=fine), 0)
+
+
+@pytest.fixture(scope="module")
+def chart(descent: tuple[Problem, Trajectory]) -> Trajectory:
+    return BatchSmoother().estimate(descent[0])
+
+
+def apart_sigmas(one: Trajectory, other: Trajectory) -> float:
+    """Root mean square distance of positions, in sigmas of the first."""
+    assert one.pose_covariance is not None
+    step = other.gP - one.gP
+    white = np.linalg.solve(np.linalg.cholesky(one.pose_covariance[:, 3:, 3:]), step[..., None])
+    return float(np.sqrt(np.mean(white**2)))
+
+
+@pytest.mark.parametrize("model", SAME)
+def test_what_carries_all_information_has_the_charts_optimum(
+    descent: tuple[Problem, Trajectory], chart: Trajectory, model: RimModel
+) -> None:
+    found = BatchSmoother(GraphOptions(rims=model)).estimate(descent[0])
+    assert apart_sigmas(chart, found) < 0.1
+    assert chart.pose_covariance is not None
+    assert found.pose_covariance is not None
+    sigmas = [
+        np.sqrt(np.diagonal(c, axis1=1, axis2=2)) for c in (chart.pose_covariance, found.pose_covariance)
+    ]
+    np.testing.assert_allclose(sigmas[1] / sigmas[0], 1.0, atol=0.02)
+
+
+def test_lines_of_sight_alone_know_less_the_fewer_craters_are_in_view(
+    descent: tuple[Problem, Trajectory],
+) -> None:
+    p, _ = descent
+    growth = []
+    for count in (1, 2, 5):
+        frames = [replace(f, rims=f.rims.take(np.arange(min(count, len(f.rims))))) for f in p.frames]
+        few = replace(p, frames=frames)
+        sigmas = []
+        for model in ("chart", "los"):
+            found = BatchSmoother(GraphOptions(rims=model)).estimate(few)
+            assert found.pose_covariance is not None
+            sigmas.append(np.sqrt(np.trace(found.pose_covariance[:, 3:, 3:], axis1=1, axis2=2)))
+        growth.append(float(np.median(sigmas[1] / sigmas[0])))
+    assert growth[0] > growth[1] > growth[2] > 1.0
+
+
+@pytest.mark.parametrize("model", RIM_MODELS)
+def test_every_model_works_online_with_a_lag_and_in_the_filter(
+    descent: tuple[Problem, Trajectory], model: RimModel
+) -> None:
+    p, truth = descent
+    short = replace(p, frames=p.frames[:20])
+    of_filter = EkfOptions(measurement="implicit" if model == "eq19" else model)
+    for one in (
+        OnlineSmoother(GraphOptions(rims=model)),
+        FixedLagSmoother(GraphOptions(rims=model)),
+        DistributedEkf("ekf", of_filter),
+    ):
+        found = one.estimate(short)
+        last = np.linalg.norm(found.gP[-1] - truth.gP[19])
+        # Centres are off by what perspective moves them.
+        assert last < (2000.0 if model == "centre" else 200.0), (model, one.name)
+
+
+@pytest.mark.parametrize("name", ["smoother_eq19", "online_eq19", "smoother_los", "online_los", "ekf_los"])
+def test_the_named_estimators_measure_what_their_names_say(name: str) -> None:
+    one: Estimator = estimator(name)
+    assert one.name == name
+    options = one.options  # type: ignore[attr-defined]
+    found = options.rims if isinstance(options, GraphOptions) else options.measurement
+    assert found == name.rsplit("_", 1)[1]
