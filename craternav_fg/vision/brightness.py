@@ -83,7 +83,7 @@ def filled(image: ImageArray) -> tuple[ImageArray, ImageArray]:
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
-        NaN in holes.
+        Brightness, 0 to 255; NaN in holes.
 
     Returns
     -------

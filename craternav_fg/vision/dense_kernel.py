@@ -20,7 +20,7 @@ def factorised(N: FloatArray, L: FloatArray) -> bool:
     Parameters
     ----------
     N : ndarray, shape (n, n)
-        Symmetric.
+        Symmetric, in any units.
     L : ndarray, shape (n, n)
         Written: the lower triangular factor.
 
@@ -54,8 +54,9 @@ def solved(L: FloatArray, rhs: FloatArray) -> FloatArray:
     Parameters
     ----------
     L : ndarray, shape (n, n)
-        Lower triangular.
+        Lower triangular, in any units.
     rhs : ndarray, shape (n,)
+        In the units of L L' x.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def inverse_block(N: FloatArray, C: FloatArray) -> bool:
     Parameters
     ----------
     N : ndarray, shape (n, n)
-        Symmetric.
+        Symmetric, in any units.
     C : ndarray, shape (m, m)
         Written: the first m rows and columns of the inverse of N.
 
@@ -110,6 +111,7 @@ def ordered(values: FloatArray) -> FloatArray:
     Parameters
     ----------
     values : ndarray, shape (n,)
+        In any unit.
 
     Returns
     -------

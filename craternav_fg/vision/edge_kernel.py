@@ -109,7 +109,7 @@ def trace_rim(
     table_blur, table_contrast : ndarray, shapes (m,), (k,)
         The regular grid on which it is given: blur in radii, and slope contrast across the rim.
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
     -------

@@ -40,7 +40,7 @@ def second_order_bias(
     y : ndarray, shape (5,)
         Estimated chart in pixels.
     C : ndarray, shape (5, 5)
-        See above.
+        Inverse normal matrix, see above: covariance of the chart for sigma2 = 1.
     sigma2 : float
         The points' errors have the variance sigma2 / base, px^2.
 

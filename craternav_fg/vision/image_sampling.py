@@ -22,6 +22,7 @@ def noise_level(image: ImageArray) -> float:
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
 
     Returns
     -------
@@ -41,6 +42,7 @@ def bilinear(image: ImageArray, x: float, y: float) -> float:
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
     x, y : float
         Position, px.
 
@@ -65,6 +67,7 @@ def bicubic(image: ImageArray, x: float, y: float) -> float:
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
     x, y : float
         Position, px.
 

@@ -46,7 +46,7 @@ def distorts(lens: FloatArray) -> bool:
     Parameters
     ----------
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
     """
     return bool(np.any(lens[4:9] != 0.0))
 
@@ -60,7 +60,7 @@ def through_lens(q: FloatArray, lens: FloatArray) -> float:
     q : ndarray, shape (6,)
         As `rim_point` writes it; overwritten.
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
     -------
@@ -92,9 +92,9 @@ def back_through_lens(point: FloatArray, move: FloatArray, lens: FloatArray) -> 
     Parameters
     ----------
     point, move : ndarray, shape (2,)
-        Overwritten.
+        Overwritten, px.
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
     """
     work = np.empty(6)
     fx, fy = lens[0], lens[1]

@@ -24,6 +24,7 @@ def shift_score(
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
     points : ndarray, shape (n, k, 6)
         Points of the rims, see `rim_geometry.rim_points`.
     contrast_px : ndarray, shape (n, 2)
@@ -35,7 +36,7 @@ def shift_score(
     reach_share, reach_px : float
         The brightness step is taken reach_share radii, at least reach_px, to both sides of the rim.
     lens : ndarray, shape (10,)
-        `Camera.lens`, for the image's pixels.
+        `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
     -------
@@ -75,6 +76,7 @@ def search_shift(
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
     charts_px : ndarray, shape (n, 5)
         Predicted rims, charts in pixels of the camera without distortion.
     contrast_px : ndarray, shape (n, 2)
@@ -89,7 +91,7 @@ def search_shift(
     reach_share, reach_px : float
         See `shift_score`.
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
     -------

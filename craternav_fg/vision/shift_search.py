@@ -41,7 +41,7 @@ def common_shift(image: ImageArray, rims: PredictedRims, lens: FloatArray, radiu
     rims : PredictedRims
         At least one.
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
     radius_px : float
         Largest component of the shift.
 
@@ -89,7 +89,7 @@ def own_shifts(
         Brightness, 0 to 255.
     rims : PredictedRims
     lens : ndarray, shape (10,)
-        `Camera.lens`.
+        `Camera.lens`: intrinsics, px, and distortion.
     common : ndarray, shape (2,)
         Common shift, px.
     reach_px : ndarray, shape (n,)

@@ -22,7 +22,7 @@ class RimErrors:
     covariance : ndarray, shape (..., 5, 5)
         Of the whole error.
     systematic : ndarray, shape (..., 5, 5)
-        The part of it that is about the same in every image of the rim.
+        Covariance of the part that is about the same in every image of the rim.
     brightness_root : ndarray, shape (..., 5)
         Root v of the part v v' of `systematic` that comes from the unknown reference brightness: it moves
         rims along the illumination direction.
@@ -47,7 +47,7 @@ class RimErrors:
         brightness_root : ndarray, shape (5,)
             Standard deviation, with sign, from a biased estimate of the reference brightness.
         floor : ndarray, shape (5, 5)
-            Systematic floor.
+            Covariance from the systematic floor.
         """
         systematic = outline + floor + np.outer(brightness_root, brightness_root)
         return cls(points + systematic, systematic, brightness_root)
