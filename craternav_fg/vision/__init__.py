@@ -1,1 +1,15 @@
-"""Rims and the sun's tilt from images."""
+"""Rims and the sun's tilt from images.
+
+Two detectors share the edge search and the ellipse fit:
+
+- `guided` measures the rims of catalogue craters near a predicted pose: `predicted_rims` (what the pose
+predicts),
+  `shift_search` and `pose_correction` (where the rims are), `rim_fitting`, `arcs` (rims seen in part), `sun`
+  and `wall_shading` (direction towards the sun).
+- `detect` finds rims without any prediction: `brightness` (any image), `candidates` (template matching);
+`canny` is
+  the published method for comparison.
+- Shared: `grey`, `image_sampling`, `reference_brightness`, `crater_profile`, `rim_geometry`, `edges` with
+  `edge_kernel`, `ellipse_fit` with `ellipse_kernel`, `ellipse_bias`, `ellipse_distance` and `dense_kernel`.
+- `error_model` makes the covariance of a rim, from the fit to what an estimator uses.
+"""

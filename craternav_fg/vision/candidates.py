@@ -2,9 +2,9 @@
 
 A bowl under oblique light is a dipole of brightness, dark towards the sun. The canonical crater (see
 `crater_profile`) under light along x and along y gives two templates. The length of the image's correlations
-with them tells how much a place looks like a crater of the template's size, their angle the direction towards
-the sun. The image is correlated relative to its local mean, at a resolution that makes craters of each octave
-of sizes equally large.
+with them measures how much a place looks like a crater of the template's size; their angle gives the
+direction towards the sun. The image is correlated relative to its local mean, at a resolution that makes
+craters of each octave of sizes equally large.
 """
 
 from dataclasses import dataclass, fields
@@ -34,7 +34,8 @@ _MIN_RELATIVE_CONTRAST = 0.01
 _MIN_BRIGHTNESS_STEP = 0.5
 # Width of the local mean, in the largest radii of the octave.
 _MEAN_WINDOW_RADII = 4.0
-# Exponent of the size in the order of candidates of the same correlation: the larger are fewer and tell more.
+# Exponent of the size in the order of candidates of the same correlation: larger craters are fewer and
+# determine more.
 _SIZE_EXPONENT = 0.15
 # Peaks of the correlation are highest within this window, px at the resolution of the correlation.
 _PEAK_WINDOW_PX = 7

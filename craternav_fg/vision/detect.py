@@ -1,9 +1,9 @@
 """Blind detection: crater rims in an image without a pose, a catalogue or a camera model.
 
-Candidates that look like a lit bowl (see `candidates`) vote for the direction towards the sun; that they
-agree tells a cratered image from noise. Candidates lit from that direction are traced and fitted as if they
-had been predicted as circles (see `edges` and `ellipse_fit`). The fit, the correlation and the number of edge
-points give each rim a quality.
+Candidates that look like a lit bowl (see `candidates`) vote for the direction towards the sun; in noise they
+do not agree. Candidates lit from that direction are traced and fitted as if they had been predicted as
+circles (see `edges` and `ellipse_fit`). The fit, the correlation and the number of edge points give each rim
+a quality.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,7 +31,7 @@ from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
-# Fewer candidates cannot tell a common direction towards the sun from chance.
+# Fewer candidates may agree on a direction towards the sun by chance.
 _MIN_VOTERS = 12
 # Share of the votes for the most common direction on images without craters, the margin above it, over the
 # root of the number of votes, that shows craters, and the margin that contradicts a given direction. On

@@ -2,8 +2,8 @@
 
 A rim crest is level across the rim, so it is as bright as locally flat terrain: the edge is where the
 brightness crosses that reference, between the inner wall and the outer slope. The strongest gradient lies
-inside the crest, further inside for larger craters. The slope contrast (see `photometry`) tells which side is
-the bright one. Where it runs along the rim there is no contrast across the rim, and no edge point.
+inside the crest, further inside for larger craters. The slope contrast (see `photometry`) gives the side that
+is the bright one. Where it runs along the rim there is no contrast across the rim, and no edge point.
 
 Blurring moves the crossing, as the inner wall is steeper than the outer slope; see `crater_profile`.
 """

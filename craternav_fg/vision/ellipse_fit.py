@@ -85,7 +85,7 @@ class BrightnessUnknown:
         the error is the same all around.
     sun_px : ndarray, shape (2,), optional
         Direction towards the sun in the image, of any length; needed with a slope. In this direction the
-        slope cannot be told from the rim's size: it only adds to the covariance.
+        slope has the effect of a change of size, so it is not estimated and only adds to the covariance.
     """
 
     motion: FloatArray

@@ -166,7 +166,7 @@ def _correlation_factor(r: FloatArray, weight: FloatArray) -> float:
 def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: float) -> float:
     """Variance of the outline's deviation from the ellipse, radii^2, that explains residuals r (n,).
 
-    The mean square of the residuals is that of the points' own errors, told from the differences of
+    The mean square of the residuals is that of the points' own errors, estimated from the differences of
     neighbours, plus what a fit of the ellipse alone leaves of the harmonics.
     """
     count, m = rows.shape

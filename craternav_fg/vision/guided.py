@@ -116,7 +116,7 @@ class GuidedFrontEnd:
         fitter = RimFitter(pixels, brightness.noise, self.camera, self.options)
         result = self._attempt(frame, fitter)
         if 2 * len(result.rims) < result.expected and result.expected >= _MIN_AGREEING_RIMS:
-            # The prediction may be worse than its covariance says; several rims must agree on that.
+            # The prediction may be worse than its covariance claims; several rims must agree on that.
             lost_rad = 0.5 * self.options.max_shift_px / self.camera.focal_px
             wider = prior + np.diag([lost_rad**2] * 3 + [0.0] * 3)
             wide = self._attempt(replace(frame, prior=wider), fitter)

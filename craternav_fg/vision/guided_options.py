@@ -27,7 +27,7 @@ class GuidedOptions:
         that distort the map of the reference brightness.
     max_shift_px : float
         Largest common shift that is searched. Also searched when several rims are missing, whatever the
-        prediction's covariance says.
+        prediction's covariance claims.
     shift_sigmas : float
         Searched radius in standard deviations of the predicted rims.
     min_found_share : float

@@ -1,4 +1,4 @@
-"""Reference brightness of an image: that of locally flat terrain, lit and seen as each place is."""
+"""Reference brightness of an image: that of locally flat terrain under the local illumination and view."""
 
 import numpy as np
 import numpy.typing as npt

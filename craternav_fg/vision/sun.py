@@ -2,9 +2,9 @@
 
 Relief without preferred direction, lit obliquely, has brightness gradients along the slope contrast G (see
 `photometry`) three times as strong, in square, as across it: the axis of the structure tensor is that of G.
-Gradients are taken to the ground with the predicted pose, and each place's G is rotated to a common axis; the
-rotation that is left is the azimuth by which the prediction is wrong. The sense along the axis follows from
-the mean unit gradient, which points away from the sun.
+Gradients are taken to the ground with the predicted pose, and the G of each block is rotated to a common
+axis; the rotation that is left is the azimuth by which the prediction is wrong. The sense along the axis
+follows from the mean unit gradient, which points away from the sun.
 
 Craters whose rims have been measured show the direction far better (see `wall_shading`); the relief is for
 images without them.
@@ -27,7 +27,7 @@ from craternav_fg.vision.wall_shading import sun_azimuth_offset
 
 FloatArray = npt.NDArray[np.float64]
 
-# Largest standard deviation of the predicted attitude, rad, that tells the sense of the axis.
+# Largest standard deviation of the predicted attitude, rad, that decides the sense of the axis.
 _MAX_SENSE_SIGMA_RAD = 0.5
 # Fewer craters are no better than the relief.
 _MIN_CRATERS = 3
@@ -41,7 +41,7 @@ _MIN_HORIZONTAL_SUN = 0.05
 _MIN_STRENGTH = 1e-3
 # Blocks with a mean brightness, of 255, above this may hold saturated pixels.
 _MAX_BLOCK_BRIGHTNESS = 245.0
-# Mean unit gradient that tells the sense of the axis, in standard deviations.
+# Least mean unit gradient that decides the sense of the axis, in standard deviations.
 _SENSE_SIGMAS = 3.0
 
 
@@ -114,7 +114,7 @@ def measure_sun_tilt(
     options : SunOptions, optional
     attitude_sigma_rad : float
         Standard deviation of the predicted attitude. It enters that of the tilt through the foreshortening,
-        and decides whether the prediction may tell the sense of an axis if the brightness does not.
+        and decides whether the prediction may give the sense of an axis if the brightness does not.
     craters : Catalog, optional
         Those whose rims have been measured where the pose puts them.
 

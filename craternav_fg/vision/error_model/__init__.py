@@ -11,10 +11,10 @@ In one image, for one rim:
    it: they do not average out.
 2. Irregular outline. `ellipse_kernel.fit` estimates harmonics of the outline beside the ellipse: where points
    are missing, an ellipse through the others is as uncertain as the outline deviates from it.
-   `error_model.outline.unseen_deviation`, applied by `rim_fitting.fit_rims`, repeats the fit with the
-   deviation that the other rims of the frame show: one rim's points tell it poorly.
+   `error_model.outline.unseen_deviation`, applied by `rim_fitting.RimFitter.fit`, repeats the fit
+   with the deviation that the other rims of the frame show: one rim's points determine it poorly.
 3. Wrong reference brightness. An irregular outline biases the estimate of the unknown brightness by more than
-   step 1 says: `ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE`.
+   step 1 claims: `ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE`.
 4. Systematic floor. `error_model.systematic.floor_covariance`, applied by `ellipse_fit.refine_rim`, adds what
    no number of points averages out: the fit's residuals do not show a rim crest that is displaced as a whole.
    From here on a rim carries `error_model.systematic.RimErrors`: the whole covariance, the systematic part of
@@ -25,16 +25,16 @@ In one image, for all its rims:
 5. Scatter of the frame. `error_model.frame_scatter.variance_factor`, applied by `GuidedFrontEnd`, scales the
    covariances if the rims scatter more about one common pose than they claim: on rough terrain all rims are
    worse than their own edge points show.
-6. Correlation. `error_model.correlated.split`, applied by `GuidedFrontEnd`, says which part of the systematic
-   error a crater keeps (`RimSet.correlated`), adds what all rims share (`RimSet.shared`), and leaves the rest
-   white: the ground under a crater is the same in the next frame, so its error does not average out.
+6. Correlation. `error_model.correlated.split`, applied by `GuidedFrontEnd`, separates the part of the
+   systematic error that a crater keeps (`RimSet.correlated`), adds the errors that all rims share
+   (`RimSet.shared`), and leaves the rest white: the ground under a crater is the same in the next frame, so
+   its error does not average out.
 
 Over the frames of a descent:
 
 7. Pooling. `error_model.pooling.PooledErrors`, applied by `pipeline.tracking.Tracker`, replaces the
-covariances
-   of irregular rims by means over the frames that show the same crater: a weighted mean over frames would
-   follow those that happen to claim the smallest covariance.
+   covariances of irregular rims by means over the frames that show the same crater: a weighted mean over
+   frames would follow those that happen to claim the smallest covariance.
 
 In an estimator:
 

@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 FloatArray = npt.NDArray[np.float64]
 
-# With fewer rims the scatter about a pose of six unknowns says little about the covariances.
+# With fewer rims the scatter about a pose of six unknowns shows little of the covariances.
 _MIN_RIMS = 6
 
 

@@ -6,17 +6,17 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 # A frame's outlines count as irregular if their median deviation is this many times the expected one: with
-# `GuidedOptions.fit.outline_share` of 0.0003, above 0.3 % of the radius. Chosen between what the fit finds on
-# rendered elliptic rims (up to 0.2 %) and on rims with outlines 2 to 3 % off an ellipse (above 1 %).
+# the 0.03 % of `GuidedOptions`, above 0.3 % of the radius. On rendered ground the median is 0.03 % with
+# elliptic outlines, up to 0.12 % where craters overlap, and 0.6 to 0.9 % with outlines 1 % off an ellipse.
 IRREGULARITY_FACTOR = 10.0
 
 
 def unseen_deviation(shares: FloatArray, expected_share: float) -> FloatArray:
     """Estimate how much of each outline's deviation its own edge points do not show.
 
-    One rim's points tell its deviation poorly, and a rim that looks elliptic by chance would get too much
-    weight. Where the frame's outlines are irregular, each rim is expected to deviate as much as the frame's
-    root mean square.
+    One rim's points determine its deviation poorly, and a rim that looks elliptic by chance would get too
+    much weight. Where the frame's outlines are irregular, each rim is expected to deviate as much as the
+    frame's root mean square.
 
     Parameters
     ----------

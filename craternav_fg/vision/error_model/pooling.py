@@ -76,8 +76,8 @@ class PooledErrors:
         """Add the rims of the next frame to the pools, and give them pooled covariances.
 
         The time-correlated part becomes that of the pool. The white part becomes that of the pool, too, but
-        in no direction smaller than the fit claims: a fit that claims a larger covariance than others, of a
-        rim half in shadow, is believed.
+        in no direction smaller than the fit claims: a rim half in shadow does have a larger covariance than
+        in other frames.
 
         Parameters
         ----------
