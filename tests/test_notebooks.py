@@ -10,7 +10,8 @@ from craternav_fg.campaign import run
 from craternav_fg.campaign.run import CampaignOptions
 from tests import descents
 from tests.campaign import inline
-from tests.cli.test_command_line import craternav, short_scenario
+from tests.cli.calls import craternav
+from tests.cli.test_command_line import short_scenario
 
 NOTEBOOKS = Path(__file__).parent.parent / "notebooks"
 

@@ -3,6 +3,7 @@
 from craternav_fg.cli import (
     benchmark,
     campaigns,
+    catalog_import,
     catalogs,
     descents,
     detection,
@@ -17,6 +18,7 @@ __all__ = [
     "app",
     "benchmark",
     "campaigns",
+    "catalog_import",
     "catalogs",
     "descents",
     "detection",

@@ -1,15 +1,14 @@
-"""The application that the commands join, and what they share."""
+"""The application that all commands join."""
 
 import sys
 import warnings
 from typing import Annotated
 
-import numpy as np
 import typer
 
 import craternav_fg
 from craternav_fg.cli.terminal import err, say
-from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.errors import CraternavError
 
 app = typer.Typer(
     help="Reconstruct a planetary landing from crater rims and an IMU.",
@@ -19,7 +18,10 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, nothing else.")]
+
+def example(arguments: str) -> str:
+    """Last line of a command's help: how it may be called."""
+    return f"Example: craternav {arguments}"
 
 
 def _version(show: bool) -> None:
@@ -36,19 +38,6 @@ def options(
 ) -> None:
     """Reconstruct a planetary landing from crater rims and an IMU."""
     del version
-
-
-def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:
-    """Read an option of several numbers."""
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count or not np.isfinite(values).all():
-        raise InputError(option, f"expected {count} numbers, separated by commas, found {text!r}")
-    return values
 
 
 def _one_line(

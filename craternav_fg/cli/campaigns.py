@@ -6,53 +6,56 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich import box
-from rich.table import Table
 
 from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import CampaignOptions
 from craternav_fg.campaign.run import montecarlo as run_campaign
-from craternav_fg.cli.app import JsonOption, app
-from craternav_fg.cli.descents import EstimatorOption
-from craternav_fg.cli.terminal import bar, err, number, out, say
+from craternav_fg.cli.app import app, example
+from craternav_fg.cli.options import EstimatorOption, JsonOption, ScenarioArgument
+from craternav_fg.cli.terminal import err, out, progress_bars, say, table_of_numbers, three_digits, warn
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
-from craternav_fg.simulation.scenario_file import load_scenario
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 
-COLUMNS = {
+# Figures of an estimator in summary.json and their headings.
+_COLUMNS = {
     "converged": "conv.",
-    "position_final_mean_m": "end m",
-    "position_final_rms_m": "end RMS",
-    "attitude_final_mean_deg": "end deg",
+    "position_final_mean_m": "mean m",
+    "position_final_rms_m": "RMS m",
+    "attitude_final_mean_deg": "mean deg",
     "rms_over_pcrb": "/PCRB",
     "anees": "ANEES",
     "time_per_trial_s": "time s",
 }
-# What a shell expects of a command that was ended by Ctrl-C.
-INTERRUPTED = 130
+_LEGEND = (
+    "conv.: trials with final errors below 2 % of the altitude and 1 deg; mean, RMS: of the final errors\n"
+    "of position (m) and attitude (deg); /PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
+    "averaged over the altitude; ANEES of the pose: 6 expected; time: of a trial"
+)
+# Exit code that a shell expects after Ctrl-C.
+_INTERRUPTED = 130
 
 
-@app.command()
+@app.command(epilog=example("montecarlo paper_case3 -n 30 -o runs/campaign"))
 def montecarlo(
-    scenario: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")],
+    scenario: ScenarioArgument,
     trials: Annotated[int, typer.Option("-n", help="Number of trials.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the campaign.")],
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine.", show_default="one for each core")
+        int | None, typer.Option(help="Processes on this machine.", show_default="one per core")
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler, whose workers run the trials instead.")
+        str | None, typer.Option(help="Address of a Dask scheduler whose workers run the trials instead.")
     ] = None,
     images: Annotated[
-        bool, typer.Option("--images", help="Render images and measure them, in place of analytic rims.")
+        bool, typer.Option("--images", help="Render images and measure them, instead of simulated rims.")
     ] = False,
     estimators: EstimatorOption = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Do trials again that failed.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="Repeat the trials that failed.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run trials of a scenario with every estimator; in a folder of before, those that are missing."""
-    if workers is not None and scheduler is not None:
-        raise CraternavError("expected --workers or --scheduler, found both")
+    """Run trials of a scenario with every estimator. In the folder of a campaign, run the missing ones."""
+    _check_one_of(workers, scheduler)
     options = CampaignOptions(
         trials=trials,
         estimators=tuple(dict.fromkeys(estimators or DEFAULT)),
@@ -61,46 +64,49 @@ def montecarlo(
         scheduler=scheduler,
         retry=retry,
     )
-    case = load_scenario(scenario)
-    try:
-        with bar() as report:
-            summary = run_campaign(case, output, options, report)
-    except KeyboardInterrupt:
-        err.print("craternav: interrupted: finished trials stay, the same command goes on", style="red")
-        raise typer.Exit(INTERRUPTED) from None
-    _show(output, summary, as_json)
-
-
-def _show(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
-    failed = read_campaign(folder).failed
-    if failed:
-        first = min(failed)
-        line = (
-            f"{len(failed)} of {summary['trials']} trials failed, the first: trial {first}: {failed[first]}"
-        )
-        if len(failed) == summary["trials"]:
-            raise CraternavError(line)
-        err.print(
-            f"craternav: warning: {line}", style="yellow", highlight=False, markup=False, soft_wrap=True
-        )
+    summary = _run(load_scenario(scenario), output, options)
+    _report_failures(read_campaign(output).failed, summary["trials"])
     if as_json:
         out.print_json(json.dumps(summary))
+    else:
+        _show(output, summary)
+
+
+def _check_one_of(workers: int | None, scheduler: str | None) -> None:
+    if workers is not None and scheduler is not None:
+        raise CraternavError("expected --workers or --scheduler, found both")
+
+
+def _run(scenario: Scenario, folder: Path, options: CampaignOptions) -> dict[str, Any]:
+    """Run the campaign; Ctrl-C ends the command in one line."""
+    try:
+        with progress_bars() as report:
+            return run_campaign(scenario, folder, options, report)
+    except KeyboardInterrupt:
+        err.print("craternav: interrupted; finished trials stay, the same command resumes", style="red")
+        raise typer.Exit(_INTERRUPTED) from None
+
+
+def _report_failures(failed: dict[int, str], trials: int) -> None:
+    """Warn of trials that failed; it is an error when all have."""
+    if not failed:
         return
-    # With padding that neighbours share, the longest name and every column fit into 80 characters.
-    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
-    table.add_column("estimator", no_wrap=True)
-    for heading in COLUMNS.values():
-        table.add_column(heading, justify="right", no_wrap=True)
+    first = min(failed)
+    message = f"{len(failed)} of {trials} trials failed, the first: trial {first}: {failed[first]}"
+    if len(failed) == trials:
+        raise CraternavError(message)
+    warn(message)
+
+
+def _show(folder: Path, summary: dict[str, Any]) -> None:
+    table = table_of_numbers("estimator", _COLUMNS.values())
     for name, values in summary["estimators"].items():
-        table.add_row(name, *(number(values[column]) for column in COLUMNS))
+        table.add_row(name, *(three_digits(values[column]) for column in _COLUMNS))
     out.print(table)
     trials = summary["trials"]
     for name, values in summary["estimators"].items():
-        given = values["trajectories"]
-        if given != trials:
-            say(f"{name}: a trajectory in {given} of {trials} trials, its figures are of these")
-    say(
-        "conv.: trials whose last error is below 2 % of the altitude and 1 deg; end: mean and RMS of the\n"
-        "last errors; /PCRB: RMS of the position over its bound, all frames; ANEES of the pose, honest: 6"
-    )
-    say(f"{summary['trials']} trials, {summary['wall_s']:.0f} s: {folder}")
+        count = values["trajectories"]
+        if count != trials:
+            say(f"{name}: figures are over the {count} of {trials} trials that gave a trajectory")
+    say(_LEGEND)
+    say(f"{trials} trials, {summary['wall_s']:.0f} s: {folder}")

@@ -1,4 +1,4 @@
-"""Command that finds out which craters an image shows, and from where, without any prior position."""
+"""Command that identifies the craters of an image, and the pose, without any prior position."""
 
 import json
 import math
@@ -12,9 +12,19 @@ import typer
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.cli.app import JsonOption, app, numbers_of
-from craternav_fg.cli.catalog_reading import CatalogBodyOption, read_any_catalog
-from craternav_fg.cli.terminal import err, out, say
+from craternav_fg.cli.app import app, example
+from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.options import (
+    CameraOption,
+    CatalogBodyOption,
+    CatalogOption,
+    JsonOption,
+    numbers_of,
+    require_kept,
+    require_suffix,
+)
+from craternav_fg.cli.poses import show_pose
+from craternav_fg.cli.terminal import note, out, say
 from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
@@ -25,14 +35,18 @@ from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
 from craternav_fg.vision.detect import find_rims
 
+FloatArray = npt.NDArray[np.float64]
 
-@app.command()
+
+@app.command(
+    epilog=example("identify rims.csv --camera sensor.yaml --catalog craters.parquet -o matched.csv")
+)
 def identify(
     rims: Annotated[
         Path, typer.Argument(help="CSV of ellipses as `craternav detect` writes it, or an image file.")
     ],
-    camera: Annotated[Path, typer.Option(help="The camera's sensor.yaml.")],
-    catalog: Annotated[Path, typer.Option(help="Catalogue: .parquet, or a table that can be imported.")],
+    camera: CameraOption,
+    catalog: CatalogOption,
     attitude: Annotated[
         str | None, typer.Option(help="Attitude gRb of a star tracker, as a quaternion w,x,y,z.")
     ] = None,
@@ -40,11 +54,13 @@ def identify(
         float, typer.Option(min=1e-3, max=10.0, help="Its standard deviation per axis.")
     ] = 1.5,
     altitude_km: Annotated[
-        str | None, typer.Option(help="LEAST,LARGEST altitude that is possible.", show_default="1,2000")
+        str | None, typer.Option(help="MIN,MAX altitude to search.", show_default="1,2000")
     ] = None,
     index: Annotated[
         Path | None,
-        typer.Option(help="Where the catalogue's index is kept.", show_default="beside it, FILE.index.npz"),
+        typer.Option(
+            help="File of the catalogue's index.", show_default="FILE.index.npz beside the catalogue"
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -53,30 +69,28 @@ def identify(
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the crater of each rim and the lander's pose, from nowhere; with an image, its rims first."""
+    """Identify the craters of an image, and the lander's pose, without a prior (lost in space)."""
     path = index_path(catalog) if index is None else index
-    if path.suffix != ".npz":
-        raise InputError(path, "expected a name that ends in .npz for the index")
-    if output is not None and output.resolve() in (file.resolve() for file in (rims, camera, catalog, path)):
-        raise InputError(output, "would be overwritten by the result: choose another --output")
+    require_suffix(path, [".npz"])
+    if output is not None:
+        require_kept([rims, camera, catalog, path], [output])
     sensor = read_camera(camera)
     known = _attitude(attitude, attitude_sigma_deg)
     options = IdentifyOptions(altitudes_m=_altitudes(altitude_km))
     ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
-    ready, said = load_or_build(path, craters)
-    if said:
-        err.print(f"craternav: index: {said}", highlight=False, soft_wrap=True)
+    ready, index_note = load_or_build(path, craters)
+    if index_note:
+        note(f"index: {index_note}")
     found = identify_rims(ellipses, sensor, ready, known, options)
     values = _plain(found, ellipses, craters.body)
     if output is not None and found.identified:
         write_matched_ellipses(output, ellipses, found.craters)
     if as_json:
-        out.print_json(json.dumps({**values, "index": said or f"{path}: loaded"}, allow_nan=False))
+        out.print_json(json.dumps({**values, "index": index_note or f"{path}: loaded"}, allow_nan=False))
     else:
         _show(values)
-    if not found.identified:
-        raise EstimationError(f"{found.status.value}: {found.reason}")
+    _require_answer(found)
 
 
 def _attitude(text: str | None, sigma_deg: float) -> KnownAttitude | None:
@@ -86,6 +100,7 @@ def _attitude(text: str | None, sigma_deg: float) -> KnownAttitude | None:
     q = np.array(values)
     if not np.abs(q).max() > 0.0:
         raise InputError("--attitude", "expected a quaternion, found zero")
+    # Scaled first, as the squares of very large or small numbers are not finite.
     q /= np.abs(q).max()
     return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
 
@@ -95,11 +110,12 @@ def _altitudes(text: str | None) -> tuple[float, float]:
     if values is None:
         return IdentifyOptions.altitudes_m
     if not 0.0 < values[0] < values[1]:
-        raise InputError("--altitude-km", f"expected 0 < LEAST < LARGEST, found {text}")
+        raise InputError("--altitude-km", f"expected 0 < MIN < MAX, found {text}")
     return 1e3 * values[0], 1e3 * values[1]
 
 
-def _from_image(path: Path, camera: Camera) -> npt.NDArray[np.float64]:
+def _from_image(path: Path, camera: Camera) -> FloatArray:
+    """Detect the ellipses (n, 5), px and rad, of an image of the camera."""
     pixels = read_foreign_image(path)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width_px, camera.height_px):
@@ -108,8 +124,8 @@ def _from_image(path: Path, camera: Camera) -> npt.NDArray[np.float64]:
     return find_rims(pixels).ellipses_px
 
 
-def _plain(found: Identification, ellipses: npt.NDArray[np.float64], body: Body) -> dict[str, Any]:
-    """Give lists, numbers and texts: what JSON can carry."""
+def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str, Any]:
+    """Give lists, numbers and texts that JSON can carry."""
     rims = [
         {"center_x_px": round(float(x), 3), "center_y_px": round(float(y), 3), "crater": name}
         for (x, y), name in zip(ellipses[:, :2], found.craters, strict=True)
@@ -143,30 +159,20 @@ def _plain(found: Identification, ellipses: npt.NDArray[np.float64], body: Body)
 
 
 def _show(values: dict[str, Any]) -> None:
-    pose = values["pose"]
-    if pose is None:
+    if values["pose"] is None:
         return
     say("      x px       y px      crater")
     for rim in values["rims"]:
         say(f"{rim['center_x_px']:10.3f} {rim['center_y_px']:10.3f}      {rim['crater'] or '-'}")
-    matched = sum(rim["crater"] is not None for rim in values["rims"])
-    gP, attitude, sigma_m, sigma_deg = (
-        ", ".join(f"{number:{form}}" for number in pose[name])
-        for name, form in (
-            ("position_m", ".2f"),
-            ("attitude_wxyz", ".8f"),
-            ("position_sigma_m", ".3g"),
-            ("attitude_sigma_deg", ".3g"),
-        )
-    )
+    identified = sum(rim["crater"] is not None for rim in values["rims"])
     chance = values["log_probability_of_chance"] / math.log(10.0)
     say(
-        f"{matched} of {len(values['rims'])} rims are craters of the catalogue; by chance with a "
-        f"probability of 10^{chance:.1f}; {1e3 * values['seconds']:.0f} ms"
+        f"{identified} of {len(values['rims'])} rims identified; probability that they agree by chance "
+        f"10^{chance:.1f}; {1e3 * values['seconds']:.0f} ms"
     )
-    say(
-        f"latitude {pose['latitude_deg']:.5f}, longitude {pose['longitude_deg']:.5f} deg, altitude "
-        f"{pose['altitude_m']:.1f} m above the sphere of {1e-3 * pose['body_radius_m']:g} km"
-    )
-    say(f"  position in g {gP} m; sigma {sigma_m} m")
-    say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")
+    show_pose(values["pose"])
+
+
+def _require_answer(found: Identification) -> None:
+    if not found.identified:
+        raise EstimationError(f"{found.status.value}: {found.reason}")

@@ -1,4 +1,4 @@
-"""Command that writes a page on a run or a campaign."""
+"""Command that writes the report of a run or a campaign."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,8 @@ import typer
 
 from craternav_fg.campaign import store as campaign_store
 from craternav_fg.campaign.read import read_campaign
-from craternav_fg.cli.app import JsonOption, app
+from craternav_fg.cli.app import app, example
+from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
 from craternav_fg.report.campaign_page import campaign_page
@@ -17,27 +18,26 @@ from craternav_fg.report.recording import write_recording
 from craternav_fg.report.run_page import run_page
 from craternav_fg.runs.read import read_run
 
-REPORT = "report.html"
+_PAGE = "report.html"
 
 
-@app.command()
+@app.command(epilog=example("report runs/demo --recording runs/demo.rrd"))
 def report(
     folder: Annotated[Path, typer.Argument(metavar="RUN|CAMPAIGN", help="Folder of a run or a campaign.")],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="HTML file.", show_default=f"{REPORT} in the folder")
+        Path | None, typer.Option("--output", "-o", help="HTML file.", show_default=f"{_PAGE} in the folder")
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(help="Write a .rrd file for the rerun viewer, too: trajectories and rims in 3-D."),
+        typer.Option(help="Also write a .rrd file for the rerun viewer: trajectories and rims in 3-D."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a report: one HTML page that needs no network."""
-    path = output or folder / REPORT
+    path = output or folder / _PAGE
     written = {"report": str(path)}
     if (folder / campaign_store.MARKER).is_file():
-        if recording is not None:
-            raise InputError(folder, "is a campaign: recordings are of runs")
+        _check_no_recording(folder, recording)
         write_page(campaign_page(read_campaign(folder)), path)
     else:
         run = read_run(folder)
@@ -49,3 +49,8 @@ def report(
         out.print_json(json.dumps(written))
     else:
         say("\n".join(written.values()))
+
+
+def _check_no_recording(folder: Path, recording: Path | None) -> None:
+    if recording is not None:
+        raise InputError(folder, "is a campaign: expected a run for --recording")

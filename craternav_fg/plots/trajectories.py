@@ -292,7 +292,7 @@ def draw_overview(
     Parameters
     ----------
     images : sequence of (ndarray, FrameMeasurement)
-        Images, shape (H, W), with the rims and the sun measured in them.
+        Images, shape (H, W), in grey levels, with the rims and the sun measured in them.
     trajectories : mapping of str to Trajectory
         By estimator.
     truth : Trajectory or None

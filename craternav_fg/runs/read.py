@@ -21,8 +21,9 @@ from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-# What version 0.1 called a metric and a column of residuals.parquet.
+# What version 0.1 called metrics, calibration results and columns of residuals.parquet.
 _FORMER_METRICS = {"rim_misfit_share": "rim_outlier_share"}
+_FORMER_CALIBRATED = {"image_delay_s": "time_offset_s", "image_delay_sigma_s": "time_offset_sigma_s"}
 _FORMER_COLUMNS = {"taken_for": "reassociated_with", "gain": "slope_contrast"}
 
 
@@ -81,9 +82,8 @@ def read_run(folder: Path | str) -> Run:
         dataset = path / description["dataset"]
         metrics["estimators"] = {present_name(name): each for name, each in metrics["estimators"].items()}
         for values in metrics["estimators"].values():
-            for former, name in _FORMER_METRICS.items():
-                if former in values:
-                    values[name] = values.pop(former)
+            _rename(values, _FORMER_METRICS)
+            _rename(values.get("calibrated", {}), _FORMER_CALIBRATED)
     except KeyError as error:
         raise InputError(path, f"is damaged: {error} is missing") from None
     except (ValueError, pa.ArrowException, OSError) as error:
@@ -118,6 +118,13 @@ def read_residuals(folder: Path) -> pa.Table:
         raise InputError(path, f"is damaged: {error}") from None
     table = table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
     return with_present_names(table)
+
+
+def _rename(values: dict[str, Any], former: Mapping[str, str]) -> None:
+    """Give values of earlier versions the keys of today."""
+    for old, new in former.items():
+        if old in values:
+            values[new] = values.pop(old)
 
 
 def _trajectories(states: pa.Table) -> dict[str, Trajectory]:

@@ -123,7 +123,7 @@ def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(pipeline, "FEWEST", 0)
     # Once for both outputs.
     monkeypatch.setattr(report, "run", functools.cache(report.run))
-    monkeypatch.setattr("craternav_fg.cli.benchmark.bar", lambda: contextlib.nullcontext(quiet))
+    monkeypatch.setattr("craternav_fg.cli.benchmark.progress_bars", lambda: contextlib.nullcontext(quiet))
     figure = tmp_path / "cost.png"
     done = CliRunner().invoke(app, ["bench", "-o", str(figure), "--json"])
     assert done.exit_code == 0, done.output

@@ -26,8 +26,8 @@ from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import CraterTrials, ExpectedSection, Scenario, load_scenario
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
-from tests.cli.test_command_line import craternav
-from tests.report.test_report import Reader, cli_main
+from tests.cli.calls import call, craternav
+from tests.report.test_report import Reader
 
 
 @pytest.fixture
@@ -243,7 +243,7 @@ def test_a_failed_trial_is_recorded_and_the_rest_go_on(
 
 
 def test_an_estimator_without_a_trajectory_in_some_trials_is_told_of(
-    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = []
 
@@ -258,12 +258,10 @@ def test_an_estimator_without_a_trajectory_in_some_trials_is_told_of(
     monkeypatch.setattr("craternav_fg.campaign.trial.reconstruct", sometimes)
     case = write_scenario(tmp_path / "small.toml", small_scenario())
     arguments = ("montecarlo", case, "-o", tmp_path / "c", "--workers", 1, "-e", "ekf", "-e", "online")
-    assert cli_main(*arguments, "-n", 1) == 0
-    assert "a trajectory in" not in capsys.readouterr().out
-    assert cli_main(*arguments, "-n", 3) == 0
-    shown = capsys.readouterr().out
-    assert "ekf: a trajectory in 2 of 3 trials, its figures are of these\n" in shown
-    assert "online: a trajectory" not in shown
+    assert "that gave a trajectory" not in call(*arguments, "-n", 1).out
+    shown = call(*arguments, "-n", 3).out
+    assert "ekf: figures are over the 2 of 3 trials that gave a trajectory\n" in shown
+    assert "online: figures" not in shown
     reader = Reader()
     write_page(campaign_page(read_campaign(tmp_path / "c")), tmp_path / "r.html")
     reader.feed((tmp_path / "r.html").read_text("utf-8"))

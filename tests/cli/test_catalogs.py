@@ -1,43 +1,26 @@
-import contextlib
-import io
+"""`craternav catalog`: import, info, near, plot; and what they say of bad input."""
+
 import json
 import resource
-from types import SimpleNamespace
-from unittest import mock
 
 import matplotlib.image
 import numpy as np
 import pytest
 
-from craternav_fg.cli import main
+from tests.cli.calls import call
 
 ROWS = "LAT_DEG,LON_DEG,DIAM_KM\n" + "\n".join(
     f"{-60.0 + 0.5 * k:.3f},{(17.0 * k) % 360.0:.3f},{4.0 + 0.02 * k:.3f}" for k in range(240)
 )
 
 
-def craternav(*arguments):
-    """The command line in this process: starting another one takes longer than all that is tested here."""
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with (
-        mock.patch("sys.argv", ["craternav", *map(str, arguments)]),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        try:
-            main()
-        except SystemExit as stop:
-            code = stop.code
-    return SimpleNamespace(returncode=code or 0, stdout=out.getvalue(), stderr=err.getvalue())
-
-
 @pytest.fixture(scope="module")
 def imported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("catalog")
     (folder / "table.csv").write_text(ROWS + "\n-60.001,0.001,4.0\n99,0,4\n")
-    done = craternav("catalog", "import", folder / "table.csv", "-o", folder / "craters.parquet", "--json")
-    assert done.returncode == 0, done.stderr
-    return folder, json.loads(done.stdout)
+    done = call("catalog", "import", folder / "table.csv", "-o", folder / "craters.parquet", "--json")
+    assert done.code == 0, done.err
+    return folder, json.loads(done.out)
 
 
 def test_import(imported):
@@ -52,17 +35,17 @@ def test_import(imported):
 
 def test_info_and_near(imported):
     folder, found = imported
-    done = craternav("catalog", "info", folder / "craters.parquet", "--json")
-    about = json.loads(done.stdout)
+    done = call("catalog", "info", folder / "craters.parquet", "--json")
+    about = json.loads(done.out)
     assert about.items() >= {key: found[key] for key in ("craters", "twins", "crossed_rims", "body")}.items()
-    done = craternav(
+    done = call(
         "catalog", "near", folder / "craters.parquet", "--distance-km", "1", "--json", "--", "-60", "360"
     )
-    near = json.loads(done.stdout)
+    near = json.loads(done.out)
     assert [crater["identifier"] for crater in near["craters"]] == ["2", "242"]
     assert near["craters"][1]["distance_km"] == pytest.approx(0.0343, abs=1e-3)
-    shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "0")
-    assert "242" in shown.stdout
+    shown = call("catalog", "near", folder / "craters.parquet", "-60", "0")
+    assert "242" in shown.out
     assert about["longitude_deg"] == [0.0, 360.0]
 
 
@@ -71,9 +54,9 @@ def test_a_region_and_its_longest_identifier_are_shown_whole(tmp_path):
     name = "-".join(["a_very_long_name"] * 6)
     rows = f"id,lat,lon,diam_km,target\n{name},-2,350,5,Moon\nB,3,-20,6,Moon\nC,1,12,6,Moon\n"
     (tmp_path / "region.csv").write_text(rows)
-    shown = craternav("catalog", "info", tmp_path / "region.csv").stdout
+    shown = call("catalog", "info", tmp_path / "region.csv").out
     assert "longitudes  340.00 to 12.00 deg, eastwards" in shown
-    shown = craternav("catalog", "near", tmp_path / "region.csv", "-2", "350", "--distance-km", "9").stdout
+    shown = call("catalog", "near", tmp_path / "region.csv", "-2", "350", "--distance-km", "9").out
     begin, end = (shown.index(text) for text in ("a_very", "1 craters within"))
     first = "".join(line.split()[0] for line in shown[begin:end].splitlines() if line.strip())
     assert first == name
@@ -82,8 +65,8 @@ def test_a_region_and_its_longest_identifier_are_shown_whole(tmp_path):
 @pytest.mark.parametrize("place", [(), ("--latitude-deg", "-30", "--longitude-deg", "290")])
 def test_plot(imported, place, tmp_path):
     folder, _ = imported
-    done = craternav("catalog", "plot", folder / "craters.parquet", "-o", tmp_path / "a.png", *place)
-    assert done.returncode == 0, done.stderr
+    done = call("catalog", "plot", folder / "craters.parquet", "-o", tmp_path / "a.png", *place)
+    assert done.code == 0, done.err
     picture = matplotlib.image.imread(tmp_path / "a.png")
     assert min(picture.shape[:2]) > 300
     assert np.ptp(picture[..., :3]) > 0.5
@@ -92,8 +75,8 @@ def test_plot(imported, place, tmp_path):
 def test_pairs_that_meet(imported, tmp_path):
     folder, found = imported
     pairs = tmp_path / "pairs.csv"
-    done = craternav("catalog", "info", folder / "craters.parquet", "--pairs", pairs)
-    assert done.returncode == 0, done.stderr
+    done = call("catalog", "info", folder / "craters.parquet", "--pairs", pairs)
+    assert done.code == 0, done.err
     rows = [line.split(",") for line in pairs.read_text().splitlines()]
     assert rows[0][:3] == ["kind", "crater_id", "other_id"]
     assert [sorted(row[1:3]) for row in rows if row[0] == "twin"] == [["2", "242"]]
@@ -104,26 +87,26 @@ def test_pairs_that_meet(imported, tmp_path):
 
 def test_negative_places_need_no_dashes(imported):
     folder, _ = imported
-    shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "-360", "--distance-km", "1")
-    assert shown.returncode == 2  # out of range, but understood
-    shown = craternav("catalog", "near", folder / "craters.parquet", "-60", "-0.001", "--distance-km", "1")
-    assert "2 craters within 1 km" in shown.stdout
+    shown = call("catalog", "near", folder / "craters.parquet", "-60", "-360", "--distance-km", "1")
+    assert shown.code == 2  # out of range, but understood
+    shown = call("catalog", "near", folder / "craters.parquet", "-60", "-0.001", "--distance-km", "1")
+    assert "2 craters within 1 km" in shown.out
 
 
-def test_what_was_taken_for_granted_is_said(imported, tmp_path):
+def test_what_was_skipped_and_assumed_is_said(imported, tmp_path):
     folder, _ = imported
-    done = craternav("catalog", "import", folder / "table.csv", "-o", tmp_path / "a.parquet")
-    assert "read: latitude LAT_DEG, longitude LON_DEG (east), size DIAM_KM (km)" in done.stdout
-    assert "1 row left out: LAT_DEG: expected -90 to 90 deg, line 243: found 99" in done.stdout
-    assert "taken for the Moon's (--body)" in done.stderr
-    done = craternav(
+    done = call("catalog", "import", folder / "table.csv", "-o", tmp_path / "a.parquet")
+    assert "read: latitude LAT_DEG, longitude LON_DEG (east), size DIAM_KM (km)" in done.out
+    assert "1 row skipped: LAT_DEG: expected -90 to 90 deg, line 243: found 99" in done.out
+    assert "the Moon is assumed (--body gives another)" in done.err
+    done = call(
         "catalog", "import", folder / "table.csv", "-o", tmp_path / "b.parquet", "--body", "Mercury", "--json"
     )
-    assert json.loads(done.stdout)["body_radius_m"] == 2439400.0
+    assert json.loads(done.out)["body_radius_m"] == 2439400.0
     both = (tmp_path / "a.parquet", tmp_path / "b.parquet")
-    done = craternav("catalog", "import", *both, "-o", tmp_path / "c.parquet")
-    assert done.returncode == 2
-    assert "expected Moon of 1737400 m, as in" in done.stderr
+    done = call("catalog", "import", *both, "-o", tmp_path / "c.parquet")
+    assert done.code == 2
+    assert "expected Moon of 1737400 m, as in" in done.err
 
 
 @pytest.mark.parametrize("name", ["craters.parquet", "craters.csv", "figure.png", "pairs.csv"])
@@ -139,11 +122,11 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(imported, tmp_path, n
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
     try:
-        done = craternav("catalog", *arguments)
+        done = call("catalog", *arguments)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert done.returncode == 2
-    assert done.stderr.endswith(f"{name}: cannot be written: File too large\n")
+    assert done.code == 2
+    assert done.err.endswith(f"{name}: cannot be written: File too large\n")
     assert list(tmp_path.iterdir()) == [output]
     assert output.read_text() == "before"
 
@@ -169,8 +152,8 @@ def test_known_errors_are_one_line_and_leave_nothing(imported, tmp_path):
         ),
     ]
     for arguments, match in cases:
-        done = craternav("catalog", *arguments)
-        assert done.returncode == 2
-        assert match in done.stderr
-        assert done.stderr.count("\n") == 1
+        done = call("catalog", *arguments)
+        assert done.code == 2
+        assert match in done.err
+        assert done.err.count("\n") == 1
     assert not list(tmp_path.iterdir())

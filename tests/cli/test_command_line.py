@@ -29,6 +29,7 @@ from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.pipeline.reconstruct import reconstruct as reconstruct_in_process
 from craternav_fg.runs.read import read_run
 from craternav_fg.simulation.scenario_file import load_scenario
+from tests.cli.calls import craternav
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,12 +46,6 @@ FIELDS = {
     "frames",
     "rim_outlier_share",
 }
-
-
-def craternav(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own."""
-    command = [sys.executable, "-m", "craternav_fg", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def short_scenario(folder: Path, **changes: str) -> Path:

@@ -2,16 +2,14 @@
 
 import csv
 import json
-import sys
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from craternav_fg import cli
-from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.simulation.scenes import Ground, scene
+from tests.cli.calls import call
 
 HEADER = [
     "ellipseCenterX(px)", "ellipseCenterY(px)", "ellipseSemimajor(px)", "ellipseSemiminor(px)",
@@ -24,24 +22,14 @@ def one():
     return scene(3, Ground(size_px=640))
 
 
-@pytest.fixture
-def detect(monkeypatch, capsys):
-    """Run the command: exit code, standard output, standard error."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["craternav", "detect", *map(str, arguments)])
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        return code, *capsys.readouterr()
-
-    return run
+def detect(*arguments):
+    """Exit code, standard output and standard error of the command."""
+    done = call("detect", *arguments)
+    return done.code, done.out, done.err
 
 
 @pytest.mark.parametrize("method", ["template", "canny"])
-def test_table_json_and_overlay_agree(one, detect, tmp_path, method):
+def test_table_json_and_overlay_agree(one, tmp_path, method):
     path, table = tmp_path / "frame.png", tmp_path / "out" / "rims.csv"
     cv2.imwrite(str(path), one.image)
     code, output, _ = detect(path, "-o", table, "--method", method, "--json")
@@ -74,12 +62,12 @@ def test_table_json_and_overlay_agree(one, detect, tmp_path, method):
     assert colour.mean() < 0.2
 
 
-def test_in_words(one, detect, tmp_path):
+def test_in_words(one, tmp_path):
     path = tmp_path / "frame.tif"
     cv2.imwrite(str(path), one.image.astype(np.uint16) * 257)
     code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--min-radius", 15, "--min-quality", 0.9)
     assert code == 0
-    assert "rims, lit from" in output
+    assert "rims, the sun towards " in output
     assert str(tmp_path / "rims_overlay.png") in output
     cv2.imwrite(str(path), np.full((300, 300), 90, np.uint8))
     code, output, _ = detect(path, "-o", tmp_path / "rims.csv")
@@ -88,7 +76,7 @@ def test_in_words(one, detect, tmp_path):
     assert (tmp_path / "rims.csv").read_text(encoding="utf-8") == ",".join(HEADER) + "\n"
 
 
-def test_wrong_sun_is_one_line(one, detect, tmp_path):
+def test_wrong_sun_is_one_line(one, tmp_path):
     path = tmp_path / "frame.png"
     cv2.imwrite(str(path), one.image)
     wrong = np.rad2deg(one.sun_angle_rad) + 180.0
@@ -125,7 +113,7 @@ def _huge(path):
     ],
     ids=["missing", "folder", "empty", "text", "cut", "huge"],
 )
-def test_what_is_no_image_is_one_line(detect, tmp_path, write, message):
+def test_what_is_no_image_is_one_line(tmp_path, write, message):
     path = tmp_path / "frame.png"
     write(path)
     code, output, error = detect(path, "-o", tmp_path / "rims.csv")
@@ -136,7 +124,7 @@ def test_what_is_no_image_is_one_line(detect, tmp_path, write, message):
     assert not (tmp_path / "rims.csv").exists()
 
 
-def test_the_image_is_not_overwritten(one, detect, tmp_path):
+def test_the_image_is_not_overwritten(one, tmp_path):
     path = tmp_path / "rims_overlay.png"
     cv2.imwrite(str(path), one.image)
     before = path.read_bytes()
@@ -148,30 +136,9 @@ def test_the_image_is_not_overwritten(one, detect, tmp_path):
 
 
 @pytest.mark.parametrize("sun", ["nan", "inf"])
-def test_the_sun_is_a_direction(one, detect, tmp_path, sun):
+def test_the_sun_is_a_direction(one, tmp_path, sun):
     path = tmp_path / "frame.png"
     cv2.imwrite(str(path), one.image)
     code, _, error = detect(path, "-o", tmp_path / "rims.csv", "--sun", sun)
     assert code == 2
     assert "expected an angle in degrees" in error
-
-
-@pytest.mark.parametrize(
-    ("mode", "suffix", "shape", "dtype"),
-    [
-        ("L", "png", (20, 30), np.uint8),
-        ("I;16", "png", (20, 30), np.uint16),
-        ("F", "tif", (20, 30), np.float32),
-        ("RGB", "jpg", (20, 30, 3), np.uint8),
-        ("RGBA", "png", (20, 30, 4), np.uint8),
-        ("P", "png", (20, 30, 3), np.uint8),
-        ("CMYK", "tif", (20, 30, 3), np.uint8),
-        ("1", "png", (20, 30), np.bool_),
-    ],
-)
-def test_formats(tmp_path, mode, suffix, shape, dtype):
-    path = tmp_path / f"image.{suffix}"
-    Image.new(mode, (30, 20)).save(path)
-    image = read_foreign_image(path)
-    assert image.shape == shape
-    assert image.dtype == dtype

@@ -2,16 +2,16 @@
 
 import csv
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from craternav_fg import cli, frames
+from craternav_fg import frames
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
+from tests.cli.calls import call
 
 COLUMNS = [
     "ellipseCenterX(px)", "ellipseCenterY(px)", "ellipseSemimajor(px)", "ellipseSemiminor(px)",
@@ -44,20 +44,14 @@ def write_rims(path, ellipses):
 
 
 @pytest.fixture
-def identify(case, monkeypatch, capsys):
+def identify(case):
     """Run the command on a table of rims: exit code, standard output, standard error."""
+    folder = case[0]
 
     def run(rims, *arguments):
-        folder = case[0]
-        command = ["craternav", "identify", str(rims), "--camera", str(folder / "sensor.yaml")]
-        command += ["--catalog", str(folder / "craters.csv"), *map(str, arguments)]
-        monkeypatch.setattr(sys, "argv", command)
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code or 0
-        return code, *capsys.readouterr()
+        files = ("--camera", folder / "sensor.yaml", "--catalog", folder / "craters.csv")
+        done = call("identify", rims, *files, *arguments)
+        return done.code, done.out, done.err
 
     return run
 
@@ -78,7 +72,7 @@ def test_craters_and_pose(case, identify) -> None:
     assert (np.abs(gP - scene.gTb[:3, 3]) < 6.0 * sigma).all()
     assert np.array(found["pose"]["covariance"]).shape == (6, 6)
     assert found["log_probability_of_chance"] < -18.0
-    assert 0.0 < found["seconds"] < 60.0
+    assert found["seconds"] > 0.0
     # The index is loaded, and the attitude makes an answer more certain.
     w, x, y, z = 2.0 * frames.to_quaternion_wxyz(scene.gTb[:3, :3])
     code, output, errors = identify(folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--json")
@@ -88,24 +82,21 @@ def test_craters_and_pose(case, identify) -> None:
     assert known["log_probability_of_chance"] < found["log_probability_of_chance"] - 3.0
     code, output, _ = identify(folder / "rims.csv")
     assert code == 0
-    assert "rims are craters of the catalogue" in output
+    assert f"of {len(found['rims'])} rims identified" in output
     assert all(name in output for name, _ in named)
 
 
-def test_identified_rims_are_what_pose_reads(case, identify, tmp_path, monkeypatch, capsys) -> None:
+def test_identified_rims_are_what_pose_reads(case, identify, tmp_path) -> None:
     folder, _, scene = case
     code, output, _ = identify(folder / "rims.csv", "-o", tmp_path / "matched.csv", "--json")
     assert code == 0
     assert len((tmp_path / "matched.csv").read_text().splitlines()) == 1 + sum(
         rim["crater"] is not None for rim in json.loads(output)["rims"]
     )
-    command = ["craternav", "pose", str(tmp_path / "matched.csv"), "--json"]
-    command += ["--camera", str(folder / "sensor.yaml"), "--catalog", str(folder / "craters.csv")]
-    monkeypatch.setattr(sys, "argv", command)
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert end.value.code in (0, None)
-    found = json.loads(capsys.readouterr().out)
+    files = ("--camera", folder / "sensor.yaml", "--catalog", folder / "craters.csv")
+    done = call("pose", tmp_path / "matched.csv", "--json", *files)
+    assert done.code == 0
+    found = json.loads(done.out)
     error = np.array(found["poses"][0]["position_m"]) - scene.gTb[:3, 3]
     assert found["status"] == "solved"
     assert (np.abs(error) < 6.0 * np.array(found["poses"][0]["position_sigma_m"])).all()
@@ -147,7 +138,7 @@ def test_bad_input(case, identify, tmp_path) -> None:
         ((tmp_path / "image.png",), "image.png"),
         ((folder / "rims.csv", "--attitude", "1,2,3"), "--attitude: expected 4 numbers"),
         ((folder / "rims.csv", "--attitude", "0,0,0,0"), "--attitude: expected a quaternion, found zero"),
-        ((folder / "rims.csv", "--altitude-km", "50,10"), "--altitude-km: expected 0 < LEAST < LARGEST"),
+        ((folder / "rims.csv", "--altitude-km", "50,10"), "--altitude-km: expected 0 < MIN < MAX"),
         (
             (folder / "rims.csv", "--body-radius-m", "561400"),
             "found one of Moon on 1737400 m, as BODY_RADIUS",

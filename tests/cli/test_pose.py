@@ -1,122 +1,36 @@
 """`craternav pose`: from files to a pose, and what it says of bad ones."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from craternav_fg import frames
-from craternav_fg.body import Body
-from craternav_fg.camera import Camera
-from craternav_fg.catalogs.files import write_catalog
-from craternav_fg.catalogs.model import Catalog
-from craternav_fg.cli import main
 from craternav_fg.dataset.sensor_files import camera_yaml
-from craternav_fg.ellipse import matrix_of_chart, pixel_chart
-from craternav_fg.errors import InputError
-from craternav_fg.resection.files import read_rims
-from craternav_fg.resection.problem import MatchedRims
 from factors.kernels.conic import project_rims
 from factors.kernels.sun import sun_tilt
-
-MOON = Body("Moon", 1737400.0, 4.9e12, (0.0, 0.0, 0.0))
-# Unequal focal lengths and a mounting: mistakes in either show.
-CAMERA = Camera(
-    1024, 768, 1267.0, 1100.0, 500.0, 400.0,
-    frames.pose(frames.rotation_exp(np.array([0.4, -0.3, 1.2])), np.array([1.2, -0.3, 0.8])),
-)  # fmt: skip
-HEADER = (
-    "ellipseCenterX(px),ellipseCenterY(px),ellipseSemimajor(px),ellipseSemiminor(px),"
-    "ellipseRotation(deg),CRATER_ID"
-)
-
-
-@dataclass(frozen=True)
-class Files:
-    """A camera, a catalogue and the rims of one image, on disk; and the true pose."""
-
-    folder: Path
-    gTb: np.ndarray
-    rows: list[str]
-    catalog: Catalog
-
-    def rims(self, *rows: str, header: str = HEADER) -> Path:
-        path = self.folder / "rims.csv"
-        path.write_text("\n".join([header, *(rows or self.rows)]) + "\n")
-        return path
-
-    def arguments(self, rims: Path | None = None) -> list[str]:
-        paths = (rims or self.rims(), "--camera", self.folder / "sensor.yaml")
-        return ["pose", *map(str, paths), "--catalog", str(self.folder / "craters.csv")]
-
-    def read(self, rims: Path) -> tuple[MatchedRims, Catalog]:
-        path = self.folder / "craters.csv"
-        return read_rims(rims, CAMERA, path, MOON, sigma_px=1.0, edge_points=60)[:2]
-
-
-@dataclass(frozen=True)
-class Done:
-    """What a command line returned and printed."""
-
-    code: int
-    out: str
-    err: str
-
+from tests.cli.calls import Done, call, craternav
+from tests.resection.matched_files import CAMERA, MOON, Files, make_files
 
 Run = Callable[..., Done]
 
 
 @pytest.fixture
-def run(files: Files, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run the command in this process: a new one takes seconds to import everything."""
+def run(files: Files) -> Run:
+    """Run the command on the files."""
 
-    def call(*options: str, rims: Path | None = None) -> Done:
-        monkeypatch.setattr(sys, "argv", ["craternav", *files.arguments(rims), *options])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        printed = capsys.readouterr()
-        return Done(int(stop.value.code or 0), printed.out, printed.err)
+    def call_pose(*options: str, rims: Path | None = None) -> Done:
+        return call(*files.arguments(rims), *options)
 
-    return call
+    return call_pose
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> Files:
-    catalog = Catalog(
-        identifiers=("01-a", "01-b", "01-c", "01-d"),
-        latitude_rad=np.radians([0.0, 0.2, -0.25, 0.1]),
-        longitude_rad=np.radians([23.0, 23.3, 23.2, 22.7]),
-        semi_major_m=np.array([3000.0, 2500.0, 2200.0, 2600.0]),
-        semi_minor_m=np.array([2500.0, 2400.0, 1500.0, 2000.0]),
-        angle_rad=np.radians([20.0, 80.0, 130.0, -30.0]),
-        height_m=np.array([100.0, -50.0, 0.0, 300.0]),
-        body=MOON,
-    )
-    down = frames.east_north_up(np.radians(0.1), np.radians(23.0))
-    gTc = frames.pose(
-        down @ np.diag([1.0, -1.0, -1.0]) @ frames.rotation_exp(np.array([0.25, -0.2, 0.7])), np.zeros(3)
-    )
-    gTc[:3, 3] = catalog.centres.mean(axis=0) - 50e3 * gTc[:3, 2]
-    gTb = np.ascontiguousarray(gTc @ frames.inverse(CAMERA.bTc))
-    charts, seen = project_rims(gTb, CAMERA.bTc, catalog.centres, catalog.axes)
-    assert seen.all()
-    rows = []
-    charts_px = pixel_chart(charts, CAMERA)
-    for name, (x, y), S in zip(
-        catalog.identifiers, charts_px[:, :2], matrix_of_chart(charts_px), strict=True
-    ):
-        values, vectors = np.linalg.eigh(S)
-        angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
-        numbers = (x, y, np.sqrt(values[1]), np.sqrt(values[0]), angle)
-        rows.append(",".join([*(repr(float(v)) for v in numbers), name]))
-    (tmp_path / "sensor.yaml").write_text(camera_yaml(CAMERA, 1.0))
-    write_catalog(tmp_path / "craters.csv", catalog)
-    return Files(tmp_path, gTb, rows, catalog)
+    return make_files(tmp_path)
 
 
 def check_pose(pose: dict[str, object], gTb: np.ndarray, within_m: float = 1.0) -> None:
@@ -154,12 +68,10 @@ def test_a_lens_that_distorts_is_refused(files: Files, run: Run) -> None:
 
 
 def test_as_a_process(files: Files) -> None:
-    command = [sys.executable, "-m", "craternav_fg", *files.arguments(), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["status"] == "solved"
+    assert json.loads(craternav(*files.arguments(), "--json").stdout)["status"] == "solved"
 
 
-def test_what_is_taken_for_granted_of_a_catalogue_is_said(files: Files, run: Run) -> None:
+def test_what_was_skipped_and_assumed_of_a_catalogue_is_said(files: Files, run: Run) -> None:
     path = files.folder / "anonymous.csv"
     rows = [
         f"{name},{lat:.9f},{lon:.9f},{2e-3 * a:.9f}"
@@ -170,11 +82,12 @@ def test_what_is_taken_for_granted_of_a_catalogue_is_said(files: Files, run: Run
     ]  # fmt: skip
     path.write_text("\n".join(["id,lat,lon,diam_km", *rows, "none,95,0,1", ""]))
     told = run("--catalog", str(path)).err
-    assert f"warning: {path}: 1 row left out: lat: expected -90 to 90 deg, line" in told
+    assert f"warning: {path}: 1 row skipped: lat: expected -90 to 90 deg, line" in told
     assert (
-        f"warning: {path}: nothing tells of which body it is: taken for the Moon's (--body-radius-m)" in told
+        f"warning: {path}: does not name its body, the Moon is assumed (--body-radius-m gives another)"
+        in told
     )
-    assert "taken for the Moon" not in run("--catalog", str(path), "--body-radius-m", "1737400").err
+    assert "the Moon is assumed" not in run("--catalog", str(path), "--body-radius-m", "1737400").err
     done = run("--catalog", str(path), "--body-radius-m", "1737.4")
     assert done.code == 2
     assert "of the body's radius, 1737.4 m" in done.err
@@ -241,104 +154,6 @@ def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: 
     assert done.code == 2
     assert done.err.count("\n") == 1
     assert json.loads(done.out)["poses"] == []
-
-
-def test_sigma_scales_the_covariance(files: Files) -> None:
-    with_sigma = files.rims(*(f"{row},0.2" for row in files.rows), header=f"{HEADER},sigma_px")
-    rims, *_ = read_rims(with_sigma, CAMERA, files.folder / "craters.csv", MOON, sigma_px=0.1, edge_points=60)
-    plain, *_ = read_rims(
-        files.rims(), CAMERA, files.folder / "craters.csv", MOON, sigma_px=0.1, edge_points=60
-    )
-    np.testing.assert_allclose(rims.covariance, 4.0 * plain.covariance, rtol=1e-3, atol=1e-15)
-
-
-def cell(row: str, column: int, value: str) -> str:
-    cells = row.split(",")
-    cells[column] = value
-    return ",".join(cells)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "says"),
-    [
-        (lambda r: [r[0], cell(r[1], 5, "01-a")], r"rims\.csv:3: CRATER_ID: .*'01-a' again, first in line 2"),
-        (
-            lambda r: [cell(r[0], 5, "99-z")],
-            r"rims\.csv:2: CRATER_ID: expected a crater of .*s\.csv, found",
-        ),
-        (lambda r: [r[0], cell(r[1], 0, "5000")], r"rims\.csv:3: ellipseCenterX\(px\): .*1024 x 768 image"),
-        (lambda r: [cell(r[0], 1, "-400")], r"rims\.csv:2: ellipseCenterY\(px\): .*found its centre at -400"),
-        (lambda r: [cell(r[0], 3, "0")], r"rims\.csv:2: ellipseSemiminor\(px\): expected 0\.1 to 10240 px"),
-        (lambda r: [cell(r[0], 3, "1e-200")], r"rims\.csv:2: ellipseSemiminor\(px\): .* found 1e-200"),
-        (lambda r: [r[1], cell(r[0], 2, "1e200")], r"rims\.csv:3: ellipseSemimajor\(px\): .* found 1e\+200"),
-        (lambda r: [cell(r[0], 0, "1e200")], r"rims\.csv:2: ellipseCenterX\(px\): .*1024 x 768 image"),
-        (
-            lambda r: [cell(r[0], 3, "900")],
-            r"rims\.csv:2: ellipseSemiminor\(px\): expected at most the",
-        ),
-        (lambda r: [cell(r[0], 4, "nan")], r"rims\.csv:2: ellipseRotation\(deg\): expected a finite number"),
-        (lambda r: [cell(r[0], 2, "big")], r"rims\.csv:2: ellipseSemimajor\(px\): expected a number"),
-    ],
-)
-def test_a_bad_cell_is_named(files: Files, spoil: Callable[[list[str]], list[str]], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        files.read(files.rims(*spoil(files.rows)))
-
-
-@pytest.mark.parametrize("sigma", ["0", "1e-200", "1e200", "-1"])
-def test_a_standard_deviation_out_of_range_is_named(files: Files, sigma: str) -> None:
-    rims = files.rims(f"{files.rows[0]},1.0", f"{files.rows[1]},{sigma}", header=f"{HEADER},sigma_px")
-    with pytest.raises(InputError, match=r"rims\.csv:3: sigma_px: expected 1e-06 to 1000 px, found"):
-        files.read(rims)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda text: text.replace(",", ", "),
-        lambda text: "\n  \n" + text,
-        lambda text: text.replace("\n", "\n   \n\n"),
-        lambda text: "".join(f"{line},{'note' if k == 0 else 'x'}\n" for k, line in enumerate(text.split())),
-        lambda text: text.replace("\n", ",\n"),
-    ],
-    ids=["spaces", "blank first", "blank between", "another column", "closing comma"],
-)
-def test_how_a_table_is_laid_out_does_not_matter(files: Files, change: Callable[[str], str]) -> None:
-    path = files.rims()
-    plain, _ = files.read(path)
-    text = path.read_text()
-    path.write_text(change(text))
-    rims, _ = files.read(path)
-    assert rims.identifiers == plain.identifiers
-    np.testing.assert_array_equal(rims.chart, plain.chart)
-    path.write_text(change(text.replace("01-d", "99-z")))
-    line = next(k for k, row in enumerate(path.read_text().split("\n"), 1) if "99-z" in row)
-    with pytest.raises(InputError, match=rf"rims\.csv:{line}: CRATER_ID: .*found '99-z'"):
-        files.read(path)
-
-
-@pytest.mark.parametrize(("sign", "name"), [(";", "semicolons"), ("\t", "tabs")])
-def test_another_separator_is_named(files: Files, sign: str, name: str) -> None:
-    path = files.rims()
-    path.write_text(path.read_text().replace(",", sign))
-    with pytest.raises(InputError, match=rf"rims\.csv:1: expected columns separated by commas, found {name}"):
-        files.read(path)
-
-
-def test_a_column_almost_of_the_standard_deviation_is_not_passed_over(files: Files) -> None:
-    rims = files.rims(*(f"{row},1.0" for row in files.rows), header=f"{HEADER},sigma")
-    with pytest.raises(InputError, match=r"rims\.csv:1: sigma: expected only the columns"):
-        files.read(rims)
-
-
-def test_a_file_without_rims(files: Files) -> None:
-    path = files.folder / "rims.csv"
-    path.write_text(HEADER + "\n")
-    with pytest.raises(InputError, match=r"rims\.csv: expected at least one rim, found none"):
-        files.read(path)
-    path.write_text("ellipseCenterX(px)\n")
-    with pytest.raises(InputError, match=r"rims\.csv:1: ellipseCenterY\(px\): .* missing"):
-        files.read(path)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 
-from craternav_fg.cli.terminal import calibrated_line
+from craternav_fg.cli.run_summary import calibration_line
 from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -57,8 +57,8 @@ def test_rims_fit_the_camera_as_it_was_found_to_be(tmp_path: Path) -> None:
     }
     # They fit with it, and with the freedom better than without.
     assert 3.0 < chi2["self_calibrating_smoother"] < chi2["smoother"]
-    assert calibrated_line(summary["estimators"]["self_calibrating_smoother"]["calibrated"]).startswith(
-        "the camera's mounting turned by "
+    assert calibration_line(summary["estimators"]["self_calibrating_smoother"]["calibrated"]).startswith(
+        "a correction of the camera-IMU rotation by "
     )
 
 

@@ -13,7 +13,8 @@ from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import Table, write_page
 from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
-from tests.report.test_report import Reader, cli_main
+from tests.cli.calls import call
+from tests.report.test_report import Reader
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +42,9 @@ def test_the_summary_is_that_of_the_campaign(campaign: Path, tmp_path: Path) -> 
     assert {"errors", "consistency", "final"} <= set(reader.identifiers)
 
 
-def test_the_command_knows_a_campaign_from_a_run(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli_main("report", campaign) == 0
-    assert capsys.readouterr().out.strip() == str(campaign / "report.html")
-    assert cli_main("report", campaign, "--recording", campaign / "r.rrd") == 2
+def test_the_command_knows_a_campaign_from_a_run(campaign: Path) -> None:
+    assert call("report", campaign).out.strip() == str(campaign / "report.html")
+    assert call("report", campaign, "--recording", campaign / "r.rrd").code == 2
 
 
 def test_an_unfinished_campaign_is_refused(campaign: Path, tmp_path: Path) -> None:

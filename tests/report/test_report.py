@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
-from craternav_fg import cli
 from craternav_fg.errors import InputError
 from craternav_fg.evaluation.consistency import mean_interval
 from craternav_fg.report.page import write_page
@@ -21,6 +20,7 @@ from craternav_fg.report.residuals import crater_table
 from craternav_fg.report.run_page import run_page
 from craternav_fg.report.svg import inline_svg
 from craternav_fg.runs.read import read_run
+from tests.cli.calls import call
 
 
 class Reader(html.parser.HTMLParser):
@@ -169,7 +169,7 @@ def test_overlays_are_in_the_page_and_shrunk_to_it(page: Reader) -> None:
 def test_without_truth_the_page_says_so_and_shows_what_is_believed(run: Path, tmp_path: Path) -> None:
     dataset = run / "dataset"
     shutil.rmtree(dataset / "mav0" / "state_groundtruth_estimate0")
-    assert cli_main("reconstruct", dataset, "-o", tmp_path / "blind", "-e", "smoother", "-e", "ekf") == 0
+    assert call("reconstruct", dataset, "-o", tmp_path / "blind", "-e", "smoother", "-e", "ekf").code == 0
     page = read(tmp_path / "blind", tmp_path / "r.html")
     assert "sigmas" in page.identifiers
     assert not {"errors", "bounds", "consistency"} & set(page.identifiers)
@@ -199,26 +199,14 @@ def test_a_damaged_run_is_one_error_that_names_the_file(run: Path, tmp_path: Pat
     assert not out.exists()
 
 
-def test_the_command_writes_into_the_run_and_reads_its_own_result_as_part_of_it(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli_main("report", run) == 0
-    assert capsys.readouterr().out.strip() == str(run / "report.html")
+def test_the_command_writes_into_the_run_and_reads_its_own_result_as_part_of_it(run: Path) -> None:
+    assert call("report", run).out.strip() == str(run / "report.html")
     # A run with its page may be replaced by the next one: the page is ours.
-    assert cli_main("report", run, "--json") == 0
+    assert call("report", run, "--json").code == 0
 
 
-def test_what_is_no_run_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli_main("report", tmp_path) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+def test_what_is_no_run_is_refused_in_one_line(tmp_path: Path) -> None:
+    done = call("report", tmp_path)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def cli_main(*arguments: object) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["craternav", *map(str, arguments)])
-        try:
-            cli.main()
-        except SystemExit as leaving:
-            return int(leaving.code or 0)
-    return 0

@@ -23,7 +23,7 @@ from craternav_fg.reproduce import (
 from craternav_fg.reproduce.fig11_14_statistics import MEAN, RMS, STD, Condition
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.results import FIELDS, number, verdict
-from tests.cli.test_command_line import craternav
+from tests.cli.calls import craternav
 
 SMALL = ReproduceOptions(trials=4, altitude_steps=2, workers=1)
 

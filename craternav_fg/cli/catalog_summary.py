@@ -1,4 +1,4 @@
-"""What the commands on catalogues show of one: where, how large, what meets what."""
+"""What the commands on catalogues print of one: its place, sizes, shapes and overlaps."""
 
 from typing import Any
 
@@ -6,20 +6,35 @@ import numpy as np
 
 from craternav_fg.catalogs.checks import Overlaps
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.cli.terminal import number, say
+from craternav_fg.cli.terminal import say, three_digits
 
-# Of what is left out or doubled, so many are listed.
-LISTED = 20
-_SHOWN = 5
-# Craters that leave no wider gap of longitudes lie all around a body.
-_GAP_DEG = 20.0
-_SHARES = (0.0, 0.05, 0.5, 0.95, 1.0)
+# Skipped rows and pairs that JSON lists at the most; files can hold thousands.
+MAX_LISTED = 20
+# Pairs that are printed at the most.
+_MAX_PRINTED = 5
+# Craters without a wider gap of longitudes between them lie all around the body.
+_MIN_GAP_DEG = 20.0
+# Of the diameters: smallest, median, largest, and the interval that holds 90 %.
+_QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
-def about(catalog: Catalog, meets: Overlaps, body_by: str) -> dict[str, Any]:
-    """Give what there is to say about a catalogue: numbers and texts, as JSON can carry them."""
+def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, Any]:
+    """Describe a catalogue by numbers and texts that JSON can carry.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    overlaps : Overlaps
+        Of its craters.
+    body_by : str
+        What the body is known by, see `ImportReport`.
+
+    Returns
+    -------
+    dict
+    """
     diameter_km = 2e-3 * catalog.semi_major_m
-    first = meets.twins[:LISTED]
+    first = overlaps.twins[:MAX_LISTED]
     apart_km = 1e-3 * catalog.distance_m(first[:, 0], first[:, 1])
     return {
         "craters": len(catalog),
@@ -27,26 +42,31 @@ def about(catalog: Catalog, meets: Overlaps, body_by: str) -> dict[str, Any]:
         "body_radius_m": catalog.body.radius_m,
         "body_by": body_by or "assumed",
         "diameter_km_quantiles": dict(
-            zip((str(share) for share in _SHARES), np.quantile(diameter_km, _SHARES).tolist(), strict=True)
+            zip(map(str, _QUANTILES), np.quantile(diameter_km, _QUANTILES).tolist(), strict=True)
         ),
         "latitude_deg": np.degrees([catalog.latitude_rad.min(), catalog.latitude_rad.max()]).tolist(),
         "longitude_deg": _longitudes_deg(catalog),
         "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
         "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
-        "crossed_rims": len(np.unique(meets.crossings)),
-        "twins": len(meets.twins),
+        "crossed_rims": len(np.unique(overlaps.crossings)),
+        "twins": len(overlaps.twins),
         "first_twins": [[catalog.identifiers[row] for row in pair] for pair in first.tolist()],
         "first_twins_km": np.column_stack([2e-3 * catalog.semi_major_m[first], apart_km]).tolist(),
     }
 
 
 def show(values: dict[str, Any]) -> None:
-    """Print what `about` gives."""
+    """Print what `summarise` gives.
+
+    Parameters
+    ----------
+    values : dict
+    """
     name = {"": "a body", "Moon": "the Moon"}.get(values["body"], values["body"])
     by = {"given": "as given", "assumed": "by default"}.get(values["body_by"], f"as {values['body_by']}")
     say(f"{values['craters']:,} craters of {name}, sphere of {1e-3 * values['body_radius_m']:g} km {by}")
-    least, low, median, high, largest = (number(v) for v in values["diameter_km_quantiles"].values())
-    say(f"  diameters   {least} to {largest} km; median {median}, 90 % from {low} to {high}")
+    least, low, median, high, largest = (three_digits(v) for v in values["diameter_km_quantiles"].values())
+    say(f"  diameters   {least} to {largest} km; median {median} km, 90 % from {low} to {high} km")
     ellipses = values["craters"] - values["circles"]
     say(f"  shapes      {ellipses:,} ellipses, {values['circles']:,} circles")
     west, east = values["longitude_deg"]
@@ -61,18 +81,18 @@ def show(values: dict[str, Any]) -> None:
         say("  twins       no pairs that are probably one crater entered twice")
         return
     say(f"  twins       {values['twins']:,} pairs that are probably one crater entered twice")
-    pairs = zip(values["first_twins"], values["first_twins_km"], strict=True)
-    for (one, other), (large, small, apart) in list(pairs)[:_SHOWN]:
+    pairs = list(zip(values["first_twins"], values["first_twins_km"], strict=True))
+    for (one, other), (large, small, apart) in pairs[:_MAX_PRINTED]:
         say(f"              {one} and {other}: {large:.3g} and {small:.3g} km, {apart:.2g} km apart")
-    if values["twins"] > _SHOWN:
-        say(f"              and {values['twins'] - _SHOWN:,} more (--pairs FILE.csv writes them all)")
+    if values["twins"] > _MAX_PRINTED:
+        say(f"              and {values['twins'] - _MAX_PRINTED:,} more (--pairs FILE.csv writes them all)")
 
 
 def _longitudes_deg(catalog: Catalog) -> list[float]:
-    """Where the longitudes begin and, eastwards, end, 0 to 360; 0 and 360 when they leave no gap."""
+    """First and, eastwards, last longitude, 0 to 360; 0 and 360 for craters all around the body."""
     sorted_deg = np.sort(np.mod(np.degrees(catalog.longitude_rad), 360.0))
     gaps_deg = np.diff(np.append(sorted_deg, sorted_deg[0] + 360.0))
     widest = int(np.argmax(gaps_deg))
-    if gaps_deg[widest] < _GAP_DEG:
+    if gaps_deg[widest] < _MIN_GAP_DEG:
         return [0.0, 360.0]
     return [float(sorted_deg[(widest + 1) % len(sorted_deg)]), float(sorted_deg[widest])]

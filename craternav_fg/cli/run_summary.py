@@ -1,0 +1,150 @@
+"""What the commands on descents print of a run."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from craternav_fg.cli.terminal import note, out, say, table_of_numbers, three_digits, warn
+from craternav_fg.runs.read import Run
+from craternav_fg.runs.store import FIGURES, METRICS
+
+# Metrics of an estimator and their headings.
+_COLUMNS = {
+    "position_rms_m": "RMS m",
+    "position_final_m": "final m",
+    "velocity_rms_m_s": "RMS m/s",
+    "attitude_rms_deg": "RMS deg",
+    "attitude_final_deg": "final deg",
+    "anees": "ANEES",
+}
+_LEGEND = (
+    "errors of position (m), velocity (m/s) and attitude (deg): RMS and final; ANEES of the pose: 6 expected"
+)
+
+
+def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
+    """Print the warnings of a run, and its metrics or the JSON of its summary.
+
+    Parameters
+    ----------
+    folder : Path
+    summary : dict
+        Contents of metrics.json.
+    as_json : bool
+    """
+    if summary["index"]:
+        note(f"index: {summary['index']}")
+    for warning in summary["warnings"]:
+        warn(warning)
+    if as_json:
+        out.print_json(json.dumps(summary))
+        return
+    if any(values["position_rms_m"] is not None for values in summary["estimators"].values()):
+        table = table_of_numbers("estimator", _COLUMNS.values())
+        for name, values in summary["estimators"].items():
+            table.add_row(name, *_metrics(values))
+        out.print(table)
+        say(_LEGEND)
+    else:
+        say("no ground truth, so no errors: figures/sigmas.png shows the claimed standard deviations,")
+        say(f"craternav compare {folder} shows how far the estimates lie apart")
+    if summary["innovations"]:
+        say(_innovations(summary["innovations"]))
+    for name, values in summary["estimators"].items():
+        if "calibrated" in values:
+            say(f"{name} estimated {calibration_line(values['calibrated'])}")
+    counts = summary["craters_per_frame"]
+    seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
+    say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
+    say(f"wall time {summary['wall_s']:.0f} s ({seconds})")
+    for path in sorted(folder.glob("*")):
+        files = sorted(p.name for p in path.iterdir()) if path.name == FIGURES else []
+        say(f"  {path}{'/: ' + ', '.join(files) if files else ''}")
+
+
+def comparison(run: Run) -> dict[str, dict[str, Any]]:
+    """Give the metrics of a run's estimators, and their distance from the smoother.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    dict of str to dict
+        By estimator: its entry in metrics.json, and `from_smoother_rms_m`, RMS distance of the positions from
+        those of the smoother, None without it. This distance needs no ground truth.
+    """
+    smoother = run.trajectories.get("smoother")
+    compared = {}
+    for name, trajectory in run.trajectories.items():
+        rms_m = None
+        if smoother is not None:
+            rms_m = float(np.sqrt(np.mean(np.sum((trajectory.gP - smoother.gP) ** 2, axis=1))))
+        compared[name] = {**run.metrics["estimators"][name], "from_smoother_rms_m": rms_m}
+    return compared
+
+
+def show_comparison(compared: Iterable[tuple[str, dict[str, dict[str, Any]]]]) -> None:
+    """Print a table of estimators for each run.
+
+    Parameters
+    ----------
+    compared : iterable of (str, dict)
+        Folders of runs, and what `comparison` gives of each.
+    """
+    for folder, estimators in compared:
+        say(folder)
+        out.print(_comparison_table(estimators))
+    say(f"{_LEGEND}\ndiff m: RMS distance of the positions from those of the smoother")
+
+
+def calibration_line(found: dict[str, Any]) -> str:
+    """Write an estimated calibration with its standard deviations.
+
+    Parameters
+    ----------
+    found : dict
+        Entry `calibrated` of an estimator in metrics.json.
+
+    Returns
+    -------
+    str
+    """
+    parts = []
+    if "mounting_deg" in found:
+        axes = zip(found["mounting_deg"], found["mounting_sigma_deg"], strict=True)
+        turns = ", ".join(f"{value:.3f} ± {sigma:.3f}" for value, sigma in axes)
+        parts.append(f"a correction of the camera-IMU rotation by {turns} deg about the axes of b")
+    if "time_offset_s" in found:
+        offset_ms, sigma_ms = 1e3 * found["time_offset_s"], 1e3 * found["time_offset_sigma_s"]
+        parts.append(f"a camera-IMU time offset of {offset_ms:.1f} ± {sigma_ms:.1f} ms")
+    if "map_errors" in found:
+        parts.append(f"the map errors of {len(found['map_errors'])} craters (in {METRICS})")
+    return "; ".join(parts)
+
+
+def _metrics(values: dict[str, Any]) -> list[str]:
+    return [three_digits(values[field]) for field in _COLUMNS]
+
+
+def _comparison_table(estimators: dict[str, dict[str, Any]]) -> Table:
+    table = table_of_numbers("estimator", [*_COLUMNS.values(), "diff m"])
+    for name, values in estimators.items():
+        diff_m = values["from_smoother_rms_m"]
+        # Rounded first: less than a millimetre is rounding of the estimators.
+        table.add_row(name, *_metrics(values), three_digits(None if diff_m is None else round(diff_m, 3)))
+    return table
+
+
+def _innovations(found: dict[str, Any]) -> str:
+    """Write the NIS of each sensor with its 95 % interval for a consistent filter."""
+    parts = (
+        f"{sensor} {three_digits(nis['mean'])} ({nis['low']:.2f} to {nis['high']:.2f})"
+        for sensor, nis in found["nis"].items()
+    )
+    return f"NIS per dimension of {found['filter']}, 1 expected (95 % interval): {', '.join(parts)}"
