@@ -115,7 +115,9 @@ class Catalog:
     def index(self) -> SphereIndex:
         """Where the craters lie, by size."""
         range_m = self.body.radius_m + self.height_m
-        return SphereIndex.of(self.latitude_rad, self.longitude_rad, self.semi_major_m, range_m)
+        return SphereIndex.of(
+            self.latitude_rad, self.longitude_rad, self.semi_major_m, self.semi_minor_m, range_m
+        )
 
     def near(
         self,

@@ -5,7 +5,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.catalogs.sphere_index import SphereIndex
+from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.ellipse import matrix_of_chart, pixel_chart, points_on
 from factors.kernels import conic
 from tests.catalogs.population import power_law_population
@@ -111,6 +111,25 @@ def test_near_craters_are_those_found_one_by_one(place, distance_m):
     assert np.all(np.diff(away_m) >= 0.0)
 
 
+@pytest.mark.parametrize("reach", [0.001, 0.1, 1.2, 2.0])
+def test_craters_of_some_sizes_within_a_cap_are_those_found_one_by_one(reach):
+    rng = np.random.default_rng(4)
+    craters = catalog(rng)
+    log_size = 0.5 * np.log(craters.semi_major_m * craters.semi_minor_m)
+    least, most = np.quantile(log_size, [0.2, 0.95])
+    out = np.empty(len(craters), dtype=np.int64)
+    wanted_any = 0
+    for place in [*rng.normal(size=(20, 3)), [0.0, 0.0, 1.0], [0.0, 1e-9, -1.0], [-1.0, 1e-12, 0.1]]:
+        x, y, z = np.array(place) / np.linalg.norm(place)
+        count = within(craters.index, x, y, z, reach, least, most, out)
+        away = np.linalg.norm(craters.normals - [x, y, z], axis=1)
+        wanted = (away < 2.0 * np.sin(0.5 * reach)) & (log_size >= least) & (log_size <= most)
+        np.testing.assert_array_equal(np.sort(out[:count]), np.flatnonzero(wanted))
+        wanted_any += count
+        assert within(craters.index, x, y, z, reach, least, most, out[:3]) == min(count, 3)
+    assert wanted_any > 0 or reach < 0.01
+
+
 def test_crossing_rims_and_twins_are_those_found_pair_by_pair():
     rng = np.random.default_rng(7)
     craters = catalog(rng, 800, heights_m=0.0)
@@ -159,6 +178,6 @@ def test_a_catalogue_in_order_is_not_moved():
 
 
 def test_no_craters_at_all():
-    empty = SphereIndex.of(*(np.empty(0) for _ in range(4)))
+    empty = SphereIndex.of(*(np.empty(0) for _ in range(5)))
     assert len(empty.near(np.array([1.0, 0.0, 0.0]), 1.0)) == 0
     assert len(empty.in_view(np.array([2.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.5, np.inf)) == 0

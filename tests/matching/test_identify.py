@@ -219,7 +219,7 @@ def test_all_craters_that_should_be_seen_are_counted(synthetic, range_m, tilt_ra
     size_px = np.sqrt(camera.fx_px * camera.fy_px) * np.exp(0.5 * (charts[:, 2] + charts[:, 4]))
     wanted = np.sum(size_px >= least_px)
     view = view_of(np.array([[500.0, 500.0, 20.0, 15.0, 0.0]]), camera)
-    found = visible(view, synthetic.grid, synthetic.centres, catalog.axes, gTb, MOON.radius_m, least_px)
+    found = visible(view, synthetic.catalog.index, synthetic.craters, gTb, MOON.radius_m, least_px)
     assert wanted > least
     # Of craters right behind the horizon a few more.
     assert wanted <= found < 1.06 * wanted + 3
@@ -250,9 +250,9 @@ def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:
     scene = random_view(synthetic.catalog, ViewOptions(), rng, true_rims=(5, 5))
     asked = []
 
-    def counted(view, grid, centres, axes, anchors, *others):
-        asked.append(len(anchors) * len(centres))
-        return anchor_search(view, grid, centres, axes, anchors, *others)
+    def counted(view, index, craters, anchors, *others):
+        asked.append(len(anchors) * len(craters.centres))
+        return anchor_search(view, index, craters, anchors, *others)
 
     monkeypatch.setattr("craternav_fg.matching.identify.search.anchor_search", counted)
     count = len(synthetic.catalog)

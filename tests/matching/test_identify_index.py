@@ -1,11 +1,11 @@
-"""The index of a catalogue: its tree, its grid, its file."""
+"""The index of a catalogue: its tree, its densities, its file."""
 
 import numpy as np
 import pytest
 
 from craternav_fg.errors import InputError
 from craternav_fg.matching.identify import tree
-from craternav_fg.matching.identify.grid import density, within
+from craternav_fg.matching.identify.craters import density
 from craternav_fg.matching.identify.triple_index import SMALLEST, TripleIndex, load_or_build
 from craternav_fg.simulation.catalog_views import synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
@@ -33,11 +33,12 @@ def test_the_tree_finds_the_nearest_points(index) -> None:
 
 
 def test_neighbours_are_the_nearest_of_their_size(index) -> None:
-    size = np.exp(index.grid.log_size)
+    size = np.sqrt(index.catalog.semi_major_m * index.catalog.semi_minor_m)
     for crater in range(0, 3000, 97):
         others = np.flatnonzero(size >= SMALLEST * size[crater])
         others = others[others != crater]
-        far = np.linalg.norm(index.centres[others] - index.centres[crater], axis=1)
+        centres = index.catalog.centres
+        far = np.linalg.norm(centres[others] - centres[crater], axis=1)
         found = index.triples.neighbours[crater]
         found = found[found >= 0]
         # A few of the last may be missing: those beyond what one question to the tree of their size gives.
@@ -45,22 +46,11 @@ def test_neighbours_are_the_nearest_of_their_size(index) -> None:
         np.testing.assert_array_equal(found, others[np.argsort(far)][: len(found)])
 
 
-@pytest.mark.parametrize("reach", [0.001, 0.1, 1.2])
-def test_the_grid_finds_the_craters_around_a_place(index, reach) -> None:
-    g = index.grid
-    rng = np.random.default_rng(4)
-    places = [*rng.normal(size=(20, 3)), [0.0, 0.0, 1.0], [0.0, 1e-9, -1.0], [-1.0, 1e-12, 0.1]]
-    out = np.empty(4000, dtype=np.int64)
+def test_density_is_the_catalogues_over_its_sphere(index) -> None:
     least, most = np.log(2500.0), np.log(9000.0)
-    for place in places:
-        x, y, z = np.array(place) / np.linalg.norm(place)
-        count = within(g, x, y, z, reach, least, most, out)
-        angle = np.arccos(np.clip(g.units @ [x, y, z], -1.0, 1.0))
-        wanted = np.flatnonzero((angle < reach) & (g.log_size >= least) & (g.log_size <= most))
-        assert set(out[:count]) == set(wanted)
-        assert count == len(wanted)
-    inside = np.sum((g.log_size >= least) & (g.log_size <= most))
-    assert density(g, least, most) * 4.0 * np.pi == pytest.approx(inside, rel=0.02)
+    log_size = 0.5 * np.log(index.catalog.semi_major_m * index.catalog.semi_minor_m)
+    inside = np.sum((log_size >= least) & (log_size <= most))
+    assert density(index.craters, least, most) * 4.0 * np.pi == pytest.approx(inside, rel=0.02)
 
 
 def test_the_index_comes_back_from_its_file(index, tmp_path) -> None:
@@ -134,4 +124,5 @@ def test_an_index_that_cannot_be_stored_is_used_all_the_same(index, tmp_path) ->
 
 def test_catalogues_of_few_craters(index) -> None:
     for count in (1, 2, 3, 5):
-        assert TripleIndex.build(index.catalog.take(np.arange(count))).grid.order.shape == (count,)
+        few = TripleIndex.build(index.catalog.take(np.arange(count)))
+        assert few.craters.log_size.shape == (count,)

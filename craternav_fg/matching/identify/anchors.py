@@ -7,8 +7,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.catalogs.sphere_index import SphereIndex
+from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.expand import errors
-from craternav_fg.matching.identify.grid import Grid
 from craternav_fg.matching.identify.hypothesis import (
     CRATERS,
     HYPOTHESIS,
@@ -37,7 +38,7 @@ _SHEAR = 1.0
 
 @njit(cache=True, error_model="numpy")
 def anchor_search(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, anchors: Int32Array, order: Int32Array,
+    view: View, index: SphereIndex, craters: Craters, anchors: Int32Array, order: Int32Array,
     attitude: FloatArray, attitude_sigma: float, sigma: float, least_m: float, most_m: float,
     best: FloatArray,
 ) -> int:  # fmt: skip
@@ -45,8 +46,9 @@ def anchor_search(
 
     Parameters
     ----------
-    view, grid, centres, axes
-        Rims; craters.
+    view : View
+    index, craters
+        Of the catalogue.
     anchors : ndarray of int32
         The rims.
     order : ndarray of int32, shape (n, k)
@@ -76,24 +78,24 @@ def anchor_search(
         lever = 3.0 * np.hypot(axis_share(view, i, sigma), attitude_sigma)
         slack2 = (_SHEAR * attitude_sigma) ** 2
         scale = shape_scale(view, i, np.array([sigma, sigma, USUAL_SHARE]))
-        for crater in range(centres.shape[0]):
-            cos = 0.0
+        for crater in range(craters.centres.shape[0]):
+            toward, sphere2 = 0.0, 0.0
             for r in range(3):
-                cos -= g[r] * grid.units[crater, r]
-            if not cos > _LEAST_COS:
+                toward -= g[r] * craters.centres[crater, r]
+                sphere2 += craters.centres[crater, r] ** 2
+            if not (toward > 0.0 and toward * toward > _LEAST_COS * _LEAST_COS * sphere2):
                 continue
-            distance = np.exp(grid.log_size[crater] - view.log_angle[i]) * np.sqrt(cos)
-            range2 = 0.0
-            sphere2 = 0.0
-            for r in range(3):
-                P[r] = centres[crater, r] - distance * g[r]
-                range2 += P[r] * P[r]
-                sphere2 += centres[crater, r] ** 2
             sphere = np.sqrt(sphere2)
+            cos = toward / sphere
+            distance = np.exp(craters.log_size[crater] - view.log_angle[i]) * np.sqrt(cos)
+            range2 = 0.0
+            for r in range(3):
+                P[r] = craters.centres[crater, r] - distance * g[r]
+                range2 += P[r] * P[r]
             altitude = np.sqrt(range2) - sphere
             if not least_m < altitude < most_m:
                 continue
-            if not errors(view, i, crater, centres, axes, attitude, P, e):
+            if not errors(view, i, craters, crater, attitude, P, e):
                 continue
             shape2 = 0.0
             for r in range(2, 5):
@@ -110,7 +112,8 @@ def anchor_search(
             pose[RIMS], pose[CRATERS] = i, crater
             judged += 1
             pose[SCORE] = (
-                support(view, grid, order[i], pose, np.inf, lever, sigma, 14, patience) - 0.5 * shape2
+                support(view, index, craters, order[i], pose, np.inf, lever, sigma, 14, patience)
+                - 0.5 * shape2
             )
             if pose[SCORE] > best[:, SCORE].min():
                 keep(pose, best)

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.ellipse import half_sides_kernel
+from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.expand import LOG_FALSE, errors
-from craternav_fg.matching.identify.grid import Grid, within
 from craternav_fg.matching.identify.noise import (
     AXIS_LEVELS,
     AXIS_SHARES,
@@ -121,9 +122,8 @@ def chance_at(
 @njit(cache=True, error_model="numpy")
 def visible(
     view: View,
-    grid: Grid,
-    centres: FloatArray,
-    axes: FloatArray,
+    index: SphereIndex,
+    craters: Craters,
     gTc: FloatArray,
     sphere: float,
     least_px: float,
@@ -165,20 +165,20 @@ def visible(
     least_angle = np.log(least_px / view.focal_px) - stretch - 0.05
     least = np.log(max(range_m - sphere, 1.0)) + least_angle
     found = np.empty(_ROOM, dtype=np.int64)
-    count = within(grid, middle[0], middle[1], middle[2], reach, least, 30.0, found)
+    count = within(index, middle[0], middle[1], middle[2], reach, least, 30.0, found)
     while count == found.shape[0]:
         found = np.empty(4 * count, dtype=np.int64)
-        count = within(grid, middle[0], middle[1], middle[2], reach, least, 30.0, found)
+        count = within(index, middle[0], middle[1], middle[2], reach, least, 30.0, found)
     p, axes_c, y5 = np.empty(3), np.empty((2, 3)), np.empty(5)
     total = 0
     for k in range(count):
         # Of the far ones most are too small, however they lie.
         distance2 = 0.0
         for r in range(3):
-            distance2 += (centres[found[k], r] - P[r]) ** 2
-        if grid.log_size[found[k]] - 0.5 * np.log(distance2) < least_angle:
+            distance2 += (craters.centres[found[k], r] - P[r]) ** 2
+        if craters.log_size[found[k]] - 0.5 * np.log(distance2) < least_angle:
             continue
-        rim_in_camera(R, P, centres[found[k]], axes[found[k]], p, axes_c)
+        rim_in_camera(R, P, craters.centres[found[k]], craters.axes[found[k]], p, axes_c)
         if not chart(p, axes_c, y5):
             continue
         if 0.5 * (y5[2] + y5[4]) + np.log(view.focal_px) < np.log(least_px):
@@ -225,15 +225,16 @@ def _ground(
 
 @njit(cache=True, error_model="numpy")
 def log_evidence(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray,
+    view: View, index: SphereIndex, craters: Craters, gTc: FloatArray, match: IntArray,
     N: FloatArray, chance: FloatArray, shape_chance: FloatArray, log_prior: float,
 ) -> tuple[float, int]:  # fmt: skip
     """Logarithm of the ratio; pairs that chance explains better are undone, in place.
 
     Parameters
     ----------
-    view, grid, centres, axes
-        Rims; craters.
+    view : View
+    index, craters
+        Of the catalogue.
     gTc, match, N
         From `expand_inliers`.
     chance, shape_chance : ndarray, shape (n,)
@@ -261,7 +262,7 @@ def log_evidence(
     for i in range(n):
         if match[i] < 0:
             continue
-        if not errors(view, i, match[i], centres, axes, R, P, e):
+        if not errors(view, i, craters, match[i], R, P, e):
             match[i] = -1
             continue
         place[i] = e[0] * e[0] + e[1] * e[1]
@@ -269,8 +270,8 @@ def log_evidence(
         rest[i] = -2.5 * _LN2PI - np.log(n)
         for r in range(5):
             rest[i] += np.log(view.precision[i, r])
-        c = match[i]
-        sphere += np.sqrt(centres[c, 0] ** 2 + centres[c, 1] ** 2 + centres[c, 2] ** 2)
+        c = craters.centres[match[i]]
+        sphere += np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2)
         pairs += 1
     if not pairs:
         return -np.inf, 0
@@ -307,7 +308,7 @@ def log_evidence(
             smallest = min(smallest, view.radius_px[i])
     if not pairs:
         return -np.inf, 0
-    seen = max(visible(view, grid, centres, axes, gTc, sphere, smallest), pairs)
+    seen = max(visible(view, index, craters, gTc, sphere, smallest), pairs)
     total += lgamma(pairs + 1.0) + lgamma(seen - pairs + 1.0) - lgamma(seen + 2.0)
     clutter = -np.inf
     for f in _FALSE_SHARES:

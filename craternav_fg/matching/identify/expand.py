@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.matching.identify.grid import Grid, within
+from craternav_fg.catalogs.sphere_index import SphereIndex, within
+from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.hypothesis import (
     HYPOTHESIS,
     POSITION,
@@ -44,9 +45,7 @@ _HELD = 4.0
 
 
 @njit(cache=True, error_model="numpy")
-def frame_data(
-    view: View, centres: FloatArray, axes: FloatArray, match: IntArray, sigma: FloatArray
-) -> FloatArray:
+def frame_data(view: View, craters: Craters, match: IntArray, sigma: FloatArray) -> FloatArray:
     """Pack the matched rims for the conic-shape kernel; `sigma` (3,) is the noise."""
     n = 0
     for i in range(match.shape[0]):
@@ -59,9 +58,9 @@ def frame_data(
             continue
         k += 1
         for r in range(3):
-            L[k, r] = centres[match[i], r]
+            L[k, r] = craters.centres[match[i], r]
             for a in range(2):
-                A[k, a, r] = axes[match[i], a, r]
+                A[k, a, r] = craters.axes[match[i], a, r]
         for r in range(5):
             y[k, r] = view.charts[i, r]
             W[k, r, r] = view.precision[i, r] / (sigma[0] if r < 2 else shape_scale(view, i, sigma))
@@ -174,12 +173,12 @@ def _spread_px(view: View, i: int, distance: float, covariance: FloatArray) -> t
 
 @njit(cache=True, error_model="numpy")
 def errors(
-    view: View, i: int, crater: int, centres: FloatArray, axes: FloatArray, R: FloatArray, P: FloatArray,
+    view: View, i: int, craters: Craters, crater: int, R: FloatArray, P: FloatArray,
     e: FloatArray,
 ) -> bool:  # fmt: skip
     """Write a rim's errors (5,), measured less predicted, over those at 1 px noise; false when unseen."""
     p, c = np.empty(3), np.empty((2, 3))
-    rim_in_camera(R, P, centres[crater], axes[crater], p, c)
+    rim_in_camera(R, P, craters.centres[crater], craters.axes[crater], p, c)
     if not chart(p, c, e):
         return False
     for r in range(5):
@@ -189,7 +188,7 @@ def errors(
 
 @njit(cache=True, error_model="numpy")
 def rematch(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, gTc: FloatArray, sphere: float,
+    view: View, index: SphereIndex, craters: Craters, gTc: FloatArray, sphere: float,
     covariance: FloatArray, sigma: FloatArray, chance: FloatArray, match: IntArray, weight: FloatArray,
 ) -> int:  # fmt: skip
     """Write each rim's crater (n,), -1 of none, at a pose of some covariance; give the number of pairs.
@@ -199,8 +198,9 @@ def rematch(
 
     Parameters
     ----------
-    view, grid, centres, axes
-        Rims; craters.
+    view : View
+    index, craters
+        Of the catalogue.
     gTc, sphere, covariance
         Pose of the camera, radius of the ground there, covariance of the pose.
     sigma : ndarray, shape (3,)
@@ -238,7 +238,7 @@ def rematch(
         share2 = shape2 * (AXIS_PX / view.radius_px[i]) ** 2 + size2
         slack = min(_GATE * np.sqrt(share2) + 0.03, 0.6)
         angle = gate_px * distance / (view.focal_px * sphere)
-        count = within(grid, X[0], X[1], X[2], min(angle, 0.5), size - slack, size + slack, found)
+        count = within(index, X[0], X[1], X[2], min(angle, 0.5), size - slack, size + slack, found)
         if count == _ROOM:
             continue
         place_var, size_var = sigma[0] ** 2 + place2, shape2 + size2 * view.radius_px[i] ** 2
@@ -249,7 +249,7 @@ def rematch(
         density -= np.log(n) + chance[i] + LOG_FALSE
         rest = 1.0
         for k in range(count):
-            if not errors(view, i, found[k], centres, axes, R, P, e):
+            if not errors(view, i, craters, found[k], R, P, e):
                 continue
             place = (e[0] * e[0] + e[1] * e[1]) / place_var
             shape = (e[2] * e[2] + e[3] * e[3] + e[4] * e[4]) / size_var
@@ -276,14 +276,14 @@ def rematch(
 
 @njit(cache=True, error_model="numpy")
 def estimate_sigma(
-    view: View, centres: FloatArray, axes: FloatArray, gTc: FloatArray, match: IntArray, noise: float,
+    view: View, craters: Craters, gTc: FloatArray, match: IntArray, noise: float,
     places: float, shapes: float, sigma: FloatArray,
 ) -> None:  # fmt: skip
     """Write the noise (3,) that the pairs show: of centres by the median, of shapes as is most probable.
 
     Parameters
     ----------
-    view, centres, axes, gTc, match
+    view, craters, gTc, match
         Rims; craters; pose.
     noise : float
         What few pairs are held against, px.
@@ -302,7 +302,7 @@ def estimate_sigma(
     e = np.empty(5)
     count = 0
     for i in range(n):
-        if match[i] >= 0 and errors(view, i, match[i], centres, axes, R, P, e):
+        if match[i] >= 0 and errors(view, i, craters, match[i], R, P, e):
             place[count] = e[0] * e[0] + e[1] * e[1]
             shape[count] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
             radius[count] = view.radius_px[i]
@@ -319,15 +319,16 @@ def estimate_sigma(
 
 @njit(cache=True, error_model="numpy")
 def expand_inliers(
-    view: View, grid: Grid, centres: FloatArray, axes: FloatArray, noise: float, chance: FloatArray,
+    view: View, index: SphereIndex, craters: Craters, noise: float, chance: FloatArray,
     prior: FloatArray, weight: FloatArray, gTc: FloatArray, match: IntArray, N: FloatArray, sigma: FloatArray,
 ) -> int:  # fmt: skip
     """Grow a pose from some pairs until these no longer change; give their number, 0 when it came to nothing.
 
     Parameters
     ----------
-    view, grid, centres, axes
-        Rims; craters.
+    view : View
+    index, craters
+        Of the catalogue.
     noise : float
         First guess, px.
     chance : ndarray, shape (n,)
@@ -350,7 +351,7 @@ def expand_inliers(
     likely = np.empty(n)
     pairs = used
     for turn in range(_ROUNDS):
-        data = frame_data(view, centres, axes, match, sigma)
+        data = frame_data(view, craters, match, sigma)
         if not refine(gTc, data, prior, weight, STEPS, N):
             return 0
         covariance_of(N, covariance)
@@ -359,14 +360,14 @@ def expand_inliers(
                 return 0
         if turn > 1 and pairs > 3:
             places = _taken(gTc, data, covariance)
-            estimate_sigma(view, centres, axes, gTc, match, noise, places, 6.0 - places, sigma)
+            estimate_sigma(view, craters, gTc, match, noise, places, 6.0 - places, sigma)
         sphere = 0.0
         for i in range(n):
             before[i] = match[i]
             if match[i] >= 0:
-                c = match[i]
-                sphere += np.sqrt(centres[c, 0] ** 2 + centres[c, 1] ** 2 + centres[c, 2] ** 2) / pairs
-        pairs = rematch(view, grid, centres, axes, gTc, sphere, covariance, sigma, chance, match, likely)
+                c = craters.centres[match[i]]
+                sphere += np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) / pairs
+        pairs = rematch(view, index, craters, gTc, sphere, covariance, sigma, chance, match, likely)
         if pairs < min(used, 3) or pairs < 2:
             return 0
         same = True
@@ -374,7 +375,7 @@ def expand_inliers(
             same = same and match[i] == before[i]
         if same and turn > 2:
             break
-    data = frame_data(view, centres, axes, match, sigma)
+    data = frame_data(view, craters, match, sigma)
     if not refine(gTc, data, prior, weight, STEPS, N):
         return 0
     return pairs

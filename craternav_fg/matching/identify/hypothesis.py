@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.matching.identify.grid import Grid, density, within
+from craternav_fg.catalogs.sphere_index import SphereIndex, within
+from craternav_fg.matching.identify.craters import Craters, density
 from craternav_fg.matching.identify.view import View
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,15 +59,16 @@ def project_to_sphere(view: View, i: int, pose: FloatArray, X: FloatArray) -> tu
 
 @njit(cache=True, error_model="numpy")
 def support(
-    view: View, grid: Grid, order: npt.NDArray[np.int32], pose: FloatArray, extent_px: float, lever: float,
-    sigma: float, most: int, patience: int,
+    view: View, index: SphereIndex, craters: Craters, order: npt.NDArray[np.int32], pose: FloatArray,
+    extent_px: float, lever: float, sigma: float, most: int, patience: int,
 ) -> float:  # fmt: skip
     """Logarithm of how unlikely it is by chance that so many rims fall on craters of their size.
 
     Parameters
     ----------
     view : View
-    grid : Grid
+    index, craters
+        Of the catalogue.
     order : ndarray of int32
         Rims, those nearest to the hypothesis' own first.
     pose : ndarray, shape (HYPOTHESIS,)
@@ -111,9 +113,9 @@ def support(
         gate_px = 1.0 + _GATE * sigma * np.sqrt(1.0 + (away / extent_px) ** 2) + lever * away
         slack = 0.06 + _GATE * axis_share(view, i, sigma)
         angle = gate_px * distance / (view.focal_px * pose[SPHERE])
-        chance = density(grid, size - slack, size + slack) * np.pi * angle * angle
+        chance = density(craters, size - slack, size + slack) * np.pi * angle * angle
         if chance < 1.0:
-            if within(grid, X[0], X[1], X[2], angle, size - slack, size + slack, found):
+            if within(index, X[0], X[1], X[2], angle, size - slack, size + slack, found):
                 hits += 1
                 score -= np.log(chance)
             else:

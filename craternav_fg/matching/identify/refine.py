@@ -8,6 +8,7 @@ freedom counted that the pose takes (restricted likelihood); the answer is the m
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.expand import STEPS, frame_data, refine
 from craternav_fg.matching.identify.noise import AXIS_LEVELS, AXIS_SHARES, SIGMA_RANGE, log_alike, shape_scale
 from craternav_fg.matching.identify.view import AXIS_PX, View
@@ -21,22 +22,22 @@ _CENTRE_LEVELS = SIGMA_RANGE[0] * 2.0 ** np.arange(0.0, np.log2(SIGMA_RANGE[1] /
 
 
 def settle(
-    view: View, centres: FloatArray, axes: FloatArray, prior: FloatArray, weight: FloatArray, gTc: FloatArray,
+    view: View, craters: Craters, prior: FloatArray, weight: FloatArray, gTc: FloatArray,
     match: IntArray, sigma: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """Give the covariance (6, 6) of a pose, for its right twist; pose and noise are put right, in place.
 
     Parameters
     ----------
-    view, centres, axes
-        Rims; craters.
+    view : View
+    craters : Craters
     prior, weight, gTc, match, sigma
         As in `expand.expand_inliers`.
     """
-    refine(gTc, frame_data(view, centres, axes, match, sigma), prior, weight, STEPS, np.empty((6, 6)))
+    refine(gTc, frame_data(view, craters, match, sigma), prior, weight, STEPS, np.empty((6, 6)))
     matched = np.flatnonzero(match >= 0)
     out = np.empty((7, 5 * len(matched)))
-    packed.shape_residuals(gTc, frame_data(view, centres, axes, match, sigma), True, out)
+    packed.shape_residuals(gTc, frame_data(view, craters, match, sigma), True, out)
     # Rims that contradict the others keep the weight that they have with the likeliest noise.
     rows = out.reshape(7, len(matched), 5)
     shape_sigma = np.array([shape_scale(view, int(i), sigma) for i in matched])

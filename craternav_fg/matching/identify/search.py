@@ -129,13 +129,13 @@ class _Search:
         index = self.index
         N, sigma = np.empty((6, 6)), np.empty(3)
         pairs = expand_inliers(
-            self.view, index.grid, index.centres, index.catalog.axes, noise, self.chance, self.prior,
+            self.view, index.catalog.index, index.craters, noise, self.chance, self.prior,
             self.weight, gTc, match, N, sigma,
         )  # fmt: skip
         if pairs < _LEAST_RIMS:
             return None
         ratio, _ = log_evidence(
-            self.view, index.grid, index.centres, index.catalog.axes, gTc, match, N, self.chance,
+            self.view, index.catalog.index, index.craters, gTc, match, N, self.chance,
             self.shape_chance, self._log_prior(gTc),
         )  # fmt: skip
         return _Expanded(gTc, match, N, sigma, ratio) if np.isfinite(ratio) else None
@@ -246,7 +246,7 @@ def _by_triples(search_: _Search) -> list[_Expanded]:
         best = np.full((24, HYPOTHESIS), -np.inf)
         for start in range(0, len(triples), _CHUNK):
             search(
-                view, index.grid, index.centres, triples_of.neighbours, triples_of.points,
+                view, index.catalog.index, index.craters, triples_of.neighbours, triples_of.points,
                 triples_of.codes, triples_of.dims, triples_of.splits, triples_of.levels, X, log_sizes,
                 scale, triples[start : start + _CHUNK], search_.order, down, height, radius, noise, 0.02,
                 0.05, candidates, search_.attitude, search_.least_cos, least, most, best,
@@ -286,7 +286,7 @@ def _by_anchors(search_: _Search, found: list[_Expanded]) -> list[_Expanded]:
         for start in range(len(anchors)):
             left -= len(index.catalog)
             anchor_search(
-                view, index.grid, index.centres, index.catalog.axes, anchors[start : start + 1],
+                view, index.catalog.index, index.craters, anchors[start : start + 1],
                 search_.order, search_.attitude, search_.sigma_rad, noise, least, most, best,
             )  # fmt: skip
             # Only where nothing else can be as good the other rims are not asked; many rims tell the best.
@@ -324,7 +324,7 @@ def _answer(
 ) -> Identification:
     index = searched.index
     covariance = settle(
-        searched.view, index.centres, index.catalog.axes, searched.prior, searched.weight, grown.gTc,
+        searched.view, index.craters, searched.prior, searched.weight, grown.gTc,
         grown.match, grown.sigma,
     )  # fmt: skip
     # From the camera's twist to the body's.

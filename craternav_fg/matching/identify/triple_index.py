@@ -21,7 +21,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.matching.identify import tree
-from craternav_fg.matching.identify.grid import Grid, build_grid
+from craternav_fg.matching.identify.craters import Craters, craters_of, log_sizes
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -94,14 +94,9 @@ class TripleIndex:
         return cls(catalog, _triples(catalog))
 
     @cached_property
-    def grid(self) -> Grid:
-        """Craters by place and size."""
-        return build_grid(self.catalog.normals, _log_sizes(self.catalog))
-
-    @cached_property
-    def centres(self) -> FloatArray:
-        """Rim centres (n, 3) in g, m."""
-        return np.ascontiguousarray(self.catalog.centres)
+    def craters(self) -> Craters:
+        """The catalogue's craters."""
+        return craters_of(self.catalog)
 
     def save(self, path: Path) -> None:
         """Write the index; the file appears whole or not at all.
@@ -183,19 +178,15 @@ def fingerprint(catalog: Catalog) -> str:
     return digest.hexdigest()
 
 
-def _log_sizes(catalog: Catalog) -> FloatArray:
-    return np.asarray(0.5 * np.log(catalog.semi_major_m * catalog.semi_minor_m))
-
-
 def _triples(catalog: Catalog) -> Triples:
     centres = np.ascontiguousarray(catalog.centres)
-    log_sizes = _log_sizes(catalog)
+    sizes = log_sizes(catalog)
     count = next(k for most, k in _NEIGHBOURS if len(catalog) <= most)
-    neighbours = _neighbours(centres, log_sizes, count)
+    neighbours = _neighbours(centres, sizes, count)
     total = _number(neighbours)
     points = np.empty((total, tree.DIMENSIONS), dtype=np.uint16)
     codes = np.empty(total, dtype=np.uint32)
-    _describe_all(centres, log_sizes, neighbours, points, codes)
+    _describe_all(centres, sizes, neighbours, points, codes)
     levels = tree.levels_of(total)
     dims, splits = tree.build(points, codes, _SPREAD, levels)
     return Triples(neighbours, points, codes, dims, splits, levels)

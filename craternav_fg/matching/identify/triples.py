@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.matching.identify.grid import Grid
+from craternav_fg.catalogs.sphere_index import SphereIndex
+from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.hypothesis import (
     CRATERS,
     HYPOTHESIS,
@@ -207,7 +208,7 @@ def agrees(pose: FloatArray, attitude: FloatArray, least_cos: float, least_m: fl
 
 @njit(cache=True, error_model="numpy")
 def search(
-    view: View, grid: Grid, centres: FloatArray, neighbours: Int32Array, points: npt.NDArray[np.uint16],
+    view: View, index: SphereIndex, craters: Craters, neighbours: Int32Array, points: npt.NDArray[np.uint16],
     codes: npt.NDArray[np.uint32], dims: npt.NDArray[np.uint8], splits: npt.NDArray[np.uint16], levels: int,
     X: FloatArray, log_sizes: FloatArray, scale: FloatArray, triples: Int32Array, order: Int32Array,
     down: FloatArray, height_m: float, radius_m: float, sigma: float, warp: float, lever: float,
@@ -217,8 +218,9 @@ def search(
 
     Parameters
     ----------
-    view, grid, centres
-        Rims; craters.
+    view : View
+    index, craters
+        Of the catalogue.
     neighbours, points, codes, dims, splits, levels
         The index' triples.
     X, log_sizes, scale, down, height_m, radius_m
@@ -244,7 +246,8 @@ def search(
     query = np.empty(5)
     weights = np.empty(5)
     rims = np.empty(3, dtype=np.int32)
-    craters = np.empty(3, dtype=np.int32)
+    triple = np.empty(3, dtype=np.int32)
+    centres = craters.centres
     pose = np.empty(HYPOTHESIS)
     for row in range(triples.shape[0]):
         for k in range(3):
@@ -260,20 +263,20 @@ def search(
         extent = perimeter / scale[rims[0]] / 4.0
         for h in range(hits):
             code = np.int64(found[h])
-            craters[0] = code // (count * count)
-            craters[1] = neighbours[craters[0], (code // count) % count]
-            craters[2] = neighbours[craters[0], code % count]
+            triple[0] = code // (count * count)
+            triple[1] = neighbours[triple[0], (code // count) % count]
+            triple[2] = neighbours[triple[0], code % count]
             span = 0.0
             for k in range(3):
                 total = 0.0
                 for r in range(3):
-                    total += (centres[craters[k], r] - centres[craters[(k + 1) % 3], r]) ** 2
+                    total += (centres[triple[k], r] - centres[triple[(k + 1) % 3], r]) ** 2
                 span += np.sqrt(total)
             if not _pose_of(
-                view, X, centres, down, height_m, radius_m, rims, craters, span / perimeter, pose
+                view, X, centres, down, height_m, radius_m, rims, triple, span / perimeter, pose
             ) or not agrees(pose, attitude, least_cos, least_m, most_m):
                 continue
-            score = support(view, grid, order[rims[0]], pose, extent, lever, sigma, 14, _PATIENCE)
+            score = support(view, index, craters, order[rims[0]], pose, extent, lever, sigma, 14, _PATIENCE)
             pose[SCORE] = score - 0.5 * found_d2[h]
             if pose[SCORE] > 0.0:
                 keep(pose, best)
