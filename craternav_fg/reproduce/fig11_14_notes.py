@@ -109,10 +109,11 @@ def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
     where = "the minimisation gives no pose. "
     if len(off):
         median = float(np.median(off)) / 1e3
-        far = f"{median:.2g} km" if median < _FAR_KM else f"more than {_FAR_KM:.0e} km"
+        far = f"{median:.2g} km" if median < _FAR_KM else "more than a million km"
         where = (
-            f"the minimisation ends {far} from it in the median of the first {trials.PRINTED_TRIALS} trials "
-            "of each altitude, which are all that the column as printed holds. "
+            f"the minimisation ends {far} from the true position in the median of the first "
+            f"{trials.PRINTED_TRIALS} trials of each altitude, which are all that the column as printed "
+            "holds. "
         )
     return (
         "With n outward, as in eq. (21), no pose that sees the craters from outside fulfils eq. (11) as "

@@ -1,6 +1,6 @@
 """Paragraphs of figs. 15 to 18: the paper's statements beside the numbers found here."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -100,12 +100,11 @@ def _comparison(trials: Descents) -> str:
     """Compare the estimators' RMS errors: at the end with the smoother's, and in retrospect."""
     smoother = trials.of(SMOOTHER)
     final = {name: rms_ratio(trials.of(name), smoother)[-1] for name in (PAPERS, FILTER, ONLINE, CENTRES)}
-    ratios = [
-        f"{ratio:.2f} for {_NAMES[name]} ({compared(ratio, 1.0)} it)"
-        for name, ratio in final.items()
-        if np.isfinite(ratio)
-    ]
-    text = f"At the end the RMS over that of the smoother is {', '.join(ratios)}. " if ratios else ""
+    finite = {name: ratio for name, ratio in final.items() if np.isfinite(ratio)}
+    text = ""
+    if finite:
+        ratios = ", ".join(f"{ratio:.2f} for {_NAMES[name]}" for name, ratio in finite.items())
+        text = f"At the end the RMS over that of the smoother is {ratios}: {_grouped(finite)}. "
     measurement = rms_ratio(trials.of(PAPERS), trials.of(FILTER))[-1]
     if np.isfinite([measurement, final[FILTER]]).all():
         text += (
@@ -120,9 +119,17 @@ def _comparison(trials: Descents) -> str:
         text += (
             f"Between {MIDDLE_KM[0]:g} and {MIDDLE_KM[1]:g} km the smoother in retrospect has "
             f"{gain.min():.2f} to {gain.max():.2f} of the RMS of the chart EKF, {gain.mean():.2f} in the "
-            f"mean: {compared(float(gain.mean()), 1.0)} it. "
+            f"mean: {compared(float(gain.mean()), 1.0)} that of the filter. "
         )
     return f"{text}The effect of each choice is measured by `craternav reproduce ablation`."
+
+
+def _grouped(ratios: Mapping[str, float]) -> str:
+    """Name the estimators whose RMS is larger than the smoother's, about equal to it, and smaller."""
+    words: dict[str, list[str]] = {}
+    for name, ratio in ratios.items():
+        words.setdefault(compared(ratio, 1.0), []).append(_NAMES[name])
+    return ", ".join(f"{word} the smoother's for {listed(names)}" for word, names in words.items())
 
 
 def _sentence(text: str, more: str = "") -> str:

@@ -192,10 +192,19 @@ def times(errors: dict[str, list[list[float]]], name: str, factor: float) -> lis
     ("factors", "words"),
     [
         # Filter and smoother alike at the end, the paper's filter far off: the measurement has the effect.
-        ({FILTER: 1.0, PAPERS: 20.0}, ["1.00 for the chart EKF (about equal to it)", "first is larger than"]),
+        (
+            {FILTER: 1.0, PAPERS: 20.0},
+            ["about equal to the smoother's for the chart EKF", "first is larger than"],
+        ),
         # The filter is far off as well: smoothing has it.
-        ({FILTER: 20.0, PAPERS: 21.0}, ["20.00 for the chart EKF (larger than it)", "first is smaller than"]),
-        ({FILTER: 0.5, PAPERS: 1.0}, ["0.50 for the chart EKF (smaller than it)"]),
+        (
+            {FILTER: 20.0, PAPERS: 21.0},
+            ["larger than the smoother's for the paper's EKF, the chart EKF", "first is smaller than"],
+        ),
+        (
+            {FILTER: 0.5, PAPERS: 1.0},
+            ["0.50 for the chart EKF", "smaller than the smoother's for the chart EKF"],
+        ),
     ],
 )
 def test_fig17_says_what_decides(
@@ -206,7 +215,7 @@ def test_fig17_says_what_decides(
     result = fig15_18.draw_up("fig17", descents.known())
     for part in words:
         assert part in result.note
-    chart = "about equal to" if factors[FILTER] == 1.0 else words[0].partition("(")[2].partition(" it)")[0]
+    chart = {1.0: "about equal to", 20.0: "larger than", 0.5: "smaller than"}[factors[FILTER]]
     row = descents.find(list(result.rows), "position RMS over that of the smoother", "end")
     assert row.verdict.startswith(f"chart EKF: {chart} the smoother's")
 
@@ -220,7 +229,7 @@ def test_fig17_compares_smoothing_in_retrospect_with_the_filter(
     monkeypatch.setitem(descents.ERRORS, SMOOTHER, times(descents.ERRORS, FILTER, factor))
     monkeypatch.setitem(descents.ERRORS, CENTRES, times(descents.ERRORS, FILTER, factor**2))
     result = fig15_18.draw_up("fig17", descents.known())
-    assert f"{factor:.2f} in the mean: {word} it." in result.note
+    assert f"{factor:.2f} in the mean: {word} that of the filter." in result.note
     rows = list(result.rows)
     gain = descents.find(rows, "position RMS, smoother in retrospect over chart EKF", "50 to 30 km")
     assert gain.verdict == f"smoother: {word} the chart EKF's"

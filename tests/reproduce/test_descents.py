@@ -115,7 +115,7 @@ def test_estimators_are_compared_over_the_trials_of_both() -> None:
     assert row.as_printed == pytest.approx(30.0)
     assert row.corrected == pytest.approx(np.sqrt((6.0**2 + 8.0**2) / (5.0**2 + 9.0**2)))
     assert row.verdict.endswith("; no trajectory of ekf_paper in 1 of 2 trials")
-    assert "is 30.00 for the paper's EKF (larger than it)" in result.note
+    assert "is 30.00 for the paper's EKF" in result.note
     assert "end 0 of the 1 trials of the paper's EKF" in result.note
     assert "No trajectory of ekf_paper in 1 of 2 trials: " in result.note
     rows = list(descent_figures.draw_up("fig17", without(SMOOTHER, 0)).rows)
