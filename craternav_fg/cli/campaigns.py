@@ -20,16 +20,16 @@ from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 # Figures of an estimator in summary.json and their headings.
 _COLUMNS = {
     "converged": "conv.",
-    "position_final_mean_m": "mean m",
-    "position_final_rms_m": "RMS m",
-    "attitude_final_mean_deg": "mean deg",
-    "rms_over_pcrb": "/PCRB",
+    "position_final_mean_m": "mean\nm",
+    "position_final_rms_m": "RMS\nm",
+    "attitude_final_mean_deg": "mean\ndeg",
+    "rms_over_pcrb": "RMS\n/PCRB",
     "anees": "ANEES",
-    "time_per_trial_s": "time s",
+    "time_per_trial_s": "time\ns",
 }
 _LEGEND = (
     "conv.: trials with final errors below 2 % of the altitude and 1 deg; mean, RMS: of the final errors\n"
-    "of position (m) and attitude (deg); /PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
+    "of position (m) and attitude (deg); RMS/PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
     "averaged over the altitude; ANEES of the pose: 6 expected; time: of a trial"
 )
 # Exit code that a shell expects after Ctrl-C.

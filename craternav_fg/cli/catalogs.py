@@ -84,9 +84,8 @@ def near(
     if not found:
         say(f"no crater within {distance_km:g} km")
         return
-    # An identifier must be shown whole, as it is copied from here.
     headings = ("dist. km", "lat deg", "lon deg", "2a km", "2b km", "angle deg", "height m")
-    table = table_of_numbers("crater", headings, fold=True)
+    table = table_of_numbers("crater", headings)
     for crater in found:
         table.add_row(
             crater["identifier"], f"{crater['distance_km']:.2f}", f"{crater['latitude_deg']:.4f}",

@@ -14,11 +14,11 @@ from craternav_fg.runs.store import FIGURES, METRICS
 
 # Metrics of an estimator and their headings.
 _COLUMNS = {
-    "position_rms_m": "RMS m",
-    "position_final_m": "final m",
-    "velocity_rms_m_s": "RMS m/s",
-    "attitude_rms_deg": "RMS deg",
-    "attitude_final_deg": "final deg",
+    "position_rms_m": "RMS\nm",
+    "position_final_m": "final\nm",
+    "velocity_rms_m_s": "RMS\nm/s",
+    "attitude_rms_deg": "RMS\ndeg",
+    "attitude_final_deg": "final\ndeg",
     "anees": "ANEES",
 }
 _LEGEND = (
@@ -100,7 +100,7 @@ def show_comparison(compared: Iterable[tuple[str, dict[str, dict[str, Any]]]]) -
     for folder, estimators in compared:
         say(folder)
         out.print(_comparison_table(estimators))
-    say(f"{_LEGEND}\ndiff m: RMS distance of the positions from those of the smoother")
+    say(f"{_LEGEND}\ndiff: RMS distance of the positions from those of the smoother")
 
 
 def calibration_line(found: dict[str, Any]) -> str:
@@ -133,7 +133,7 @@ def _metrics(values: dict[str, Any]) -> list[str]:
 
 
 def _comparison_table(estimators: dict[str, dict[str, Any]]) -> Table:
-    table = table_of_numbers("estimator", [*_COLUMNS.values(), "diff m"])
+    table = table_of_numbers("estimator", [*_COLUMNS.values(), "diff\nm"])
     for name, values in estimators.items():
         diff_m = values["from_smoother_rms_m"]
         # Rounded first: less than a millimetre is rounding of the estimators.

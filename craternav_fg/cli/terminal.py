@@ -46,11 +46,12 @@ def three_digits(value: float | None) -> str:
     return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def table_of_numbers(first: str, headings: Iterable[str], *, fold: bool = False) -> Table:
+def table_of_numbers(first: str, headings: Iterable[str]) -> Table:
     """Make an empty table: names in the first column, numbers in the others.
 
     Neighbouring columns share their padding, so that the longest name of an estimator and all columns fit
-    into 80 characters.
+    into 80 characters. In a narrower terminal a name continues in the next line: it is shown whole, as it may
+    be copied.
 
     Parameters
     ----------
@@ -58,15 +59,13 @@ def table_of_numbers(first: str, headings: Iterable[str], *, fold: bool = False)
         Heading of the first column.
     headings : iterable of str
         Of the others.
-    fold : bool
-        Continue a name in the next line where the terminal is too narrow for it.
 
     Returns
     -------
     Table
     """
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, collapse_padding=True)
-    table.add_column(first, overflow="fold" if fold else "ellipsis", no_wrap=not fold)
+    table.add_column(first, overflow="fold")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     return table
