@@ -1,4 +1,4 @@
-"""The camera on the lander, and ellipses in its pixels."""
+"""The camera on the lander: a pinhole behind a lens that may distort."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,11 +16,11 @@ _BORDER_POINTS = 33
 
 @dataclass(frozen=True)
 class Camera:
-    """Pinhole camera whose lens may distort; OpenCV axes: x right, y down, z along the optical axis.
+    """Camera with OpenCV axes: x right, y down, z along the optical axis.
 
-    Pixel (0, 0) is the centre of the top-left pixel. Normalised coordinates are those of directions,
-    x_c / z_c: without distortion. An ellipse in them is none in the pixels of a lens that distorts;
-    ellipses in pixels are therefore given in those of `pinhole`.
+    Pixel (0, 0) is the centre of the top-left pixel. Normalised image coordinates are x_c / z_c and y_c / z_c
+    of a direction, without distortion. A lens that distorts does not image an ellipse as an ellipse; ellipses
+    in pixels are therefore given in the pixels of `pinhole`.
 
     Attributes
     ----------
@@ -31,19 +31,19 @@ class Camera:
     cx_px, cy_px : float
         Principal point.
     bTc : ndarray, shape (4, 4)
-        Mounting: pose of the camera in the lander's body frame.
+        Mounting (camera-IMU extrinsics): pose of the camera in b.
     distortion : tuple of float
-        Radial-tangential: k1, k2, p1, p2, k3 (see `lens`).
+        Radial-tangential coefficients k1, k2, p1, p2, k3, see `lens`.
     psf_sigma_px : float
-        Standard deviation of the point-spread function; without a better knowledge that of optics which
-        the pixels just sample.
+        Standard deviation of the point-spread function. The default is typical of optics whose resolution
+        matches the pixels.
     bit_depth : int
-        Bits of the images' grey levels.
+        Bits of a grey level.
 
     Raises
     ------
     ValueError
-        When the distortion folds inside the image.
+        When the distortion folds inside the image, see `lens.reach_of`.
     """
 
     width_px: int
@@ -58,7 +58,7 @@ class Camera:
     bit_depth: int = 8
 
     def __post_init__(self) -> None:
-        # Computed here, so that a camera that folds is never made.
+        # Computed here, so that a camera whose distortion folds is never made.
         _ = self.lens
 
     @cached_property
@@ -73,7 +73,7 @@ class Camera:
 
     @cached_property
     def lens(self) -> FloatArray:
-        """For kernels, shape (10,): fx, fy, cx, cy, px; k1, k2, p1, p2, k3 and the reach of `lens`."""
+        """Parameters for kernels, shape (10,): fx, fy, cx, cy, px; k1, k2, p1, p2, k3 and reach of `lens`."""
         reach = np.inf
         if self.distorts:
             # Half a pixel beyond the outermost centres: the whole of their pixels.
@@ -84,7 +84,7 @@ class Camera:
 
     @property
     def full_scale(self) -> int:
-        """Largest grey level of the images."""
+        """Largest grey level of the images: 2^bits - 1."""
         return int(2**self.bit_depth - 1)
 
     @property
@@ -94,11 +94,11 @@ class Camera:
 
     @property
     def matrix(self) -> FloatArray:
-        """Calibration matrix, shape (3, 3)."""
+        """Calibration matrix (3, 3), px: from the camera frame to homogeneous pixels of `pinhole`."""
         return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
 
     def border_px(self, count: int, margin_px: float = 0.0) -> FloatArray:
-        """Give points along the four sides of the image.
+        """Place points along the four sides of the image.
 
         Parameters
         ----------
@@ -119,22 +119,66 @@ class Camera:
         return np.concatenate(sides)
 
     def gTc(self, gTb: FloatArray) -> FloatArray:
-        """Camera poses in g, shape (..., 4, 4), of lander poses `gTb`."""
+        """Compute poses of the camera from poses of the lander.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (..., 4, 4)
+            Poses of the lander in g.
+
+        Returns
+        -------
+        ndarray, shape (..., 4, 4)
+            Poses of the camera in g.
+        """
         return gTb @ self.bTc
 
     def normalised(self, points_px: FloatArray) -> FloatArray:
-        """Normalised coordinates u = x_c / z_c, shape (..., 2), of pixels (..., 2)."""
+        """Turn pixels into normalised image coordinates.
+
+        Parameters
+        ----------
+        points_px : ndarray, shape (..., 2)
+            Pixels of the image as it is.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Normalised image coordinates; NaN where the distortion has no inverse.
+        """
         points = np.asarray((points_px - [self.cx_px, self.cy_px]) / [self.fx_px, self.fy_px])
         return self._through_lens(points, inverse=True)[..., :2] if self.distorts else points
 
     def pixels(self, points: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of normalised coordinates (..., 2)."""
+        """Turn normalised image coordinates into pixels.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 2)
+            Normalised image coordinates.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Pixels of the image as it is.
+        """
         if self.distorts:
             points = self._through_lens(points, inverse=False)[..., :2]
         return np.asarray(points * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px])
 
     def pixels_jacobian(self, points: FloatArray) -> FloatArray:
-        """Give the derivative (..., 2, 2) of `pixels` at normalised coordinates (..., 2)."""
+        """Differentiate `pixels`.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 2)
+            Normalised image coordinates.
+
+        Returns
+        -------
+        ndarray, shape (..., 2, 2)
+            Derivatives of the pixels in the normalised image coordinates.
+        """
         focal = np.diag([self.fx_px, self.fy_px])
         if not self.distorts:
             return np.broadcast_to(focal, (*np.shape(points)[:-1], 2, 2))
@@ -146,11 +190,34 @@ class Camera:
         return np.asarray(lens.distort_all(flat, self.lens[4:], inverse)).reshape(*np.shape(points)[:-1], 6)
 
     def project(self, points_c: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of points (..., 3) in the camera frame, all of them in front of the camera."""
+        """Project points.
+
+        Parameters
+        ----------
+        points_c : ndarray, shape (..., 3)
+            Positions in the camera frame, m, all in front of the camera.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Pixels of the image as it is.
+        """
         return self.pixels(points_c[..., :2] / points_c[..., 2:])
 
     def contains(self, points_px: FloatArray, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Whether pixels (..., 2) lie in the image, `margin_px` away from its border."""
+        """Tell which points lie in the image.
+
+        Parameters
+        ----------
+        points_px : ndarray, shape (..., 2)
+            Pixels.
+        margin_px : float
+            Least distance from the centres of the outermost pixels; negative: outside.
+
+        Returns
+        -------
+        ndarray of bool, shape (...,)
+        """
         x, y = points_px[..., 0], points_px[..., 1]
         return np.asarray(
             (x >= margin_px)

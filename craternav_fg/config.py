@@ -1,4 +1,4 @@
-"""Text files with keys and values (TOML, YAML) checked against models: errors name file, line and key."""
+"""Configuration files (TOML, YAML) checked against models: an error names file, line and key."""
 
 import json
 import tomllib
@@ -14,6 +14,9 @@ Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
 M = TypeVar("M", bound="Section")
 
+# Characters of a wrong value that an error shows.
+_MAX_SHOWN = 60
+
 
 class Section(BaseModel):
     """A table of a configuration file: no unknown keys, no conversion of types, no NaN or infinity."""
@@ -28,10 +31,10 @@ class BodySection(Section):
     radius_m: Positive
     mu_m3_s2: Positive
     spin_rad_s: Vector
-    """Spin vector in g."""
+    """Angular velocity in inertial space, components in g."""
 
     def body(self) -> Body:
-        """Give the body described."""
+        """Make the body that the table describes."""
         return Body(self.name, self.radius_m, self.mu_m3_s2, self.spin_rad_s)
 
 
@@ -44,18 +47,39 @@ def load_toml(path: Path, model: type[M]) -> M:
     model : type
         Subclass of `Section`.
 
+    Returns
+    -------
+    model
+
     Raises
     ------
     InputError
-        When the file is missing or no TOML, or a key is unknown, missing, of the wrong type or out of
-        range: names the file, the line where it can be told, and the key.
+        When the file is missing or not TOML, or a key is unknown, missing, of the wrong type or out of range.
+        Names the file, the key and, where it can be found, the line.
     """
     text, data = read_toml(path)
     return validate(path, data, model, text=text)
 
 
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
-    """Text of a TOML file and what it says, or `InputError`."""
+    """Read and parse a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    text : str
+        Its text.
+    data : dict
+        Its tables.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, not UTF-8 or not TOML.
+    """
     text = read_text(path)
     try:
         return text, tomllib.loads(text)
@@ -64,7 +88,21 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def read_text(path: Path) -> str:
-    """Text of a UTF-8 file, or `InputError`."""
+    """Read a text file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        When the file is missing, a folder, or not UTF-8.
+    """
     try:
         return path.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
@@ -76,40 +114,72 @@ def read_text(path: Path) -> str:
 
 
 def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> M:
-    """Check parsed data against a model; `text` is the file's, to find lines in.
+    """Check parsed data against a model.
+
+    Parameters
+    ----------
+    path : Path
+        The file, named in errors.
+    data : dict
+        What the file says.
+    model : type
+        Subclass of `Section`.
+    text : str
+        The file's text, in which lines are looked up.
+
+    Returns
+    -------
+    model
 
     Raises
     ------
     InputError
-        As `load_toml`.
+        When a key is unknown, missing, of the wrong type or out of range.
     """
     try:
-        # JSON, because strict validation of Python objects refuses lists for tuples.
+        # By way of JSON: strict validation of Python objects refuses lists where a model has tuples.
         return model.model_validate_json(json.dumps(data, default=str))
     except ValidationError as error:
         errors = error.errors(include_url=False)
-        # A key that is misspelt is both unknown and missing; the first says where it is.
+        # A misspelt key is both unknown and missing; only the former error tells where it is.
         first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-    keys = _keys_in(data, first["loc"])
+    keys = _keys_in(data, first["loc"], missing=first["type"] == "missing")
+    if first["type"].startswith("union_tag"):
+        keys.append(first["ctx"]["discriminator"].strip("'"))
     raise InputError(path, _problem(first), line=line_of(text, keys), column=".".join(keys) or None) from None
 
 
-def _keys_in(data: Any, location: tuple[str | int, ...]) -> list[str]:
-    """Give the keys of an error's location, without the tags of chosen alternatives, which no file holds."""
+def _keys_in(data: Any, location: tuple[str | int, ...], *, missing: bool) -> list[str]:
+    """Select the keys of an error's location that the file holds, and the one that it lacks, if `missing`.
+
+    pydantic puts the tag of the chosen alternative of a union into the location as well.
+    """
     keys: list[str] = []
     for depth, key in enumerate(location, start=1):
         here = isinstance(data, dict) and key in data
         listed = isinstance(data, list) and isinstance(key, int) and key < len(data)
         if here or listed:
             data = data[key]
-        elif depth < len(location):
+        elif not (missing and depth == len(location)):
             continue
         keys.append(str(key))
     return keys
 
 
 def line_of(text: str, keys: list[str]) -> int | None:
-    """1-based line of a key in TOML or flat YAML text; of the table around it when the key is not there."""
+    """Find the line of a key in TOML or flat YAML text.
+
+    Parameters
+    ----------
+    text : str
+    keys : list of str
+        From the outermost table to the key; elements of arrays of tables by their index.
+
+    Returns
+    -------
+    int or None
+        1-based line of the key, or of the innermost table around it when the key is not there.
+    """
     table: list[str] = []
     counts: dict[str, int] = {}
     best: tuple[int, int] | None = None
@@ -145,9 +215,10 @@ def _problem(error: Any) -> str:
             return "key is missing"
         case "value_error":
             return str(error["ctx"]["error"])
+        case "union_tag_invalid":
+            return f"expected one of {error['ctx']['expected_tags']}, found {error['ctx']['tag']!r}"
         case _:
             message = str(error["msg"]).replace("Input should be", "expected")
             what = "a table" if isinstance(found, dict) else json.dumps(found, default=str)
-            return (
-                f"{message[:1].lower()}{message[1:]}, found {what if len(what) < 60 else what[:57] + '...'}"
-            )
+            what = what if len(what) <= _MAX_SHOWN else f"{what[: _MAX_SHOWN - 3]}..."
+            return f"{message[:1].lower()}{message[1:]}, found {what}"

@@ -207,7 +207,7 @@ def semi_minor(charts: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (...,)
         In the charts' unit.
     """
     log_x, shear, log_y = np.moveaxis(np.asarray(charts)[..., 2:], -1, 0)
@@ -224,7 +224,7 @@ def semi_minor_bound(charts: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (...,)
         In the charts' unit; the semi-minor axis itself where it is along x or y.
     """
     return np.asarray(np.exp(np.minimum(charts[..., 2], charts[..., 4])))
@@ -240,7 +240,7 @@ def mean_radius(charts: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (...,)
         In the charts' unit.
     """
     return np.asarray(np.exp(0.5 * (charts[..., 2] + charts[..., 4])))
@@ -387,7 +387,7 @@ def shape_change(before: FloatArray, after: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (...,)
         Zero for equal shapes, else positive.
     """
     # S = L L', L lower triangular: singular values of inv(L1) L2.

@@ -1,4 +1,9 @@
-"""Frames g (body-fixed), b (lander), c (camera), l (crater-local), and conversions between them."""
+"""Conversions between frames, and between the forms of a rotation.
+
+Frames: g is fixed to the target body and rotates with it, b is the lander, c the camera (x right, y down, z
+along the optical axis), l a crater (x along its major axis, z outward). aTb is the pose of b in a, aRb its
+rotation, aPb its position; the letters cancel: aTc = aTb bTc.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,9 +11,25 @@ from scipy.spatial.transform import Rotation
 
 FloatArray = npt.NDArray[np.float64]
 
+# Below, the series of the right Jacobian to second order is exact to 1e-13; its closed form is not.
+_SMALL_ANGLE_RAD = 1e-4
+
 
 def pose(R: FloatArray, t: FloatArray) -> FloatArray:
-    """Homogeneous matrix (4, 4) of a rotation (3, 3) and a translation (3,)."""
+    """Make a pose of a rotation and a translation.
+
+    Parameters
+    ----------
+    R : ndarray, shape (3, 3)
+        Rotation aRb, from frame b to a.
+    t : ndarray, shape (3,)
+        Position of the origin of b in a, m.
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        Homogeneous matrix aTb.
+    """
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = t
@@ -16,7 +37,18 @@ def pose(R: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def inverse(T: FloatArray) -> FloatArray:
-    """Inverse of homogeneous matrices, shape (..., 4, 4): `bTa` from `aTb`."""
+    """Invert poses.
+
+    Parameters
+    ----------
+    T : ndarray, shape (..., 4, 4)
+        Poses aTb of frame b in a.
+
+    Returns
+    -------
+    ndarray, shape (..., 4, 4)
+        Poses bTa.
+    """
     out = np.zeros_like(T)
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     out[..., :3, :3] = Rt
@@ -26,30 +58,86 @@ def inverse(T: FloatArray) -> FloatArray:
 
 
 def from_quaternion_wxyz(q: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of scalar-first Hamilton quaternions (..., 4)."""
+    """Turn quaternions into rotation matrices.
+
+    Parameters
+    ----------
+    q : ndarray, shape (..., 4)
+        Hamilton quaternions, scalar first, of any length but zero.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Rotations between the same frames.
+    """
     return np.asarray(Rotation.from_quat(np.asarray(q), scalar_first=True).as_matrix())
 
 
 def to_quaternion_wxyz(R: FloatArray) -> FloatArray:
-    """Scalar-first quaternions (..., 4), scalar part not negative, of rotation matrices (..., 3, 3)."""
+    """Turn rotation matrices into quaternions.
+
+    Parameters
+    ----------
+    R : ndarray, shape (..., 3, 3)
+        Rotations aRb, from frame b to a.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit Hamilton quaternions, scalar first and not negative.
+    """
     return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True))
 
 
 def rotation_exp(w: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    """Turn rotation vectors into rotation matrices.
+
+    Parameters
+    ----------
+    w : ndarray, shape (..., 3)
+        Axis times angle, rad, in either frame: the axis is the same in both.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Rotations between these frames.
+    """
     return np.asarray(Rotation.from_rotvec(w).as_matrix())
 
 
 def rotation_log(R: FloatArray) -> FloatArray:
-    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3)."""
+    """Turn rotation matrices into rotation vectors.
+
+    Parameters
+    ----------
+    R : ndarray, shape (..., 3, 3)
+        Rotations aRb, from frame b to a.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Axis times angle, rad, 0 to pi; the axis is the same in both frames.
+    """
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
 def rotate_position_block(covariance: FloatArray, aRb: FloatArray) -> FloatArray:
-    """Turn the position part of a pose covariance (6, 6) from axes b into a; the attitude's stays in b.
+    """Rotate the position block of a pose covariance from axes b to axes a; the attitude block stays.
 
-    With `gRb` from a right twist's, both parts in b, to (rotation vector in b, position in g); with its
-    transpose back.
+    GTSAM gives the covariance of a right twist, both parts in b. With `gRb` it becomes that of (rotation
+    vector in b, position in g), which estimators report; the transpose of `gRb` turns it back.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (6, 6)
+        Of (rotation vector, rad; position in b, m).
+    aRb : ndarray, shape (3, 3)
+        Rotation from b to a.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        Of (the same rotation vector; position in a).
     """
     turn = np.eye(6)
     turn[3:, 3:] = aRb
@@ -57,14 +145,36 @@ def rotate_position_block(covariance: FloatArray, aRb: FloatArray) -> FloatArray
 
 
 def up(lat_rad: FloatArray, lon_rad: FloatArray) -> FloatArray:
-    """Outward unit normals of the sphere in g, shape (..., 3), at latitude and east longitude."""
+    """Compute outward unit normals of the sphere.
+
+    Parameters
+    ----------
+    lat_rad, lon_rad : ndarray, shape (...,)
+        Latitude and east longitude.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Unit vectors in g.
+    """
     return np.stack(
         [np.cos(lat_rad) * np.cos(lon_rad), np.cos(lat_rad) * np.sin(lon_rad), np.sin(lat_rad)], axis=-1
     )
 
 
 def east_north_up(lat_rad: FloatArray, lon_rad: FloatArray) -> FloatArray:
-    """Rotations `gRe` (..., 3, 3) from the local east-north-up frame to g."""
+    """Compute the rotations from local east-north-up frames to g.
+
+    Parameters
+    ----------
+    lat_rad, lon_rad : ndarray, shape (...,)
+        Latitude and east longitude.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Rotations gRe; their columns are east, north and up in g.
+    """
     zero = np.zeros_like(lat_rad)
     east = np.stack([-np.sin(lon_rad), np.cos(lon_rad), zero], axis=-1)
     n = up(lat_rad, lon_rad)
@@ -73,18 +183,31 @@ def east_north_up(lat_rad: FloatArray, lon_rad: FloatArray) -> FloatArray:
 
 
 def latitude_longitude(gP: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Latitude and east longitude, rad, of positions (..., 3) in g."""
+    """Compute planetocentric latitude and longitude.
+
+    Parameters
+    ----------
+    gP : ndarray, shape (..., 3)
+        Positions in g, m.
+
+    Returns
+    -------
+    latitude_rad : ndarray, shape (...,)
+        -pi/2 to pi/2.
+    longitude_rad : ndarray, shape (...,)
+        To the east, -pi to pi.
+    """
     P = np.asarray(gP)
     return np.arctan2(P[..., 2], np.hypot(P[..., 0], P[..., 1])), np.arctan2(P[..., 1], P[..., 0])
 
 
 def right_jacobian(w: FloatArray) -> FloatArray:
-    """Give the derivative of the rotation vector's exponential from the right.
+    """Differentiate the exponential of a rotation vector from the right.
 
     Parameters
     ----------
     w : ndarray, shape (3,)
-        Rotation vector, rad.
+        Rotation vector from a to b, rad, in the axes of b.
 
     Returns
     -------
@@ -93,7 +216,7 @@ def right_jacobian(w: FloatArray) -> FloatArray:
     """
     angle2 = float(w @ w)
     W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    if angle2 < 1e-8:
+    if angle2 < _SMALL_ANGLE_RAD**2:
         return np.asarray(np.eye(3) - 0.5 * W + W @ W / 6.0)
     angle = np.sqrt(angle2)
     return np.asarray(

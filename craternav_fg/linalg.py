@@ -85,7 +85,7 @@ def squared_distance(residual: FloatArray, covariance: FloatArray) -> FloatArray
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (...,)
         Chi-square with n degrees of freedom when C is the covariance of r.
     """
     sigmas = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
@@ -106,9 +106,9 @@ def triads(along: FloatArray, aside: FloatArray) -> FloatArray:
     Parameters
     ----------
     along : ndarray, shape (..., 3)
-        Unit vectors: the first columns.
+        Unit vectors in any frame: the first columns.
     aside : ndarray, shape (..., 3)
-        Vectors of any length; the part orthogonal to `along` gives the second columns.
+        Vectors of any length in the same frame; their part orthogonal to `along` gives the second columns.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def bisecting_triads(one: FloatArray, other: FloatArray) -> FloatArray:
     Parameters
     ----------
     one, other : ndarray, shape (..., 3)
-        Unit vectors, neither equal nor opposite.
+        Unit vectors in one frame, neither equal nor opposite.
 
     Returns
     -------

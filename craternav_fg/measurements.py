@@ -76,8 +76,8 @@ class RimSet:
         hardly changes from frame to frame, so the columns belong to directions fixed to the ground. None when
         no such part is known.
     shared : ndarray, shape (n, 5, 8), optional
-        Root A of the common part: the error is A z, with one z for all rims and frames. None when no such
-        part is known.
+        Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
+        None when no such part is known.
     """
 
     craters: IntArray

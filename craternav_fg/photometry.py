@@ -21,12 +21,12 @@ def lunar_lambert_share(phase_rad: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    phase_rad : ndarray, shape (...)
+    phase_rad : ndarray, shape (...,)
         Phase angle: between the directions towards the sun and towards the camera.
 
     Returns
     -------
-    ndarray, shape (...)
+    ndarray, shape (...,)
         0 to 1.
     """
     g = np.rad2deg(phase_rad)

@@ -25,20 +25,20 @@ _ARROW = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string()}
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table.
+    """A column that a table may have.
 
     Attributes
     ----------
     name : str
         As in the header, without '#' and unit.
     kind : {"integer", "number", "text"}
-        Numbers are finite, integers are written without a point, texts are not empty.
+        Numbers are finite, integers are written without a decimal point, texts are not empty.
     unit : str or None
-        What the header may say in brackets after the name.
+        Unit that may stand in brackets after the name in the header.
     optional : bool
-        The column may be missing.
+        Whether the column may be missing.
     may_be_empty : bool
-        Empty cells are read as NaN (numbers only).
+        Whether cells may be empty; they are read as NaN (numbers only).
     """
 
     name: str
@@ -55,7 +55,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that was read; it knows where it came from.
+    """A table that was read, with the file it came from.
 
     Attributes
     ----------
@@ -71,11 +71,32 @@ class Table:
         return len(next(iter(self.columns.values())))
 
     def numbers(self, *names: str) -> FloatArray:
-        """Numeric columns side by side, shape (n, len(names))."""
+        """Put numeric columns side by side.
+
+        Parameters
+        ----------
+        *names : str
+
+        Returns
+        -------
+        ndarray, shape (n, k)
+            One column for each name, in its unit.
+        """
         return np.stack([self.columns[name] for name in names], axis=-1)
 
     def line(self, row: int) -> int:
-        """1-based line of the file in which a row stands."""
+        """Find the line of the file in which a row stands.
+
+        Parameters
+        ----------
+        row : int
+            Counted from 0, without the header and blank lines.
+
+        Returns
+        -------
+        int
+            1-based.
+        """
         with self.path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream)
             _first_cells(reader)
@@ -87,11 +108,36 @@ class Table:
         return row + 2
 
     def fail(self, row: int, column: str, problem: str) -> NoReturn:
-        """Raise the `InputError` of one cell."""
+        """Refuse a cell.
+
+        Parameters
+        ----------
+        row : int
+            Counted from 0, without the header and blank lines.
+        column : str
+        problem : str
+            What was expected and what was found.
+
+        Raises
+        ------
+        InputError
+            Always: names the file, the line and the column.
+        """
         raise InputError(self.path, problem, line=self.line(row), column=column)
 
     def require_increasing(self, column: str) -> None:
-        """Raise `InputError` at the first stamp that is not larger than the one before it."""
+        """Refuse a column that does not increase strictly.
+
+        Parameters
+        ----------
+        column : str
+            Of integers.
+
+        Raises
+        ------
+        InputError
+            At the first row that is not larger than the one before it.
+        """
         stamps = self.columns[column]
         bad = np.flatnonzero(np.diff(stamps) <= 0)
         if len(bad):
@@ -106,18 +152,18 @@ class Table:
 def read_table(
     path: Path, columns: Sequence[Column], *, ignored: Sequence[str] = (), others: bool = False
 ) -> Table:
-    """Read a CSV file with a header; blank lines and spaces around cells don't matter.
+    """Read a CSV file with a header. Blank lines and spaces around cells are ignored.
 
     Parameters
     ----------
     path : Path
     columns : sequence of Column
-        All that may occur, in any order.
+        Columns to read, in any order.
     ignored : sequence of str
-        Further column names that may occur and are not read.
+        Names of further columns that may be there and are not read.
     others : bool
-        Columns of any other name may occur, too, but for those that begin like an optional one: `sigma` is
-        more likely `sigma_px` misspelt than not to be read.
+        Accept columns of any other name as well, unless they begin like an optional one: `sigma` is more
+        likely a misspelt `sigma_px` than a column that need not be read.
 
     Returns
     -------
@@ -145,7 +191,7 @@ def read_table(
         )
         data = {name: _from_arrow(table[name], column) for name, column in by_name.items()}
     except (pa.ArrowInvalid, _EmptyCellError):
-        # Only here, where it matters which cell it was, is the slow way taken.
+        # Read again cell by cell, which is slow, to find the one at fault.
         data = _read_slowly(path, names, by_name)
     result = Table(path, data)
     for column in found:

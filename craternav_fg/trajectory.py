@@ -1,4 +1,4 @@
-"""Estimated or true motion of the lander, at the stamps of the images."""
+"""Motion of the lander, estimated or true, at the stamps of the images."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -12,22 +12,22 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class InitialState:
-    """What is known of the lander before the first image: a mean and independent Gaussian errors.
+    """State of the lander as known before the first image: a mean with independent Gaussian errors.
 
     Attributes
     ----------
     stamp_ns : int
-        Time at which it holds: that of the first image.
+        Time at which it holds: the stamp of the first image.
     gTb : ndarray, shape (4, 4)
-        Pose of the body in g.
+        Pose of b in g.
     gV : ndarray, shape (3,)
         Velocity relative to g, in g, m/s.
     attitude_sigma_rad, position_sigma_m, velocity_sigma_m_s : float
         Standard deviation per axis; attitude as a rotation vector in b.
     angular_velocity_sigma_rad_s : float
-        Standard deviation per axis of the angular velocity, whose mean is what the gyro says.
+        Standard deviation per axis of the angular velocity, whose mean is the gyro's first measurement.
     gyro_bias_sigma_rad_s, accelerometer_bias_sigma_m_s2 : float
-        Turn-on biases, zero mean, per axis.
+        Standard deviations per axis of the turn-on biases, whose mean is zero.
     """
 
     stamp_ns: int
@@ -43,22 +43,22 @@ class InitialState:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What was estimated along with a trajectory, each with its standard deviation.
+    """Calibration and map errors that were estimated along with a trajectory, with standard deviations.
 
     Attributes
     ----------
     mounting_rad : (ndarray, ndarray), shape (3,) each, or None
-        Rotation vector, in b, that turns the mounting believed into the camera's.
-    image_delay_s : (float, float), or None
-        From an image's stamp to its exposure.
+        Rotation vector in b from the mounting of `Camera` to the estimated one.
+    time_offset_s : (float, float), or None
+        Camera-IMU time offset: from an image's stamp to its exposure.
     map_errors : dict of int to (ndarray, ndarray), shape (6,) each, or None
-        By row of the catalogue, true minus map: shift of the centre along the major axis, the minor axis and
-        their normal, growth along the major axis, shear, growth along the minor axis; as parts of the mean
-        radius.
+        By row of the catalogue, true minus map, in units of the mean radius: shift of the centre along the
+        major axis, the minor axis and the normal; growth along the major axis, shear, growth along the minor
+        axis.
     """
 
     mounting_rad: tuple[FloatArray, FloatArray] | None = None
-    image_delay_s: tuple[float, float] | None = None
+    time_offset_s: tuple[float, float] | None = None
     map_errors: dict[int, tuple[FloatArray, FloatArray]] | None = None
 
 
@@ -71,26 +71,26 @@ class Trajectory:
     stamps_ns : ndarray of int, shape (k,)
         Strictly increasing.
     gTb : ndarray, shape (k, 4, 4)
-        Poses of the body in g.
+        Poses of b in g.
     gV : ndarray, shape (k, 3)
         Velocity relative to g, in g, m/s.
     bias : ndarray, shape (k, 6)
         Gyro bias (rad/s), then accelerometer bias (m/s^2), in b.
     pose_covariance : ndarray, shape (k, 6, 6), or None
-        Of the attitude error (rotation vector in b, rad), then the position error (in g, m):
+        Covariances of the attitude error phi (rotation vector in b, rad) and the position error p (in g, m):
         R_true = R exp(phi), P_true = P + p.
     velocity_covariance : ndarray, shape (k, 3, 3), or None
         In g, m^2/s^2.
     bias_covariance : ndarray, shape (k, 6, 6), or None
-        Gyro, then accelerometer.
+        Of the gyro bias, (rad/s)^2, then the accelerometer bias, (m/s^2)^2, in b.
     rim_weights : tuple of ndarray, or None
-        For each stamp, the weights (n,) of the measured rims' matches: 1 right, 0 rejected as wrong. None
-        where nothing chose among them.
+        For each stamp, the weights (n,) of the measured rims' matches: 1 accepted, 0 rejected as wrong. None
+        when the estimator accepts all.
     rim_craters : tuple of ndarray, or None
-        With `rim_weights`: for each stamp, the rows (n,) of the catalogue's craters that the rims were taken
-        for, which of a rejected match is another one; -1 for a rim that was not used.
+        With `rim_weights`: for each stamp, the catalogue rows (n,) of the craters that the rims were matched
+        to in the end: another crater where a match was rejected, -1 where the rim was not used.
     calibrated : Calibrated, or None
-        What was estimated along.
+        What else was estimated, if anything.
     """
 
     stamps_ns: IntArray
@@ -109,12 +109,12 @@ class Trajectory:
 
     @property
     def gP(self) -> FloatArray:
-        """Positions in g, shape (k, 3), m."""
+        """Positions of b in g, shape (k, 3), m."""
         return self.gTb[:, :3, 3]
 
     @property
     def gRb(self) -> FloatArray:
-        """Attitudes, shape (k, 3, 3)."""
+        """Attitudes: rotations (k, 3, 3) from b to g."""
         return self.gTb[:, :3, :3]
 
     def take(self, rows: IntArray) -> "Trajectory":

@@ -1,9 +1,22 @@
 """Conversions between frames."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
-from craternav_fg.frames import rotate_position_block, rotation_exp
+from craternav_fg.frames import (
+    east_north_up,
+    from_quaternion_wxyz,
+    inverse,
+    latitude_longitude,
+    pose,
+    right_jacobian,
+    rotate_position_block,
+    rotation_exp,
+    rotation_log,
+    to_quaternion_wxyz,
+    up,
+)
 
 
 def test_position_part_of_a_pose_covariance_is_turned_and_back() -> None:
@@ -14,3 +27,51 @@ def test_position_part_of_a_pose_covariance_is_turned_and_back() -> None:
     in_b, in_g = (each.T @ each for each in (twists, steps))
     assert_allclose(rotate_position_block(in_b, gRb), in_g, atol=1e-13)
     assert_allclose(rotate_position_block(in_g, gRb.T), in_b, atol=1e-13)
+
+
+def test_poses_cancel_their_inverses() -> None:
+    rng = np.random.default_rng(4)
+    aTb = np.stack([pose(rotation_exp(w), t) for w, t in rng.normal(size=(3, 2, 3))])
+    assert_allclose(inverse(aTb) @ aTb, np.broadcast_to(np.eye(4), (3, 4, 4)), atol=1e-14)
+    assert_allclose(inverse(aTb[1]), inverse(aTb)[1])
+
+
+def test_rotation_vectors_and_matrices() -> None:
+    w = np.array([[0.0, 0.0, np.pi / 2.0], [0.3, -0.2, 0.1], [0.0, 0.0, 0.0]])
+    R = rotation_exp(w)
+    # A quarter turn about z takes x to y.
+    assert_allclose(R[0] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
+    assert_allclose(rotation_log(R), w, atol=1e-15)
+
+
+def test_quaternions_are_scalar_first_and_of_any_length() -> None:
+    # Half an angle of 90 deg about x: y goes to z.
+    q = np.array([np.cos(np.pi / 4.0), np.sin(np.pi / 4.0), 0.0, 0.0])
+    R = from_quaternion_wxyz(-3.0 * q)
+    assert_allclose(R @ [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], atol=1e-15)
+    assert_allclose(to_quaternion_wxyz(R), q, atol=1e-15)
+
+
+def test_local_axes_of_places() -> None:
+    latitude, longitude = np.array([0.0, 0.5, -1.2]), np.array([0.0, 2.5, -3.0])
+    gRe = east_north_up(latitude, longitude)
+    assert_allclose(gRe[0], np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).T, atol=1e-15)
+    assert_allclose(np.linalg.det(gRe), 1.0)
+    step = 1e-6
+    to_north = (up(latitude + step, longitude) - up(latitude - step, longitude)) / (2.0 * step)
+    assert_allclose(gRe[:, :, 1], to_north, atol=1e-9)
+    assert_allclose(gRe[:, :, 2], up(latitude, longitude))
+    found = latitude_longitude(1.7e6 * up(latitude, longitude))
+    assert_allclose(found, [latitude, longitude], atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [1e-6, 9.9e-5, 1.01e-4, 0.5, 3.0])
+def test_right_jacobian_is_the_derivative_of_the_exponential(size: float) -> None:
+    w = size * np.array([0.6, -0.48, 0.64])
+    step = 1e-5
+    back = rotation_exp(w).T
+    ahead, behind = (
+        np.array([rotation_log(back @ rotation_exp(w + e)) for e in sign * step * np.eye(3)])
+        for sign in (1.0, -1.0)
+    )
+    assert_allclose(right_jacobian(w), (ahead - behind).T / (2.0 * step), atol=1e-9)

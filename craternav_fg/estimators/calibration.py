@@ -31,8 +31,8 @@ class Calibration:
     ----------
     mounting_sigma_rad : float
         Of the camera's rotation on the lander, per axis.
-    image_delay_sigma_s : float
-        Of the time from an image's stamp to its exposure, the same for all images.
+    time_offset_sigma_s : float
+        Of the camera-IMU time offset: from an image's stamp to its exposure, the same for all images.
     map_place_sigma : float
         Of a crater's place on the map, east and north, as a part of its mean radius.
     map_height_sigma : float
@@ -42,7 +42,7 @@ class Calibration:
     """
 
     mounting_sigma_rad: float = 0.0
-    image_delay_sigma_s: float = 0.0
+    time_offset_sigma_s: float = 0.0
     map_place_sigma: float = 0.0
     map_height_sigma: float = 0.0
     map_size_sigma: float = 0.0
@@ -56,7 +56,7 @@ class Calibration:
     @property
     def of_exposure(self) -> bool:
         """Whether an exposure's pose is another one than the state's at its stamp."""
-        return self.mounting_sigma_rad > 0.0 or self.image_delay_sigma_s > 0.0
+        return self.mounting_sigma_rad > 0.0 or self.time_offset_sigma_s > 0.0
 
     @property
     def map_sigmas(self) -> FloatArray:
@@ -74,8 +74,8 @@ def add_calibration(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, opt
         graph.push_back(gtsam.PriorFactorPose3(MOUNTING_KEY, gtsam.Pose3(), noise))
         if not values.exists(MOUNTING_KEY):
             values.insert(MOUNTING_KEY, gtsam.Pose3())
-    if options.image_delay_sigma_s > 0.0:
-        noise = gtsam.noiseModel.Isotropic.Sigma(1, options.image_delay_sigma_s)
+    if options.time_offset_sigma_s > 0.0:
+        noise = gtsam.noiseModel.Isotropic.Sigma(1, options.time_offset_sigma_s)
         graph.push_back(gtsam.PriorFactorVector(DELAY_KEY, np.zeros(1), noise))
         if not values.exists(DELAY_KEY):
             values.insert(DELAY_KEY, np.zeros(1))
@@ -115,7 +115,7 @@ def add_exposure(
     rate = _angular_velocity(descent, stamp_ns) - bias.gyroscope()
     twist = np.concatenate([rate - gRb.T @ np.array(descent.body.spin_rad_s), gRb.T @ gV])
     keys = {
-        "delay_key": DELAY_KEY if options.image_delay_sigma_s > 0.0 else None,
+        "delay_key": DELAY_KEY if options.time_offset_sigma_s > 0.0 else None,
         "mounting_key": MOUNTING_KEY if options.mounting_sigma_rad > 0.0 else None,
     }
     graph.push_back(exposure_factor(X(number), Y(number), twist, **keys))
@@ -181,7 +181,7 @@ def calibrated(
     if options.mounting_sigma_rad > 0.0:
         turn = frames.rotation_log(values.atPose3(MOUNTING_KEY).rotation().matrix())
         mounting = (turn, np.sqrt(np.diag(tree.marginalCovariance(MOUNTING_KEY))[:3]))
-    if options.image_delay_sigma_s > 0.0:
+    if options.time_offset_sigma_s > 0.0:
         variance = float(tree.marginalCovariance(DELAY_KEY)[0, 0])
         delay = (float(values.atVector(DELAY_KEY)[0]), float(np.sqrt(variance)))
     sigmas = options.map_sigmas

@@ -23,7 +23,7 @@ def _centre_smoother() -> Estimator:
 
 def _self_calibrating_smoother() -> Estimator:
     """Estimate the camera's mounting and time offset: what thermal distortion and a clock leave uncertain."""
-    calibration = Calibration(mounting_sigma_rad=math.radians(0.2), image_delay_sigma_s=0.02)
+    calibration = Calibration(mounting_sigma_rad=math.radians(0.2), time_offset_sigma_s=0.02)
     return BatchSmoother(GraphOptions(calibration=calibration), "self_calibrating_smoother")
 
 

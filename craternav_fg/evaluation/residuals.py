@@ -80,8 +80,8 @@ def poses_at_exposure(trajectory: Trajectory) -> FloatArray:
     gTb, found = trajectory.gTb.copy(), trajectory.calibrated
     if found is None:
         return gTb
-    if found.image_delay_s is not None and len(trajectory) > 1:
-        offset_s = found.image_delay_s[0]
+    if found.time_offset_s is not None and len(trajectory) > 1:
+        offset_s = found.time_offset_s[0]
         seconds = np.diff(trajectory.stamps_ns)[:, None] * 1e-9
         steps = np.swapaxes(gTb[:-1, :3, :3], 1, 2) @ gTb[1:, :3, :3]
         rates = np.array([frames.rotation_log(step) for step in steps]) / seconds

@@ -120,8 +120,8 @@ def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
         out["mounting_deg"], out["mounting_sigma_deg"] = (
             np.degrees(part).tolist() for part in found.mounting_rad
         )
-    if found.image_delay_s is not None:
-        out["time_offset_s"], out["time_offset_sigma_s"] = found.image_delay_s
+    if found.time_offset_s is not None:
+        out["time_offset_s"], out["time_offset_sigma_s"] = found.time_offset_s
     if found.map_errors is not None:
         out["map_errors"] = {
             catalog.identifiers[row]: {"error": error.tolist(), "sigma": sigma.tolist()}

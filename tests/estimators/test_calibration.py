@@ -41,7 +41,7 @@ def mounted(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Tra
 
 @pytest.fixture(scope="module")
 def delayed(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Trajectory]]:
-    case = scenario(duration_s=60.0, faults=FaultsSection(image_delay_s=DELAY_S))
+    case = scenario(duration_s=60.0, faults=FaultsSection(time_offset_s=DELAY_S))
     folder = tmp_path_factory.mktemp("delayed")
     return [problem(folder, case, trial) for trial in range(TRIALS)]
 
@@ -59,7 +59,7 @@ def test_a_wrong_mounting_is_found_and_the_pose_is_honest_again(
         t = smooth(p, Calibration(mounting_sigma_rad=MOUNTING_SIGMA_RAD))
         assert t.calibrated is not None
         assert t.calibrated.mounting_rad is not None
-        assert t.calibrated.image_delay_s is None
+        assert t.calibrated.time_offset_s is None
         turn, sigma = t.calibrated.mounting_rad
         # Without the fault the same trial has the camera as it is.
         right, _ = problem(tmp_path, scenario(duration_s=60.0), trial)
@@ -78,11 +78,11 @@ def test_a_wrong_mounting_is_found_and_the_pose_is_honest_again(
 def test_a_delay_is_found_and_the_pose_is_honest_again(delayed: list[tuple[Problem, Trajectory]]) -> None:
     poses, believed, rms = [], [], []
     for p, truth in delayed:
-        t = smooth(p, Calibration(image_delay_sigma_s=DELAY_S))
+        t = smooth(p, Calibration(time_offset_sigma_s=DELAY_S))
         assert t.calibrated is not None
-        assert t.calibrated.image_delay_s is not None
+        assert t.calibrated.time_offset_s is not None
         assert t.calibrated.mounting_rad is None
-        delay_s, sigma_s = t.calibrated.image_delay_s
+        delay_s, sigma_s = t.calibrated.time_offset_s
         believed.append(((delay_s - DELAY_S) / sigma_s) ** 2)
         poses.append(pose_nees(t, truth))
         rms.append(sigma_s)
@@ -125,11 +125,11 @@ def test_errors_of_the_map_are_found_and_the_pose_is_honest_again(
 def test_what_is_not_asked_for_is_not_estimated(mounted: list[tuple[Problem, Trajectory]]) -> None:
     p, _ = mounted[0]
     assert smooth(p, Calibration()).calibrated is None
-    tight = smooth(p, Calibration(mounting_sigma_rad=1e-9, image_delay_sigma_s=1e-9))
+    tight = smooth(p, Calibration(mounting_sigma_rad=1e-9, time_offset_sigma_s=1e-9))
     assert np.allclose(tight.gTb, smooth(p, Calibration()).gTb, atol=1e-3)
 
 
-@pytest.mark.parametrize("field", ["mounting_sigma_rad", "image_delay_sigma_s", "map_height_sigma"])
+@pytest.mark.parametrize("field", ["mounting_sigma_rad", "time_offset_sigma_s", "map_height_sigma"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_refusals_name_the_field(field: str, value: float) -> None:
     with pytest.raises(EstimationError, match=field):

@@ -153,11 +153,14 @@ def test_runs_of_version_0_1_are_read(tmp_path: Path) -> None:
     metrics = json.loads((folder / "metrics.json").read_text())
     for values in metrics["estimators"].values():
         values["rim_misfit_share"] = values.pop("rim_outlier_share")
+        values["calibrated"] = {"image_delay_s": 0.02, "image_delay_sigma_s": 0.004}
     (folder / "metrics.json").write_text(json.dumps(metrics))
     table = pq.read_table(folder / "residuals.parquet")
     former = ["taken_for" if name == "reassociated_with" else name for name in table.column_names]
     pq.write_table(table.rename_columns(former), folder / "residuals.parquet")
-    assert read_run(folder).metrics["estimators"]["dead_reckoning"]["rim_outlier_share"] == 1.0
+    values = read_run(folder).metrics["estimators"]["dead_reckoning"]
+    assert values["rim_outlier_share"] == 1.0
+    assert values["calibrated"] == {"time_offset_s": 0.02, "time_offset_sigma_s": 0.004}
     assert read_residuals(folder)["reassociated_with"].to_pylist() == [None] * 8
 
 
