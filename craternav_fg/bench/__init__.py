@@ -1,1 +1,1 @@
-"""What this library's factors and optimisers cost, against graphs of GTSAM's own C++ factors."""
+"""Benchmark: cost of factors, estimators, front end and renderer; ratios against GTSAM's own C++ factors."""

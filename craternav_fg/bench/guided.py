@@ -1,4 +1,4 @@
-"""What it costs to measure catalogue rims from predicted poses, and how well that is done."""
+"""Cost and accuracy of measuring catalogue rims and sun tilts from predicted poses."""
 
 import time
 
@@ -12,7 +12,7 @@ REPETITIONS = 3
 
 
 def guided_costs(images: int = 6) -> dict[str, float]:
-    """Measure rims and tilts in held-out images.
+    """Measure rims and sun tilts in images that were not used for set-up.
 
     Parameters
     ----------
@@ -21,19 +21,19 @@ def guided_costs(images: int = 6) -> dict[str, float]:
 
     Returns
     -------
-    dict
-        `rim_ms`, the processor time of guided measurement, sun tilt and all, over the rims it measures on
-        plain ground; the figures of `accuracy` under the prefixes `guided_`, `guided_irregular_` (outlines
-        3 % off their ellipses) and `guided_lost_` (predictions `FAR` off), and those of `sun_tilts` under
-        `sun_nadir_` and `sun_oblique_`, 30 deg off it.
+    dict of str to float
+        `rim_ms`, the processor time of guided measurement, with the sun tilt, per rim measured on plain
+        terrain; the figures of `accuracy` under the prefixes `guided_`, `guided_irregular_` (outlines 3 %
+        off their ellipses) and `guided_lost_` (predictions with the errors `FAR`), and those of `sun_tilts`
+        under `sun_nadir_` and `sun_oblique_` (30 deg off nadir).
     """
     plain = [scene(HELD_OUT + k) for k in range(images)]
     irregular = [scene(HELD_OUT + 100 + k, IRREGULAR) for k in range(images)]
     cases = (("", plain, NEAR), ("irregular_", irregular, NEAR), ("lost_", plain, FAR))
     figures = {
         f"guided_{prefix}{name}": value
-        for prefix, scenes, prior in cases
-        for name, value in accuracy(scenes, prior).items()
+        for prefix, scenes, error in cases
+        for name, value in accuracy(scenes, error).items()
     }
     for name, tilt_deg in (("nadir", 0.0), ("oblique", 30.0)):
         ground = Ground(tilt_deg=(tilt_deg, tilt_deg))
@@ -43,7 +43,7 @@ def guided_costs(images: int = 6) -> dict[str, float]:
 
 
 def _rim_ms(one: Scene) -> float:
-    """Processor time of one image over its rims: the shortest of a few, the others were disturbed."""
+    """Processor time of one image per rim: the shortest of a few, as other programs disturb the rest."""
     gTb, covariance = predicted(one, NEAR, np.random.default_rng(0))
     front_end = GuidedFrontEnd(one.camera, one.catalog)
     durations = []

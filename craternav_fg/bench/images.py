@@ -1,4 +1,4 @@
-"""What an image costs: seconds a frame by altitude and samples, and the memory that takes."""
+"""Cost of rendering an image by altitude and samples per pixel: time and memory."""
 
 import resource
 import sys
@@ -22,23 +22,22 @@ from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 FloatArray = npt.NDArray[np.float64]
 
 ALTITUDES_M = (100e3, 30e3, 10e3, 2e3)
-# Frames timed at each altitude, a tenth of it apart; the first ones build the grids.
+# Frames timed at each altitude, a tenth of the altitude apart; the first ones build the grids.
 FRAMES = 4
 PROC_STATUS = Path("/proc/self/status")
 
 
 def render_costs() -> dict[str, float]:
-    """Render short descents at several altitudes over one ground, with the demo's body and camera.
+    """Render level flights at several altitudes over one terrain, with the demo's body and camera.
 
     Returns
     -------
     dict of str to float
-        `render_s`: mean seconds a frame with one sample a pixel, grids included, over all altitudes;
-        `render_2x2_s`: the same with four; `render_altitude_ratio`: the dearest altitude's frames over the
-        cheapest's, both with one sample; `render_peak_mb`: most memory that the process held that did this
-        and nothing else.
+        `render_s`: mean seconds per frame with one sample per pixel, grids included, over all altitudes;
+        `render_2x2_s`: the same with four samples; `render_altitude_ratio`: the slowest altitude over the
+        fastest, with one sample; `render_peak_mb`: peak memory of a process that does nothing else.
     """
-    # What this process has held before is no matter of the renderer's.
+    # A process of its own: the memory that this one has held before does not count.
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
         return alone.submit(_costs, ALTITUDES_M, FRAMES).result()
 
@@ -51,7 +50,7 @@ def _costs(altitudes_m: Sequence[float], count: int) -> dict[str, float]:
         np.radians(trajectory.site_latitude_deg), np.radians(trajectory.site_longitude_deg)
     )
     sun = enu @ np.array([np.cos(0.5) * 0.8, np.cos(0.5) * 0.6, np.sin(0.5)])
-    # Looking down, the image's top to the north.
+    # Looking down, the top of the image to the north.
     looking = np.stack([enu[:, 0], -enu[:, 1], -enu[:, 2]], axis=-1) @ camera.bTc[:3, :3].T
     relief = Relief(body, enu[:, 2], ReliefOptions())
     options = CraterFieldOptions(focal_px=camera.focal_px)
@@ -85,7 +84,7 @@ def _frame_s(
     rng: np.random.Generator,
     count: int,
 ) -> float:
-    """Mean seconds a frame of a level flight."""
+    """Mean seconds per frame of a level flight."""
     began = time.perf_counter()
     for k in range(count):
         offset = 0.1 * k * altitude_m * enu[:, 0]
@@ -95,8 +94,8 @@ def _frame_s(
 
 
 def _peak_mb() -> float:
-    """Most memory that this process has held since its program began."""
-    # On Linux getrusage hands a parent's peak on to the child, even to one with a program of its own.
+    """Peak memory of this process since its program began, MB."""
+    # On Linux getrusage passes a parent's peak on to the child, even to one that runs another program.
     if PROC_STATUS.exists():
         (line,) = (line for line in PROC_STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
         return int(line.split()[1]) * 1.024e-3

@@ -1,4 +1,4 @@
-"""What a frame costs from the image to the new state, on the demo's descent."""
+"""Cost of a frame from the image to the new state, on the demo's descent."""
 
 import tempfile
 import time
@@ -24,23 +24,25 @@ FloatArray = npt.NDArray[np.float64]
 SCENARIO = "lunar_descent"
 # The demo's frames are 4 s apart; fewer are rendered here.
 INTERVAL_S = 12.0
-# Frames with other numbers of rims do not count as those with ten.
-FEWEST, MOST = 7, 14
-# Of the start, a standard deviation per axis.
-START_RAD, START_M = 5e-3, 200.0
+# Frames with about ten rims count; the time grows with their number.
+MIN_RIMS, MAX_RIMS = 7, 14
+# Standard deviations of the initial state, per axis.
+START_SIGMA_RAD, START_SIGMA_M = 5e-3, 200.0
+# The first frames fill caches.
+WARM_UP_FRAMES = 2
 
 
 def pipeline_ms() -> dict[str, float]:
-    """Fly the demo's descent, every third frame of it, frame by frame.
+    """Process every third frame of the demo's descent, frame by frame.
 
-    Prediction, guided measurement with gates and sun tilt, and the online smoother's update, in processor
-    time of all threads: one core would take as long. Reading the image and the first frame do not count.
+    The time is that of prediction, guided measurement with gates and sun tilt, and the online smoother's
+    update: processor time of all threads, as on one core. Reading the image and the first frame do not count.
 
     Returns
     -------
-    dict
-        `pipeline_ms`, the median over the frames with `FEWEST` to `MOST` rims; `pipeline_measure_ms`, the
-        guided measurement's part of it; `pipeline_rims`, the mean number of rims in these frames.
+    dict of str to float
+        `pipeline_ms`, the median over the frames with `MIN_RIMS` to `MAX_RIMS` rims; `pipeline_measure_ms`,
+        the guided measurement's part of it; `pipeline_rims`, the mean number of rims in these frames.
     """
     scenario = load_scenario(SCENARIO)
     timing = scenario.trajectory.model_copy(update={"frame_interval_s": INTERVAL_S})
@@ -54,8 +56,8 @@ def pipeline_ms() -> dict[str, float]:
         rows = _fly(dataset, images)
     finally:
         cv2.setNumThreads(threads)
-    # The first ones warm up caches.
-    counted = rows[2:][(rows[2:, 2] >= FEWEST) & (rows[2:, 2] <= MOST)]
+    rows = rows[WARM_UP_FRAMES:]
+    counted = rows[(rows[:, 2] >= MIN_RIMS) & (rows[:, 2] <= MAX_RIMS)]
     whole, measuring, _ = np.median(counted, axis=0)
     return {
         "pipeline_ms": 1e3 * float(whole),
@@ -65,13 +67,13 @@ def pipeline_ms() -> dict[str, float]:
 
 
 def _fly(dataset: Dataset, images: list[ImageArray]) -> FloatArray:
-    """Seconds of each frame but the first, of its measurement, and its rims: (n, 3)."""
+    """Seconds of each frame but the first, seconds of its measurement, and its number of rims: (n, 3)."""
     truth = dataset.truth
     assert truth is not None
     assert dataset.initial is not None
-    # The demo's poor start is another matter: here it is known well.
+    # The demo begins with a poor initial state; here it is known well, as tracking is measured.
     initial = replace(
-        dataset.initial, gTb=truth.gTb[0], attitude_sigma_rad=START_RAD, position_sigma_m=START_M
+        dataset.initial, gTb=truth.gTb[0], attitude_sigma_rad=START_SIGMA_RAD, position_sigma_m=START_SIGMA_M
     )
     descent = Descent.of(dataset, initial)
     front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)

@@ -1,7 +1,7 @@
-"""Descents of any size to time, and the same ones made of GTSAM's own factors.
+"""Problems of any size to time, and the same ones made of GTSAM's own factors.
 
-A lander in free fall on a circular orbit 50 km above the Moon's equator looks down; every frame has the
-same number of craters, each its own. Nothing here is a test of accuracy.
+A lander on a circular orbit 50 km above the Moon's equator looks down; every frame has the same number of
+craters, each seen once. The problems are for timing, not for accuracy.
 """
 
 from dataclasses import dataclass
@@ -11,13 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
-from craternav_fg import frames
-from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.graph import insert_state
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.simulation.flat_scenes import CAMERA
 from craternav_fg.simulation.scenes import ALTITUDE_M, FOCAL_PX, MOON
 from craternav_fg.trajectory import InitialState
 from factors.kernels.conic import project_rims
@@ -26,10 +25,14 @@ FloatArray = npt.NDArray[np.float64]
 
 NOISE = ImuNoise(2.0e-5, 3.4e-4, 2e-8, 3e-7)  # LN-200S class
 PERIOD_S = 1.0
-# Few rows an interval: preintegration costs both sides the same and would hide the difference.
+# Few IMU rows per frame: preintegration costs both sides the same and would hide the difference.
 IMU_HZ = 10
 EDGE_SIGMA_PX = 0.3
 POINT_SIGMA_M = 20.0
+# Craters lie up to this far from the point below the lander, north and east.
+SPREAD_M = 12e3
+# Standard deviations of the initial state, per axis.
+START_SIGMA_RAD, START_SIGMA_M = 0.01, 300.0
 
 
 @dataclass(frozen=True)
@@ -85,24 +88,10 @@ def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
     Bench
     """
     rng = np.random.default_rng(seed)
-    t = PERIOD_S * np.arange(frames_number)
-    radius = MOON.radius_m + ALTITUDE_M
-    orbit = np.sqrt(MOON.mu_m3_s2 / radius**3)
-    # In the turning frame the lander is slower by the body's spin.
-    rate = orbit - MOON.spin_rad_s[2]
-    up = np.stack([np.cos(rate * t), np.sin(rate * t), np.zeros_like(t)], axis=1)
-    ahead = np.stack([-np.sin(rate * t), np.cos(rate * t), np.zeros_like(t)], axis=1)
-    north = np.array([0.0, 0.0, 1.0])
-    gTb = np.zeros((frames_number, 4, 4))
-    gTb[:, :3, 0] = ahead
-    gTb[:, :3, 1] = -north
-    gTb[:, :3, 2] = -up
-    gTb[:, :3, 3] = radius * up
-    gTb[:, 3, 3] = 1.0
-    gV = radius * rate * ahead
-    camera = Camera(1024, 1024, FOCAL_PX, FOCAL_PX, 511.5, 511.5, frames.pose(np.eye(3), np.zeros(3)))
+    t = PERIOD_S * np.arange(frames_number, dtype=np.float64)
+    gTb, gV, orbit, rate = _orbit(t)
     n = frames_number * craters
-    spread_rad = 12e3 / MOON.radius_m
+    spread_rad = SPREAD_M / MOON.radius_m
     minor = rng.uniform(800.0, 2000.0, n)
     catalog = Catalog(
         tuple(map(str, range(n))),
@@ -115,37 +104,71 @@ def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
         MOON,
     )
     stamps = np.round(t * 1e9).astype(np.int64)
-    measured = []
-    points = np.empty((frames_number, craters, 3))
-    for i in range(frames_number):
-        rows = np.arange(i * craters, (i + 1) * craters)
-        charts, _ = project_rims(gTb[i], camera.bTc, catalog.centres[rows], catalog.axes[rows])
-        sigmas = np.tile([0.5, 0.5, 0.0, 0.0, 0.0], (craters, 1)) * EDGE_SIGMA_PX / FOCAL_PX
-        sigmas[:, 2:] = EDGE_SIGMA_PX / FOCAL_PX / np.exp(charts[:, 2:3])
-        S = np.einsum("ni,ij->nij", sigmas**2, np.eye(5))
-        charts = charts + rng.normal(size=charts.shape) * sigmas
-        measured.append(FrameMeasurement(int(stamps[i]), RimSet(rows, charts, S), None))
-        points[i] = (catalog.centres[rows] - gTb[i, :3, 3]) @ gTb[i, :3, :3]
-        points[i] += rng.normal(0.0, POINT_SIGMA_M, points[i].shape)
-    dt = 1.0 / IMU_HZ
-    rows_number = max(2, round((frames_number - 1) * PERIOD_S * IMU_HZ))
-    imu = ImuLog(
-        (np.arange(1, rows_number + 1) * (10**9 // IMU_HZ)).astype(np.int64),
-        # The inertial turn is about north, which is -y of b.
-        np.array([0.0, -orbit, 0.0]) + rng.normal(size=(rows_number, 3)) * NOISE.gyro_density / np.sqrt(dt),
-        rng.normal(size=(rows_number, 3)) * NOISE.accelerometer_density / np.sqrt(dt),
-    )
+    measured, points = _measure(rng, catalog, gTb, stamps, craters)
     initial = InitialState(
         stamp_ns=0,
         gTb=gTb[0],
         gV=gV[0],
-        attitude_sigma_rad=0.01,
-        position_sigma_m=300.0,
+        attitude_sigma_rad=START_SIGMA_RAD,
+        position_sigma_m=START_SIGMA_M,
         velocity_sigma_m_s=2.0,
         angular_velocity_sigma_rad_s=0.01,
         gyro_bias_sigma_rad_s=5e-6,
         accelerometer_bias_sigma_m_s2=3e-3,
     )
-    descent = Descent(MOON, camera, catalog, imu, NOISE, initial)
-    start = Start(gTb[0], np.diag(np.repeat([0.01**2, 300.0**2], 3)), 0)
+    imu = _imu(rng, t[-1], orbit)
+    descent = Descent(MOON, CAMERA, catalog, imu, NOISE, initial)
+    start = Start(gTb[0], np.diag(np.repeat([START_SIGMA_RAD**2, START_SIGMA_M**2], 3)), 0)
     return Bench(Problem(**vars(descent), start=start, frames=measured), points, gTb, gV)
+
+
+def _orbit(t: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+    """Poses (k, 4, 4) and velocities (k, 3) in g at times (k,); orbital rate, inertial and in g, rad/s."""
+    radius = MOON.radius_m + ALTITUDE_M
+    orbit = float(np.sqrt(MOON.mu_m3_s2 / radius**3))
+    # In g, which rotates with the body, the lander is slower by the body's spin.
+    rate = orbit - MOON.spin_rad_s[2]
+    up = np.stack([np.cos(rate * t), np.sin(rate * t), np.zeros_like(t)], axis=1)
+    ahead = np.stack([-np.sin(rate * t), np.cos(rate * t), np.zeros_like(t)], axis=1)
+    gTb = np.zeros((len(t), 4, 4))
+    gTb[:, :3, 0] = ahead
+    gTb[:, :3, 1] = [0.0, 0.0, -1.0]
+    gTb[:, :3, 2] = -up
+    gTb[:, :3, 3] = radius * up
+    gTb[:, 3, 3] = 1.0
+    return gTb, radius * rate * ahead, orbit, rate
+
+
+def _measure(
+    rng: np.random.Generator,
+    catalog: Catalog,
+    gTb: FloatArray,
+    stamps: npt.NDArray[np.int64],
+    craters: int,
+) -> tuple[list[FrameMeasurement], FloatArray]:
+    """Measure the craters of each frame: as rims, and as points (frames, craters, 3) in b, m."""
+    measured = []
+    points = np.empty((len(gTb), craters, 3))
+    for i, T in enumerate(gTb):
+        rows = np.arange(i * craters, (i + 1) * craters)
+        charts, _ = project_rims(T, CAMERA.bTc, catalog.centres[rows], catalog.axes[rows])
+        sigmas = np.tile([0.5, 0.5, 0.0, 0.0, 0.0], (craters, 1)) * EDGE_SIGMA_PX / FOCAL_PX
+        sigmas[:, 2:] = EDGE_SIGMA_PX / FOCAL_PX / np.exp(charts[:, 2:3])
+        S = np.einsum("ni,ij->nij", sigmas**2, np.eye(5))
+        charts = charts + rng.normal(size=charts.shape) * sigmas
+        measured.append(FrameMeasurement(int(stamps[i]), RimSet(rows, charts, S), None))
+        points[i] = (catalog.centres[rows] - T[:3, 3]) @ T[:3, :3]
+        points[i] += rng.normal(0.0, POINT_SIGMA_M, points[i].shape)
+    return measured, points
+
+
+def _imu(rng: np.random.Generator, end_s: float, orbit: float) -> ImuLog:
+    """Log of free fall at an orbital rate, rad/s."""
+    dt = 1.0 / IMU_HZ
+    rows = max(2, round(end_s * IMU_HZ))
+    return ImuLog(
+        (np.arange(1, rows + 1) * (10**9 // IMU_HZ)).astype(np.int64),
+        # The inertial rotation is about north, which is -y of b.
+        np.array([0.0, -orbit, 0.0]) + rng.normal(size=(rows, 3)) * NOISE.gyro_density / np.sqrt(dt),
+        rng.normal(size=(rows, 3)) * NOISE.accelerometer_density / np.sqrt(dt),
+    )

@@ -1,4 +1,4 @@
-"""Ratios of cost, each from one run in which both sides take turns."""
+"""Ratios of cost, each from one run in which both sides alternate."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from craternav_fg.simulation.scenes import FOCAL_PX
 
 FloatArray = npt.NDArray[np.float64]
 
-# GTSAM's own default: both sides stop at the same relative decrease.
+# GTSAM's default: both sides stop at the same relative decrease.
 RELATIVE_TOLERANCE = 1e-5
 
 
@@ -46,14 +46,26 @@ class Ratio:
 
 
 def interleaved(ours: Callable[[], object], reference: Callable[[], object], repetitions: int) -> Ratio:
-    """Time two functions in turns; each turn gives one ratio."""
+    """Time two functions alternately; each pair of calls gives one ratio."""
     ours(), reference()
     seconds = np.array([[seconds_of(ours), seconds_of(reference)] for _ in range(repetitions)])
     return summary(seconds[:, 0] / seconds[:, 1], seconds[:, 0], seconds[:, 1])
 
 
 def summary(ratios: FloatArray, ours_s: FloatArray, reference_s: FloatArray) -> Ratio:
-    """Gather ratios and times."""
+    """Summarise ratios and times.
+
+    Parameters
+    ----------
+    ratios : ndarray, shape (n,)
+        Ours over the reference.
+    ours_s, reference_s : ndarray, shape (n,)
+        Times.
+
+    Returns
+    -------
+    Ratio
+    """
     low, median, high = np.percentile(ratios, [10, 50, 90])
     return Ratio(
         float(median),
@@ -65,14 +77,14 @@ def summary(ratios: FloatArray, ours_s: FloatArray, reference_s: FloatArray) -> 
 
 
 def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 101) -> Ratio:
-    """Linearise the craters of all frames, per frame.
+    """Compare the time to linearise the craters of all frames, per frame.
 
     Parameters
     ----------
     bench : Bench
     landmarks : bool
-        Reference: `KnownLandmarkFactorPose3`, a point in b without any camera; else
-        `GenericProjectionFactorCal3_S2` with a mounting, an image measurement as ours is.
+        Whether the reference is `KnownLandmarkFactorPose3`, a point in b without a camera; else it is
+        `GenericProjectionFactorCal3_S2` with a mounting, an image measurement like ours.
     repetitions : int
 
     Returns
@@ -104,7 +116,7 @@ def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 10
 
 
 def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
-    """Optimise the whole descent from one start: ours against GTSAM's LM with QR on its own factors.
+    """Compare the optimisation of the whole descent: ours against GTSAM's LM with QR on its own factors.
 
     GTSAM's Cholesky, its default, needs ten times as long here: it fails on realistic IMU information.
     """
@@ -172,9 +184,19 @@ def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
 
 
 def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
-    """Measure the durations (repetitions, benches) of our batch optimisation, s: all sizes, in turns.
+    """Measure the durations of our batch optimisation.
 
-    A machine that slows down or speeds up between sizes would bend the curve; so each turn has its own.
+    Each repetition runs all sizes in turn: the speed of the machine may change between sizes.
+
+    Parameters
+    ----------
+    benches : sequence of Bench
+    repetitions : int
+
+    Returns
+    -------
+    ndarray, shape (repetitions, benches)
+        Seconds.
     """
     options = LmOptions(relative_tolerance=RELATIVE_TOLERANCE)
     problems = []
@@ -189,12 +211,24 @@ def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
 
 
 def exponent(sizes: npt.ArrayLike, seconds: npt.ArrayLike) -> float:
-    """Slope of log cost against log size, by least squares."""
+    """Slope of log cost over log size, by least squares.
+
+    Parameters
+    ----------
+    sizes : array_like, shape (n,)
+        Numbers of frames.
+    seconds : array_like, shape (n,)
+        Durations, s.
+
+    Returns
+    -------
+    float
+    """
     return float(np.polyfit(np.log(np.asarray(sizes)), np.log(np.asarray(seconds)), 1)[0])
 
 
 def seconds_of(function: Callable[[], object]) -> float:
-    """Time one call, s: of the process's own, so that what else runs does not count."""
+    """Processor time of one call, s: other programs do not count."""
     began = time.process_time()
     function()
     return time.process_time() - began

@@ -1,4 +1,4 @@
-"""The benchmark as a whole: ratios, cost against size, figure."""
+"""The whole benchmark: ratios, cost over size, and their figure."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from craternav_fg.bench.images import render_costs
 from craternav_fg.bench.pipeline import pipeline_ms
 from craternav_fg.bench.problems import make
 from craternav_fg.bench.ratios import Online, Ratio
-from craternav_fg.bench.resection import static_scalars
+from craternav_fg.bench.resection import resection_scalars
 from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,7 +28,7 @@ OURS, REFERENCE = "#0072B2", "#D55E00"
 
 @dataclass(frozen=True)
 class Sizes:
-    """How large the descents are.
+    """Sizes of the problems.
 
     Attributes
     ----------
@@ -44,12 +44,12 @@ class Sizes:
         Of the fixed-lag run, 10 craters each.
     online_runs : int
         Repetitions of both.
-    static_problems : int
-        Of the static solver, of each size.
+    resection_problems : int
+        Of the resection solver, of each size.
     images : int
-        In which rims are detected and measured, of each kind of ground.
+        In which rims are detected and measured, of each kind of terrain.
     views : int
-        Whose craters are identified.
+        In which craters are identified.
     """
 
     frames: tuple[int, ...]
@@ -58,7 +58,7 @@ class Sizes:
     online_frames: int
     lag_frames: int
     online_runs: int
-    static_problems: int
+    resection_problems: int
     images: int
     views: int
 
@@ -70,18 +70,18 @@ LAG_S = 30.0
 
 @dataclass(frozen=True)
 class Result:
-    """What was measured.
+    """Measured costs.
 
     Attributes
     ----------
     ratios : dict of str to Ratio
         By the names of the JSON output.
     scalars : dict of str to float
-        Likewise: what is no ratio to a reference.
-    factor : ndarray, shape (craters, 3)
-        Craters in a frame; microseconds a frame of ours, of the reference.
-    batch : ndarray, shape (frames, 2)
-        Frames; seconds of ours.
+        By the names of the JSON output: numbers that are no ratios to the reference.
+    factor : ndarray, shape (n, 3)
+        Number of craters in a frame; time per frame of ours and of the reference, us.
+    batch : ndarray, shape (n, 2)
+        Number of frames; time of ours, s.
     online : Online
         The last run.
     """
@@ -93,7 +93,7 @@ class Result:
     online: Online
 
     def json(self) -> dict[str, float | list[float]]:
-        """Flat: each ratio's median, and under `*_spread` its 10 % and 90 % points."""
+        """Give all numbers by name: each ratio's median, and under `*_spread` its 10 % and 90 % points."""
         out: dict[str, float | list[float]] = {}
         for name, ratio in self.ratios.items():
             out[name] = ratio.median
@@ -108,7 +108,7 @@ def run(sizes: Sizes, report: Report) -> Result:
     ----------
     sizes : Sizes
     report : callable
-        Told what is measured, how many steps are done, and of how many.
+        Called with a description, the number of finished steps and the number of all steps.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def run(sizes: Sizes, report: Report) -> Result:
         "online_flatness": float(np.median([run.flatness for run in online])),
         "online_frames_per_s": 1.0 / float(np.mean([run.ours_s.mean() for run in online])),
         "online_frames": float(sizes.online_frames),
-        **static_scalars(sizes.static_problems),
+        **resection_scalars(sizes.resection_problems),
     }
     step()
     scalars.update(render_costs())
@@ -175,7 +175,7 @@ def run(sizes: Sizes, report: Report) -> Result:
 
 
 def write_figure(result: Result, path: Path) -> None:
-    """Draw cost against size: factor over craters, batch over frames, online over the descent."""
+    """Draw cost over size: factor over craters, batch over frames, online over the descent."""
     figure = Figure(figsize=(12, 3.8), layout="constrained")
     factor, batch, online = figure.subplots(1, 3)
     factor.loglog(result.factor[:, 0], result.factor[:, 1], "o-", color=OURS, label="ours, stacked")

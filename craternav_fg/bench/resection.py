@@ -1,4 +1,4 @@
-"""Cost of the static solver: from no start, and against SciPy on the same residual from the same start."""
+"""Cost of the resection solver: without a start, and against SciPy on the same residual and start."""
 
 from collections.abc import Callable
 
@@ -7,25 +7,24 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from craternav_fg.bench.ratios import seconds_of
-from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_covariance
 from craternav_fg.resection.efficient import refine, solve
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
-from craternav_fg.simulation.scenes import ALTITUDE_M, FOCAL_PX
+from craternav_fg.simulation.flat_scenes import CAMERA
+from craternav_fg.simulation.scenes import ALTITUDE_M
 from factors.kernels import packed
 from factors.kernels.conic import project_rims
 from factors.kernels.gauss_newton import screw
 
 FloatArray = npt.NDArray[np.float64]
 
-CAMERA = Camera(1024, 1024, FOCAL_PX, FOCAL_PX, 511.5, 511.5)
 EDGE_POINTS = 60
-# Of the start for both sides: about what a single rim's plane gives.
+# Standard deviations of the start for both sides, rad and m: about those of a single rim's pose.
 START_SIGMA = np.repeat([np.radians(2.0), 1e3], 3)
 
 
-def static_scalars(repetitions: int = 200) -> dict[str, float]:
-    """Measure the static solver.
+def resection_scalars(repetitions: int = 200) -> dict[str, float]:
+    """Measure the resection solver.
 
     Parameters
     ----------
@@ -34,8 +33,8 @@ def static_scalars(repetitions: int = 200) -> dict[str, float]:
 
     Returns
     -------
-    dict
-        `pose_ms_n3`, `pose_ms_n10`: median milliseconds of `solve`, from no start, with covariance;
+    dict of str to float
+        `pose_ms_n3`, `pose_ms_n10`: median milliseconds of `solve`, without a start, with covariance;
         `pose_vs_scipy_ratio`: median cost of `refine`, with covariance, over that of
         `scipy.optimize.least_squares` with its default settings, three rims.
     """
@@ -58,7 +57,7 @@ def _scipy_ratio(rng: np.random.Generator, repetitions: int) -> float:
         screw(start, START_SIGMA * rng.normal(size=6))
         ours, theirs = _ours(problem, start), _scipy(problem, start)
         ours(), theirs()
-        # Each by itself: a call right after the other's pays for caches that the other has filled.
+        # Not alternately: each call would find the caches filled by the other side.
         times = [np.median([seconds_of(run) for _ in range(5)]) for run in (ours, theirs)]
         ratios.append(times[0] / times[1])
     return float(np.median(ratios))
@@ -83,7 +82,7 @@ def _scipy(problem: ResectionProblem, start: FloatArray) -> Callable[[], object]
 
 
 def _problem(rng: np.random.Generator, n: int) -> ResectionProblem:
-    """Flat ground from 50 km, looking down to 30 deg off nadir, n rims in view with noise."""
+    """Flat terrain from 50 km, up to 30 deg off nadir, n rims in view with noise."""
     tilt, turn, roll = rng.uniform(0.0, [np.radians(30.0), 2.0 * np.pi, 2.0 * np.pi])
     down = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])
     across = np.array([-np.sin(turn), np.cos(turn), 0.0])

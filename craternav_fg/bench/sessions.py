@@ -10,7 +10,7 @@ from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 
 
 class Reference:
-    """One update a frame, and the newest state with its joint covariance, as our session gives them.
+    """One update per frame, and the newest state with its joint covariance, as our session gives them.
 
     Parameters
     ----------

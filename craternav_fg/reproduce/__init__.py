@@ -1,1 +1,1 @@
-"""The paper's static figures, regenerated, each beside what its equations and the bound allow."""
+"""Reproduction of the paper's figures and tables, each number beside that of its equations and the bound."""

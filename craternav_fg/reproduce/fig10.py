@@ -71,7 +71,8 @@ def note(errors: dict[str, FloatArray]) -> str:
     Parameters
     ----------
     errors : dict of str to ndarray, shape (n, 3)
-        By method: absolute errors of centre and semi-axes of each crater, px; NaN where it was not found.
+        By method: absolute errors of centre and semi-axes of each crater in the image, px; NaN where it was
+        not found.
 
     Returns
     -------

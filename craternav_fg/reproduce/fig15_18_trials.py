@@ -106,8 +106,8 @@ class Errors:
     nees : ndarray, shape (trials, k)
         Normalised estimation error squared of the pose.
     bound : ndarray, shape (k,)
-        RMS of the posterior Cramér-Rao bound over these trials: that of smoothing for the estimators that use
-        later data.
+        RMS of the posterior Cramér-Rao bound over these trials, m or deg: that of smoothing for the
+        estimators that use later data.
     """
 
     trials: npt.NDArray[np.int64]
@@ -117,12 +117,12 @@ class Errors:
 
     @property
     def mean(self) -> FloatArray:
-        """Mean over the trials, shape (k,)."""
+        """Mean error over the trials, shape (k,), m or deg."""
         return _mean(self.error)
 
     @property
     def rms(self) -> FloatArray:
-        """RMS over the trials, shape (k,)."""
+        """RMS error over the trials, shape (k,), m or deg."""
         return np.asarray(np.sqrt(_mean(self.error**2)))
 
     @property

@@ -93,9 +93,9 @@ def draw_coefficients(
     paper : mapping of int to sequence of float
         The paper's, by altitude, km.
     deviations : mapping of str to ndarray, shape (altitudes, 6)
-        Ours, by method.
+        Ours by method, dimensionless.
     noise : ndarray, shape (6,)
-        The paper's Qn as standard deviations.
+        The paper's Qn as standard deviations, dimensionless.
 
     Returns
     -------

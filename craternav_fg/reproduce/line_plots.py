@@ -29,8 +29,9 @@ class Series:
     colour, marker, line : str
         In matplotlib's notation; line "" draws none.
     mean : ndarray, shape (k,)
+        In the unit of the figure.
     low, high : ndarray, shape (k,), or None
-        16 % and 84 % quantiles of the trials.
+        16 % and 84 % quantiles of the trials, in the same unit.
     """
 
     colour: str
@@ -201,6 +202,7 @@ class Line:
     ----------
     colour, style : str
     value : ndarray, shape (k,)
+        In the unit of the figure.
     """
 
     colour: str

@@ -1,4 +1,12 @@
-"""Shape of a crater: sizes by diameter, and the profile from the floor over the rim crest to the ground."""
+"""Shape of a crater: depth, rim height, and the profile from the floor over the rim crest to the terrain.
+
+Lengths are in radii where a name has no unit.
+
+References
+----------
+Pike, R. J. (1977), Size-dependence in the shape of fresh impact craters on the Moon, in Impact and Explosion
+Cratering, 489-509.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,39 +16,67 @@ from craternav_fg.body import Body
 
 FloatArray = npt.NDArray[np.float64]
 
-# Diameter at which lunar craters turn from simple bowls to shallow complex ones (Pike 1977), km.
+# Diameter at which lunar craters change from simple bowls to shallow complex ones, km (Pike 1977).
 COMPLEX_KM = 15.0
-# A crater's flank has met the ground at this many radii.
+# A crater's flank has reached the surrounding terrain at this many radii.
 REACH = 2.3
-# Half-widths of the rounding of the crest's outer side, of a fresh crater, and of the floor, in radii.
+# Half-widths of the rounding of the crest's outer side, of a fresh crater, and of the floor. Chosen: with
+# them the profile resembles fresh lunar craters, and a crest spans several grid cells.
 CREST = 0.06
 FLOOR = 0.35
-# A worn crater's crest is wider by up to this factor more, its floor higher by up to this part of the depth.
-WORN_CREST = 3.0
-WORN_DEPTH = 0.5
-# Height of a central peak over the depth, and its half-width in radii.
+# The most degraded crest is wider by 1 + this factor, the most degraded floor higher by this share of the
+# depth.
+DEGRADED_CREST = 3.0
+DEGRADED_DEPTH = 0.5
+# Height of a central peak over the depth, and its half-width. Chosen.
 PEAK = 0.3
 PEAK_WIDTH = 0.14
-# Harmonics of an irregular outline.
+# Harmonics of an irregular outline: the first two would shift the ellipse and change its axes; those beyond
+# the last are too short to be told from roughness.
 FIRST_HARMONIC = 3
 LAST_HARMONIC = 8
-# Other craters' flanks are suppressed this far from a crest, roughness twice as far, in radii.
+# Distance from a crest within which other craters' flanks are suppressed, and roughness within twice of it:
+# the crest then lies exactly on the catalogue's rim.
 PROTECTED = 0.25
-# Roughness near a crater stays under this part of its radius: more would bend the crest's own rounding.
+# Roughness near a crest stays below this share of the radius: more would shift the crest.
 ROUGHNESS = 0.04
+# The flank is the crater's own up to this distance, and fades out from there to `REACH`.
+_FULL_COVERAGE = 1.15
+# Craters whose centres are further apart than 60 deg on the sphere do not overlap.
+_NEAR_COSINE = 0.5
 
 
 def rim_height_m(radius_m: FloatArray) -> FloatArray:
-    """Height (n,) of the rim crest over the ground around it, by radius (n,): Pike (1977)."""
+    """Height of a rim crest over the surrounding terrain (Pike 1977).
+
+    Parameters
+    ----------
+    radius_m : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Metres.
+    """
     D = 2e-3 * np.asarray(radius_m)
-    # The complex law is scaled to meet the simple one.
+    # The law of complex craters is scaled to be continuous with that of simple ones.
     return 1e3 * np.where(
         D < COMPLEX_KM, 0.036 * D**1.014, 0.036 * COMPLEX_KM**1.014 * (D / COMPLEX_KM) ** 0.399
     )
 
 
 def depth_m(radius_m: FloatArray) -> FloatArray:
-    """Depth (n,) of the floor under the rim crest, by radius (n,): Pike (1977)."""
+    """Depth of a crater's floor below its rim crest (Pike 1977).
+
+    Parameters
+    ----------
+    radius_m : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Metres.
+    """
     D = 2e-3 * np.asarray(radius_m)
     return 1e3 * np.where(
         D < COMPLEX_KM, 0.196 * D**1.010, 0.196 * COMPLEX_KM**1.010 * (D / COMPLEX_KM) ** 0.301
@@ -50,10 +86,20 @@ def depth_m(radius_m: FloatArray) -> FloatArray:
 def crest_height_over_centre_ground_m(
     semi_major_m: FloatArray, semi_minor_m: FloatArray, body: Body
 ) -> FloatArray:
-    """`height_m` (n,) of rims that stand in ground level with the reference sphere.
+    """Height of the rim's plane, at its centre, over terrain that follows the reference sphere.
 
-    The rim is planar and the ground falls away under it: the plane's height at its centre is the
-    crest's height over the ground, less the sagitta of the sphere at the mean rim radius.
+    The rim is planar and the sphere curves away below it: the height is that of the crest over the terrain
+    minus the sagitta of the sphere at the mean rim radius.
+
+    Parameters
+    ----------
+    semi_major_m, semi_minor_m : ndarray, shape (n,)
+    body : Body
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Metres.
     """
     sagitta_m = (semi_major_m**2 + semi_minor_m**2) / (4.0 * body.radius_m)
     return rim_height_m(np.sqrt(semi_major_m * semi_minor_m)) - sagitta_m
@@ -68,29 +114,28 @@ def smoothstep(t: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def protection(x: float) -> float:
-    """0 with zero slope on a crest, 1 from `PROTECTED` radii off it."""
+    """0 with zero slope on a crest, 1 from `PROTECTED` radii away from it."""
     return smoothstep(abs(x) / PROTECTED)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def roughness(x: float, rough: float, radius: float) -> float:
-    """Part of a roughness height that stays at x radii off the crest of a crater; 0 with zero slope on it."""
+    """Limit a roughness height at x radii from a crest: 0 with zero slope on the crest."""
     limited = rough / np.sqrt(1.0 + (rough / (ROUGHNESS * radius)) ** 2)
     return smoothstep(0.5 * abs(x) / PROTECTED) * limited
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def crater_profile(rho: float, depth: float, rim: float, crest: float) -> float:
-    """Height over the crest plane at a distance rho, in radii, from the centre of a crater.
+    """Height over the crest's plane at a distance rho, in radii, from the centre of a crater.
 
-    `crest` is the half-width of the rounding of the crest's outer side, in radii.
-
-    Slope zero and the curvature continuous on the crest, rho = 1: a grid then locates it without bias.
+    `crest` is the half-width of the rounding of the crest's outer side, in radii. On the crest, rho = 1, the
+    slope is zero and the curvature continuous: a grid then locates the crest without bias.
     """
     x = rho - 1.0
     if x > 0.0:
         return -rim * (1.0 - (1.0 + np.sqrt(x * x + crest * crest) - crest) ** -3)
-    # The width c of the crest's inner side that gives both sides one curvature.
+    # The width c of the crest's inner side for which both sides have the same curvature.
     floor = np.sqrt(1.0 + FLOOR * FLOOR) - FLOOR
     q = depth / (floor * np.sqrt(1.0 + FLOOR * FLOOR)) * crest / (3.0 * rim)
     c = q / np.sqrt(1.0 - 2.0 * q)
@@ -100,17 +145,26 @@ def crater_profile(rho: float, depth: float, rim: float, crest: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def outline(x: float, y: float, harmonics: FloatArray) -> float:
-    """Radius of an irregular crater in the direction (x, y), over that of its ellipse; 1 at the centre.
+    """Radius of an irregular crater in the direction (x, y) over that of its ellipse; 1 at the centre.
 
-    x and y are in radii; from the rim outwards it is the outline's.
+    The full outline applies from the rim outwards; towards the centre it becomes the ellipse.
 
-    `harmonics` (2 n,): cosine and sine amplitudes from `FIRST_HARMONIC` on, of the angle in which the
-    ellipse is a circle. Lower ones would only be another ellipse: it stays the outline's least-squares fit.
+    Parameters
+    ----------
+    x, y : float
+        Along the ellipse's axes, in radii.
+    harmonics : ndarray, shape (2 n,)
+        Cosine and sine amplitudes from `FIRST_HARMONIC` on, as shares of the radius, of the angle in which
+        the ellipse is a circle.
+
+    Returns
+    -------
+    float
     """
     r = np.sqrt(x * x + y * y)
     if r == 0.0:
         return 1.0
-    # A floor that kept the outline's shape would have creases at its centre.
+    # With the outline's shape the floor would have creases at its centre.
     share = smoothstep(r)
     c1, s1 = x / r, y / r
     c, s = c1, s1
@@ -124,7 +178,20 @@ def outline(x: float, y: float, harmonics: FloatArray) -> float:
 
 
 def random_outlines(rng: np.random.Generator, count: int, irregularity: float) -> FloatArray:
-    """Harmonics (count, 2 n) for `outline`; `irregularity` is the expected rms deviation from 1."""
+    """Draw harmonics for `outline`.
+
+    Parameters
+    ----------
+    rng : Generator
+    count : int
+    irregularity : float
+        Expected RMS deviation of the outline from 1.
+
+    Returns
+    -------
+    ndarray, shape (count, 2 n)
+        Shares of the radius.
+    """
     order = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
     scale = 1.0 / order
     return np.asarray(
@@ -134,8 +201,8 @@ def random_outlines(rng: np.random.Generator, count: int, irregularity: float) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def coverage(rho: float) -> float:
-    """How far a crater replaces the ground at a distance rho, in radii: 1 up to the crest, 0 from `REACH`."""
-    return 1.0 - smoothstep((rho - 1.15) / (REACH - 1.15))
+    """Share by which a crater replaces the terrain at rho radii: 1 up to the crest, 0 from `REACH`."""
+    return 1.0 - smoothstep((rho - _FULL_COVERAGE) / (REACH - _FULL_COVERAGE))
 
 
 @njit(cache=True, error_model="numpy")
@@ -148,24 +215,25 @@ def ground_levels(
     radius_m: float,
     heights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Express the ground at each crater's centre under the flanks of larger ones: share * relief + flank.
+    """Express the terrain at each crater's centre below the flanks of larger ones: share * relief + flank.
 
     Parameters
     ----------
     normals : ndarray, shape (n, 3)
-        Outward unit normals at the centres, largest crater first.
+        Outward unit normals at the centres in the site frame, largest crater first.
     axes : ndarray, shape (n, 2, 3)
         Semi-axes a l1 and b l2, m, in the frame of `normals`.
     shape : ndarray, shape (n, 2)
-        Depth and height of the crest over the ground, m.
+        Depth, and height of the crest over the terrain, m.
     crest : ndarray, shape (n,)
-        Height of the rim's plane over the ground at the centre, m.
+        Height of the rim's plane over the terrain at the centre, m.
     tangent : ndarray, shape (n, 5)
-        Plane coordinates x, y of the centres, relief there, its gradient.
+        Plane coordinates x, y of the centres, m, the relief there, m, and its gradient, m/m (two columns).
     radius_m : float
         Of the sphere.
     heights : ndarray, shape (n,)
-        Of the rim planes over the sphere, m. NaN: written, the crater then stands in its ground.
+        Of the rim planes over the sphere, m. Where NaN, the height at which the crater stands in its terrain
+        is written.
 
     Returns
     -------
@@ -188,7 +256,7 @@ def ground_levels(
                 Y += axes[j, 1, k] * normals[i, k]
                 aa += axes[j, 0, k] ** 2
                 bb += axes[j, 1, k] ** 2
-            if cosine <= 0.5:
+            if cosine <= _NEAR_COSINE:
                 continue
             p = radius_m + heights[j]
             # X and Y carry one factor of a and b already.

@@ -19,9 +19,12 @@ from craternav_fg.simulation.relief import Relief
 
 FloatArray = npt.NDArray[np.float64]
 
-
-# Clutter keeps this many of its radii off the crests of the catalogue.
+# Distance that clutter keeps from the crests of the catalogue, in its own radii.
 CREST_CLEARANCE = 1.6
+# Positions of the lander at which visibility is judged, at most.
+_TRACK_POINTS = 200
+# Distance beyond the outer points of a size distribution at which its power law is sampled, in e-folds.
+_CONTINUED = 20.0
 
 
 @dataclass(frozen=True)
@@ -33,21 +36,21 @@ class CraterFieldOptions:
     density : float
         k of the scale-free size distribution: k r^-2 craters larger than r on a unit of area.
     size_frequency : tuple of tuple of float
-        In place of `density`: diameters, km, and how many craters are larger, per km^2.
+        In place of `density`: diameters, km, and numbers of larger craters per km^2.
     min_apparent_px : float
-        Smallest semi-minor axis, from the lowest altitude at which the crater is in view.
+        Smallest semi-minor axis, seen from the lowest altitude at which the crater is in view.
     max_apparent_px : float
-        Largest semi-major axis, from the highest altitude at which the crater is in view.
+        Largest semi-major axis, seen from the highest altitude at which the crater is in view.
     focal_px : float
-        Focal length of the camera for these two.
+        Focal length of the camera that sees them.
     reach : float
-        Half-width of the corridor in altitudes: how far from the point below it the lander sees.
+        Half-width of the corridor along the ground track, in altitudes: what the lander sees.
     separation : float
-        Centres are this many times the sum of their semi-major axes apart, at least; below 1 they overlap.
+        Smallest distance of centres over the sum of their semi-major axes; below 1 craters overlap.
     min_axis_ratio : float
         Axis ratios b/a are uniform from here to 1.
     clutter_px : tuple of float
-        Smallest and largest apparent size of uncatalogued craters: `random_clutter`.
+        Smallest and largest apparent size of craters outside the catalogue, see `random_clutter`.
     """
 
     density: float = 0.003
@@ -74,20 +77,18 @@ def random_craters(
     options: CraterFieldOptions,
     relief: Relief,
 ) -> Catalog:
-    """Random craters with elliptical rims along a descent.
+    """Draw craters with elliptical rims along a descent.
 
     Parameters
     ----------
     rng : Generator
-        Source of all randomness.
     body : Body
-        The body they lie on.
     ground_track : ndarray, shape (k, 3)
-        Positions of the lander in g, m, close enough together that what it sees overlaps.
+        Positions of the lander in g, m, so close that successive views overlap.
     options : CraterFieldOptions
         Sizes and density.
     relief : Relief
-        The ground they stand in: it sets their heights.
+        Terrain in which they stand: it determines their heights.
 
     Returns
     -------
@@ -104,7 +105,7 @@ def random_craters(
 
 
 def standing(catalog: Catalog, relief: Relief) -> Catalog:
-    """Set the craters of a catalogue, largest first, into the ground: its heights are replaced."""
+    """Replace the heights of a catalogue's craters, largest first, by those of the terrain they stand in."""
     body = catalog.body
     radius = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
     xy = relief.plane(catalog.normals)
@@ -129,24 +130,26 @@ def random_clutter(
     options: CraterFieldOptions,
     catalog: Catalog,
 ) -> Catalog:
-    """Small craters that no catalogue has, for `Terrain` to litter the ground with.
+    """Draw small craters that the catalogue does not have, for `Terrain`.
 
-    They continue the sizes of the catalogue downwards, may overlap one another and leave the crests of
-    the catalogue whole.
+    They continue the size distribution of the catalogue downwards, may overlap one another and keep clear of
+    the crests of the catalogue.
 
     Parameters
     ----------
-    rng, body, ground_track : Generator, Body, ndarray
-        As in `random_craters`.
+    rng : Generator
+    body : Body
+    ground_track : ndarray, shape (k, 3)
+        Positions of the lander in g, m.
     options : CraterFieldOptions
         Density and `clutter_px`.
     catalog : Catalog
-        Craters whose crests to spare.
+        Craters whose crests are kept clear.
 
     Returns
     -------
     Catalog
-        Named U00001, ...; the heights are 0 and mean nothing.
+        Named U00001, ...; the heights are 0 and without meaning.
     """
     small, large = options.clutter_px
     field = _draw(rng, body, ground_track, replace(options, min_apparent_px=small, max_apparent_px=large))
@@ -171,7 +174,7 @@ def random_clutter(
 
 @dataclass(frozen=True)
 class _Field:
-    """Craters (n,) as drawn, and the altitudes between which they are in view."""
+    """Drawn craters (n,), and the altitudes between which they are in view."""
 
     normals: FloatArray
     semi_major_m: FloatArray
@@ -184,7 +187,7 @@ class _Field:
         return _Field(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     def seen_px(self, rows: npt.NDArray[np.int64], options: CraterFieldOptions) -> FloatArray:
-        """Semi-major axes in pixels from the highest altitude."""
+        """Semi-major axes (n,), px, seen from the highest altitude."""
         return self.semi_major_m[rows] * options.focal_px / self.highest_m[rows]
 
     def catalog(self, letter: str, body: Body) -> Catalog:
@@ -204,15 +207,15 @@ class _Field:
 def _draw(
     rng: np.random.Generator, body: Body, ground_track: FloatArray, options: CraterFieldOptions
 ) -> _Field:
-    """Craters that seem at least `min_apparent_px` from the lowest altitude at which they are in view."""
+    """Draw craters of at least `min_apparent_px`, seen from the lowest altitude at which they are in view."""
     track = np.asarray(ground_track, dtype=np.float64)
-    track = track[np.unique(np.linspace(0, len(track) - 1, min(len(track), 200)).astype(int))]
+    track = track[np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).astype(int))]
     altitude_m = body.altitude_m(track)
     ground = body.radius_m * track / np.linalg.norm(track, axis=1, keepdims=True)
     r_max = options.max_apparent_px * altitude_m.max() / options.focal_px
     r = options.min_apparent_px * altitude_m.min() / options.focal_px
     parts = []
-    # By octaves of size: small craters are needed only where the lander is low.
+    # By octaves of size: small craters are drawn only where the lander is low.
     while r < r_max:
         r_next = min(2.0 * r, r_max)
         low = altitude_m <= r_next * options.focal_px / options.min_apparent_px
@@ -234,7 +237,7 @@ def _draw_sizes(
     sizes_m: tuple[float, float],
     options: CraterFieldOptions,
 ) -> _Field:
-    """Craters of semi-minor axes between two sizes in a rectangle around a ground track (k, 3)."""
+    """Draw craters with semi-minor axes between two sizes in a rectangle around a ground track (k, 3)."""
     gRe = frames.east_north_up(*frames.latitude_longitude(ground.mean(axis=0)))
     plane = body.radius_m * (ground @ gRe)[:, :2] / (ground @ gRe)[:, 2:]
     centred = plane - plane.mean(axis=0)
@@ -267,10 +270,10 @@ def _draw_sizes(
 
 
 def _continued(size_frequency: tuple[tuple[float, float], ...]) -> tuple[FloatArray, FloatArray]:
-    """Logarithms of diameters and numbers (n,), with a point far beyond either end on its power law."""
+    """Logarithms of diameters and numbers (n,), with a far point on the power law of either end."""
     x, y = np.log(np.array(size_frequency)).T
     slopes = np.diff(y) / np.diff(x)
-    far = 20.0
+    far = _CONTINUED
     x = np.concatenate([[x[0] - far], x, [x[-1] + far]])
     y = np.concatenate([[y[0] - far * slopes[0]], y, [y[-1] + far * slopes[-1]]])
     return x, y
@@ -290,7 +293,7 @@ def _seen_from_m(
 
 
 def _apart(centres: FloatArray, semi_major_m: FloatArray, separation: float) -> npt.NDArray[np.bool_]:
-    """Which of the craters (n,), largest first, stand clear of all larger ones kept."""
+    """Which craters (n,), largest first, are apart from all larger ones that are kept."""
     free = np.ones(len(centres), dtype=np.bool_)
     tree = cKDTree(centres) if len(centres) else None
     for i in range(len(centres)):

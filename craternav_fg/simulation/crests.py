@@ -1,4 +1,4 @@
-"""Where the rendered ground's crests lie, against the catalogue's rims as they are projected."""
+"""Offsets of the rendered rim crests from the projected rims of the catalogue."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,7 +8,7 @@ from craternav_fg.simulation.render import Renderer
 
 FloatArray = npt.NDArray[np.float64]
 
-# Samples of the ground along a rim's normal.
+# Samples of the terrain along a rim's normal.
 _SAMPLES = 17
 
 
@@ -20,28 +20,29 @@ def crest_offsets_px(
     count: int = 16,
     reach_px: float = 1.6,
 ) -> FloatArray:
-    """How far outside the projected rim the ground rises no more, along the rim's normals.
+    """Distance of the rim crest outside the projected rim, along the rim's normals.
 
-    Found in the ground's own normals at the points where rays through the pixels meet it.
+    The crest is where the terrain's slope away from the crater's centre changes sign, at the points where
+    rays through the pixels meet the terrain.
 
     Parameters
     ----------
     renderer : Renderer
-        Its camera has neither mounting nor distortion.
+        Its camera coincides with the body and has no distortion.
     catalog : Catalog
     gTb : ndarray, shape (4, 4)
-        Pose of the camera.
+        Pose of body and camera in g.
     rows : ndarray of int, shape (n,)
         Craters.
     count : int
-        Normals round each rim.
+        Normals around each rim.
     reach_px : float
         Half length of the normals.
 
     Returns
     -------
     ndarray, shape (n, count)
-        In the pixels of the renderer's camera; NaN where a normal has no crest.
+        Pixels of the renderer's camera; NaN where no crest is within reach.
     """
     theta = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     offsets = np.linspace(-reach_px, reach_px, _SAMPLES)

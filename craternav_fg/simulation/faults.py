@@ -1,4 +1,4 @@
-"""What the data set of a hard case does not tell: errors of the map, the mounting and the matches."""
+"""Faults that a data set does not state: errors of the map, of the mounting and of the matches."""
 
 import math
 from dataclasses import replace
@@ -16,12 +16,12 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generator) -> Catalog:
-    """Draw the catalogue as a map has it, of craters as they are.
+    """Give the catalogue of a map with errors of positions, sizes and heights.
 
     Parameters
     ----------
     catalog : Catalog
-        True places, sizes and heights.
+        True positions, sizes and heights.
     faults : FaultsSection
     rng : Generator
 
@@ -35,7 +35,7 @@ def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generato
     distance_m = catalog.body.radius_m + catalog.height_m
     sizes = np.exp(faults.map_size * rng.standard_normal((2, n)))
     axes = np.stack([catalog.semi_major_m, catalog.semi_minor_m]) * sizes
-    # A nearly round crater may change which of its axes is the longer one.
+    # In a nearly round crater the minor axis may become the longer one.
     turned = axes[0] < axes[1]
     return replace(
         catalog,
@@ -52,18 +52,22 @@ def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generato
 def swap_matches(
     frame: FrameMeasurement, catalog: Catalog, faults: FaultsSection, rng: np.random.Generator
 ) -> FrameMeasurement:
-    """Give some of a frame's rims the names of other craters, and take its sun tilt away.
+    """Match some of a frame's rims with other craters, and drop its sun tilt if the faults say so.
 
-    Wrong names go round among the rims that get one; a single one gets that of the nearest crater that is
-    not in the frame. A name is never there twice: what claims the same crater twice gives itself away.
+    The wrongly matched rims exchange their craters; a single one is matched with the nearest crater that is
+    not in the frame. No crater is matched twice, which would be easy to detect.
 
     Parameters
     ----------
     frame : FrameMeasurement
     catalog : Catalog
-        Of more craters than a frame has, when matches are to be wrong.
+        With more craters than the frame.
     faults : FaultsSection
     rng : Generator
+
+    Returns
+    -------
+    FrameMeasurement
     """
     craters = frame.rims.craters.copy()
     wrong = np.flatnonzero(rng.random(len(craters)) < faults.wrong_matches)
@@ -79,7 +83,7 @@ def swap_matches(
 
 
 def perturb_mounting(camera: Camera, faults: FaultsSection, rng: np.random.Generator) -> Camera:
-    """Give the camera with the mounting that the data set believes in."""
+    """Give the camera with the wrong mounting that the data set states."""
     axis = rng.standard_normal(3)
     turn = frames.rotation_exp(math.radians(faults.mounting_deg) * axis / np.linalg.norm(axis))
     bTc = camera.bTc.copy()

@@ -1,6 +1,6 @@
-"""Rays through the height field: where they meet the ground, its normal, the light it sends back.
+"""Rays through the height field: intersections with the terrain, its normals, and its brightness.
 
-Everything happens in the site frame s of `relief`: a ground point is (x, y, R) times (R + height)/|(x, y, R)|
+All is in the site frame s of `relief`: a ground point is (x, y, R) times (R + height)/|(x, y, R)|
 with x, y its coordinates in the gnomonic plane. Grids are passed as in `terrain.Levels`.
 """
 
@@ -12,14 +12,26 @@ FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
+# Steps along a ray before it is given up; most take under 50.
 MAX_STEPS = 400
+# Accuracy of an intersection, and distance from the terrain below which the secant method is used, in cells
+# of the finest grid.
+_TOLERANCE, _NEAR = 0.002, 0.5
+# A secant step is at most this many `_NEAR` distances.
+_LONGEST_SECANT = 4.0
+# Shadow rays begin this far from their point, in cells, are taken this much higher, and step at least this
+# far: the bilinear terrain between grid points may stand above the point itself.
+_SHADOW_START, _SHADOW_LIFT, _SHADOW_STEP = 1.5, 0.04, 0.7
+# Least closing speed of a shadow ray with the terrain, height per length.
+_MIN_CLOSING = 1e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _height(x: float, y: float, heights: Float32Array, slots: IntArray, frames: FloatArray) -> float:
-    """Height at a plane point from the finest grid around it, bilinear.
+    """Bilinear height at a plane point from the finest grid around it.
 
-    Beyond all grids level ground as low as their border: higher, it would stand round them as a wall.
+    Beyond all grids the terrain is level at the lowest height of their border: at a higher one it would
+    surround them as a wall.
     """
     n = heights.shape[1]
     for k in range(slots.shape[0]):
@@ -99,7 +111,23 @@ def surfaces(
     points: FloatArray,
     normals: FloatArray,
 ) -> None:
-    """Write ground points and normals (n, 3), site frame, of plane points (n, 2); NaN in the sky."""
+    """Write the ground points and unit normals of plane points.
+
+    Parameters
+    ----------
+    hits : ndarray, shape (n, 2)
+        Plane coordinates, m; NaN in the sky.
+    heights : ndarray of float32, shape (slots, cells, cells)
+        Of `Levels`, m.
+    slots : ndarray of int, shape (m,)
+        Of `Levels`.
+    frames : ndarray, shape (m, 4)
+        Of `Levels`, m.
+    radius : float
+        Of the body, m.
+    points, normals : ndarray, shape (n, 3)
+        Written, in the site frame, m and unit length; NaN in the sky.
+    """
     for r in range(hits.shape[0]):
         if np.isnan(hits[r, 0]):
             points[r, :] = np.nan
@@ -121,13 +149,33 @@ def trace(
     slope: float,
     hits: FloatArray,
 ) -> None:
-    """Write plane coordinates `hits` (n, 2) where rays meet the ground; NaN in the sky.
+    """Write the plane coordinates at which rays meet the terrain.
 
-    P (3,), R (3, 3): pose of the camera in the site frame; `points` (n, 2): the rays' normalised coordinates.
     Steps are as long as the steepest slope allows.
+
+    Parameters
+    ----------
+    P : ndarray, shape (3,)
+        Position of the camera in the site frame, m.
+    R : ndarray, shape (3, 3)
+        Rotation from the camera to the site frame.
+    points : ndarray, shape (n, 2)
+        Normalised image coordinates of the rays.
+    heights : ndarray of float32, shape (slots, cells, cells)
+        Of `Levels`, m.
+    slots : ndarray of int, shape (m,)
+        Of `Levels`.
+    frames : ndarray, shape (m, 4)
+        Of `Levels`, m.
+    radius : float
+        Of the body, m.
+    top, slope : float
+        Of `Levels`, m and m/m.
+    hits : ndarray, shape (n, 2)
+        Written, m; NaN in the sky.
     """
-    tolerance = 0.002 * frames[0, 0]
-    near = 0.5 * frames[0, 0]
+    tolerance = _TOLERANCE * frames[0, 0]
+    near = _NEAR * frames[0, 0]
     pp = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
     for r in range(points.shape[0]):
         hits[r, 0] = np.nan
@@ -147,7 +195,7 @@ def trace(
             continue
         end = -pd + np.sqrt(root)
         t = max(0.0, -pd - np.sqrt(root))
-        # Last points known above and below the ground, and the heights over it.
+        # Last points known to be above and below the terrain, and their heights over it.
         t_above, f_above = t, 0.0
         t_below, f_below = -1.0, 0.0
         for step in range(MAX_STEPS):
@@ -158,7 +206,7 @@ def trace(
             p = np.sqrt(x * x + y * y + z * z)
             gx, gy = x * scale, y * scale
             f = p - radius - _height(gx, gy, heights, slots, frames)
-            # Where two grids meet, the ground may step past a height without taking it.
+            # Where two grids meet, the terrain may have a step: then the bracket ends the search.
             if abs(f) < tolerance or (t_below >= 0.0 and t_below - t_above < tolerance):
                 hits[r, 0] = gx
                 hits[r, 1] = gy
@@ -171,7 +219,7 @@ def trace(
                 t_next = t
                 if step > 0 and f < near and f < f_above:
                     t_next = t + f * (t - t_above) / (f_above - f)
-                if t_next <= t or t_next > t + 4.0 * near:
+                if t_next <= t or t_next > t + _LONGEST_SECANT * near:
                     sink = abs(x * dx + y * dy + z * dz) / p
                     run = scale * np.sqrt((dx - x * dz / z) ** 2 + (dy - y * dz / z) ** 2)
                     t_next = t + f / (sink + slope * run)
@@ -180,7 +228,7 @@ def trace(
                 continue
             else:
                 t_above, f_above = t, f
-            # Bracketed: false position, and halving where that would stall.
+            # Bracketed: false position, with a bisection every third step as it can stall.
             share = 0.5 if step % 3 == 2 else f_above / (f_above - f_below)
             t = t_above + share * (t_below - t_above)
 
@@ -200,9 +248,9 @@ def _sunlight(
     top: float,
     slope: float,
 ) -> float:
-    """Part of the sun's disc that a ground point (site frame) sees over the terrain."""
+    """Share of the sun's disc that is visible from a ground point (site frame)."""
     seen = 1.0
-    t = 1.5 * cell
+    t = _SHADOW_START * cell
     for _ in range(MAX_STEPS):
         qx, qy, qz = x + t * sun[0], y + t * sun[1], z + t * sun[2]
         if qz <= 0.0:
@@ -211,8 +259,7 @@ def _sunlight(
         if p > radius + top:
             break
         scale = radius / qz
-        # The bilinear ground may stand a little over the point it is seen from.
-        f = p - radius - _height(qx * scale, qy * scale, heights, slots, frames) + 0.04 * cell
+        f = p - radius - _height(qx * scale, qy * scale, heights, slots, frames) + _SHADOW_LIFT * cell
         seen = min(seen, 0.5 + 0.5 * f / (t * sun_radius))
         if seen <= 0.0:
             return 0.0
@@ -221,13 +268,13 @@ def _sunlight(
         closing = slope * run - climb
         if closing <= 0.0 and f > sun_radius * t:
             break
-        t += max(0.7 * cell, f / max(closing, 1e-3))
+        t += max(_SHADOW_STEP * cell, f / max(closing, _MIN_CLOSING))
     return seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reflectance(mu0: float, mu: float, cos_phase: float, law: FloatArray) -> float:
-    """Brightness of ground over the cosine of incidence.
+    """Brightness of the terrain over the cosine of incidence.
 
     Parameters
     ----------
@@ -235,7 +282,15 @@ def reflectance(mu0: float, mu: float, cos_phase: float, law: FloatArray) -> flo
         Cosines of incidence, emission and phase angle.
     law : ndarray, shape (5,)
         Share of Lommel-Seeliger in the Lunar-Lambert law; Hapke's single-scattering albedo w, which is 0 for
-        Lunar-Lambert, asymmetry, opposition amplitude B0 and width h (Hapke 2012, section 8; smooth surface).
+        Lunar-Lambert, asymmetry, opposition amplitude B0 and width h: dimensionless.
+
+    Returns
+    -------
+    float
+
+    References
+    ----------
+    Hapke, B. (2012), Theory of Reflectance and Emittance Spectroscopy, section 8, for a smooth surface.
     """
     lommel, w = law[0], law[1]
     if w == 0.0:
@@ -266,7 +321,33 @@ def shade(
     slope: float,
     light: Float32Array,
 ) -> None:
-    """Write the brightness (n,) of ground points (n, 2) under a law of `reflectance`, 0 in the sky."""
+    """Write the brightness of ground points.
+
+    Parameters
+    ----------
+    P : ndarray, shape (3,)
+        Position of the camera in the site frame, m.
+    hits : ndarray, shape (n, 2)
+        Plane coordinates, m; NaN in the sky.
+    sun : ndarray, shape (3,)
+        Unit vector towards the sun in the site frame.
+    sun_radius : float
+        Half the angle under which the sun appears, rad.
+    law : ndarray, shape (5,)
+        Of `reflectance`.
+    heights : ndarray of float32, shape (slots, cells, cells)
+        Of `Levels`, m.
+    slots : ndarray of int, shape (m,)
+        Of `Levels`.
+    frames : ndarray, shape (m, 4)
+        Of `Levels`, m.
+    radius : float
+        Of the body, m.
+    top, slope : float
+        Of `Levels`, m and m/m.
+    light : ndarray of float32, shape (n,)
+        Brightness, written; 0 in the sky.
+    """
     q = np.empty(3)
     n = np.empty(3)
     for r in range(hits.shape[0]):

@@ -1,8 +1,8 @@
-"""Fractal relief of the ground: a seeded function of position on the body, the same for every frame.
+"""Fractal relief of the terrain: a function of seed and position on the body, the same for every frame.
 
-Heights are a sum of octaves of cubic B-spline noise. The lattices of all octaves lie in one gnomonic
-plane, the plane that touches the sphere at the landing site: a straight line of sight is a straight
-line there, so rays through the height field need no approximation of the body's curvature.
+Heights are a sum of octaves of cubic B-spline noise. The lattices of all octaves lie in one gnomonic plane,
+the plane that touches the sphere at the landing site. A straight line of sight is a straight line there, so
+rays through the height field need no approximation of the body's curvature.
 """
 
 from dataclasses import dataclass
@@ -18,24 +18,30 @@ FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
-# Slope of unit-variance B-spline noise on a lattice of spacing 1: sqrt(int B'^2 int B^2).
+# RMS slope of unit-variance B-spline noise on a lattice of spacing 1: sqrt(int B'^2 int B^2) for the cubic
+# B-spline B.
 SLOPE_OF_UNIT_NOISE = float(np.sqrt(2.0 / 3.0 * 151.0 / 315.0))
+# Wavelength at which `ReliefOptions.slope` holds, m.
+_REFERENCE_M = 100.0
+# Shortest octave: 2 to the power of this, m; nothing sees shorter ones.
+_SHORTEST_OCTAVE = -15
 
 
 @dataclass(frozen=True)
 class ReliefOptions:
-    """Roughness of the ground.
+    """Roughness of the terrain.
 
     Attributes
     ----------
     slope : float
         RMS slope that the octave of 100 m contributes along one axis; 0 gives a smooth sphere.
     hurst : float
-        Growth of height with length; below 1 the ground is rougher the closer one looks.
+        Hurst exponent: heights grow with the length to this power; below 1, slopes are steeper at short
+        lengths.
     coarsest_m : float
         Lattice spacing of the coarsest octave, rounded down to a power of two.
     seed : int
-        Another seed, other ground.
+        Of the lattice values.
     """
 
     slope: float = 0.012
@@ -45,7 +51,7 @@ class ReliefOptions:
 
 
 def _noise(i: IntArray, j: IntArray, octave: int, seed: int) -> Float32Array:
-    """Unit-variance random numbers of lattice points, from a hash of their integer coordinates."""
+    """Unit-variance random numbers of lattice points, hashed from their integer coordinates."""
     h = i.astype(np.uint32) * np.uint32(0x9E3779B1)
     h = h ^ (j.astype(np.uint32) * np.uint32(0x85EBCA77))
     h = h + np.uint32((octave * 0xC2B2AE3D + seed * 0x27D4EB2F) & 0xFFFFFFFF)
@@ -86,20 +92,18 @@ def _spline_weights(f: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class Relief:
-    """Heights of the ground without craters, in the gnomonic plane of the landing site.
+    """Heights of the terrain without craters, in the gnomonic plane of the landing site.
 
-    Plane coordinates: x east, y north at the site, m; the direction (x, y, R) of the site frame s.
+    Plane coordinates are x east and y north at the site, m: the direction (x, y, R) of the site frame s.
 
     Parameters
     ----------
     body : Body
-        The sphere.
     site_g : ndarray, shape (3,)
-        Any point above the landing site, in g. The terrain is good to 45 deg from it.
+        Any point above the landing site in g, m. The terrain is valid up to 45 deg from it.
     options : ReliefOptions
-        Roughness.
     dem : Dem, optional
-        Heights that the roughness is added to.
+        Elevation model to which the roughness is added.
     """
 
     def __init__(
@@ -112,7 +116,18 @@ class Relief:
         self._coarsest = int(np.floor(np.log2(options.coarsest_m)))
 
     def plane(self, gP: FloatArray) -> FloatArray:
-        """Plane coordinates (..., 2), m, of points (..., 3) in g; NaN beyond the site's hemisphere."""
+        """Project points to the gnomonic plane.
+
+        Parameters
+        ----------
+        gP : ndarray, shape (..., 3)
+            In g, m or unit length.
+
+        Returns
+        -------
+        ndarray, shape (..., 2)
+            Plane coordinates, m; NaN beyond the site's hemisphere.
+        """
         s = np.asarray(gP) @ self.gRs
         depth = np.where(s[..., 2:] > 0.0, s[..., 2:], np.nan)
         return np.asarray(self.body.radius_m * s[..., :2] / depth)
@@ -120,11 +135,11 @@ class Relief:
     def amplitude_m(self, octave: int) -> float:
         """Return the standard deviation of the lattice values of the octave with spacing 2**octave m."""
         spacing_m = 2.0**octave
-        slope = self.options.slope * (spacing_m / 100.0) ** (self.options.hurst - 1.0)
+        slope = self.options.slope * (spacing_m / _REFERENCE_M) ** (self.options.hurst - 1.0)
         return float(slope * spacing_m / SLOPE_OF_UNIT_NOISE)
 
     def at(self, xy: FloatArray, shortest_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Heights (n,), m, and their gradients (n, 2) at plane points, from the longer octaves only.
+        """Give heights and gradients at plane points, of the longer octaves only.
 
         Parameters
         ----------
@@ -132,10 +147,17 @@ class Relief:
             Plane coordinates, m.
         shortest_m : ndarray, shape (n,)
             Octaves with a smaller lattice spacing are left out.
+
+        Returns
+        -------
+        height : ndarray, shape (n,)
+            Metres.
+        gradient : ndarray, shape (n, 2)
+            Metres per metre of the plane.
         """
         height = np.zeros(len(xy))
         gradient = np.zeros((len(xy), 2))
-        for octave in range(self._coarsest, -16, -1):
+        for octave in range(self._coarsest, _SHORTEST_OCTAVE - 1, -1):
             rows = np.flatnonzero(2.0**octave >= shortest_m)
             if len(rows) == 0 or self.options.slope == 0.0:
                 break
@@ -160,14 +182,25 @@ class Relief:
         return height, gradient
 
     def base_m(self, xy: FloatArray) -> FloatArray:
-        """Heights (n,) of the elevation model at plane points (n, 2), m; 0 without one."""
+        """Heights of the elevation model.
+
+        Parameters
+        ----------
+        xy : ndarray, shape (n, 2)
+            Plane coordinates, m.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Metres; 0 without an elevation model.
+        """
         if self.dem is None:
             return np.zeros(len(xy))
         s = np.concatenate([xy, np.full((len(xy), 1), self.body.radius_m)], axis=1)
         return self.dem.heights_m(s @ self.gRs.T)
 
     def grid(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
-        """Heights (cells, cells), m, rows along y, at the plane points 2**exponent * (first + index).
+        """Give heights on a grid: at the plane points 2**exponent * (first + index).
 
         Parameters
         ----------
@@ -179,7 +212,12 @@ class Relief:
             Even number of grid points along a side.
         fade : int
             The shortest octave fades out over this many cells from the border, so that a coarser
-            grid continues this one without a seam.
+            grid continues this one without a step.
+
+        Returns
+        -------
+        ndarray of float32, shape (cells, cells)
+            Metres, rows along y.
         """
         heights = self._roughness(exponent, first, cells, fade)
         if self.dem is not None:
@@ -191,7 +229,7 @@ class Relief:
     def _roughness(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
         if self.options.slope == 0.0 or exponent >= self._coarsest:
             return np.zeros((cells, cells), np.float32)
-        # First lattice point needed at each octave: two more on either side than its grid covers.
+        # The lattice of each octave begins and ends two points beyond the grid, for the splines.
         octaves = range(self._coarsest, exponent, -1)
         total: Float32Array | None = None
         lo = np.zeros(2, dtype=np.int64)

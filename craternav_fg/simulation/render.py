@@ -1,4 +1,4 @@
-"""Images of the terrain as the lander's camera takes them."""
+"""Rendered images of the terrain: illumination, motion blur, optics and sensor noise."""
 
 from dataclasses import astuple, dataclass
 
@@ -14,24 +14,32 @@ from craternav_fg.simulation.terrain import Levels, Terrain
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
-# Points along each side between which the image's motion is interpolated.
+# Points along each side of the image between which its motion is interpolated.
 _MOTION_RASTER = 33
-# The sky is as far as this.
-_FAR_M = 1e12
+# Points along each side of the image whose rays bound the view.
+_VIEW_RASTER = 17
+# Distance that stands for infinity in the sky, m.
+_SKY_M = 1e12
+# The view is extended by this share of the height; rays count up to so many heights, and from half of one.
+_VIEW_MARGIN, _LONGEST_RAY, _SHORTEST_RAY = 0.02, 25.0, 0.5
+# The surface that bounds the view is at most at this share of the camera's altitude.
+_HIGHEST_GROUND = 0.9
+# Cosine of incidence that the exposure is set for when the sun is lower.
+_MIN_COSINE = 0.01
 
 
 @dataclass(frozen=True)
 class Hapke:
-    """Hapke's reflectance of a surface without roughness of its own: the terrain has that.
+    """Hapke's reflectance of a smooth surface: the roughness is that of the terrain.
 
     Attributes
     ----------
     single_scattering_albedo : float
-        Part of the light that a grain does not swallow, above 0 and below 1.
+        Share of the light that a grain scatters, above 0 and below 1.
     asymmetry : float
         Of the Henyey-Greenstein phase function: below 0 the grains scatter back.
     opposition_amplitude, opposition_width : float
-        Of the surge about zero phase, B0 and h.
+        B0 and h of the surge of brightness near zero phase.
     """
 
     single_scattering_albedo: float
@@ -42,7 +50,7 @@ class Hapke:
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Light and sensor.
+    """Illumination, optics and sensor.
 
     Attributes
     ----------
@@ -55,13 +63,14 @@ class RenderOptions:
     sun_radius_rad : float
         Half the angle under which the sun appears: the softness of shadows.
     flat_level : float
-        Brightness of level ground at the site, seen from above, as a part of full scale.
+        Brightness of locally flat terrain at the site, seen from above, as a share of full scale.
     psf_sigma_px : float
         Gaussian blur of the optics; 0 for none.
     vignetting : float
-        Part of the light that the image's corners lose; with the square of the distance from the middle.
+        Share of the light that is lost in the image's corners; it grows with the square of the distance from
+        the centre.
     full_well_e : float
-        Electrons at full scale: fewer give more shot noise; 0 for none.
+        Electrons at full scale: fewer give more shot noise; 0 for no noise.
     read_noise_e : float
         Standard deviation of the read-out noise in electrons.
     """
@@ -83,11 +92,9 @@ class Renderer:
     Parameters
     ----------
     camera : Camera
-        With its mounting on the lander and its lens.
+        With its mounting and its lens.
     terrain : Terrain
-        What it looks at.
     options : RenderOptions
-        Light and sensor.
     """
 
     def __init__(self, camera: Camera, terrain: Terrain, options: RenderOptions) -> None:
@@ -108,7 +115,7 @@ class Renderer:
         rng: np.random.Generator,
         sweep: tuple[FloatArray, FloatArray] | None = None,
     ) -> ImageArray:
-        """Image (height_px, width_px), grey levels up to the camera's full scale, from the lander's pose.
+        """Render the image from a pose of the lander.
 
         Parameters
         ----------
@@ -119,8 +126,13 @@ class Renderer:
         rng : Generator
             Sensor noise.
         sweep : tuple of ndarray, shape (4, 4), optional
-            Poses at the beginning and the end of the exposure, whose middle is at `gTb`: the image is blurred
-            by the motion between them.
+            Poses in g at the beginning and the end of the exposure, whose middle is at `gTb`: the image is
+            blurred by the motion between them.
+
+        Returns
+        -------
+        ndarray of uint8 or uint16, shape (height_px, width_px)
+            Grey levels up to the camera's full scale.
         """
         options = self.options
         light = self.radiance(gTb, sun_g)
@@ -129,7 +141,7 @@ class Renderer:
         if options.psf_sigma_px > 0.0:
             blurred = cv2.GaussianBlur(light, (0, 0), options.psf_sigma_px, borderType=cv2.BORDER_REPLICATE)
             light = blurred.astype(np.float32, copy=False)
-        mu0 = max(float(sun_g @ self.terrain.relief.gRs[:, 2]), 0.01)
+        mu0 = max(float(sun_g @ self.terrain.relief.gRs[:, 2]), _MIN_COSINE)
         flat = mu0 * rays.reflectance(mu0, 1.0, mu0, self._law)
         signal = light * np.float32(options.flat_level / flat)
         if options.vignetting > 0.0:
@@ -144,7 +156,19 @@ class Renderer:
         return grey.astype(np.uint8) if self.camera.bit_depth == 8 else grey.astype(np.uint16)
 
     def radiance(self, gTb: FloatArray, sun_g: FloatArray) -> Float32Array:
-        """Brightness (height_px, width_px) before optics and sensor; white ground under the sun is 1."""
+        """Brightness before optics and sensor; 1 for a white surface below the sun.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose of the lander in g.
+        sun_g : ndarray, shape (3,)
+            Unit vector towards the sun in g.
+
+        Returns
+        -------
+        ndarray of float32, shape (height_px, width_px)
+        """
         camera, n = self.camera, self.options.samples
         levels = self._levels(gTb)
         hits = self._hits(gTb, self._points, levels)
@@ -164,7 +188,7 @@ class Renderer:
         return np.ascontiguousarray(image.mean(axis=(1, 3)) if n > 1 else image[:, 0, :, 0])
 
     def ground_points(self, gTb: FloatArray, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where rays through pixels meet the ground as rendered, and the normals used to shade it.
+        """Give the points at which rays through pixels meet the rendered terrain, and its normals there.
 
         Parameters
         ----------
@@ -192,7 +216,7 @@ class Renderer:
     def _swept(
         self, light: Float32Array, gTb: FloatArray, begin: FloatArray, end: FloatArray
     ) -> Float32Array:
-        """Mean of an image over the motion between two poses, as of level ground around each pixel."""
+        """Mean of an image over the motion between two poses, with locally flat terrain around each pixel."""
         camera = self.camera
         x = np.linspace(0.0, camera.width_px - 1.0, _MOTION_RASTER)
         y = np.linspace(0.0, camera.height_px - 1.0, _MOTION_RASTER)
@@ -201,13 +225,13 @@ class Renderer:
         gTc = camera.gTc(gTb)
         rays_c = np.concatenate([camera.normalised(raster), np.ones((len(raster), 1))], axis=1)
         sky = np.isnan(ground[:, 0])
-        ground[sky] = gTc[:3, 3] + _FAR_M * rays_c[sky] @ gTc[:3, :3].T
+        ground[sky] = gTc[:3, 3] + _SKY_M * rays_c[sky] @ gTc[:3, :3].T
         ends = []
         for pose in (begin, end):
             T = camera.gTc(pose)
             ends.append(camera.project((ground - T[:3, 3]) @ T[:3, :3]))
         motion = (ends[1] - ends[0]).reshape(_MOTION_RASTER, _MOTION_RASTER, 2)
-        # The raster's outermost points are the outermost pixels' centres.
+        # The raster's outermost points are the centres of the outermost pixels.
         u = np.linspace(0.0, _MOTION_RASTER - 1.0, camera.width_px, dtype=np.float32)
         v = np.linspace(0.0, _MOTION_RASTER - 1.0, camera.height_px, dtype=np.float32)
         field = cv2.remap(motion.astype(np.float32), *np.meshgrid(u, v), cv2.INTER_LINEAR)
@@ -221,11 +245,11 @@ class Renderer:
                 light, column - share * field[..., 0], row - share * field[..., 1], cv2.INTER_CUBIC,
                 borderMode=cv2.BORDER_REPLICATE,
             )  # fmt: skip
-        # Cubic interpolation swings below black beside shadows.
+        # Cubic interpolation overshoots below black beside shadows.
         return np.maximum(total / np.float32(steps), 0.0)
 
     def _transmission(self) -> Float32Array:
-        """Part of the light that reaches each pixel (height_px, width_px)."""
+        """Share of the light that reaches each pixel (height_px, width_px)."""
         camera = self.camera
         x = (np.arange(camera.width_px) - camera.cx_px) / camera.width_px
         y = (np.arange(camera.height_px) - camera.cy_px) / camera.height_px
@@ -233,7 +257,7 @@ class Renderer:
         return np.maximum(1.0 - self.options.vignetting * share, 0.0).astype(np.float32)
 
     def _camera_pose(self, gTb: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotation and position of the camera in the site frame."""
+        """Rotation (3, 3) and position (3,), m, of the camera in the site frame."""
         gTc = self.camera.gTc(np.asarray(gTb, dtype=np.float64))
         sRg = self.terrain.relief.gRs.T
         return np.ascontiguousarray(sRg @ gTc[:3, :3]), np.ascontiguousarray(sRg @ gTc[:3, 3])
@@ -253,30 +277,30 @@ class Renderer:
         return hits
 
     def _levels(self, gTb: FloatArray) -> Levels:
-        """Grids for the view from a pose: where a coarse raster of directions meets a sphere."""
+        """Grids for the view from a pose: a coarse raster of rays on a sphere bounds what is seen."""
         camera = self.camera
         R, P = self._camera_pose(gTb)
         sphere = self.terrain.body.radius_m
-        # At the level of the ground: a catalogue may set it far below or above the reference sphere.
+        # At the height of the terrain, which a catalogue may set far below or above the reference sphere.
         altitude = float(np.linalg.norm(P)) - sphere
         below = sphere * P[:2] / P[2]
         ground_m = self.terrain.lift_m(below) + float(self.terrain.relief.base_m(below[None])[0])
-        radius = sphere + min(ground_m, 0.9 * altitude)
-        x = np.linspace(-0.5, camera.width_px - 0.5, 17)
-        y = np.linspace(-0.5, camera.height_px - 0.5, 17)
+        radius = sphere + min(ground_m, _HIGHEST_GROUND * altitude)
+        x = np.linspace(-0.5, camera.width_px - 0.5, _VIEW_RASTER)
+        y = np.linspace(-0.5, camera.height_px - 0.5, _VIEW_RASTER)
         uv = camera.normalised(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
         directions = np.concatenate([uv, np.ones((len(uv), 1))], axis=1)
         directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)) @ R.T
         pd = directions @ P
         root = pd**2 - P @ P + radius**2
         height = np.linalg.norm(P) - radius
-        # Rays that miss the body still bound the view: they end where they pass closest to it.
+        # Rays that miss the body also bound the view: they end where they are closest to it.
         distance = np.where(root >= 0.0, -pd - np.sqrt(np.maximum(root, 0.0)), -pd)
-        distance = np.clip(distance, 0.5 * height, 25.0 * height)
+        distance = np.clip(distance, _SHORTEST_RAY * height, _LONGEST_RAY * height)
         ground = P + distance[:, None] * directions
         plane = sphere * ground[:, :2] / ground[:, 2:]
         closest = int(np.argmin(distance))
-        margin = 0.02 * height
+        margin = _VIEW_MARGIN * height
         return self.terrain.levels(
             plane.min(axis=0) - margin,
             plane.max(axis=0) + margin,

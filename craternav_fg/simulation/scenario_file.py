@@ -1,4 +1,4 @@
-"""Scenario files in TOML: their models, and how they are found."""
+"""Scenario files in TOML: their tables, and how they are found and read."""
 
 import importlib.resources
 import math
@@ -21,18 +21,18 @@ NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 class CameraSection(Section):
-    """Camera with square pixels, principal point in the image's middle."""
+    """Camera with square pixels and its principal point in the image's centre."""
 
     width_px: Annotated[int, Field(ge=16, le=16384)]
     height_px: Annotated[int, Field(ge=16, le=16384)]
     field_of_view_deg: Annotated[float, Field(gt=0.0, lt=170.0)]
     """Across the image's width, before distortion."""
     rotation_vector_deg: Vector
-    """Mounting: turns camera axes into body axes."""
+    """Camera-IMU extrinsics: rotation from the camera to b."""
     lever_arm_m: Vector
-    """Mounting: position of the camera in b."""
+    """Camera-IMU extrinsics: position of the camera in b."""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """Of the lens, radial-tangential: k1, k2, p1, p2, k3 as OpenCV has them."""
+    """Radial-tangential distortion of the lens: k1, k2, p1, p2, k3 as in OpenCV."""
 
     @model_validator(mode="after")
     def _does_not_fold(self) -> "CameraSection":
@@ -64,13 +64,13 @@ class ImuSection(Section):
     gyro_bias_deg_h: Positive
     """Standard deviation of the turn-on bias, per axis."""
     gyro_bias_walk_deg_h_sqrt_h: Positive
-    """Standard deviation that the bias gains in an hour."""
+    """Standard deviation of the bias random walk after an hour."""
     accelerometer_noise_ug_sqrt_hz: Positive
-    """Density of the white noise."""
+    """Spectral density of the white noise."""
     accelerometer_bias_ug: Positive
     """Standard deviation of the turn-on bias, per axis."""
     accelerometer_bias_walk_ug_sqrt_h: Positive
-    """Standard deviation that the bias gains in an hour."""
+    """Standard deviation of the bias random walk after an hour."""
 
     def noise(self) -> ImuNoise:
         """Give the densities in SI units."""
@@ -113,7 +113,7 @@ class AttitudeSection(Section):
     """Attitude relative to the local level frame (x forward, y right, z down)."""
 
     start_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
-    """Off nadir, positive when z looks ahead."""
+    """From nadir, positive when z points ahead."""
     end_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
     oscillation_deg: Vector
     """Amplitudes about x, y and z."""
@@ -143,7 +143,7 @@ class TrajectorySection(Section):
 
 
 class SunSection(Section):
-    """Direction towards the sun at the landing site, when the descent begins."""
+    """Direction towards the sun at the landing site at the start of the descent."""
 
     elevation_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
     azimuth_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
@@ -166,20 +166,21 @@ class RandomCraters(Section):
     density: Positive
     """k of the size distribution: k r^-2 craters larger than r on a unit of area."""
     size_frequency: tuple[tuple[Positive, Positive], ...] = ()
-    """In place of density: diameters, km, and how many craters are larger, per km^2. A power law joins
-    neighbours; the outer two continue beyond."""
+    """In place of density: diameters, km, and numbers of larger craters per km^2. Interpolated and
+    extrapolated
+    by power laws."""
     min_apparent_px: Positive
-    """Smallest semi-minor axis, from the lowest altitude at which the crater is in view."""
+    """Smallest semi-minor axis, seen from the lowest altitude at which the crater is in view."""
     max_apparent_px: Positive
-    """Largest semi-major axis, from the highest altitude at which the crater is in view."""
+    """Largest semi-major axis, seen from the highest altitude at which the crater is in view."""
     reach: Positive
     """Half-width of the corridor along the ground track, in altitudes."""
     separation: NotNegative
-    """Centres are this many times the sum of their semi-major axes apart, at least; below 1 they overlap."""
+    """Smallest distance of centres over the sum of their semi-major axes; below 1 craters overlap."""
     min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
     """Axis ratios b/a are uniform from here to 1."""
     clutter_px: tuple[Positive, Positive]
-    """Smallest and largest apparent size of the rendered craters that the catalogue does not have."""
+    """Smallest and largest apparent size of the craters that only the terrain has, not the catalogue."""
 
     @model_validator(mode="after")
     def _sizes_rise(self) -> "RandomCraters":
@@ -196,7 +197,7 @@ class RandomCraters(Section):
 
 
 class CraterFile(Section):
-    """Craters of a catalogue with Robbins' column names."""
+    """Craters of a catalogue file with Robbins' column names."""
 
     source: Literal["file"]
     path: Annotated[str, Field(min_length=1)]
@@ -204,7 +205,7 @@ class CraterFile(Section):
 
 
 class Crater(Section):
-    """One crater, placed from the landing site."""
+    """One crater, positioned relative to the landing site."""
 
     east_m: float
     north_m: float
@@ -223,10 +224,10 @@ class Crater(Section):
 
 
 class CraterTrials(Section):
-    """How the listed craters differ from trial to trial of a Monte Carlo campaign."""
+    """Variation of the listed craters from trial to trial of a Monte Carlo campaign."""
 
     place_sigma_m: NotNegative
-    """Standard deviation by which a place is moved, east and north."""
+    """Standard deviation of the positions, east and north."""
     semi_axes_m: tuple[Positive, Positive]
     """Both semi-axes are uniform between these, the orientation between 0 and 180 deg."""
 
@@ -238,35 +239,36 @@ class CraterTrials(Section):
 
 
 class CraterList(Section):
-    """Craters named one by one."""
+    """Craters listed one by one."""
 
     source: Literal["list"]
     crater: Annotated[tuple[Crater, ...], Field(min_length=1)]
     trials: CraterTrials | None = None
-    """Given: each trial draws its own; a simulation that is no trial has the list."""
+    """If given, each trial draws its own craters; a simulation that is not a trial has the listed ones."""
 
 
 class TerrainSection(Section):
-    """Ground between and inside the craters."""
+    """Terrain between and inside the craters."""
 
     slope: NotNegative
     """RMS slope that the octave of 100 m contributes along one axis."""
     hurst: Annotated[float, Field(gt=0.0, le=1.0)]
-    """Growth of height with length; below 1 the ground is rougher the closer one looks."""
+    """Hurst exponent: heights grow with the length to this power."""
     coarsest_m: Positive
-    """Longest wave, rounded down to a power of two."""
+    """Longest wavelength, rounded down to a power of two."""
     depth_scatter: Annotated[float, Field(ge=0.0, lt=1.0)]
-    """Floors are raised by up to this part of their depth, at random."""
+    """Largest share of the depth by which floors are raised at random."""
     irregularity: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    """RMS deviation of the rims from their ellipses, as a part of the radius."""
+    """RMS deviation of the rims from their ellipses, as a share of the radius."""
     degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    """Crests are worn round and floors filled by up to this much, at random; 1 leaves half of the depth."""
+    """Largest degradation, drawn at random: crests are rounded and floors filled; 1 leaves half of the
+    depth."""
     dem: Annotated[str, Field(min_length=1)] | None = None
     """Elevation model, a GeoTIFF relative to the scenario file: heights above the reference sphere."""
     dem_unit_m: Positive = 1.0
-    """Metres that a unit of its values means."""
+    """Metres per unit of its values."""
     peaks_from_m: Positive | None = None
-    """Craters of a larger diameter have a central peak."""
+    """Diameter from which craters have a central peak."""
 
 
 class HapkeSection(Section):
@@ -274,13 +276,13 @@ class HapkeSection(Section):
 
     single_scattering_albedo: Annotated[float, Field(gt=0.0, lt=1.0)]
     asymmetry: Annotated[float, Field(gt=-1.0, lt=1.0)]
-    """Of the Henyey-Greenstein function: below 0 the grains scatter back."""
+    """Of the Henyey-Greenstein function: below 0 the grains scatter backwards."""
     opposition_amplitude: NotNegative
     opposition_width: Positive
 
 
 class RenderSection(Section):
-    """Light and image sensor."""
+    """Illumination, optics and image sensor."""
 
     samples: Annotated[int, Field(ge=1, le=8)]
     """Rays along each side of a pixel."""
@@ -289,25 +291,25 @@ class RenderSection(Section):
     sun_radius_deg: Positive
     """Half the angle under which the sun appears."""
     flat_level: Annotated[float, Field(gt=0.0, lt=1.0)]
-    """Brightness of level ground at the site, as a part of full scale."""
+    """Brightness of locally flat terrain at the site, as a share of full scale."""
     psf_sigma_px: NotNegative
     """Gaussian blur of the optics."""
     full_well_e: NotNegative
-    """Electrons at full scale: fewer give more shot noise; 0 for no noise at all."""
+    """Electrons at full scale: fewer give more shot noise; 0 for no noise."""
     read_noise_e: NotNegative
     """Standard deviation of the read-out noise, electrons."""
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
-    """Of the grey levels; more than 8 are stored in images of 16."""
+    """Of the grey levels; more than 8 bits are stored in images of 16."""
     vignetting: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Part of the light that the image's corners lose."""
+    """Share of the light that is lost in the image's corners."""
     exposure_s: NotNegative = 0.0
-    """The image is blurred by the motion meanwhile; its stamp is that of the middle."""
+    """Exposure time: motion blurs the image; its stamp is the middle of the exposure."""
     hapke: HapkeSection | None = None
-    """Given: the ground's law in place of lunar_lambert."""
+    """If given, the reflectance law in place of lunar_lambert."""
 
 
 class MeasurementSection(Section):
-    """Measured rims and sun tilts in place of images."""
+    """Simulated measurements of rims and sun tilts in place of images."""
 
     edge_sigma_px: Positive
     """Of each edge point, across the edge."""
@@ -318,26 +320,26 @@ class MeasurementSection(Section):
 
 
 class FaultsSection(Section):
-    """What goes wrong and the data set does not tell."""
+    """Faults that the data set does not state."""
 
     wrong_matches: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of the measured rims that bear the name of another crater; not with images."""
+    """Share of the measured rims that are matched with another crater; not with images."""
     map_place: NotNegative = 0.0
-    """Error of the catalogue's places, east and north, as a part of the semi-major axis (1 sigma)."""
+    """Standard deviation of the catalogue's positions, east and north, over the semi-major axis."""
     map_size: NotNegative = 0.0
-    """Error of the catalogue's semi-axes, each as a part of itself."""
+    """Standard deviation of the catalogue's semi-axes, relative."""
     map_height: NotNegative = 0.0
-    """Error of the catalogue's rim heights, as a part of the semi-major axis."""
+    """Standard deviation of the catalogue's rim heights, over the semi-major axis."""
     mounting_deg: NotNegative = 0.0
-    """Angle by which the camera is turned from its mounting in the data set, about an axis at random."""
+    """Angle by which the camera is rotated from its mounting in the data set, about a random axis."""
     time_offset_s: Annotated[
         float, Field(validation_alias=AliasChoices("time_offset_s", "image_delay_s"))
     ] = 0.0
     """Camera-IMU time offset: an image is exposed this much after its stamp; formerly `image_delay_s`."""
     outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
-    """Times from and to which there is no image; the first one is always there."""
+    """Beginnings and ends of intervals without images; the first image is always there."""
     craterless_s: tuple[tuple[NotNegative, Positive], ...] = ()
-    """Times from and to which images show no crater of the catalogue; not with images."""
+    """Beginnings and ends of intervals without catalogued craters in the images; not with images."""
     without_sun: bool = False
     """No sun tilt is measured; not with images."""
 
@@ -373,16 +375,16 @@ class Scenario(Section):
     initial_error: InitialErrorSection
     craters: Annotated[RandomCraters | CraterFile | CraterList, Field(discriminator="source")]
     terrain: TerrainSection | None = None
-    """Needed for images and for random craters, which stand in it."""
+    """Required for images and for random craters."""
     render: RenderSection | None = None
-    """Given: the data set holds images."""
+    """If given, the data set holds images."""
     measurements: MeasurementSection | None = None
-    """Given: the data set holds measured rims and no images."""
+    """If given, the data set holds simulated measurements and no images."""
     sensors: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """By name: the keys of the sensor's `sensor.yaml`, and a table `simulation`, see `SensorSimulation`."""
     faults: FaultsSection = Field(default_factory=FaultsSection)
     expected: dict[str, ExpectedSection] = Field(default_factory=dict)
-    """By estimator: what the case is there to show."""
+    """By estimator: the figures that the case is expected to have."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scenario":
@@ -400,12 +402,16 @@ class Scenario(Section):
 
 
 def load_scenario(name: str | Path) -> Scenario:
-    """Read a scenario: a file, or a built-in one by its name.
+    """Read a scenario from a file, or a built-in one by its name.
 
     Parameters
     ----------
     name : str or Path
         Path of a TOML file, or the stem of one in the package `scenarios`.
+
+    Returns
+    -------
+    Scenario
 
     Raises
     ------
@@ -414,8 +420,8 @@ def load_scenario(name: str | Path) -> Scenario:
 
     Notes
     -----
-    A file with `base = "NAME"` holds what differs from that scenario: a built-in one, or a file beside it. A
-    table [measurements] takes the place of a base's [render], and the other way round.
+    A file with `base = "NAME"` holds the differences from that scenario: a built-in one, or a file beside it.
+    A table [measurements] replaces a base's [render] and vice versa.
     """
     path = _find(name)
     scenario = _with_base(path)
@@ -440,7 +446,7 @@ def _find(name: str | Path) -> Path:
 
 
 def _with_base(path: Path) -> Scenario:
-    """Read a scenario that may hold only what differs from another."""
+    """Read a scenario that may hold only its differences from another."""
     text, data = read_toml(path)
     seen = [path]
     while "base" in data:
@@ -452,7 +458,7 @@ def _with_base(path: Path) -> Scenario:
         if seen[-1] in seen[:-1]:
             raise InputError(path, f"is its own base, by way of {seen[-1]}", column="base")
         _, under = read_toml(seen[-1])
-        # What is expected of the base is not expected of what differs from it.
+        # A scenario that differs from its base has other figures.
         under.pop("expected", None)
         for given, other in (("measurements", "render"), ("render", "measurements")):
             if given in data:
@@ -462,12 +468,12 @@ def _with_base(path: Path) -> Scenario:
 
 
 def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Tables key by key, all else as `over` has it."""
+    """Merge tables key by key; other values are those of `over`."""
     out = dict(under)
     for key, value in over.items():
         below = under.get(key)
         out[key] = value
-        # Craters of another source have other keys: they take the place of the whole table.
+        # Craters of another source have other keys: they replace the whole table.
         if (
             isinstance(value, dict)
             and isinstance(below, dict)
@@ -478,7 +484,7 @@ def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def built_in_scenarios() -> dict[str, Path]:
-    """Paths of the scenarios that come with the package, by name."""
+    """Give the paths of the scenarios that come with the package, by name."""
     folder = importlib.resources.files("scenarios")
     return {
         Path(entry.name).stem: Path(str(entry))

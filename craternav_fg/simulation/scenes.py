@@ -110,7 +110,7 @@ class Scene:
 
     @property
     def wanted(self) -> npt.NDArray[np.bool_]:
-        """Which rims a detector is expected to find, shape (n,): large, shaded, whole in the image."""
+        """Mask, shape (n,), of the rims a detector is expected to find: large, shaded, whole in the image."""
         x, y, _, b, _ = self.ellipses_px.T
         half_x, half_y = half_sides(chart_of_axes(self.ellipses_px)).T
         height, width = self.image.shape
@@ -164,7 +164,7 @@ def sun_direction(site: FloatArray, elevation_rad: float, azimuth_rad: float) ->
     Parameters
     ----------
     site : ndarray, shape (3, 3)
-        Local east, north and up in g, in columns.
+        Rotation from local east, north and up to g.
     elevation_rad, azimuth_rad : float
         Above the local horizon, and from east towards north.
 

@@ -1,4 +1,4 @@
-"""What the sensors say of a known motion: IMU increments, measured rims, the initial estimate."""
+"""Simulated measurements of a known motion: IMU log, rims and sun tilts, initial state."""
 
 import math
 
@@ -20,13 +20,24 @@ from factors.kernels.sun import sun_tilt, wrap
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Nodes and weights on [0, 1], exact for polynomials of degree 5.
+# Gauss-Legendre nodes and weights on [0, 1]: exact for polynomials of degree 5.
 _NODES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 def imu_stamps(options: ImuSection, start_ns: int, end_ns: int) -> IntArray:
-    """Stamps of a log whose first interval begins at the start and whose last reaches the end."""
+    """Stamps of a log whose first interval begins at the start and whose last one reaches the end.
+
+    Parameters
+    ----------
+    options : ImuSection
+    start_ns, end_ns : int
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Ends of the intervals, ns.
+    """
     step = round(1e9 / options.rate_hz)
     return start_ns + step * np.arange(1, -(-(end_ns - start_ns) // step) + 1, dtype=np.int64)
 
@@ -37,17 +48,21 @@ def ideal_imu(descent: Descent, stamps_ns: IntArray, start_ns: int) -> ImuLog:
     Parameters
     ----------
     descent : Descent
-        It is followed past its end by the same polynomials.
+        Its polynomials also hold after its end.
     stamps_ns : ndarray of int, shape (n,)
         Ends of the intervals; the first begins at `start_ns`.
     start_ns : int
         Time at which the descent begins.
+
+    Returns
+    -------
+    ImuLog
     """
     edges = np.concatenate([[start_ns], stamps_ns]) - start_ns
     t = edges * 1e-9
     dt = np.diff(edges) * 1e-9
     R = descent.evaluate(t).gRb
-    # Inertial attitude changes by the rotation of b in g and that of g itself.
+    # The inertial rotation is that of b in g and that of g.
     turned = frames.rotation_exp(np.multiply.outer(dt, np.array(descent.body.spin_rad_s)))
     gyro = frames.rotation_log(np.swapaxes(R[:-1], 1, 2) @ turned @ R[1:]) / dt[:, None]
     force = sum(
@@ -96,7 +111,7 @@ def initial_state(
     imu: ImuSection,
     rng: np.random.Generator,
 ) -> InitialState:
-    """Draw the initial estimate: the truth with errors of given standard deviations.
+    """Draw the initial state: the truth with errors of given standard deviations.
 
     Parameters
     ----------
@@ -107,8 +122,12 @@ def initial_state(
     stamp_ns : int
     errors : InitialErrorSection
     imu : ImuSection
-        For the turn-on biases, which are drawn elsewhere.
+        For the standard deviations of the turn-on biases, which `corrupt_imu` draws.
     rng : Generator
+
+    Returns
+    -------
+    InitialState
     """
     attitude = math.radians(errors.attitude_deg)
     # The truth is R exp(phi) of the estimate's R.
@@ -137,10 +156,10 @@ def measure(
     options: MeasurementSection,
     rng: np.random.Generator,
 ) -> FrameMeasurement:
-    """Rims and sun tilt as an efficient front end would measure them, without an image.
+    """Simulate the measurement of rims and sun tilt by an efficient front end, without an image.
 
-    A chart is drawn from its Gaussian at the true rim; its covariance is that at the measured one,
-    which is what a fit can know. The tilt holds at the mean of the measured rims' centres.
+    A chart is drawn from the Gaussian of the true rim; its covariance is evaluated at the measured rim, as
+    that of a fit. The sun tilt is measured at the mean of the measured rims' centres.
 
     Parameters
     ----------
@@ -152,9 +171,13 @@ def measure(
     camera : Camera
     catalog : Catalog
     prior_gP : ndarray, shape (3,)
-        Position of the initial estimate (see `ground_sun_direction`).
+        Position of the initial state in g, m (see `ground_sun_direction`).
     options : MeasurementSection
     rng : Generator
+
+    Returns
+    -------
+    FrameMeasurement
     """
     rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=options.min_semi_minor_px)
     if len(rows):

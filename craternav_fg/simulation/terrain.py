@@ -1,11 +1,10 @@
-"""Height field of the ground: relief with craters stamped into it, on nested grids around the view.
+"""Height field of the terrain: relief and craters on nested grids around the view.
 
-Grids lie in the gnomonic plane of the landing site (see `relief`), their points at integer multiples of
-a power of two of metres: however the camera moves, a grid of one spacing always samples the same points.
+Grids lie in the gnomonic plane of the landing site (see `relief`); their points are integer multiples of a
+power of two of metres. A grid of one spacing always samples the same points, however the camera moves.
 
-Near its crest a catalogue crater is its planar ellipse and nothing else: the crest runs exactly through
-the catalogue's rim, the surface there is tangent to the rim's plane, and roughness and the flanks of
-smaller craters fade out quadratically within a quarter radius of it.
+The crest of a catalogue crater lies exactly on the catalogue's rim: there the surface is tangent to the rim's
+plane, and roughness and the flanks of smaller craters fade out quadratically within a quarter radius of it.
 """
 
 import os
@@ -20,11 +19,11 @@ from numba import njit
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.crater_shape import (
     CREST,
+    DEGRADED_CREST,
+    DEGRADED_DEPTH,
     PEAK,
     PEAK_WIDTH,
     REACH,
-    WORN_CREST,
-    WORN_DEPTH,
     coverage,
     crater_profile,
     crest_height_over_centre_ground_m,
@@ -43,12 +42,34 @@ FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
-# Rays are stepped as if no ground were steeper; where it is, in small craters on walls, they cut corners.
+# Largest slope for which rays are stepped; steeper walls of small craters are passed through at their edges.
 MAX_SLOPE = 0.8
-# A grid lies off the middle of its view by up to this part of its half-width.
+# Offset of a grid from the centre of its view, as a share of its half-width, at most.
 SLACK = 0.12
-# Where the catalogue's heights do not fit the relief, the ground is lifted over this many radii.
+# Where the catalogue's heights differ from the relief, the terrain is lifted within this many radii of a
+# crater.
 LEVEL_REACH = 6.0
+# Catalogue and relief agree when their heights differ by less, m.
+_SAME_HEIGHT_M = 1e-3
+# Weight of the common lift beside that of the craters, and softening of the craters' weights near their
+# centres.
+_FAR_WEIGHT, _SOFTENING = 0.01, 0.03
+# Smallest crater on a grid, and smallest one that the next coarser grid has as well, in cells.
+_SMALLEST_CELLS, _SHARED_CELLS = 2.0, 4.0
+# A crater's flank gives way to older crests from this distance on, over this width, in radii.
+_OWN_REACH, _OWN_FADE = 1.1, 0.15
+# A crater below the flanks of larger ones tells the lift only where this share of the relief is left.
+_MIN_SHARE = 0.3
+# Craters beyond 60 deg from the site are left out: the plane stretches them too much.
+_SITE_COSINE = 0.5
+
+# Columns of a crater in `_stamp`: centre x, y; axes l1, l2, n in the site frame; semi-axes, height of the
+# rim's plane, depth, height of the crest over the terrain; relief at the centre and its gradient; reach in
+# the plane, all in m; half-width of the crest, radii; height of the central peak, m; harmonics of the
+# outline.
+_X, _Y, _L1, _L2, _N = 0, 1, 2, 5, 8
+_A, _B, _HEIGHT, _DEPTH, _RIM = 11, 12, 13, 14, 15
+_RELIEF, _GRADIENT, _REACH, _CREST, _PEAK, _HARMONICS = 16, 17, 19, 20, 21, 22
 
 
 @dataclass(frozen=True)
@@ -60,18 +81,18 @@ class TerrainOptions:
     cells : int
         Points along the side of a grid; even. More cover a wider view at the finest spacing.
     cell_px : float
-        Spacing of the finest grid in ground pixels, at most; at least half of this.
+        Largest spacing of the finest grid, in pixels on the ground; the smallest is half of it.
     levels : int
-        Grids at most, each twice as wide as the one before. Beyond the last the body is smooth.
+        Largest number of grids, each twice as wide as the one before. Beyond the last the body is smooth.
     depth_scatter : float
-        Floors are raised by up to this part of their depth, at random: 0 gives fresh craters only.
+        Largest share of the depth by which floors are raised at random: 0 gives fresh craters only.
     irregularity : float
-        RMS deviation of the rims from their ellipses, as a part of the radius.
+        RMS deviation of the rims from their ellipses, as a share of the radius.
     degradation : float
-        Crests are worn round and floors filled by up to this much of what `crater_shape` allows, at random.
-        The crests keep their place and height.
+        Largest degradation, drawn at random: crests are rounded and floors filled by this share of the most
+        that `crater_shape` has. The crests keep their position and height.
     peaks_from_m : float
-        Craters of a larger diameter have a central peak.
+        Diameter from which craters have a central peak.
     """
 
     cells: int = 2048
@@ -90,15 +111,15 @@ class Levels:
     Attributes
     ----------
     heights_m : ndarray of float32, shape (slots, cells, cells)
-        Heights over the reference sphere, rows along y.
+        Heights over the reference sphere, m, rows along y.
     slots : ndarray of int, shape (n,)
         Which of `heights_m` each grid is.
     frames_m : ndarray, shape (n, 4)
-        Spacing, plane coordinates x, y of its first point, the lowest height along its border, m.
+        Spacing, plane coordinates x, y of the first point, lowest height along the border, m.
     top_m : float
-        No point is higher.
+        Highest point.
     slope : float
-        Few slopes are steeper.
+        Steepest slope, at most `MAX_SLOPE`.
     """
 
     heights_m: Float32Array
@@ -110,7 +131,7 @@ class Levels:
 
 @dataclass
 class _Grid:
-    """What a slot holds: spacing exponent, first point, border's lowest, highest point, steepest slope."""
+    """Grid in a slot: spacing exponent, first point, lowest height of the border, top, steepest slope."""
 
     exponent: int
     first: tuple[int, int]
@@ -129,18 +150,18 @@ def _lift(
     first: int,
     last: int,
 ) -> None:
-    """Raise the rows first..last of a grid to the catalogue's level.
+    """Lift the rows first..last of a grid to the catalogue's heights.
 
-    By `offsets` (n,) near each crater, by `far` away from all: the same for every grid, whichever craters
-    are near it, or the ground would step where two grids meet.
+    The lift is `offsets` (n,) near each crater and `far` away from all. `far` is the same for every grid, or
+    the terrain would have steps where two grids meet.
     """
     cell, x0, y0 = frame
     n = heights.shape[1]
-    weight = np.full((last - first, n), 0.01)
-    total = np.full((last - first, n), 0.01 * far)
+    weight = np.full((last - first, n), _FAR_WEIGHT)
+    total = np.full((last - first, n), _FAR_WEIGHT * far)
     for k in range(craters.shape[0]):
-        reach = craters[k, 19] * LEVEL_REACH / REACH
-        xc, yc = craters[k, 0], craters[k, 1]
+        reach = craters[k, _REACH] * LEVEL_REACH / REACH
+        xc, yc = craters[k, _X], craters[k, _Y]
         for j in range(
             max(first, int(np.ceil((yc - reach - y0) / cell))), min(last, int((yc + reach - y0) / cell) + 1)
         ):
@@ -149,7 +170,7 @@ def _lift(
             ):
                 r2 = ((x0 + i * cell - xc) ** 2 + (y0 + j * cell - yc) ** 2) / (reach * reach)
                 if r2 < 1.0:
-                    w = (1.0 - r2) ** 2 / (r2 + 0.03)
+                    w = (1.0 - r2) ** 2 / (r2 + _SOFTENING)
                     weight[j - first, i] += w
                     total[j - first, i] += w * offsets[k]
     for j in range(first, last):
@@ -170,28 +191,27 @@ def _stamp(
 ) -> None:
     """Stamp craters (n, 34), in their order, into the rows first..last of a grid.
 
-    Those too small for the next coarser grid fade out over `fade` cells from the border.
-
-    `heights` holds the ground with, `relief` (both (cells, cells)) without the lift to the catalogue's
-    level; columns of `craters` as in `Terrain._rows`.
+    Craters too small for the next coarser grid fade out over `fade` cells from the border. `heights` is the
+    terrain with, `relief` without the lift to the catalogue's heights, both (cells, cells).
     """
     cell, x0, y0 = frame
     n = heights.shape[1]
     free = np.ones((last - first, n), dtype=np.float32)
     for k in range(craters.shape[0]):
         c = craters[k]
-        xc, yc, a, b, height, depth, rim, reach = c[0], c[1], c[11], c[12], c[13], c[14], c[15], c[19]
-        crest, peak, harmonics = c[20], c[21], c[22:]
-        # The largest deviation of an outline is under the sum of its harmonics.
+        xc, yc, a, b, reach = c[_X], c[_Y], c[_A], c[_B], c[_REACH]
+        height, depth, rim, crest, peak = c[_HEIGHT], c[_DEPTH], c[_RIM], c[_CREST], c[_PEAK]
+        harmonics = c[_HARMONICS:]
+        # An outline deviates by at most the sum of its harmonics.
         widest = 1.0 + np.sum(np.abs(harmonics))
         irregular = np.any(harmonics != 0.0)
         radius = np.sqrt(a * b)
         sunk = np.isnan(height)
         base = 0.0 if sunk else height
-        # A crater under two cells would only be aliased.
-        if b < 2.0 * cell:
+        # Smaller craters would only be aliased.
+        if b < _SMALLEST_CELLS * cell:
             continue
-        shared = b >= 4.0 * cell
+        shared = b >= _SHARED_CELLS * cell
         for j in range(
             max(first, int(np.ceil((yc - reach - y0) / cell))), min(last, int((yc + reach - y0) / cell) + 1)
         ):
@@ -201,9 +221,9 @@ def _stamp(
             ):
                 x = x0 + i * cell
                 # The direction (x, y, R) meets the rim's plane at (X, Y) of the crater's frame.
-                scale = (radius_m + base) / (c[8] * x + c[9] * y + c[10] * radius_m)
-                X = scale * (c[2] * x + c[3] * y + c[4] * radius_m)
-                Y = scale * (c[5] * x + c[6] * y + c[7] * radius_m)
+                scale = (radius_m + base) / (c[_N] * x + c[_N + 1] * y + c[_N + 2] * radius_m)
+                X = scale * (c[_L1] * x + c[_L1 + 1] * y + c[_L1 + 2] * radius_m)
+                Y = scale * (c[_L2] * x + c[_L2 + 1] * y + c[_L2 + 2] * radius_m)
                 rho2 = (X / a) ** 2 + (Y / b) ** 2
                 if rho2 >= REACH * REACH * widest * widest:
                     continue
@@ -220,13 +240,13 @@ def _stamp(
                     continue
                 plane = np.sqrt((radius_m + height) ** 2 + X * X + Y * Y) - radius_m
                 clear = protection(rho - 1.0)
-                rough = relief[j, i] - (c[16] + c[17] * (x - xc) + c[18] * (y - yc))
+                rough = relief[j, i] - (c[_RELIEF] + c[_GRADIENT] * (x - xc) + c[_GRADIENT + 1] * (y - yc))
                 target = plane + crater_profile(rho, depth, rim, crest) + roughness(rho - 1.0, rough, radius)
                 if peak > 0.0:
                     target += peak * np.exp(-0.5 * (rho / PEAK_WIDTH) ** 2)
                 weight = share * coverage(rho)
-                # Its flank gives way to the crests already there, its own crest does not.
-                own = 1.0 - smoothstep((rho - 1.1) / 0.15)
+                # The flank gives way to the crests of larger craters, the crest does not.
+                own = 1.0 - smoothstep((rho - _OWN_REACH) / _OWN_FADE)
                 weight *= own + (1.0 - own) * free[j - first, i]
                 heights[j, i] += weight * (target - heights[j, i])
                 free[j - first, i] *= 1.0 - share * (1.0 - clear)
@@ -247,21 +267,20 @@ def _extremes(heights: Float32Array, first: int, last: int) -> tuple[float, floa
 
 
 class Terrain:
-    """The ground of a landing: relief and the catalogue's craters.
+    """The terrain of a descent: relief and craters.
 
     Parameters
     ----------
     catalog : Catalog
-        Crests stand at its heights. Where these differ from the relief (a catalogue not made with
-        `random_craters` on the same relief), the ground around each crater is lifted to fit.
-        Overlapping craters are stamped largest first.
+        Its crests have its heights. Where these differ from the relief (a catalogue that was not made by
+        `random_craters` on the same relief), the terrain around each crater is lifted to them. Overlapping
+        craters are stamped largest first.
     relief : Relief
-        The ground between craters; its site is the middle of the height field's map plane.
+        Terrain between craters; its site is the origin of the map plane.
     options : TerrainOptions
-        Grids.
     clutter : Catalog, optional
-        Small craters sunk into the ground after the others; its heights are ignored. They fade out
-        towards the crests of the catalogue.
+        Small craters that are added after the others; their heights are ignored. They fade out towards the
+        crests of the catalogue.
     """
 
     def __init__(
@@ -274,12 +293,12 @@ class Terrain:
         self._craters = self._rows(catalog)
         self._offsets_m = self._offsets(self._craters)
         known = self._offsets_m[~np.isnan(self._offsets_m)]
-        self._lifted = bool(np.any(np.abs(known) > 1e-3))
+        self._lifted = bool(np.any(np.abs(known) > _SAME_HEIGHT_M))
         self._far_offset_m = float(np.median(known)) if self._lifted else 0.0
         if clutter is not None:
             small = self._rows(clutter)
-            # No height of its own: it lies in whatever ground there is.
-            small[:, 13] = np.nan
+            # Clutter has no height of its own.
+            small[:, _HEIGHT] = np.nan
             self._craters = np.concatenate([self._craters, small])
             self._offsets_m = np.concatenate([self._offsets_m, np.full(len(small), np.nan)])
         slots = options.levels + 2
@@ -290,14 +309,9 @@ class Terrain:
         self._pool = ThreadPoolExecutor(self._workers)
 
     def _rows(self, catalog: Catalog) -> FloatArray:
-        """Craters (n, 34) for `_stamp`, largest first.
-
-        Columns: 0-1 centre x, y; 2-10 axes l1, l2, n in the site frame; 11-15 a, b, height, depth, crest
-        over the ground; 16-18 relief at the centre and its gradient; 19 reach in the plane, all in m;
-        20 half-width of the crest in radii; 21 height of the central peak, m; 22-33 harmonics of the outline.
-        """
+        """Craters (n, 34) for `_stamp`, largest first."""
         axes = self.relief.gRs.T @ catalog.gRl
-        rows = np.flatnonzero(axes[:, 2, 2] > 0.5)
+        rows = np.flatnonzero(axes[:, 2, 2] > _SITE_COSINE)
         rows = rows[np.argsort(-catalog.semi_major_m[rows], kind="stable")]
         axes = axes[rows]
         a, b = catalog.semi_major_m[rows], catalog.semi_minor_m[rows]
@@ -306,43 +320,53 @@ class Terrain:
         level, gradient = self.relief.at(xy, radius)
         scatter = np.random.default_rng(self.relief.options.seed).uniform(size=len(catalog))[rows]
         depth = depth_m(radius) * (1.0 - self.options.depth_scatter * scatter)
-        # Streams of their own: what is random already stays as it is.
+        # Streams of their own: each option leaves the random numbers of the others unchanged.
         outlines, wear = (np.random.default_rng([self.relief.options.seed, k]) for k in (1, 2))
         harmonics = random_outlines(outlines, len(catalog), self.options.irregularity)[rows]
-        worn = self.options.degradation * wear.uniform(size=len(catalog))[rows]
-        depth *= 1.0 - WORN_DEPTH * worn
-        out = np.zeros((len(rows), 22 + harmonics.shape[1]))
-        out[:, 0:2] = xy
-        out[:, 2:11] = np.swapaxes(axes, 1, 2).reshape(-1, 9)
-        out[:, 11:16] = np.stack([a, b, catalog.height_m[rows], depth, rim_height_m(radius)], axis=-1)
-        out[:, 16] = level
-        out[:, 17:19] = gradient
+        degraded = self.options.degradation * wear.uniform(size=len(catalog))[rows]
+        depth *= 1.0 - DEGRADED_DEPTH * degraded
+        out = np.zeros((len(rows), _HARMONICS + harmonics.shape[1]))
+        out[:, _X : _Y + 1] = xy
+        out[:, _L1 : _N + 3] = np.swapaxes(axes, 1, 2).reshape(-1, 9)
+        out[:, _A : _RIM + 1] = np.stack([a, b, catalog.height_m[rows], depth, rim_height_m(radius)], axis=-1)
+        out[:, _RELIEF] = level
+        out[:, _GRADIENT : _GRADIENT + 2] = gradient
         # The gnomonic plane stretches lengths by up to 1 / cos^2.
-        out[:, 19] = 1.05 * REACH * a / (axes[:, 2, 2] - 2.0 * a / self.body.radius_m).clip(0.3) ** 2
-        out[:, 19] *= 1.0 + np.abs(harmonics).sum(axis=1)
-        out[:, 20] = CREST * (1.0 + WORN_CREST * worn)
-        out[:, 21] = np.where(2.0 * radius > self.options.peaks_from_m, PEAK * depth, 0.0)
-        out[:, 22:] = harmonics
+        out[:, _REACH] = 1.05 * REACH * a / (axes[:, 2, 2] - 2.0 * a / self.body.radius_m).clip(0.3) ** 2
+        out[:, _REACH] *= 1.0 + np.abs(harmonics).sum(axis=1)
+        out[:, _CREST] = CREST * (1.0 + DEGRADED_CREST * degraded)
+        out[:, _PEAK] = np.where(2.0 * radius > self.options.peaks_from_m, PEAK * depth, 0.0)
+        out[:, _HARMONICS:] = harmonics
         return out
 
     def _offsets(self, c: FloatArray) -> FloatArray:
-        """How much higher the catalogue sets craters (n, 34) than the relief, m; NaN inside larger ones."""
-        crest = crest_height_over_centre_ground_m(c[:, 11], c[:, 12], self.body)
-        axes = np.stack([c[:, 11:12] * c[:, 2:5], c[:, 12:13] * c[:, 5:8]], axis=1)
+        """Heights (n,) of craters in the catalogue over those by the relief, m; NaN inside larger ones."""
+        crest = crest_height_over_centre_ground_m(c[:, _A], c[:, _B], self.body)
+        axes = np.stack([c[:, [_A]] * c[:, _L1:_L2], c[:, [_B]] * c[:, _L2:_N]], axis=1)
         share, flank = ground_levels(
-            np.ascontiguousarray(c[:, 8:11]),
+            np.ascontiguousarray(c[:, _N : _N + 3]),
             axes,
-            np.ascontiguousarray(c[:, 14:16]),
+            np.ascontiguousarray(c[:, [_DEPTH, _RIM]]),
             crest,
-            np.ascontiguousarray(c[:, [0, 1, 16, 17, 18]]),
+            np.ascontiguousarray(c[:, [_X, _Y, _RELIEF, _GRADIENT, _GRADIENT + 1]]),
             self.body.radius_m,
-            np.ascontiguousarray(c[:, 13]),
+            np.ascontiguousarray(c[:, _HEIGHT]),
         )
-        offset = (c[:, 13] - crest - flank) / np.maximum(share, 0.3) - c[:, 16]
-        return np.where(share > 0.3, offset, np.nan)
+        offset = (c[:, _HEIGHT] - crest - flank) / np.maximum(share, _MIN_SHARE) - c[:, _RELIEF]
+        return np.where(share > _MIN_SHARE, offset, np.nan)
 
     def lift_m(self, xy: FloatArray) -> float:
-        """How much higher the catalogue sets the ground around a plane point (2,) than the relief, m."""
+        """Height by which the terrain at a plane point is lifted to the catalogue's heights, m.
+
+        Parameters
+        ----------
+        xy : ndarray, shape (2,)
+            Plane coordinates, m.
+
+        Returns
+        -------
+        float
+        """
         height = np.zeros((1, 1), np.float32)
         if self._lifted:
             known = ~np.isnan(self._offsets_m)
@@ -351,21 +375,25 @@ class Terrain:
         return float(height[0, 0])
 
     def run(self, work: Callable[[int, int], object], n: int, chunks: int = 4) -> list[object]:
-        """Run `work(first, last)` on pieces of range(n), in threads: the kernels release the lock."""
+        """Run `work(first, last)` on parts of range(n) in threads; the kernels release the lock."""
         edges = np.linspace(0, n, chunks * self._workers + 1).astype(int)
         return list(self._pool.map(work, edges[:-1], edges[1:]))
 
     def levels(self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float) -> Levels:
-        """Grids that cover a view; those of an earlier view are used again where they still fit.
+        """Give grids that cover a view; those of earlier views are used again where they fit.
 
         Parameters
         ----------
         low, high : ndarray, shape (2,)
             Plane coordinates of the rectangle in view, m.
         nearest : ndarray, shape (2,)
-            Point of it nearest to the camera, where the finest grid should lie.
+            Plane coordinates of its point nearest to the camera, m: the finest grid lies there.
         pixel_m : float
-            Smallest ground pixel.
+            Smallest size of a pixel on the ground.
+
+        Returns
+        -------
+        Levels
         """
         options = self.options
         finest = int(np.floor(np.log2(options.cell_px * pixel_m)))
@@ -396,9 +424,10 @@ class Terrain:
         return np.array([cell_m, first[0] * cell_m, first[1] * cell_m])
 
     def _level(self, exponent: int, centre: FloatArray, used: list[int]) -> int:
-        """Slot of the grid of this spacing around a point, built if there is none."""
+        """Slot of the grid of a spacing around a point; built if there is none."""
         cells, cell_m = self.options.cells, 2.0**exponent
-        # Few places to put a grid: it serves several frames, and an image depends on its own pose alone.
+        # Grids have few possible positions: one serves several frames, and an image depends on its pose
+        # alone.
         stride = int(2.0 * SLACK * 0.5 * cells)
         i, j = (np.round(centre / cell_m / stride).astype(int) * stride - cells // 2).tolist()
         for slot, grid in enumerate(self._grids):
@@ -418,8 +447,8 @@ class Terrain:
         c = self._craters
         extent = cells * frame[0]
         near: npt.NDArray[np.bool_] = np.all(
-            (c[:, :2] + LEVEL_REACH * c[:, 19:20] > frame[1:])
-            & (c[:, :2] - LEVEL_REACH * c[:, 19:20] < frame[1:] + extent),
+            (c[:, :2] + LEVEL_REACH * c[:, [_REACH]] > frame[1:])
+            & (c[:, :2] - LEVEL_REACH * c[:, [_REACH]] < frame[1:] + extent),
             axis=1,
         )
         craters = np.ascontiguousarray(c[near])

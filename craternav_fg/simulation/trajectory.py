@@ -24,7 +24,7 @@ class Motion:
     gV : ndarray, shape (n, 3)
         Velocity relative to g, in g, m/s.
     gRb : ndarray, shape (n, 3, 3)
-        Attitude.
+        Rotations from b to g.
     specific_force : ndarray, shape (n, 3)
         In b, m/s^2.
     angular_velocity : ndarray, shape (n, 3)
@@ -50,8 +50,8 @@ class Motion:
 class Descent:
     """A descent above a great circle: quintic polynomials in altitude and downrange.
 
-    Each meets position, velocity and acceleration at both ends, as the guidance of powered descents
-    does. Specific force and angular velocity follow from (26) and (27) by inverse dynamics.
+    Each has given position, velocity and acceleration at both ends, as in the guidance of powered descents.
+    Specific force and angular velocity follow from eqs. (26) and (27) by inverse dynamics.
 
     Parameters
     ----------
@@ -62,7 +62,11 @@ class Descent:
     Raises
     ------
     ValueError
-        When the polynomial leads below the ground.
+        When the polynomial leads below the reference sphere.
+
+    References
+    ----------
+    Tian et al. (2019), DOI 10.1017/S0373463318000966, eqs. (26) and (27).
     """
 
     def __init__(self, body: Body, options: TrajectorySection) -> None:
@@ -91,7 +95,17 @@ class Descent:
             raise ValueError(f"the descent leads to an altitude of {lowest_m:.0f} m")
 
     def evaluate(self, t_s: FloatArray) -> Motion:
-        """Motion at times (n,), s from the start."""
+        """Give the motion at some times.
+
+        Parameters
+        ----------
+        t_s : ndarray, shape (n,)
+            From the start.
+
+        Returns
+        -------
+        Motion
+        """
         t = np.asarray(t_s, dtype=np.float64)
         R = self.body.radius_m
         r, dr, ddr = R + self._altitude(t), self._altitude.deriv(1)(t), self._altitude.deriv(2)(t)
@@ -110,7 +124,7 @@ class Descent:
         gRn = np.stack([ahead, np.cross(-up, ahead), -up], axis=-1)
         nRb, level_rate = self._level_attitude(t)
         gRb = gRn @ nRb
-        # The level frame turns about its -y axis as the lander goes round the body.
+        # The level frame rotates about its -y axis as the lander moves around the body.
         level_rate -= rate[:, None] * nRb[:, 1, :]
         spin = np.array(self.body.spin_rad_s)
         bRg = np.swapaxes(gRb, 1, 2)
@@ -128,7 +142,7 @@ class Descent:
         swing = math.radians(options.end_pitch_deg - options.start_pitch_deg)
         amplitudes = np.radians(options.oscillation_deg)
         frequencies = 2.0 * np.pi / np.array(options.oscillation_period_s)
-        # The axes' phases differ, or the oscillation would be about one fixed axis.
+        # With equal phases the oscillation would be about one fixed axis.
         phases = frequencies * t[:, None] + np.array([0.0, 1.0, 2.0])
         angles = amplitudes * np.sin(phases)
         rates = amplitudes * frequencies * np.cos(phases)

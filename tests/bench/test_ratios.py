@@ -120,7 +120,7 @@ def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
     monkeypatch.setattr(images, "FRAMES", 1)
     monkeypatch.setattr(pipeline, "INTERVAL_S", 100.0)
-    monkeypatch.setattr(pipeline, "FEWEST", 0)
+    monkeypatch.setattr(pipeline, "MIN_RIMS", 0)
     # Once for both outputs.
     monkeypatch.setattr(report, "run", functools.cache(report.run))
     monkeypatch.setattr("craternav_fg.cli.benchmark.progress_bars", lambda: contextlib.nullcontext(quiet))
