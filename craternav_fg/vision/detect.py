@@ -117,6 +117,30 @@ class BlindOptions:
 
 
 @dataclass(frozen=True)
+class FittedCandidate:
+    """The rim of a candidate, and what shows whether it is a crater's.
+
+    Attributes
+    ----------
+    fit : RimFit
+    evidence : ndarray, shape (4,)
+        Correlation with the canonical crater, share of the normals that agree, scatter in radii, share of the
+        rim that is covered.
+    sun_angle_rad : float
+        Direction towards the sun in the image at the rim, from x towards y.
+    """
+
+    fit: RimFit
+    evidence: FloatArray
+    sun_angle_rad: float
+
+    @property
+    def quality(self) -> float:
+        """Approximate probability, on rendered ground, that it is a crater's rim."""
+        return float(1.0 / (1.0 + np.exp(-(QUALITY_WEIGHTS @ self.evidence + QUALITY_OFFSET))))
+
+
+@dataclass(frozen=True)
 class FoundRims:
     """Rims found in an image, best first.
 
@@ -225,23 +249,45 @@ def _rims_lit_from(
 ) -> FoundRims:
     """Fit the rims of those candidates that seem to be lit from about a direction."""
     least = options.min_quality if certain else max(options.min_quality_sun_unknown, options.min_quality)
+    fitted = fit_candidates(pixels, candidates, sun_angle_rad, noise, options)
+    good = [rim for rim in fitted if rim.quality >= least]
+    quality, at_rims = [rim.quality for rim in good], [rim.sun_angle_rad for rim in good]
+    return gather([rim.fit for rim in good], quality, at_rims, sun_angle_rad)
+
+
+def fit_candidates(
+    pixels: ImageArray, candidates: Candidates, sun_angle_rad: float, noise: float, options: BlindOptions
+) -> list[FittedCandidate]:
+    """Fit the rims of the candidates that seem to be lit from about a direction, whatever their quality.
+
+    Parameters
+    ----------
+    pixels : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255; NaN in holes.
+    candidates : Candidates
+    sun_angle_rad : float
+        Direction towards the sun in the image, from x towards y.
+    noise : float
+        Standard deviation of the pixels' noise, see `image_sampling.noise_level`.
+    options : BlindOptions
+
+    Returns
+    -------
+    list of FittedCandidate
+        Of the candidates that have a rim.
+    """
     candidates = candidates.take(illuminated_from(candidates, sun_angle_rad, options.max_sun_deviation_rad))
     if len(candidates) == 0:
-        return gather([], [], [], sun_angle_rad)
+        return []
     sun_angles = local_sun_angles(candidates, _SUN_REACH_SHARE * max(pixels.shape))
     contrast = CONTRAST_FACTOR * float(np.median(candidates.slope_contrast[:_CONTRAST_CANDIDATES]))
     height, width = pixels.shape
     camera = Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=options.psf_px)
-    fits: list[RimFit] = []
-    quality: list[float] = []
-    at_rims: list[float] = []
-    for k in range(len(candidates)):
-        fit = _fit_candidate(pixels, candidates, k, float(sun_angles[k]), contrast, noise, camera, options)
-        if fit is not None and fit[1] >= least:
-            fits.append(fit[0])
-            quality.append(fit[1])
-            at_rims.append(float(sun_angles[k]))
-    return gather(fits, quality, at_rims, sun_angle_rad)
+    every = (
+        _fit_candidate(pixels, candidates, k, float(sun_angles[k]), contrast, noise, camera, options)
+        for k in range(len(candidates))
+    )
+    return [rim for rim in every if rim is not None]
 
 
 def agreed_sun_angle(candidates: Candidates, sun_angle_rad: float | None) -> tuple[float, bool]:
@@ -322,8 +368,8 @@ def _fit_candidate(
     noise: float,
     camera: Camera,
     options: BlindOptions,
-) -> tuple[RimFit, float] | None:
-    """Fit the rim of a candidate, from a circle; return it with its quality, None when there is no rim."""
+) -> FittedCandidate | None:
+    """Fit the rim of a candidate, from a circle; None when there is no rim."""
     radius = float(candidates.radius_px[k])
     chart = np.array([*candidates.xy_px[k], np.log(radius), 0.0, np.log(radius)])
     direction = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
@@ -359,7 +405,7 @@ def _fit_candidate(
     scatter = max(fit.rms_px / minor, QUALITY_MIN_SCATTER_RADII)
     agreeing = fit.point_count / edges.tried
     evidence = np.array([candidates.correlation[k], agreeing, scatter, fit.arc_share])
-    return outlined, float(1.0 / (1.0 + np.exp(-(QUALITY_WEIGHTS @ evidence + QUALITY_OFFSET))))
+    return FittedCandidate(outlined, evidence, sun_angle_rad)
 
 
 def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:
