@@ -32,9 +32,9 @@ demo: $(VENV)/.core  ## simulate a lunar descent, reconstruct it, compare the es
 test: $(VENV)/.dev  ## run the tests and the notebooks, but for the slow ones
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-# The tests go to the processes one at a time, so that they are begun in order.
+# Files in rotated order, not the largest first; the tests of a file share what they simulate.
 test-slow: $(VENV)/.dev  ## run slow tests for 25 minutes (SLOW_MIN), beginning elsewhere every hour
-	$(BIN)/python -m pytest -n $(WORKERS) --dist load --maxschedchunk 1 -m slow --slow-budget-min $(SLOW_MIN)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m slow --slow-budget-min $(SLOW_MIN)
 
 test-all: $(VENV)/.dev  ## run every test, the slow ones too: hours
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "slow or not slow"
