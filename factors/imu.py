@@ -59,6 +59,13 @@ class ImuNoise:
             if not value > LEAST_DENSITY:
                 raise FactorError(f"{field.name}: expected a positive number, found {value}")
 
+    @property
+    def densities(self) -> FloatArray:
+        """All four (4,), in the order and units of the fields: what `kernels.strapdown` takes."""
+        return np.array(
+            [self.gyro_density, self.accelerometer_density, self.gyro_walk, self.accelerometer_walk]
+        )
+
 
 def preintegrate(
     noise: ImuNoise,

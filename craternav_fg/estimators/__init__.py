@@ -1,1 +1,1 @@
-"""From measurements to trajectories."""
+"""Estimators: trajectories from measurements."""

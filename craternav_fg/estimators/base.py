@@ -1,4 +1,4 @@
-"""What every estimator takes and gives."""
+"""The interface of all estimators: the problem they are given, and what they return."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -54,7 +54,7 @@ class Descent:
     initial : InitialState
         The prior, before the first frame.
     sensors : tuple of Sensor
-        Beside camera and IMU.
+        Other than camera and IMU.
     features : FeatureTracks or None
         Points tracked from frame to frame.
     """
@@ -105,7 +105,7 @@ class Problem(Descent):
     start : Start
         An estimator that begins from its covariance must not use its frame again.
     frames : sequence of FrameMeasurement
-        In the order of time; the first one's stamp is the initial state's.
+        In the order of time; the first frame's stamp is that of the initial state.
     """
 
     start: Start
@@ -113,13 +113,23 @@ class Problem(Descent):
 
 
 class Estimator(Protocol):
-    """From measurements to a trajectory at the frames' stamps."""
+    """An estimator: gives a trajectory at the frames' stamps from measurements."""
 
     @property
     def name(self) -> str:
-        """Under which its result is kept."""
+        """Name under which its results are stored."""
         ...
 
     def estimate(self, problem: Problem) -> Trajectory:
-        """Estimate pose, velocity and biases, with covariances, at every frame."""
+        """Estimate pose, velocity and biases, with covariances, at every frame.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        Trajectory
+            At the frames' stamps.
+        """
         ...

@@ -16,7 +16,6 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
 from craternav_fg.estimators.correlated_errors import RimErrorStates
 from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import (
     FactorGraph,
     GraphOptions,
@@ -29,6 +28,7 @@ from craternav_fg.estimators.graph import (
     push_interval,
     state_stamps,
 )
+from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
@@ -42,28 +42,31 @@ from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
+# Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
+# Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
+# Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
 MAX_OPTIMISATIONS = 5
-# Ends within a few hundredths of a sigma of an optimum.
-ROUGH = LmOptions(relative_tolerance=1e-5)
-# An optimum is doubted when its sum of squares is above this many times its degrees of freedom, and these
-# standard deviations more.
-DOUBT, DOUBT_SIGMAS = 1.3, 6.0
+# Of the first optimisation, which ends within a few hundredths of a sigma of the optimum.
+ROUGH_LM = LmOptions(relative_tolerance=1e-5)
+# An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
+# deviations more.
+SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
 
 
 class BatchSmoother:
-    """Levenberg-Marquardt over the whole descent, begun at the filter's result.
+    """Levenberg-Marquardt over the whole descent, started from the EKF's result.
 
-    That is the filter of ellipse charts for the centre-based baseline, too: what it reaches is then its own
-    optimum and no fault of its start. An optimum that the measurements contradict may be a wrong one: then
-    the online smoother's result, which costs more and rests less on the first frames, is begun at as well,
-    and the better optimum taken.
+    The start is that of the EKF on ellipse charts for the centre-based baseline as well: what the baseline
+    reaches is then its own optimum and not an effect of its start. An optimum whose chi-square is far too
+    large may be a local one. Then the online smoother's result, which costs more but depends less on the
+    first frames, is tried as a start too, and the better optimum is taken.
 
     Parameters
     ----------
     options : GraphOptions
         `rims="centre"` makes the centre-based baseline.
     name : str
-        Under which its result is kept.
+        Name under which its results are stored.
     """
 
     def __init__(self, options: GraphOptions = GraphOptions(), name: str = "smoother") -> None:
@@ -73,6 +76,14 @@ class BatchSmoother:
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from all data, with marginal covariances.
 
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        Trajectory
+
         Raises
         ------
         EstimationError
@@ -81,29 +92,29 @@ class BatchSmoother:
         found = []
         with suppress(EstimationError, np.linalg.LinAlgError):
             states = ekf().states(problem)[problem.start.frame :]
-            guess, numbers = initial_values(problem, problem.start, states, self.options.keyframe_s)
-            found.append(self._optimum(problem, guess, numbers))
-            if self.options.rims == "centre" or not _doubtful(*found[0]):
-                return trajectory(problem, self.options, *found[0], numbers)
+            guess, state_indices = initial_values(problem, problem.start, states, self.options.keyframe_s)
+            found.append(self._optimum(problem, guess, state_indices))
+            if self.options.rims == "centre" or not _suspect(*found[0]):
+                return trajectory(problem, self.options, *found[0], state_indices)
         session = OnlineSmoother(self.options).run(problem)
         try:
-            found.append(self._optimum(problem, session.smoothed_values(), session.frame_numbers))
+            found.append(self._optimum(problem, session.smoothed_values(), session.frame_state_indices))
         except EstimationError:
             if not found:
                 raise
         best = min(found, key=lambda one: one[0].error(one[1]))
-        return trajectory(problem, self.options, *best, session.frame_numbers)
+        return trajectory(problem, self.options, *best, session.frame_state_indices)
 
     def _optimum(
-        self, problem: Problem, values: gtsam.Values, numbers: Sequence[int]
+        self, problem: Problem, values: gtsam.Values, state_indices: Sequence[int]
     ) -> tuple[FactorGraph, gtsam.Values]:
-        """Optimise roughly, then with the rims with_predicted_covariances where that expects them."""
+        """Optimise roughly, then with the covariances evaluated at the rims that the result predicts."""
         if self.options.rims == "centre":
             return optimum(problem, self.options, values)
         graph = build_graph(problem, self.options, values)
-        values = levenberg_marquardt(graph, values, ROUGH).values
+        values = levenberg_marquardt(graph, values, ROUGH_LM).values
         letter = Y if self.options.calibration.of_exposure else X
-        poses = [values.atPose3(letter(number)).matrix() for number in numbers]
+        poses = [values.atPose3(letter(index)).matrix() for index in state_indices]
         frames = [
             with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
@@ -111,24 +122,24 @@ class BatchSmoother:
         return optimum(replace(problem, frames=frames), self.options, values, graph.intervals)
 
 
-def _doubtful(graph: FactorGraph, values: gtsam.Values) -> bool:
-    """Whether an optimum's sum of squares is far above what the covariances say."""
+def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
+    """Whether an optimum's chi-square is so large that it may be a local one."""
     rows = sum(graph.at(i).dim() for i in range(graph.size()))
     freedom = max(rows - values.dim(), 1)
-    return 2.0 * graph.error(values) > DOUBT * freedom + DOUBT_SIGMAS * np.sqrt(2.0 * freedom)
+    return 2.0 * graph.error(values) > SUSPECT_CHI2_RATIO * freedom + SUSPECT_SIGMAS * np.sqrt(2.0 * freedom)
 
 
 def optimum(
     problem: Problem, options: GraphOptions, values: gtsam.Values, intervals: Sequence[ImuInterval] = ()
 ) -> tuple[FactorGraph, gtsam.Values]:
-    """Optimise a whole descent, gravity's midpoints renewed until they stand.
+    """Optimise a whole descent, and repeat it until the points at which gravity is evaluated no longer move.
 
     Parameters
     ----------
     problem : Problem
     options : GraphOptions
     values : gtsam.Values
-        Start: of all states, each frame's, and those between.
+        Initial values of all states: those of the frames, and those between.
     intervals : sequence of ImuInterval
         Of an earlier graph of these states, which is then no longer used.
 
@@ -152,7 +163,7 @@ def optimum(
                 "initial state contradict each other (check frames, units and mounting)"
             )
         values = result.values
-        if not last or not _move_gravity(graph, problem.body, values):
+        if not last or not _update_gravity(graph, problem.body, values):
             break
     lost, count = _out_of_sight(problem, options, values)
     if 2 * lost > count:
@@ -161,16 +172,16 @@ def optimum(
 
 
 def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values) -> tuple[int, int]:
-    """Rims that their frame's pose cannot see, which have no pull on it; rims in all."""
-    lost = count = number = 0
+    """Count the rims that their frame's pose cannot see, which do not constrain it, and all rims."""
+    lost = count = index = 0
     stamp_ns = problem.frames[0].stamp_ns
     for frame in problem.frames:
         if frame.stamp_ns > stamp_ns:
-            number += len(state_stamps(stamp_ns, frame.stamp_ns, options.keyframe_s))
+            index += len(state_stamps(stamp_ns, frame.stamp_ns, options.keyframe_s))
             stamp_ns = frame.stamp_ns
         rows = frame.rims.craters
         centres, axes = problem.catalog.centres[rows], problem.catalog.axes[rows]
-        gTb = np.ascontiguousarray(values.atPose3(X(number)).matrix())
+        gTb = np.ascontiguousarray(values.atPose3(X(index)).matrix())
         lost += int(np.count_nonzero(~project_rims(gTb, problem.camera.bTc, centres, axes)[1]))
         count += len(rows)
     return lost, count
@@ -186,10 +197,10 @@ def build_graph(
     problem : Problem
     options : GraphOptions
     values : gtsam.Values
-        Of all states: each frame's, and those between. Gets what is estimated along, where it is missing:
+        Of all states: those of the frames, and those between. Further variables that are missing are added:
         errors of rims as zero.
     intervals : sequence of ImuInterval
-        Of an earlier graph of these states, which is then no longer used: its rows need no integration.
+        Of an earlier graph of these states, which is then no longer used. They need no preintegration.
 
     Returns
     -------
@@ -205,11 +216,11 @@ def build_graph(
     known: set[int] = set()
     add_calibration(graph, values, options.calibration)
 
-    def add_image(number: int, frame: FrameMeasurement) -> None:
-        key = int(X(number))
+    def add_image(index: int, frame: FrameMeasurement) -> None:
+        key = int(X(index))
         if options.calibration.of_exposure:
-            state = values.atPose3(key), values.atVector(V(number)), values.atConstantBias(B(number))
-            key = add_exposure(graph, values, problem, options.calibration, number, frame.stamp_ns, state)
+            state = values.atPose3(key), values.atVector(V(index)), values.atConstantBias(B(index))
+            key = add_exposure(graph, values, problem, options.calibration, index, frame.stamp_ns, state)
         errors: list[ChartError] = []
         if options.rims == "chart":
             exposed = values.atPose3(key).matrix()
@@ -218,39 +229,41 @@ def build_graph(
             graph, problem, options, key, frame, states=states, values=added, map_errors=errors,
             near=values.atPose3(key).matrix(),
         )  # fmt: skip
-        add_sensors(graph, added, problem, bank.at(frame.stamp_ns), number, frame.stamp_ns)
+        add_sensors(graph, added, problem, bank.at(frame.stamp_ns), index, frame.stamp_ns)
         if features is not None:
             features.enter(
-                graph, added, number, frame.stamp_ns, lambda n: values.atPose3(X(n)).matrix(), values.exists
+                graph, added, index, frame.stamp_ns, lambda n: values.atPose3(X(n)).matrix(), values.exists
             )
 
     add_image(0, problem.frames[0])
-    number = 0
+    index = 0
     for before, frame in itertools.pairwise(problem.frames):
         stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, options.keyframe_s)]
         for begin_ns, end_ns in itertools.pairwise(stamps):
-            ends = [values.atPose3(X(i)).translation() for i in (number, number + 1)]
+            ends = [values.atPose3(X(i)).translation() for i in (index, index + 1)]
             midpoint = 0.5 * (ends[0] + ends[1])
             if intervals:
-                push_interval(graph, intervals[number].moved(problem.body, midpoint))
+                push_interval(graph, intervals[index].with_gravity_at(problem.body, midpoint))
             else:
-                bias = bias_vector(values.atConstantBias(B(number)))
-                add_imu(graph, problem, number, int(begin_ns), int(end_ns), midpoint, bias)
-            number += 1
-        add_image(number, frame)
+                bias = bias_vector(values.atConstantBias(B(index)))
+                add_imu(graph, problem, index, int(begin_ns), int(end_ns), midpoint, bias)
+            index += 1
+        add_image(index, frame)
     for key in added.keys():  # noqa: SIM118 (Values is no mapping)
         if not values.exists(key):
             values.insert(key, added.atVector(key))
     return graph
 
 
-def _move_gravity(graph: FactorGraph, body: Body, values: gtsam.Values) -> bool:
-    """Take gravity where the states now are; False when it was there already."""
+def _update_gravity(graph: FactorGraph, body: Body, values: gtsam.Values) -> bool:
+    """Evaluate gravity where the states now are; False when that is where it was evaluated."""
     before = graph.intervals
-    states = [one.number for one in before] + [before[-1].number + 1] if before else []
+    states = [one.index for one in before] + [before[-1].index + 1] if before else []
     positions = np.array([values.atPose3(X(i)).translation() for i in states]).reshape(-1, 3)
     midpoints = 0.5 * (positions[1:] + positions[:-1])
-    graph.intervals = [one.moved(body, midpoint) for one, midpoint in zip(before, midpoints, strict=True)]
+    graph.intervals = [
+        one.with_gravity_at(body, midpoint) for one, midpoint in zip(before, midpoints, strict=True)
+    ]
     steps = [float(np.linalg.norm(one.midpoint - m)) for one, m in zip(before, midpoints, strict=True)]
     return max(steps, default=0.0) >= MIDPOINT_TOLERANCE_M
 
@@ -260,9 +273,9 @@ def trajectory(
     options: GraphOptions,
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    numbers: list[int],
+    state_indices: list[int],
 ) -> Trajectory:
-    """Gather the states of the frames and their marginal covariances.
+    """Read the states of the frames and their marginal covariances from an optimum.
 
     Parameters
     ----------
@@ -272,7 +285,7 @@ def trajectory(
         Of the whole descent.
     values : gtsam.Values
         Its optimum.
-    numbers : list of int
+    state_indices : list of int
         Of the frames' states.
 
     Returns
@@ -280,19 +293,21 @@ def trajectory(
     Trajectory
     """
     tree = bayes_tree(graph, values)
-    gTb = np.array([values.atPose3(X(n)).matrix() for n in numbers])
+    gTb = np.array([values.atPose3(X(n)).matrix() for n in state_indices])
     return Trajectory(
         stamps_ns=np.array([frame.stamp_ns for frame in problem.frames], dtype=np.int64),
         gTb=gTb,
-        gV=np.array([values.atVector(V(n)) for n in numbers]),
-        bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in numbers]),
+        gV=np.array([values.atVector(V(n)) for n in state_indices]),
+        bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in state_indices]),
         pose_covariance=np.array(
             [
                 rotate_position_block(tree.marginalCovariance(X(n)), T[:3, :3])
-                for n, T in zip(numbers, gTb, strict=True)
+                for n, T in zip(state_indices, gTb, strict=True)
             ]
         ),
-        velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in numbers]),
-        bias_covariance=np.array([bias_covariance_ours(tree.marginalCovariance(B(n))) for n in numbers]),
+        velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in state_indices]),
+        bias_covariance=np.array(
+            [bias_covariance_ours(tree.marginalCovariance(B(n))) for n in state_indices]
+        ),
         calibrated=calibrated(tree, values, options.calibration, problem),
     )

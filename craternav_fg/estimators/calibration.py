@@ -1,4 +1,4 @@
-"""The camera's mounting, the delay of its images and errors of the map, estimated along with a descent."""
+"""Self-calibration and map refinement: mounting, time offset and errors of the map as variables."""
 
 from dataclasses import dataclass, fields
 
@@ -19,26 +19,26 @@ from factors.kernels.rim_errors import ground_slopes
 FloatArray = npt.NDArray[np.float64]
 
 MOUNTING_KEY, DELAY_KEY = C(0), D(0)
-# The camera's place on the lander is known far better than images tell.
+# The camera's position on the lander is known far better than images tell.
 LEVER_SIGMA_M = 1e-3
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is estimated along: standard deviations before the first image, 0 for what is known.
+    """What is estimated beside the trajectory: prior standard deviations, 0 for what is taken as known.
 
     Attributes
     ----------
     mounting_sigma_rad : float
-        Of the camera's rotation on the lander, per axis.
+        Of the camera's rotation relative to the body, per axis.
     time_offset_sigma_s : float
-        Of the camera-IMU time offset: from an image's stamp to its exposure, the same for all images.
+        Of the camera-IMU time offset, from an image's stamp to its exposure, the same for all images.
     map_place_sigma : float
-        Of a crater's place on the map, east and north, as a part of its mean radius.
+        Of a crater's place on the map, east and north, as a share of its mean radius.
     map_height_sigma : float
-        Of its rim's height, as a part of its mean radius.
+        Of its rim's height, as a share of its mean radius.
     map_size_sigma : float
-        Of its semi-axes, each as a part of itself.
+        Of its semi-axes, each as a share of itself.
     """
 
     mounting_sigma_rad: float = 0.0
@@ -55,19 +55,26 @@ class Calibration:
 
     @property
     def of_exposure(self) -> bool:
-        """Whether an exposure's pose is another one than the state's at its stamp."""
+        """Whether the pose at an exposure differs from that at the image's stamp."""
         return self.mounting_sigma_rad > 0.0 or self.time_offset_sigma_s > 0.0
 
     @property
     def map_sigmas(self) -> FloatArray:
-        """Standard deviations (6,) of a crater's errors, in the order of `ground_slopes`."""
+        """Standard deviations (6,) of a crater's errors, as shares, in the order of `ground_slopes`."""
         place, height, size = self.map_place_sigma, self.map_height_sigma, self.map_size_sigma
-        # The shear of independent axes whose directions mean nothing: a circle has none.
+        # The shear follows from independent errors of the axes, whose directions are arbitrary for a circle.
         return np.array([place, place, height, size, np.sqrt(0.5) * size, size])
 
 
 def add_calibration(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: Calibration) -> None:
-    """Add the priors of what is estimated along to a graph, and where it is missing its start to values."""
+    """Add the priors of the calibration's variables to a graph, and missing variables to values.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+    options : Calibration
+    """
     if options.mounting_sigma_rad > 0.0:
         sigmas = np.repeat([options.mounting_sigma_rad, LEVER_SIGMA_M], 3)
         noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
@@ -86,11 +93,11 @@ def add_exposure(
     values: gtsam.Values,
     descent: Descent,
     options: Calibration,
-    number: int,
+    index: int,
     stamp_ns: int,
     state: tuple[gtsam.Pose3, FloatArray, gtsam.imuBias.ConstantBias],
 ) -> int:
-    """Add the pose of an exposure; its key is that of the image's factors.
+    """Add the pose of an exposure as a variable.
 
     Parameters
     ----------
@@ -99,16 +106,18 @@ def add_exposure(
         Gets the exposure's pose, if it has none.
     descent : Descent
     options : Calibration
-    number : int
-        Of the state at the image's stamp.
+    index : int
+        Index of the state at the image's stamp.
     stamp_ns : int
         The image's.
     state : (Pose3, ndarray, ConstantBias)
-        Pose, velocity and bias there: good to a few per cent of the motion during a delay.
+        Pose, velocity (3,) in g, m/s, and bias there, accurate to a few per cent of the motion during the
+        offset.
 
     Returns
     -------
     int
+        Key of that pose, to which the image's factors are attached.
     """
     pose, gV, bias = state
     gRb = pose.rotation().matrix()
@@ -118,10 +127,10 @@ def add_exposure(
         "delay_key": DELAY_KEY if options.time_offset_sigma_s > 0.0 else None,
         "mounting_key": MOUNTING_KEY if options.mounting_sigma_rad > 0.0 else None,
     }
-    graph.push_back(exposure_factor(X(number), Y(number), twist, **keys))
-    if not values.exists(Y(number)):
-        values.insert(Y(number), pose)
-    return int(Y(number))
+    graph.push_back(exposure_factor(X(index), Y(index), twist, **keys))
+    if not values.exists(Y(index)):
+        values.insert(Y(index), pose)
+    return int(Y(index))
 
 
 def map_errors(
@@ -133,7 +142,7 @@ def map_errors(
     gTb: FloatArray,
     known: set[int],
 ) -> list[ChartError]:
-    """Give a frame's rims the errors that their craters have on the map: one vector for each crater.
+    """Make the errors of the craters on the map variables of a frame's rims: one vector for each crater.
 
     Parameters
     ----------
@@ -145,14 +154,15 @@ def map_errors(
     options : Calibration
     rims : RimSet
     gTb : ndarray, shape (4, 4)
-        Pose of the lander to a per cent of the range: what an error on the ground does to the image.
+        Pose of the body in g, accurate to a per cent of the range: it tells what an error on the ground does
+        to the image.
     known : set of int
         Craters whose priors the graph has; gets those that are new.
 
     Returns
     -------
     list of ChartError
-        Empty when the map is taken as right.
+        Empty when the map is taken as exact.
     """
     sigmas = options.map_sigmas
     if not sigmas.any():
@@ -176,7 +186,21 @@ def map_errors(
 def calibrated(
     tree: gtsam.ISAM2, values: gtsam.Values, options: Calibration, problem: Problem
 ) -> Calibrated | None:
-    """Read what was estimated along off an optimum; None when there was nothing."""
+    """Read the calibration from an optimum.
+
+    Parameters
+    ----------
+    tree : gtsam.ISAM2
+        For the marginal covariances.
+    values : gtsam.Values
+    options : Calibration
+    problem : Problem
+
+    Returns
+    -------
+    Calibrated or None
+        None when nothing was calibrated.
+    """
     mounting = delay = craters = None
     if options.mounting_sigma_rad > 0.0:
         turn = frames.rotation_log(values.atPose3(MOUNTING_KEY).rotation().matrix())
@@ -196,7 +220,7 @@ def calibrated(
 
 
 def _angular_velocity(descent: Descent, stamp_ns: int) -> FloatArray:
-    """Mean of the gyro's rows on both sides of a stamp, rad/s."""
+    """Mean of the gyro's rows before and after a stamp, (3,), in b, rad/s."""
     stamps, gyro = descent.imu.stamps_ns, descent.imu.gyro
     after = int(np.searchsorted(stamps, stamp_ns, side="right"))
     rows = np.clip([after - 1, after], 0, len(stamps) - 1)

@@ -1,10 +1,10 @@
-"""A start and a first guess at every frame that many wrong matches do not spoil.
+"""A start and first states that many wrong matches do not spoil.
 
-Two rims of an image determine the pose with four conditions to spare, so two wrong ones hardly ever agree
-with each other and the prior. Pairs of the first frames are tried; each that agrees is tracked through those
-frames by a filter that takes, of every image, the rims that agree with one another; the one that explains
-most of all rims wins: the consensus of minimal sets of Fischler and Bolles (1981), with the truncated cost
-of Torr and Zisserman (2000).
+Two rims of an image determine the pose with four redundant measurements, so two wrong matches hardly ever
+agree with each other and the prior. Pairs of the first frames are tried. Each pair that agrees gives a start;
+a filter that uses, in every image, the rims that agree with one another tracks it through those frames. The
+start that explains most of all rims wins: the consensus of minimal sets of Fischler and Bolles (1981), with
+the truncated cost of Torr and Zisserman (2000).
 """
 
 import itertools
@@ -29,16 +29,16 @@ from craternav_fg.measurements import FrameMeasurement, RimSet
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-# Frames with rims from which pairs are taken, and over which what follows from them is judged.
-WINDOW = 5
-# Pairs are tried until one of right matches only has been missed with this probability.
-MISS = 1e-6
+# Number of first frames with rims from which pairs are taken, and over which a start is judged.
+WINDOW_FRAMES = 5
+# Pairs are tried until the probability that none of them had right matches only is below this.
+MISS_PROBABILITY = 1e-6
 MAX_PAIRS = 100
 
 
 @dataclass(frozen=True)
 class Track:
-    """States at the frames from the start on, by a filter that chooses its rims.
+    """States at the frames from the start on, by a filter that selects its rims.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class Track:
         Its first frame and the pose there.
     states : list of FilterState
         At the start's frame and those after it.
-    kept : list of ndarray of bool
+    kept : list of ndarray of bool, shape (n,)
         For each of these frames, the rims that were used.
     cost : float
-        Squared distance of the start from the prior and of every rim from its prediction, that of a rim
-        which is not kept truncated.
+        Squared distance of the start from the prior and of every rim from its prediction, truncated for a rim
+        that is not used.
     """
 
     start: Start
@@ -78,7 +78,7 @@ def robust_track(problem: Problem, limit2: float, options: GraphOptions = GraphO
     seen = [k for k, frame in enumerate(problem.frames) if len(frame.rims)]
     if not seen:
         return _track(problem, problem.start, problem.frames, limit2)
-    window = seen[:WINDOW]
+    window = seen[:WINDOW_FRAMES]
     early = problem.frames[: window[-1] + 1]
     total = sum(len(frame.rims) for frame in early)
     best: Track | None = None
@@ -92,7 +92,7 @@ def robust_track(problem: Problem, limit2: float, options: GraphOptions = GraphO
             if cost < best_cost:
                 best, best_cost = track, cost
         share = 0.0 if best is None else sum(int(kept.sum()) for kept in best.kept) / total
-        if tried >= MAX_PAIRS or (1.0 - share**2) ** tried < MISS:
+        if tried >= MAX_PAIRS or (1.0 - share**2) ** tried < MISS_PROBABILITY:
             break
     return _track(problem, problem.start if best is None else best.start, problem.frames, limit2)
 
@@ -100,7 +100,7 @@ def robust_track(problem: Problem, limit2: float, options: GraphOptions = GraphO
 def _minimal_sets(
     frames: Sequence[FrameMeasurement], window: Sequence[int]
 ) -> Iterator[tuple[int, npt.NDArray[np.int64]]]:
-    """Frames' numbers and two of their rims; every rim twice before any comes a third time."""
+    """Pairs of a frame's index and two of its rims; every rim twice before any comes a third time."""
     most = max(len(frames[k].rims) for k in window)
     for apart in range(1, most // 2 + 1):
         for k in window:
@@ -112,7 +112,7 @@ def _minimal_sets(
 def _start(
     problem: Problem, number: int, pair: npt.NDArray[np.int64], limit2: float, options: GraphOptions
 ) -> Start | None:
-    """Start from two rims of a frame and those that agree with them; None when the two don't agree."""
+    """Start from two rims of a frame and those that agree with them; None when the two do not agree."""
     frame = problem.frames[number]
     before = [replace(f, rims=RimSet.empty()) for f in problem.frames[:number]]
 
@@ -130,10 +130,10 @@ def _start(
 
 
 def _track(problem: Problem, start: Start, frames: Sequence[FrameMeasurement], limit2: float) -> Track:
-    """Carry a start on through frames."""
+    """Track a start through frames."""
     first = start.frame
-    states = filter_state.until_start(replace(problem, start=start))
-    prior = filter_state.carried_prior(problem, frames[: first + 1])[-1]
+    states = filter_state.states_to_start(replace(problem, start=start))
+    prior = filter_state.propagated_prior(problem, frames[: first + 1])[-1]
     off = states[-1].minus(prior)[POSE]
     cost = float(squared_distance(off, prior.covariance[POSE, POSE]))
     _, residual, usable = _linearised(problem, frames[first], start.gTb)
@@ -152,7 +152,7 @@ def _track(problem: Problem, start: Start, frames: Sequence[FrameMeasurement], l
         if sun is not None:
             updates.append(sun)
         if updates:
-            state = state.moved(*fuse_updates(state.covariance, updates, "exact"))
+            state = state.corrected(*fuse_updates(state.covariance, updates, "exact"))
         states.append(state)
     return Track(start, states, kept, cost)
 
@@ -160,6 +160,7 @@ def _track(problem: Problem, start: Start, frames: Sequence[FrameMeasurement], l
 def _linearised(
     descent: Descent, frame: FrameMeasurement, gTb: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Linearise a frame's rims at a pose, with time-correlated errors treated as white."""
     camera, catalog = descent.camera, descent.catalog
     rims = with_predicted_covariances(frame, gTb, camera, catalog).rims.inflate_correlated(VARIANCE_INFLATION)
     return linearise_rims(gTb, rims, camera, catalog, model="chart", noise="measured")
@@ -168,15 +169,15 @@ def _linearised(
 def agreeing(
     A: FloatArray, residual: FloatArray, usable: BoolArray, covariance: FloatArray, limit2: float
 ) -> tuple[BoolArray, float]:
-    """Rims of a frame that agree with a predicted pose and with one another.
+    """Select the rims of a frame that agree with a predicted pose and with one another.
 
-    Each rim that agrees with the prediction corrects it in turn; the corrected pose which leaves the
-    smallest truncated cost tells which rims agree.
+    Each rim that agrees with the prediction corrects it in turn. The corrected pose with the smallest
+    truncated cost decides which rims agree.
 
     Parameters
     ----------
     A : ndarray, shape (n, m, 6)
-        Whitened derivatives for the pose's error.
+        Whitened derivatives in the pose's error.
     residual : ndarray, shape (n, m)
         Whitened, measured minus predicted.
     usable : ndarray of bool, shape (n,)
@@ -190,7 +191,7 @@ def agreeing(
     -------
     kept : ndarray of bool, shape (n,)
     cost : float
-        Squared norms, truncated at the limit.
+        Sum of squared norms, each truncated at the limit.
     """
     n, m = residual.shape
     predicted = A @ covariance @ np.swapaxes(A, 1, 2) + np.eye(m)

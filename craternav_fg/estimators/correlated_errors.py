@@ -1,11 +1,11 @@
-"""Errors of rims that outlast a frame, as variables: which there are, and how they hang together.
+"""Time-correlated errors of rims as variables of the graph.
 
-A rim's image is wrong by what its ground differs from an ellipse, by what the map has wrong, by the light.
-That is nearly the same in the next frame, and less and less so as the rim is seen in another size and from
-another side. A measurement says how large this part is; here it becomes a Gauss-Markov process of unit
-variance for each crater (`RimSet.correlated`) and one constant vector for what all rims of a descent share
-(`RimSet.shared`). What has no such variable is taken as new in each frame, and counted as often: arcs, and
-all of it by estimators that have none.
+A rim's image deviates from the prediction by the ground's deviation from an ellipse, by errors of the map and
+by the illumination. This error is nearly the same in the next frame, and less and less so as the rim is seen
+in another size and from another side. A measurement says how large this part is. Here it becomes a
+Gauss-Markov process of unit variance for each crater (`RimSet.correlated`) and one constant vector for what
+all rims of a descent share (`RimSet.shared`). Errors without such a variable are treated as white and their
+variance is inflated: those of arcs, and all of them in estimators that have no such variables.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from factors.conic_shape import ChartError
 
 FloatArray = npt.NDArray[np.float64]
 
-LETTER, SIZE = "r", 5
+ERROR_LETTER, ERROR_SIZE = "r", 5
 SHARED_KEY: int = gtsam.symbol("s", 0)
 # How often what lasts counts where it is taken as new in each frame: it does not average out over the frames
 # that show a crater, half of ten or so, as neighbouring rims do not all err alike.
@@ -31,16 +31,15 @@ VARIANCE_INFLATION = 5.0
 
 @dataclass(frozen=True)
 class RimErrorOptions:
-    """How correlated errors are modelled.
+    """How time-correlated errors are modelled.
 
     Attributes
     ----------
     decay : float
-        Change of a rim's image, see `ellipse.shape_change`, over which the correlation of its error
-        falls to 1/e.
+        Change of a rim's image, see `ellipse.shape_change`, over which the correlation of its error falls to
+        1/e.
     step : float
-        Change below which the error is taken to be the same variable: 0 makes one for every rim of every
-        frame.
+        Change below which the error is the same variable; 0 makes one for every rim of every frame.
     """
 
     decay: float = 0.8
@@ -60,7 +59,7 @@ class _Track:
 
 
 class RimErrorStates:
-    """Variables of the errors, frame by frame.
+    """The variables of time-correlated errors, frame by frame.
 
     Parameters
     ----------
@@ -88,7 +87,8 @@ class RimErrorStates:
         graph : gtsam.NonlinearFactorGraph
         values : gtsam.Values
         holds : callable, optional
-            Whether the solver still has a variable of an earlier frame; all of them, if it is not given.
+            holds(key): whether the solver still has a variable of an earlier frame. Without it, all of them
+            are held.
 
         Returns
         -------
@@ -124,12 +124,12 @@ class RimErrorStates:
     def _next(
         self, before: int | None, change: float, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
     ) -> int:
-        key: int = gtsam.symbol(LETTER, self._count)
+        key: int = gtsam.symbol(ERROR_LETTER, self._count)
         self._count += 1
-        values.insert(key, np.zeros(SIZE))
+        values.insert(key, np.zeros(ERROR_SIZE))
         correlation = 0.0 if before is None else float(np.exp(-change / self._options.decay))
-        noise = gtsam.noiseModel.Isotropic.Sigma(SIZE, np.sqrt(1.0 - correlation * correlation))
-        unit, zero = np.eye(SIZE), np.zeros(SIZE)
+        noise = gtsam.noiseModel.Isotropic.Sigma(ERROR_SIZE, np.sqrt(1.0 - correlation * correlation))
+        unit, zero = np.eye(ERROR_SIZE), np.zeros(ERROR_SIZE)
         point = gtsam.Values()
         point.insert(key, zero)
         if before is None:

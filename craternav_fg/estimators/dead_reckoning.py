@@ -1,4 +1,4 @@
-"""Dead reckoning: the start carried on by the IMU alone."""
+"""Dead reckoning: the start propagated by the IMU alone."""
 
 import itertools
 
@@ -8,12 +8,20 @@ from craternav_fg.trajectory import Trajectory
 
 
 class DeadReckoning:
-    """Inertial navigation without images: what every other estimator has to beat."""
+    """Inertial navigation without images: the baseline of every other estimator."""
 
     name = "dead_reckoning"
 
     def estimate(self, problem: Problem) -> Trajectory:
         """Propagate the start and its covariance to every frame.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        Trajectory
 
         Raises
         ------
@@ -21,7 +29,7 @@ class DeadReckoning:
             When the IMU log does not cover the frames.
         """
         stamps = [frame.stamp_ns for frame in problem.frames]
-        states = filter_state.until_start(problem)
+        states = filter_state.states_to_start(problem)
         for begin_ns, end_ns in itertools.pairwise(stamps[problem.start.frame :]):
             states.append(filter_state.propagate(states[-1], problem, begin_ns, end_ns))
         return filter_state.trajectory(stamps, states)

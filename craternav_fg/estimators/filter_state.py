@@ -1,4 +1,4 @@
-"""State of a recursive filter: mean, covariance, propagation by the IMU, and small corrections."""
+"""State of a recursive filter: mean and covariance, propagation by the IMU, corrections."""
 
 import itertools
 from collections.abc import Sequence
@@ -35,13 +35,13 @@ class FilterState:
     Attributes
     ----------
     gTb : ndarray, shape (4, 4)
-        Pose of the body in g.
+        Pose of the body in g, m.
     gV : ndarray, shape (3,)
         Velocity relative to g, in g, m/s.
     rate : ndarray, shape (3,)
         Inertial angular velocity in b, rad/s.
     bias : ndarray, shape (6,)
-        Gyro (rad/s), accelerometer (m/s^2).
+        Gyro (rad/s), accelerometer (m/s^2), in b.
     covariance : ndarray, shape (18 + b, 18 + b)
         Of the errors of attitude (rotation vector in b, R_true = R exp(phi)), position and velocity
         (in g), angular velocity (in b), gyro bias, accelerometer bias, sensors' biases; truth minus
@@ -57,11 +57,20 @@ class FilterState:
     covariance: FloatArray
     sensor_bias: FloatArray = field(default_factory=lambda: np.empty(0))
 
-    def moved(self, delta: FloatArray, covariance: FloatArray) -> "FilterState":
-        """Correct the mean by an error-state vector (18,).
+    def corrected(self, delta: FloatArray, covariance: FloatArray) -> "FilterState":
+        """Correct the mean by an error-state vector.
 
-        `covariance` (18, 18) is that of the error about `delta`, in the coordinates of this state; the
-        result's refers to the corrected attitude.
+        Parameters
+        ----------
+        delta : ndarray, shape (18 + b,)
+            Correction, in the units of the error state.
+        covariance : ndarray, shape (18 + b, 18 + b)
+            Of the error about `delta`, in the coordinates of this state.
+
+        Returns
+        -------
+        FilterState
+            Its covariance refers to the corrected attitude.
         """
         gTb = self.gTb.copy()
         gTb[:3, :3] = self.gTb[:3, :3] @ frames.rotation_exp(delta[ATTITUDE])
@@ -80,7 +89,17 @@ class FilterState:
         )
 
     def minus(self, reference: "FilterState") -> FloatArray:
-        """Error-state vector (18,) that moves the reference's mean to this one's."""
+        """Difference of two means in the error state.
+
+        Parameters
+        ----------
+        reference : FilterState
+
+        Returns
+        -------
+        ndarray, shape (18 + b,)
+            Error-state vector that takes the reference's mean to this one's.
+        """
         return np.concatenate(
             [
                 frames.rotation_log(reference.gTb[:3, :3].T @ self.gTb[:3, :3]),
@@ -94,7 +113,7 @@ class FilterState:
 
 
 def prior(descent: Descent) -> FilterState:
-    """State at the first frame, before it is looked at."""
+    """State at the first frame, before any measurement."""
     initial = descent.initial
     biases = np.concatenate([np.empty(0), *(sensor.bias_sigmas for sensor in descent.sensors)])
     covariance = np.zeros((SIZE + len(biases), SIZE + len(biases)))
@@ -119,26 +138,39 @@ def prior(descent: Descent) -> FilterState:
     )
 
 
-def carried_prior(descent: Descent, frames: Sequence[FrameMeasurement]) -> list[FilterState]:
-    """States at frames: the prior at the first, carried on by the IMU alone."""
+def propagated_prior(descent: Descent, frames: Sequence[FrameMeasurement]) -> list[FilterState]:
+    """States at frames: the prior at the first, propagated by the IMU alone."""
     states = [prior(descent)]
     for before, frame in itertools.pairwise(frames):
         states.append(propagate(states[-1], descent, before.stamp_ns, frame.stamp_ns))
     return states
 
 
-def until_start(problem: Problem) -> list[FilterState]:
-    """States at the frames up to the start's: the prior carried on by the IMU, then the start.
+def states_to_start(problem: Problem) -> list[FilterState]:
+    """States at the frames up to the start's: the prior propagated by the IMU, then the start.
 
-    The start gives the pose; velocity and biases follow it as far as the prior ties them to the pose.
+    The start gives the pose; velocity and biases follow from their correlation with the pose in the prior.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Returns
+    -------
+    list of FilterState
+
+    Raises
+    ------
+    ValueError
+        When the IMU log does not cover the frames.
     """
-    states = carried_prior(problem, problem.frames[: problem.start.frame + 1])
+    states = propagated_prior(problem, problem.frames[: problem.start.frame + 1])
     states[-1] = _conditioned(states[-1], problem.start.gTb, problem.start.pose_covariance)
     return states
 
 
 def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArray) -> FilterState:
-    """Replace the pose's distribution; what is left keeps its distribution given the pose."""
+    """Replace the pose's distribution; the other states keep their distribution given the pose."""
     step = np.concatenate(
         [
             frames.rotation_log(state.gTb[:3, :3].T @ gTb[:3, :3]),
@@ -165,7 +197,18 @@ def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArra
 
 
 def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) -> FilterState:
-    """Carry a state over an interval by the IMU alone.
+    """Propagate a state over an interval by the IMU alone.
+
+    Parameters
+    ----------
+    state : FilterState
+    descent : Descent
+    begin_ns, end_ns : int
+        The interval.
+
+    Returns
+    -------
+    FilterState
 
     Raises
     ------
@@ -173,11 +216,8 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
         When the IMU log does not cover the interval.
     """
     rows = descent.imu.between(begin_ns, end_ns)
-    noise = descent.imu_noise
     body = descent.body.mu_m3_s2, np.array(descent.body.spin_rad_s)
-    densities = np.array(
-        [noise.gyro_density, noise.accelerometer_density, noise.gyro_walk, noise.accelerometer_walk]
-    )
+    densities = descent.imu_noise.densities
     core = np.ascontiguousarray(state.covariance[:SIZE, :SIZE])
     gTb, gV, rate, covariance = strapdown.propagate(
         state.gTb, state.gV, state.bias, core, *rows, *body, densities
@@ -195,7 +235,7 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
 
 
 def trajectory(stamps_ns: Sequence[int], states: Sequence[FilterState]) -> Trajectory:
-    """Gather a filter's states, one per stamp."""
+    """Gather a filter's states, one per stamp, as a trajectory."""
     covariances = np.array([state.covariance for state in states])
     return Trajectory(
         stamps_ns=np.array(stamps_ns, dtype=np.int64),

@@ -1,8 +1,8 @@
-"""The batch smoother for many wrong matches: graduated non-convexity with truncated least squares.
+"""The batch smoother for many wrong matches: graduated non-convexity (GNC) with truncated least squares.
 
 Yang, Antonante, Tzoumas, Carlone, "Graduated non-convexity for robust spatial perception", RA-L 5 (2), 2020.
-GTSAM's own optimiser for it refuses custom factors; here Levenberg-Marquardt runs on a graph whose rims are
-weighted anew in every round.
+GTSAM's own GNC optimiser refuses custom factors. Here Levenberg-Marquardt runs on a graph whose rims are
+reweighted in every round.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
 from craternav_fg.estimators.consensus import Track, robust_track
 from craternav_fg.estimators.filter_state import POSE
-from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
+from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.linearisation import linearise_arcs
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
@@ -33,13 +33,16 @@ from factors.kernels.validity import UNSEEN
 
 FloatArray = npt.NDArray[np.float64]
 
-# Within a round the weights are not final: few steps are enough.
-COARSE = LmOptions(max_iterations=2, relative_tolerance=1e-3)
+# Within a round, whose weights are not final: few steps are enough.
+COARSE_LM = LmOptions(max_iterations=2, relative_tolerance=1e-3)
+# At a growth of 1.4 the control parameter grows by 6e8 in as many rounds.
+# At a growth of 1.4 the control parameter grows by 6e8 in as many rounds.
+# At a growth of 1.4 the control parameter grows by 6e8 in as many rounds.
 MAX_ROUNDS = 60
-# A rim of less weight is left out.
-LEAST_WEIGHT = 1e-3
-# Components of a rim's residual, by the kind of measurement.
-COMPONENTS = {"chart": 5, "centre": 2}
+# A rim of less weight is left out: its covariance would grow a thousandfold.
+MIN_WEIGHT = 1e-3
+# Number of components of a rim's residual, by the kind of measurement.
+RESIDUAL_SIZE = {"chart": 5, "centre": 2}
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,13 @@ class GncOptions:
     Attributes
     ----------
     inlier_probability : float
-        Share of the right matches to be kept: the limit is this quantile of chi-square, 4.5 sigma at 0.999.
+        Share of the right matches to be kept: a rim's limit is this quantile of chi-square, 4.5 sigma at
+        0.999.
     growth : float
-        By which the control parameter grows each round: Yang et al. take 1.4. Nearer to 1 is slower and
-        loses the way less.
+        Factor by which the control parameter grows each round; Yang et al. use 1.4. A smaller one is slower
+        and follows the optimum more closely.
     graph : GraphOptions
-        Of the last optimisation, on the kept rims; its loss is not used before.
+        Of the last optimisation, on the inliers; its loss is not used before.
     """
 
     inlier_probability: float = 0.999
@@ -72,14 +76,14 @@ class GncOptions:
 
 @dataclass(frozen=True)
 class _Decided:
-    """What the rounds found.
+    """Result of the rounds.
 
     Attributes
     ----------
     weights : list of ndarray
-        Of each frame's matches: 1 right, 0 wrong.
+        Of each frame's matches: 1 inlier, 0 outlier.
     values : gtsam.Values
-        Near the optimum with these.
+        Near the optimum with these weights.
     poses : list of ndarray, shape (4, 4)
         Of the body in g at each frame's exposure.
     intervals : list of ImuInterval
@@ -92,10 +96,10 @@ class _Decided:
 
 
 class GncSmoother:
-    """Batch smoother that decides of each rim whether its match is right.
+    """Batch smoother that decides for each rim whether its match is right.
 
-    One whose match is not is looked up in the catalogue again (`rematched`), and used for the crater it is
-    of, or not at all. An arc that does not fit its crater is left out.
+    A rim with a wrong match is re-associated with the catalogue (`rematched`) and used for the crater it
+    belongs to, or not at all. An arc that is an outlier is left out.
 
     Parameters
     ----------
@@ -108,12 +112,16 @@ class GncSmoother:
         self.options = options
 
     def estimate(self, problem: Problem) -> Trajectory:
-        """Estimate the state at every frame from all data that is not found wrong.
+        """Estimate the state at every frame from all data but outliers.
+
+        Parameters
+        ----------
+        problem : Problem
 
         Returns
         -------
         Trajectory
-            With the weights of the matches, 1 right and 0 wrong, and the craters that rims are taken for.
+            With the weights of the matches, 1 inlier and 0 outlier, and the craters that rims are used for.
 
         Raises
         ------
@@ -121,7 +129,7 @@ class GncSmoother:
             When the optimisation does not converge.
         """
         options = self.options.graph
-        track = robust_track(problem, self._limit2(COMPONENTS["chart"]), options)
+        track = robust_track(problem, self._limit2(RESIDUAL_SIZE["chart"]), options)
         values, numbers = initial_values(problem, track.start, track.states, options.keyframe_s)
         decided = self._decide(problem, track, values, numbers)
         frames, craters = [], []
@@ -131,7 +139,7 @@ class GncSmoother:
         ):
             taken = rematched(
                 frame.rims, weights > 0.0, gTb, problem.camera, problem.catalog,
-                self._limit2(COMPONENTS["chart"]),
+                self._limit2(RESIDUAL_SIZE["chart"]),
             )  # fmt: skip
             craters.append(taken)
             rims = replace(frame.rims, craters=taken).take(taken != NO_CRATER)
@@ -148,7 +156,7 @@ class GncSmoother:
         return float(chi2.ppf(self.options.inlier_probability, freedom))
 
     def _fitting(self, problem: Problem, arcs: ArcSet, gTb: FloatArray, covariance: FloatArray) -> ArcSet:
-        """Arcs that fit their craters, seen from a pose that is known as well as a covariance (6, 6) says."""
+        """Arcs that are inliers at a pose whose covariance (6, 6) is given."""
         fits = np.zeros(len(arcs), dtype=np.bool_)
         alone = arcs.inflate_correlated(1.0)
         for i in range(len(arcs)):
@@ -161,10 +169,10 @@ class GncSmoother:
     def _decide(
         self, problem: Problem, track: Track, values: gtsam.Values, numbers: Sequence[int]
     ) -> _Decided:
-        """Find out which matches are right."""
-        # Which rims are wrong shows without the errors that last as variables.
+        """Decide which matches are right."""
+        # Outliers show without variables for the time-correlated errors.
         options = replace(self.options.graph, loss=Loss(), rim_errors=None)
-        limit2 = self._limit2(COMPONENTS[options.rims])
+        limit2 = self._limit2(RESIDUAL_SIZE[options.rims])
         rims = _Rims(problem, options, numbers)
         # Arcs that are wrong could outweigh rims that are right.
         blind = [replace(f, rims=RimSet.empty(), arcs=ArcSet.empty()) for f in problem.frames]
@@ -181,7 +189,7 @@ class GncSmoother:
                 break
             graph = gtsam.NonlinearFactorGraph(others)
             rims.add(graph, weights)
-            values = levenberg_marquardt(graph, values, COARSE).values
+            values = levenberg_marquardt(graph, values, COARSE_LM).values
             squared, previous = rims.squared(values), weights
             mu *= self.options.growth
         right = rims.split((squared <= limit2).astype(np.float64))
@@ -189,10 +197,24 @@ class GncSmoother:
 
 
 def truncated_weights(squared: FloatArray, mu: float, limit2: float) -> FloatArray:
-    """Weights (n,) of the truncated loss's surrogate at squared norms (n,): Yang et al., section IV.
+    """Weights of the truncated loss's surrogate: Yang et al., section IV.
 
     1 up to mu/(mu + 1) limit2, 0 from (mu + 1)/mu limit2 on, between them sqrt(limit2 mu (mu + 1)/d2) - mu:
     for mu -> 0 the loss is quadratic, for mu -> infinity truncated.
+
+    Parameters
+    ----------
+    squared : ndarray, shape (n,)
+        Squared whitened norms d2 of residuals.
+    mu : float
+        Control parameter.
+    limit2 : float
+        Squared norm at which the loss is truncated.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Weights from 0 to 1.
     """
     between = np.sqrt(limit2 * mu * (mu + 1.0) / np.maximum(squared, np.finfo(np.float64).tiny)) - mu
     return np.asarray(np.clip(between, 0.0, 1.0))
@@ -204,13 +226,13 @@ class _Rims:
     def __init__(self, problem: Problem, options: GraphOptions, numbers: Sequence[int]) -> None:
         self._problem = problem
         self._options = options
-        # Image factors hold on to the exposure, where that is not the state itself.
+        # Image factors are attached to the pose at the exposure, where that is not the state itself.
         letter = Y if options.calibration.of_exposure else X
         self._keys = [letter(number) for number in numbers]
         self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])
         self.count = int(self._ends[-1])
-        # Most weights stay as they are from round to round.
+        # Most weights do not change from round to round.
         self._made: list[tuple[FloatArray, FactorGraph]] = [
             (ones, self._factors(k, ones)) for k, ones in enumerate(self.split(np.ones(self.count)))
         ]
@@ -227,16 +249,16 @@ class _Rims:
         return [np.ascontiguousarray(values.atPose3(key).matrix()) for key in self._keys]
 
     def add(self, graph: gtsam.NonlinearFactorGraph, weights: FloatArray) -> None:
-        """Add the factors of all rims, weighted; they are kept until they are weighted anew."""
+        """Add the weighted factors of all rims; they are kept until their weights change."""
         for k, w in enumerate(self.split(weights)):
             if not np.array_equal(w, self._made[k][0]):
                 self._made[k] = (w, self._factors(k, w))
             graph.push_back(self._made[k][1])
 
     def _factors(self, k: int, weights: FloatArray) -> FactorGraph:
-        """Rims of a frame, their covariances divided by their weights."""
+        """Factors of a frame's rims, their covariances divided by their weights."""
         part = FactorGraph()
-        kept = weights > LEAST_WEIGHT
+        kept = weights > MIN_WEIGHT
         rims = self._frames[k].rims.take(kept)
         rims = replace(rims, covariance=rims.covariance / weights[kept, None, None])
         add_frame(part, self._problem, self._options, self._keys[k], replace(self._frames[k], rims=rims))
@@ -244,13 +266,13 @@ class _Rims:
 
     def squared(self, values: gtsam.Values) -> FloatArray:
         """Squared whitened norms of all rims; infinite where the pose cannot see the crater."""
-        rows = COMPONENTS[self._options.rims]
+        rows = RESIDUAL_SIZE[self._options.rims]
         residuals = [np.empty(0)]
         for i in range(self._graph.size()):
             factor = self._graph.at(i)
             assert isinstance(factor, gtsam.CustomFactor)
             residuals.append(factor.unwhitenedError(values))
         e = np.concatenate(residuals).reshape(-1, rows)
-        # What is out of sight has no pull, only a step in the error that would stop the optimiser.
+        # A rim out of sight has no slope, only a step in the error that would stop the optimiser.
         seen = (e != UNSEEN).any(axis=1)
         return np.where(seen, np.sum(e**2, axis=1), np.inf)

@@ -28,13 +28,13 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
-# On the root mean square of an arc's whitened distances; 1 is expected.
+# On the root mean square of an arc's whitened distances, whose expectation is 1.
 ARC_LOSS = Loss(robust.HUBER, 2.0)
 
 
 @dataclass(frozen=True)
 class GraphOptions:
-    """What the graph is made of.
+    """What the graph consists of.
 
     Attributes
     ----------
@@ -46,12 +46,12 @@ class GraphOptions:
     keyframe_s : float
         Longest interval between two states: gravity is constant within one.
     calibration : Calibration
-        What the batch smoother estimates along.
+        What the batch smoother estimates beside the trajectory.
     rim_errors : RimErrorOptions or None
-        How errors of rims that outlast a frame are modelled, where the measurements have any. None takes
-        them as new in every frame.
+        How time-correlated errors of rims are modelled, where the measurements have any. None treats them as
+        white.
     variance_inflation : float
-        How often errors that outlast a frame count where they are taken as new: 1 for a single image.
+        Factor on the variance of time-correlated errors that are treated as white: 1 for a single image.
     """
 
     rims: RimModel = "chart"
@@ -70,28 +70,40 @@ class GraphOptions:
 
 @dataclass(frozen=True)
 class ImuInterval:
-    """An IMU factor of a graph, from state `number` to the next.
+    """An IMU factor of a graph, from one state to the next.
 
     Attributes
     ----------
-    number : int
+    index : int
+        Of the state at its beginning.
     midpoint : ndarray, shape (3,)
-        In g: where gravity is taken.
+        Point in g, m, at which gravity is evaluated.
     pim : gtsam.PreintegratedCombinedMeasurements
     params : gtsam.PreintegrationCombinedParams
-        The factor's own, its gravity among them.
+        The factor's own, gravity among them.
     slot : int
         Of the factor in a solver.
     """
 
-    number: int
+    index: int
     midpoint: FloatArray
     pim: gtsam.PreintegratedCombinedMeasurements
     params: gtsam.PreintegrationCombinedParams
     slot: int = -1
 
-    def moved(self, body: Body, midpoint: FloatArray) -> "ImuInterval":
-        """Take the factor's gravity at another midpoint (3,); whoever linearised it must do so again."""
+    def with_gravity_at(self, body: Body, midpoint: FloatArray) -> "ImuInterval":
+        """Evaluate the factor's gravity at another point; it must then be linearised again.
+
+        Parameters
+        ----------
+        body : Body
+        midpoint : ndarray, shape (3,)
+            Position half-way through the interval, in g, m.
+
+        Returns
+        -------
+        ImuInterval
+        """
         self.params.n_gravity = body.gravity(midpoint)
         return replace(self, midpoint=midpoint)
 
@@ -187,60 +199,107 @@ def add_frame(
 def add_imu(
     graph: FactorGraph,
     descent: Descent,
-    number: int,
+    index: int,
     begin_ns: int,
     end_ns: int,
     midpoint: FloatArray,
     bias: FloatArray,
 ) -> ImuInterval:
-    """Add the IMU factor from state `number` to the next.
+    """Add the IMU factor from one state to the next.
 
     Parameters
     ----------
     graph : FactorGraph
     descent : Descent
-    number : int
+    index : int
         Of the state at the beginning.
     begin_ns, end_ns : int
         The interval.
     midpoint : ndarray, shape (3,)
-        Predicted position in g half-way, where gravity is taken.
+        Predicted position half-way, in g, m, at which gravity is evaluated.
     bias : ndarray, shape (6,)
-        Gyro, then accelerometer: where the preintegration is linearised.
+        Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
+
+    Returns
+    -------
+    ImuInterval
     """
     params = parameters(descent.imu_noise, descent.body.spin_rad_s, descent.body.gravity(midpoint))
     pim = integrate(params, *descent.imu.between(begin_ns, end_ns), bias)
-    interval = ImuInterval(number, midpoint, pim, params)
+    interval = ImuInterval(index, midpoint, pim, params)
     push_interval(graph, interval)
     return interval
 
 
 def push_interval(graph: FactorGraph, interval: ImuInterval) -> None:
-    """Add the IMU factor of an interval; that of another graph of the same states will do."""
-    i, j = interval.number, interval.number + 1
+    """Add the IMU factor of an interval, which may come from another graph of the same states."""
+    i, j = interval.index, interval.index + 1
     graph.push_back(imu_factor([X(i), V(i), X(j), V(j), B(i), B(j)], interval.pim))
     graph.intervals.append(interval)
 
 
 def state_stamps(begin_ns: int, end_ns: int, longest_s: float) -> IntArray:
-    """Stamps of the states after `begin_ns` up to `end_ns`, evenly spaced, at most `longest_s` apart."""
+    """Stamps of the states after a stamp up to another, evenly spaced.
+
+    Parameters
+    ----------
+    begin_ns, end_ns : int
+    longest_s : float
+        Largest distance of two stamps.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Stamps, ns; the last is `end_ns`.
+    """
     n = max(1, int(np.ceil((end_ns - begin_ns) * 1e-9 / longest_s - 1e-9)))
     return begin_ns + np.round(np.arange(1, n + 1) * ((end_ns - begin_ns) / n)).astype(np.int64)
 
 
-def insert_state(values: gtsam.Values, number: int, state: gtsam.NavState, bias: FloatArray) -> None:
-    """Insert pose, velocity and bias (6: gyro, accelerometer) of state `number`."""
-    values.insert(X(number), state.pose())
-    values.insert(V(number), state.velocity())
-    values.insert(B(number), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
+def insert_state(values: gtsam.Values, index: int, state: gtsam.NavState, bias: FloatArray) -> None:
+    """Insert pose, velocity and bias of a state.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    index : int
+        Of the state.
+    state : gtsam.NavState
+    bias : ndarray, shape (6,)
+        Gyro (rad/s), then accelerometer (m/s^2), in b.
+    """
+    values.insert(X(index), state.pose())
+    values.insert(V(index), state.velocity())
+    values.insert(B(index), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
 
 
 def bias_vector(bias: gtsam.imuBias.ConstantBias) -> FloatArray:
-    """Gyro, then accelerometer bias (6,): our order, not GTSAM's."""
+    """Give a bias in our order, which is not GTSAM's.
+
+    Parameters
+    ----------
+    bias : gtsam.imuBias.ConstantBias
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        Gyro (rad/s), then accelerometer (m/s^2), in b.
+    """
     return np.concatenate([bias.gyroscope(), bias.accelerometer()])
 
 
 def bias_covariance_ours(covariance: FloatArray) -> FloatArray:
-    """Reorder a bias covariance (6, 6) from GTSAM's (accelerometer, gyro) to ours."""
+    """Give the covariance of a bias in our order.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (6, 6)
+        In GTSAM's order: accelerometer, gyro.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        Covariance, gyro first.
+    """
     order = [3, 4, 5, 0, 1, 2]
     return covariance[np.ix_(order, order)]

@@ -1,7 +1,7 @@
-"""iSAM2 with what it needs to be fast and safe from Python, over all states or those of a fixed lag.
+"""iSAM2 made fast and safe to use from Python, over all states or those of a fixed lag.
 
-QR throughout: the Cholesky of GTSAM refuses realistic IMU information. The linearisation point is held for
-as long as the solver lives: callbacks get that object and not a deep copy of all values.
+QR throughout: GTSAM's Cholesky factorisation refuses realistic IMU information. The linearisation point is
+held for as long as the solver lives: callbacks get that object and not a deep copy of all values.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 RELINEARISE_M = 5.0
 # A sensor's bias has its length for a letter.
 SENSOR_BIASES = tuple("123456789")
-RELINEARISE = {
+RELINEARISE_STEPS = {
     "x": np.array([5e-4, 5e-4, 5e-4, RELINEARISE_M, RELINEARISE_M, RELINEARISE_M]),
     "v": np.full(3, 1.0),
     "r": np.full(5, 1e3),
@@ -34,14 +34,14 @@ RELINEARISE = {
     "l": np.full(3, 20.0),
     **{letter: np.full(int(letter), 1e3) for letter in SENSOR_BIASES},
 }
-# Letters of what belongs to one state; one of another letter, such as the mounting, belongs to all of them.
-STATE = ("x", "v", "b")
+# Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
+STATE_LETTERS = ("x", "v", "b")
 # Letters of errors that outlast a frame: of one rim, shared by all rims, tracked points,
 # biases of sensors.
-LASTING = ("r", "s", "l", *SENSOR_BIASES)
+CORRELATED_LETTERS = ("r", "s", "l", *SENSOR_BIASES)
 # Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
 # are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
-WILDFIRE = 1.0
+WILDFIRE_STEP = 1.0
 
 
 def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
@@ -51,22 +51,22 @@ def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
     params.relinearizeSkip = 1
     params.enablePartialRelinearizationCheck = True
     thresholds = gtsam.ISAM2ThresholdMap()
-    for letter, steps in RELINEARISE.items():
+    for letter, steps in RELINEARISE_STEPS.items():
         if letter == "x":
             steps = np.concatenate([steps[:3], np.full(3, position_m)])
         thresholds.insert((letter, steps))
     params.setRelinearizeThreshold(thresholds)
-    params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(WILDFIRE))
+    params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(WILDFIRE_STEP))
     return params
 
 
 # Variables of the largest tree, and of what two successive ones share: three minutes, and one, of states at
 # one a second.
-MAX_VARIABLES, OVERLAP = 600, 180
+MAX_VARIABLES, OVERLAP_VARIABLES = 600, 180
 # A snapshot is taken when the newest attitude is known to this: errors of more are no Gaussian's; and used
 # when what was learned since lies within its covariance (15 degrees of freedom).
-SNAPSHOT_RAD = 0.01
-SNAPSHOT_LIMIT = 50.0
+SNAPSHOT_ATTITUDE_RAD = 0.01
+SNAPSHOT_CHI2 = 50.0
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class _Snapshot:
     Attributes
     ----------
     number : int
-        Of the state.
+        Index of the state.
     size, slots : int
-        Variables and factors' slots of the tree at that time.
+        Number of variables and of factor slots of the tree at that time.
     prior : gtsam.LinearContainerFactor
         Gaussian of the state, from all factors so far.
     """
@@ -90,20 +90,20 @@ class _Snapshot:
 
 
 class Isam:
-    """iSAM2 that survives a failed update and costs the same however long the descent.
+    """iSAM2 that survives a failed update, and whose cost does not grow with the descent.
 
-    GTSAM walks all cliques at every update. So a tree that has grown to `MAX_VARIABLES` is replaced by one
-    of its newest states: those since a snapshot of an earlier state, which stands for all before it. What
-    lies before keeps its linearisation, and its estimate of the moment of replacement.
+    GTSAM visits all cliques at every update. So a tree that has grown to `MAX_VARIABLES` is replaced by one
+    of its newest states: those since a snapshot of an earlier state, which stands for all before it. Earlier
+    states keep their linearisation, and their estimates at the time of the replacement.
 
-    A callback that raises leaves iSAM2 with half of an update. Then the solver is built anew from the
-    factors of before at the present linearisation point; a copy ahead of every update would be safer still,
-    but its cost grows with the tree.
+    A callback that raises leaves iSAM2 with half of an update. Then the solver is rebuilt from the factors of
+    before at the present linearisation point. A copy before every update would be safer still, but its cost
+    grows with the tree.
 
     Attributes
     ----------
     relinearise_m : float
-        Shift of a pose beyond which it is relinearised: of each tree from the next one on.
+        Shift of a pose beyond which it is relinearised; takes effect with the next tree.
     """
 
     def __init__(self, relinearise_m: float = RELINEARISE_M) -> None:
@@ -121,11 +121,11 @@ class Isam:
 
     @property
     def tree(self) -> gtsam.ISAM2:
-        """Gives estimates and marginal covariances of the newest states; not to be kept: it gets replaced."""
+        """The present tree: estimates and covariances of the newest states; not to be kept, it changes."""
         return self._tree
 
     def estimate(self) -> gtsam.Values:
-        """Estimates of all states: those no longer in the tree as they were when they left it."""
+        """Estimates of all states: of those no longer in the tree, the estimates when they left it."""
         values = gtsam.Values(self._past)
         values.insert_or_assign(self.tree.calculateBestEstimate())
         return values
@@ -152,8 +152,8 @@ class Isam:
         Raises
         ------
         EstimationError
-            When a variable is there already, a slot is void, a factor raised or the system is indeterminate;
-            the solver then holds what it held before.
+            When a variable is there already, a slot is void, a factor raised or the system is indeterminate.
+            The solver then holds what it held before.
         """
         # Not between a state and what is done again with it: slots that are to be dropped would be void.
         if values.size():
@@ -176,7 +176,7 @@ class Isam:
         return list(range(known, known + graph.size()))
 
     def again(self) -> None:
-        """Relinearise what moved, and solve again.
+        """Relinearise the variables that moved, and solve again.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class Isam:
         self.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), 0.0)
 
     def _new(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        """Begin again with these."""
+        """Replace the tree by one of these factors."""
         self._trees += 1
         self._snapshot = None
         self._tree = gtsam.ISAM2(parameters(self.relinearise_m))
@@ -200,17 +200,17 @@ class Isam:
         self._tree.update(graph, values, drop)
 
     def _bound(self) -> None:
-        """Take a snapshot of the newest state in time, and begin anew from it when the tree is large."""
+        """Take a snapshot of the newest state in time, and replace a large tree by one that begins there."""
         size = self._hold.size()
         if self._snapshot is None:
-            if size > MAX_VARIABLES - OVERLAP:
+            if size > MAX_VARIABLES - OVERLAP_VARIABLES:
                 self._snapshot = self._photograph()
             return
-        if size <= MAX_VARIABLES or size < self._snapshot.size + OVERLAP:
+        if size <= MAX_VARIABLES or size < self._snapshot.size + OVERLAP_VARIABLES:
             return
         snapshot = self._snapshot
         now = self._tree.calculateBestEstimate()
-        if 2.0 * snapshot.prior.error(now) > SNAPSHOT_LIMIT:
+        if 2.0 * snapshot.prior.error(now) > SNAPSHOT_CHI2:
             self._snapshot = self._photograph()
             return
         self._past.insert_or_assign(now)
@@ -229,15 +229,15 @@ class Isam:
         self._new(graph, now)
 
     def _photograph(self) -> _Snapshot | None:
-        """Take a snapshot of the newest state; None when it is not known well or not all are states."""
+        """Take a snapshot of the newest state; None when it is uncertain or not all variables are states."""
         symbols = [gtsam.Symbol(key) for key in self._hold.keys()]  # noqa: SIM118 (Values is no mapping)
-        if any(chr(symbol.chr()) not in STATE for symbol in symbols):
+        if any(chr(symbol.chr()) not in STATE_LETTERS for symbol in symbols):
             return None
         last = max(symbol.index() for symbol in symbols)
         keys = [symbol.key() for symbol in symbols if symbol.index() == last]
         joint = self._tree.jointMarginalCovariance(keys)
         pose = gtsam.symbol("x", last)
-        if pose in keys and not np.diag(joint.at(pose, pose))[:3].max() < SNAPSHOT_RAD**2:
+        if pose in keys and not np.diag(joint.at(pose, pose))[:3].max() < SNAPSHOT_ATTITUDE_RAD**2:
             return None
         try:
             W = whitening(joint.fullMatrix())
@@ -298,7 +298,7 @@ class FixedLagIsam(Isam):
 
     @property
     def tree(self) -> gtsam.ISAM2:
-        """Gives estimates and marginal covariances of the states inside the lag."""
+        """The present tree, for estimates and marginal covariances of the states inside the lag."""
         return self._smoother.getISAM2()
 
     def _new(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -321,7 +321,9 @@ class FixedLagIsam(Isam):
         # What outlasts a frame lives for as long as new factors speak of it.
         for number in range(graph.size()):
             keys = graph.at(number).keys()
-            stamps_s.update((key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in LASTING)
+            stamps_s.update(
+                (key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in CORRELATED_LETTERS
+            )
         self._smoother.update(graph, values, stamps_s, drop)
 
 

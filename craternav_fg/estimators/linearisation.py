@@ -72,11 +72,16 @@ def linearise_rims(
     Returns
     -------
     A : ndarray, shape (n, 5, 6)
-        Whitened derivatives for the errors of attitude (in b) and position (in g).
+        Whitened derivatives in the errors of attitude (in b) and position (in g).
     residual : ndarray, shape (n, 5)
         Whitened, measured minus predicted.
     usable : ndarray of bool, shape (n,)
         Rims that are visible ellipses from this pose; the others have zero rows.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (19), (25);
+    docs/equations.md.
     """
     if model != "chart" and model != "implicit":
         return _of_factors(model, gTb, rims, camera, catalog)
@@ -145,7 +150,22 @@ def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tu
 def linearise_arcs(
     gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catalog
 ) -> list[LinearMeasurement]:
-    """Linearise arcs at a pose: for each that the pose can see, its edge points' whitened distances."""
+    """Linearise arcs at a pose: the distances of their edge points from the predicted rims.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    arcs : ArcSet
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    list of LinearMeasurement
+        Whitened, in the errors of attitude (in b) and position (in g); one for each arc whose crater the pose
+        can see.
+    """
     updates = []
     for row, points, sigmas in zip(arcs.craters, arcs.points, arcs.sigmas, strict=True):
         e, J = np.empty(len(points)), np.zeros((len(points), 6))
@@ -160,7 +180,25 @@ def linearise_arcs(
 
 
 def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> LinearMeasurement | None:
-    """Linearise the sun's tilt at a pose, whitened, on attitude and position; None when it says nothing."""
+    """Linearise the sun's tilt at a pose, eq. (24) in its perspective form.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    measured : SunTilt or None
+    camera : Camera
+
+    Returns
+    -------
+    LinearMeasurement or None
+        Whitened, in the errors of attitude (in b) and position (in g); None without a tilt, or where it is
+        undefined.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (24); docs/equations.md.
+    """
     if measured is None:
         return None
     J = np.zeros((1, 6))

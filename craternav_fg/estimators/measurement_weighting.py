@@ -52,10 +52,12 @@ def noise_inflation(
 
     Parameters
     ----------
-    A : ndarray, shape (n, m, 6)
+    A : ndarray, shape (n, m, k)
+        Whitened derivatives in the prior's error.
     residual : ndarray, shape (n, m)
-    covariance : ndarray, shape (6, 6)
-        Of the prior's pose error.
+        Whitened, measured minus predicted.
+    covariance : ndarray, shape (k, k)
+        Of the prior's error.
     limit : float
         Largest normalised innovation, in sigmas.
 
@@ -64,8 +66,8 @@ def noise_inflation(
     innovation_sigmas : ndarray, shape (n,)
         sqrt(r' (A P A' + I)^-1 r).
     factor : ndarray, shape (n,)
-        The f >= 1 by which to multiply each noise covariance so that this is at most the limit; it
-        bounds a measurement's influence as Huber's loss does.
+        Scale f >= 1 of each noise covariance at which the innovation is at most the limit; it bounds a
+        measurement's influence as Huber's loss does.
     """
     predicted = A @ covariance @ np.swapaxes(A, 1, 2)
     squared = squared_distance(residual, predicted + np.eye(A.shape[1]))

@@ -36,17 +36,19 @@ from factors.kernels import strapdown
 
 FloatArray = npt.NDArray[np.float64]
 
-# Gravity changes by 1e-6 m/s^2 a metre on the Moon: a midpoint that moved by less is left alone.
+# Shift of a midpoint below which gravity is not re-evaluated: on the Moon it changes by 1e-6 m/s^2 a metre.
 MIDPOINT_TOLERANCE_M = 10.0
-# Nor does it matter while corrections since add up to less than this part of the position's sigma: a shift of
+# Nor is it while the corrections since the last time are below this share of the position's sigma: a shift of
 # 100 m is 1e-4 m/s^2, half a metre in 100 s. Linearising all IMU factors again costs more than all else.
-LAZINESS = 0.3
+GRAVITY_SHIFT_SIGMAS = 0.3
 # A wide prior makes the first frames nonlinear: iterate until the newest position moves by less than this, or
-# than this part of the altitude: what is left out is smaller by that part again.
-SETTLED_M = 5.0
-SETTLED = 1e-3
-# The same of the shift that relinearises a pose, with room for what a tree sees of the descent.
-RELINEARISE = 3e-4
+# than this share of the altitude. The remaining error is smaller by that share again.
+SETTLED_POSITION_M = 5.0
+SETTLED_ALTITUDE_SHARE = 1e-3
+# Shift, as a share of the altitude, at which a pose is relinearised; smaller, as the altitude falls while a
+# tree lives.
+RELINEARISE_ALTITUDE_SHARE = 3e-4
+# iSAM2 iterations at a frame after the first.
 MAX_EXTRA_UPDATES = 5
 
 
@@ -89,16 +91,16 @@ class OnlineSession:
         self._solver = Isam(self._relinearise_m(descent.initial.gTb)) if solver is None else solver
         self._last = 0
         self._errors = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
-        self._frame_numbers: list[int] = []
+        self._frame_states: list[int] = []
         self._stamps_ns: list[int] = []
         self._states: list[FilterState] = []
         self._intervals: list[ImuInterval] = []
         self._corrected = np.zeros(3)
 
     @property
-    def frame_numbers(self) -> list[int]:
-        """Numbers of the graph's states that belong to frames."""
-        return list(self._frame_numbers)
+    def frame_state_indices(self) -> list[int]:
+        """Indices of the graph's states that belong to frames."""
+        return list(self._frame_states)
 
     @property
     def stamp_ns(self) -> int:
@@ -119,13 +121,14 @@ class OnlineSession:
         return list(self._states)
 
     def begin(self, frame: FrameMeasurement, start: Start) -> None:
-        """Take the first frame; a start at it is where it is linearised, not another measurement.
+        """Take the first frame.
 
         Parameters
         ----------
         frame : FrameMeasurement
             At the initial state's stamp.
         start : Start
+            Linearisation point when it is at this frame; no further measurement.
         """
         graph = FactorGraph()
         values = gtsam.Values()
@@ -141,23 +144,35 @@ class OnlineSession:
         self._update(graph, values, 0, frame.stamp_ns)
 
     def predict(self, stamp_ns: int) -> FilterState:
-        """Predict the state at a later stamp by the IMU; nothing is changed.
+        """Predict the state at a later stamp by the IMU; the session does not change.
+
+        Parameters
+        ----------
+        stamp_ns : int
+
+        Returns
+        -------
+        FilterState
 
         Raises
         ------
         ValueError
-            When the IMU log does not reach so far.
+            When the IMU log does not cover the interval.
         """
         return filter_state.propagate(self.state, self._descent, self._stamps_ns[-1], stamp_ns)
 
     def update(self, frame: FrameMeasurement) -> None:
         """Take the next frame: new states up to it, its measurements, one iSAM2 update.
 
+        Parameters
+        ----------
+        frame : FrameMeasurement
+
         Raises
         ------
         EstimationError
-            When the frame is not later than the last one, or its factors cannot be evaluated; the
-            session then goes on as if the frame had not been.
+            When the frame is not later than the last one, or its factors cannot be evaluated. The session
+            then continues without the frame.
         """
         self._solver.relinearise_m = self._relinearise_m(self.state.gTb)
         begin_ns = self._stamps_ns[-1]
@@ -173,7 +188,7 @@ class OnlineSession:
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
-        # Of the prediction, and no later pose's: the rims' weights may not depend on what they measured.
+        # At the prediction and no later pose: the rims' weights must not depend on what they measured.
         frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
         add_frame(
             graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
@@ -186,7 +201,7 @@ class OnlineSession:
         self._add_features(graph, values, last, frame.stamp_ns)
         self._update(graph, values, last, frame.stamp_ns)
 
-    def _add_features(self, graph: FactorGraph, values: gtsam.Values, number: int, stamp_ns: int) -> None:
+    def _add_features(self, graph: FactorGraph, values: gtsam.Values, index: int, stamp_ns: int) -> None:
         """Add what tracked points say of a frame."""
         if self._features is None:
             return
@@ -198,14 +213,16 @@ class OnlineSession:
                 return np.asarray(values.atPose3(key).matrix())
             return np.asarray(tree.calculateEstimatePose3(key).matrix()) if tree.valueExists(key) else None
 
-        self._features.enter(graph, values, number, stamp_ns, pose, tree.valueExists)
+        self._features.enter(graph, values, index, stamp_ns, pose, tree.valueExists)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
         predicted = position = values.atPose3(X(last)).translation()
         self._add(graph, values, stamp_ns)
-        # What fails here is taken back: the frame is in, linearised less well.
+        # A failure here is taken back: the frame is in, linearised less accurately.
         with suppress(EstimationError):
-            settled_m = max(SETTLED_M, SETTLED * float(self._descent.body.altitude_m(predicted)))
+            settled_m = max(
+                SETTLED_POSITION_M, SETTLED_ALTITUDE_SHARE * float(self._descent.body.altitude_m(predicted))
+            )
             for _ in range(MAX_EXTRA_UPDATES):
                 moved = self._solver.tree.calculateEstimatePose3(X(last)).translation()
                 if np.linalg.norm(moved - position) < settled_m:
@@ -214,14 +231,14 @@ class OnlineSession:
                 self._solver.again()
             self._corrected = self._corrected + position - predicted
             if np.linalg.norm(self._corrected) > max(
-                MIDPOINT_TOLERANCE_M, LAZINESS * self._position_sigma_m()
+                MIDPOINT_TOLERANCE_M, GRAVITY_SHIFT_SIGMAS * self._position_sigma_m()
             ):
                 self._move_gravity(stamp_ns)
                 self._corrected = np.zeros(3)
         self._states.append(self._state(last, stamp_ns))
         self._last = last
         self._stamps_ns.append(stamp_ns)
-        self._frame_numbers.append(last)
+        self._frame_states.append(last)
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
         """LinearMeasurement the solver; the graph begins with the factors of its intervals."""
@@ -239,32 +256,34 @@ class OnlineSession:
             ]
 
     def _move_gravity(self, stamp_ns: int) -> None:
-        """Move the gravity of IMU factors to where their states now are, and linearise them again."""
+        """Evaluate the gravity of IMU factors where their states now are, and linearise them again."""
         tree = self._solver.tree
         factors = tree.getFactorsUnsafe()
         graph = FactorGraph()
         kept, drop = [], []
-        there = [one for one in self._intervals if tree.valueExists(X(one.number))]
+        there = [one for one in self._intervals if tree.valueExists(X(one.index))]
         # Neighbouring intervals share a state.
-        numbers = {number for one in there for number in (one.number, one.number + 1)}
-        positions = {number: tree.calculateEstimatePose3(X(number)).translation() for number in numbers}
+        indices = {index for one in there for index in (one.index, one.index + 1)}
+        positions = {index: tree.calculateEstimatePose3(X(index)).translation() for index in indices}
         for one in there:
-            midpoint = 0.5 * (positions[one.number] + positions[one.number + 1])
+            midpoint = 0.5 * (positions[one.index] + positions[one.index + 1])
             if math.dist(midpoint, one.midpoint) < MIDPOINT_TOLERANCE_M:
                 kept.append(one)
                 continue
             graph.push_back(factors.at(one.slot))
-            graph.intervals.append(one.moved(self._descent.body, midpoint))
+            graph.intervals.append(one.with_gravity_at(self._descent.body, midpoint))
             drop.append(one.slot)
         self._intervals = kept
         if drop:
             self._add(graph, gtsam.Values(), stamp_ns, drop)
 
     def _relinearise_m(self, gTb: FloatArray) -> float:
-        return max(RELINEARISE_M, RELINEARISE * float(self._descent.body.altitude_m(gTb[:3, 3])))
+        return max(
+            RELINEARISE_M, RELINEARISE_ALTITUDE_SHARE * float(self._descent.body.altitude_m(gTb[:3, 3]))
+        )
 
     def _position_sigma_m(self) -> float:
-        """Tell how well the position was known at the last frame."""
+        """Give the standard deviation of the position at the last frame."""
         if not self._states:
             return float(np.sqrt(3.0) * self._descent.initial.position_sigma_m)
         covariance = self._states[-1].covariance[strapdown.POSITION, strapdown.POSITION]
@@ -287,7 +306,7 @@ class OnlineSession:
         return filter_state.trajectory(self._stamps_ns, self._states)
 
     def smoothed_values(self) -> gtsam.Values:
-        """Estimates of all states: of those the solver still holds from all data so far (see `Isam`)."""
+        """Estimates of all states, from all data so far while the solver holds them (see `Isam`)."""
         return self._solver.estimate()
 
 
@@ -306,7 +325,7 @@ class OnlineSmoother:
         self.name = name
 
     def run(self, problem: Problem) -> OnlineSession:
-        """Feed all frames to a session."""
+        """Process all frames in a session."""
         session = OnlineSession(problem, self.options)
         session.begin(problem.frames[0], problem.start)
         for frame in problem.frames[1:]:
@@ -314,20 +333,29 @@ class OnlineSmoother:
         return session
 
     def estimate(self, problem: Problem) -> Trajectory:
-        """Estimate the state at every frame from the data up to it."""
+        """Estimate the state at every frame from the data up to it.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        Trajectory
+        """
         return self.run(problem).filtered()
 
 
 class FixedLagSmoother:
     """As the online smoother, but states older than a lag are marginalised: cost and memory stay bounded.
 
-    The estimate at a frame uses all data up to it; what is older than the lag is linearised for good.
+    The estimate at a frame uses all data up to it; states older than the lag are no longer relinearised.
 
     Parameters
     ----------
     options : GraphOptions
     lag_s : float
-        Seconds of states that are kept. Long enough that a start of 25 deg has settled within it.
+        Length of the window of states, s. Long enough that a start wrong by 25 deg has settled within it.
     """
 
     name = "fixed_lag"
@@ -338,6 +366,14 @@ class FixedLagSmoother:
 
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from the data up to it.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        Trajectory
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt and Gauss-Newton driven from Python, with QR, and covariances.
 
-GTSAM's own optimisers hand every custom factor a deep copy of all values, and their Cholesky refuses
-realistic IMU information; `graph.linearize` and `EliminateQR` have neither fault.
+GTSAM's own optimisers hand every custom factor a deep copy of all values, and their Cholesky factorisation
+refuses realistic IMU information. `graph.linearize` and `EliminateQR` have neither problem.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
 
-# Steps that the damping takes as large, by the letter of the key: pose (rad, m), velocity (m/s),
+# Steps that the damping treats as of size 1, by the letter of the key: pose (rad, m), velocity (m/s),
 # bias (accelerometer m/s^2, gyro rad/s), mounting of the camera (rad, m).
 STEP_SCALES: dict[str, FloatArray] = {
     "x": np.array([0.1, 0.1, 0.1, 1e3, 1e3, 1e3]),
@@ -30,8 +30,8 @@ STEP_SCALES: dict[str, FloatArray] = {
     **{str(size): np.full(size, 1.0) for size in range(1, 10)},
     "b": np.array([3e-3, 3e-3, 3e-3, 5e-6, 5e-6, 5e-6]),
 }
-# Of an optimum a full step promises a fall of the error by less: a tenth of a standard deviation.
-PROMISE = 5e-3
+# Largest decrease of the error that a full step predicts at an optimum: a tenth of a standard deviation.
+MAX_PREDICTED_DECREASE = 5e-3
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class LmOptions:
     Attributes
     ----------
     max_iterations : int
-        Linearisations at most.
+        Largest number of linearisations.
     relative_tolerance : float
         Stop when the error falls by less than this share.
     first_damping : float
-        Damping after the first step that fails, in units of the step scales; it grows by 10 with each
-        failure and falls by 10 with each success. Below it steps are not damped at all (Gauss-Newton).
+        Damping after the first step that fails, in units of the step scales. It grows by 10 with each failure
+        and falls by 10 with each success. Below it steps are not damped (Gauss-Newton).
     """
 
     max_iterations: int = 50
@@ -64,7 +64,7 @@ class LmOptions:
 
 @dataclass(frozen=True)
 class LmResult:
-    """What the optimiser reached.
+    """Result of an optimisation.
 
     Attributes
     ----------
@@ -73,7 +73,8 @@ class LmResult:
         Half the sum of squares.
     iterations : int
     converged : bool
-        False when the iterations ran out, or where a step in the error stopped them short of an optimum.
+        False when the iterations ran out, or where a discontinuity of the error stopped them short of an
+        optimum.
     """
 
     values: gtsam.Values
@@ -91,7 +92,7 @@ def levenberg_marquardt(
     ----------
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Start; not changed.
+        Initial values; not changed.
     options : LmOptions
 
     Returns
@@ -101,7 +102,7 @@ def levenberg_marquardt(
     Raises
     ------
     EstimationError
-        When the error at the start is not finite.
+        When the initial error is not finite.
     """
     error = graph.error(values)
     if not np.isfinite(error):
@@ -114,8 +115,8 @@ def levenberg_marquardt(
             candidate = _step(linear, values, ordering, damping)
             new_error = np.inf if candidate is None else graph.error(candidate)
             if candidate is not None and new_error > error and damping == 0.0:
-                # Long turns and shifts together leave the stiff IMU factors to second order: a further step
-                # brings them back, where damping would creep along them (the Maratos effect).
+                # Large turns and shifts together violate the stiff IMU factors to second order. Another step
+                # corrects that, where damping would creep along them (the Maratos effect).
                 candidate = _step(graph.linearize(candidate), candidate, ordering, 0.0)
                 new_error = np.inf if candidate is None else graph.error(candidate)
             if candidate is not None and new_error <= error:
@@ -133,14 +134,15 @@ def levenberg_marquardt(
 
 
 def _gain_that_ends(error: float, options: LmOptions) -> float:
-    """Change of the error below which the optimum is reached."""
+    """Decrease of the error below which the optimum is reached."""
     return options.relative_tolerance * error + 1e-12
 
 
 def _at_rest(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, damping: float) -> bool:
     """Whether damped steps that gain nothing have reached the optimum.
 
-    Steps that shrink before a wall, as where a rim leaves the view, gain as little; a full one promises more.
+    Steps that shrink at a discontinuity, as where a rim leaves the view, gain as little; a full one predicts
+    more.
     """
     if damping == 0.0:
         return True
@@ -149,7 +151,7 @@ def _at_rest(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, dampin
     except RuntimeError:
         return False
     here = gtsam.VectorValues.Zero(step)
-    return bool(linear.error(here) - linear.error(step) <= PROMISE)
+    return bool(linear.error(here) - linear.error(step) <= MAX_PREDICTED_DECREASE)
 
 
 def gauss_newton(
@@ -161,7 +163,7 @@ def gauss_newton(
     ----------
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Start; not changed.
+        Initial values; not changed.
     options : LmOptions
         Its damping is not used.
 
@@ -217,13 +219,22 @@ def _damped(linear: gtsam.GaussianFactorGraph, keys: list[int], damping: float) 
 def bayes_tree(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.ISAM2:
     """Linearise and eliminate by QR once; its `marginalCovariance` gives covariances.
 
-    `gtsam.Marginals` knows Cholesky only.
+    `gtsam.Marginals` offers Cholesky only.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+
+    Returns
+    -------
+    gtsam.ISAM2
     """
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
     params.enableRelinearization = False
     isam = gtsam.ISAM2(params)
-    # Held, callbacks get it and not a copy of all values each.
+    # While it is held, callbacks get it and not a copy of all values each.
     hold = isam.getLinearizationPoint()
     isam.update(graph, values)
     del hold

@@ -71,7 +71,18 @@ class Sample:
     key: int | None
 
     def linearise(self, state: SensorState, biases: FloatArray) -> Linearisation:
-        """Compare the sample with a state and the biases (b,) of all sensors, each in its sensor's unit."""
+        """Compare the sample with a state.
+
+        Parameters
+        ----------
+        state : SensorState
+        biases : ndarray, shape (b,)
+            Biases of all sensors, each in its sensor's unit.
+
+        Returns
+        -------
+        Linearisation
+        """
         return self.sensor.linearise(self.row, state, biases[self.bias])
 
 
@@ -169,7 +180,18 @@ def add_sensors(
 
 
 def gyro_at(descent: Descent, stamp_ns: int) -> FloatArray:
-    """Angular velocity (3,) that the gyro measured at a stamp, in b, rad/s, its bias with it."""
+    """Angular velocity that the gyro measured at a stamp, its bias included.
+
+    Parameters
+    ----------
+    descent : Descent
+    stamp_ns : int
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        In b, rad/s.
+    """
     row = int(np.searchsorted(descent.imu.stamps_ns, stamp_ns))
     return np.asarray(descent.imu.gyro[min(row, len(descent.imu.gyro) - 1)])
 

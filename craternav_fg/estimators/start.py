@@ -1,7 +1,7 @@
 """The common start: the maximum a posteriori pose at the first frame that shows a known crater.
 
-From a prior of 25 deg and 4 km that frame's problem has many local minima. Lowering the measurement noise in
-steps from 300 times its size (annealing) lets the well-determined coarse geometry decide first.
+From a prior of 25 deg and 4 km that frame's problem has many local minima. Annealing, which lowers the
+measurement noise in steps from 300 times its size, lets the well-determined coarse geometry decide first.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from craternav_fg.measurements import FrameMeasurement
 
 FloatArray = npt.NDArray[np.float64]
 
-NOISE_SCALES = (300.0, 30.0, 3.0, 1.0)
+ANNEALING_SCALES = (300.0, 30.0, 3.0, 1.0)
 
 
 def find_start(
     descent: Descent, frames: Sequence[FrameMeasurement], options: GraphOptions = GraphOptions()
 ) -> Start:
-    """Pose at the first frame with a rim, from the prior carried there by the IMU, its rims and its sun.
+    """Pose at the first frame with a rim, from the propagated prior, its rims and its sun tilt.
 
     Parameters
     ----------
@@ -40,34 +40,34 @@ def find_start(
     Returns
     -------
     Start
-        The covariance is Gaussian at the optimum: honest with three craters or more, too small with
-        one, where the posterior bends.
+        The covariance is Gaussian at the optimum: consistent with three craters or more, too small with one,
+        where the posterior is curved.
 
     Raises
     ------
     ValueError
-        When the IMU log does not reach the frame.
+        When the IMU log does not cover the interval up to the frame.
     """
-    number = next((k for k, frame in enumerate(frames) if len(frame.rims)), None)
-    if number is None:
+    index = next((k for k, frame in enumerate(frames) if len(frame.rims)), None)
+    if index is None:
         prior = filter_state.prior(descent)
         return Start(prior.gTb, prior.covariance[filter_state.POSE, filter_state.POSE], 0)
-    prior = filter_state.carried_prior(descent, frames[: number + 1])[-1]
+    prior = filter_state.propagated_prior(descent, frames[: index + 1])[-1]
     # GTSAM's position errors are in body axes.
     of_pose = prior.covariance[filter_state.POSE, filter_state.POSE]
     covariance = rotate_position_block(of_pose, prior.gTb[:3, :3].T)
     noise = gtsam.noiseModel.Gaussian.Covariance(0.5 * (covariance + covariance.T))
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3(prior.gTb))
-    for scale in NOISE_SCALES:
+    for scale in ANNEALING_SCALES:
         graph = FactorGraph()
         graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(prior.gTb), noise))
-        add_frame(graph, descent, options, X(0), frames[number], scale)
+        add_frame(graph, descent, options, X(0), frames[index], scale)
         values = levenberg_marquardt(graph, values).values
     information, _ = graph.linearize(values).hessian()
     posterior = scaled_inverse(information)
     gTb = np.ascontiguousarray(values.atPose3(X(0)).matrix())
-    return Start(gTb, rotate_position_block(posterior, gTb[:3, :3]), number)
+    return Start(gTb, rotate_position_block(posterior, gTb[:3, :3]), index)
 
 
 def make_problem(
@@ -90,6 +90,6 @@ def make_problem(
     Raises
     ------
     ValueError
-        When the IMU log does not reach the start's frame.
+        When the IMU log does not cover the interval up to the start's frame.
     """
     return Problem(**vars(descent), start=find_start(descent, frames, options), frames=frames)

@@ -1,1 +1,1 @@
-"""Errors, consistency and figures of runs."""
+"""Errors, consistency and bounds of trajectories: numbers only."""

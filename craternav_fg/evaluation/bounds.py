@@ -1,7 +1,7 @@
-"""Posterior Cramér-Rao bound of a descent: what no estimator can beat, online and in retrospect.
+"""Posterior Cramér-Rao bound (PCRB) of a descent, filtering and smoothing: what no estimator can beat.
 
 The information recursion at the truth: prior, IMU noise, rims and sun tilts linearised at the true states.
-Errors of rims that outlast a frame are unknowns beside the state, as in the smoothers.
+Time-correlated errors of rims are unknowns beside the state, as in the smoothers.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.correlated_errors import SIZE, VARIANCE_INFLATION, RimErrorOptions
+from craternav_fg.estimators.correlated_errors import ERROR_SIZE, VARIANCE_INFLATION, RimErrorOptions
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
@@ -34,7 +34,7 @@ _SIZE = len(strapdown.WITHOUT_RATE)
 
 @dataclass(frozen=True)
 class PosteriorBound:
-    """Least pose covariances that the data of a descent allow.
+    """Smallest pose covariances that the data of a descent allow.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class PosteriorBound:
         Parameters
         ----------
         rows : ndarray of int, shape (m,)
-            Without a unit.
+            Indices of the stamps.
 
         Returns
         -------
@@ -67,12 +67,34 @@ class PosteriorBound:
 
 
 def position_rms_m(pose_covariance: FloatArray) -> FloatArray:
-    """Root mean square norm (...) of the position error of pose covariances (..., 6, 6), m."""
+    """Root mean square norm of the position error of pose covariances.
+
+    Parameters
+    ----------
+    pose_covariance : ndarray, shape (..., 6, 6)
+        Attitude (rad), then position (m).
+
+    Returns
+    -------
+    ndarray, shape (...,)
+        In m.
+    """
     return np.sqrt(np.trace(pose_covariance[..., _POSITION, _POSITION], axis1=-2, axis2=-1))
 
 
 def attitude_rms_deg(pose_covariance: FloatArray) -> FloatArray:
-    """Root mean square angle (...) of the attitude error of pose covariances (..., 6, 6), deg."""
+    """Root mean square angle of the attitude error of pose covariances.
+
+    Parameters
+    ----------
+    pose_covariance : ndarray, shape (..., 6, 6)
+        Attitude (rad), then position (m).
+
+    Returns
+    -------
+    ndarray, shape (...,)
+        In deg.
+    """
     return np.degrees(np.sqrt(np.trace(pose_covariance[..., _ATTITUDE, _ATTITUDE], axis1=-2, axis2=-1)))
 
 
@@ -80,7 +102,7 @@ def posterior_bound(
     descent: Descent,
     frames: Sequence[FrameMeasurement],
     truth: Trajectory,
-    lasting: RimErrorOptions | None = None,
+    rim_errors: RimErrorOptions | None = None,
 ) -> PosteriorBound:
     """Posterior Cramér-Rao bound of the pose at every frame.
 
@@ -88,13 +110,14 @@ def posterior_bound(
     ----------
     descent : Descent
     frames : sequence of FrameMeasurement
-        Of a measurement counts which crater it is of and how well, as its own covariance says, not what it
-        reads: linearisation and a rim's covariance are those at the truth. Every match counts as right.
-        Edge points of arcs count where they were measured.
+        Of a measurement, its crater and its covariance are used, not its value: linearisation and a rim's
+        covariance are those at the truth. Every match counts as right. Edge points of arcs are used where
+        they were measured.
     truth : Trajectory
         At the frames' stamps, with the true biases.
-    lasting : RimErrorOptions, optional
-        Of what outlasts a frame counts its decay; the steps in which smoothers take it do not.
+    rim_errors : RimErrorOptions, optional
+        Decay of the correlation of time-correlated errors; the steps in which smoothers approximate it are
+        not used.
 
     Returns
     -------
@@ -114,43 +137,58 @@ def posterior_bound(
     # In units of the prior's sigmas: radians, metres and biases differ by ten orders of magnitude.
     sigmas = np.sqrt(np.diag(prior))[strapdown.WITHOUT_RATE]
     bank = SensorBank(descent.sensors)
-    beside = _Beside(frames, lasting or RimErrorOptions(), len(bank.sigmas))
+    augmented = _AugmentedState(frames, rim_errors or RimErrorOptions(), len(bank.sigmas))
     gained, steps = [], []
     for k, frame in enumerate(frames):
         if k:
             F, Q = _transition(descent, truth, k - 1, sigmas)
-            steps.append(beside.step(k, F, Q))
-        information = _information(descent, frame, truth.gTb[k], sigmas, beside)
+            steps.append(augmented.step(k, F, Q))
+        information = _information(descent, frame, truth.gTb[k], sigmas, augmented)
         rate = gyro_at(descent, frame.stamp_ns) - truth.bias[k, :3]
         state = SensorState(frame.stamp_ns, truth.gTb[k], truth.gV[k], rate)
-        for J in (_of_sample(sample, state, bank, sigmas, beside) for sample in bank.at(frame.stamp_ns)):
+        for J in (_of_sample(sample, state, bank, sigmas, augmented) for sample in bank.at(frame.stamp_ns)):
             information = information + J.T @ J
         gained.append(information)
 
-    covariance = _updated(np.eye(len(gained[0])), gained[0])
-    filtered = [covariance]
+    filtered = _filtered(steps, gained)
+    smoothed = _smoothed(steps, gained, filtered)
+    units = np.outer(sigmas[_POSE], sigmas[_POSE])
+    poses = [np.array([P[_POSE, _POSE] for P in states]) * units for states in (filtered, smoothed)]
+    return PosteriorBound(stamps, *poses)
+
+
+def _filtered(
+    steps: Sequence[tuple[FloatArray, FloatArray]], gained: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """Covariances at the frames from the data up to each: information recursion forwards."""
+    out = [_updated(np.eye(len(gained[0])), gained[0])]
     for (F, Q), information in zip(steps, gained[1:], strict=True):
-        covariance = _updated(F @ covariance @ F.T + Q, information)
-        filtered.append(covariance)
-    # What later frames say of a state: their information, carried back.
-    later = np.zeros_like(covariance)
-    smoothed = [covariance]
-    for k in range(len(frames) - 2, -1, -1):
+        out.append(_updated(F @ out[-1] @ F.T + Q, information))
+    return out
+
+
+def _smoothed(
+    steps: Sequence[tuple[FloatArray, FloatArray]],
+    gained: Sequence[FloatArray],
+    filtered: Sequence[FloatArray],
+) -> list[FloatArray]:
+    """Covariances at the frames from all data: the information of later frames, propagated backwards."""
+    later = np.zeros_like(filtered[-1])
+    out = [filtered[-1]]
+    for k in range(len(gained) - 2, -1, -1):
         F, Q = steps[k]
         information = later + gained[k + 1]
         later = F.T @ np.linalg.solve(np.eye(len(Q)) + information @ Q, information) @ F
         later = 0.5 * (later + later.T)
-        smoothed.append(_updated(filtered[k], later))
-    units = np.outer(sigmas[_POSE], sigmas[_POSE])
-    poses = [np.array([P[_POSE, _POSE] for P in states]) * units for states in (filtered, smoothed[::-1])]
-    return PosteriorBound(stamps, *poses)
+        out.append(_updated(filtered[k], later))
+    return out[::-1]
 
 
-class _Beside:
-    """Unknowns beside the state: what all rims share, sensors' biases, what each crater in sight keeps."""
+class _AugmentedState:
+    """The state with further unknowns: errors that all rims share, sensors' biases, errors of the craters."""
 
-    def __init__(self, frames: Sequence[FrameMeasurement], lasting: RimErrorOptions, biases: int) -> None:
-        self._lasting = lasting
+    def __init__(self, frames: Sequence[FrameMeasurement], options: RimErrorOptions, biases: int) -> None:
+        self._decay = options.decay
         self._seen = [_kept(frame) for frame in frames]
         self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
         self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
@@ -161,18 +199,18 @@ class _Beside:
 
     @property
     def size(self) -> int:
-        """Of the state and all that is beside it."""
-        return _SIZE + self._shared + SIZE * len(self.first)
+        """Dimension of the state with the further unknowns."""
+        return _SIZE + self._shared + ERROR_SIZE * len(self.first)
 
     def _enter(self, k: int) -> None:
         """Begin with the craters of frame k, and keep those that will be seen again."""
         charts = {**self._charts, **self._seen[k]}
         self._charts = {crater: chart for crater, chart in charts.items() if self._last[crater] >= k}
         begin = _SIZE + self._shared
-        self.first = {crater: begin + SIZE * i for i, crater in enumerate(self._charts)}
+        self.first = {crater: begin + ERROR_SIZE * i for i, crater in enumerate(self._charts)}
 
     def step(self, k: int, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Go on to frame k; return the state's transition and noise with those of what is beside it."""
+        """Go on to frame k: extend the state's transition and noise to the further unknowns."""
         columns, before, size = self.first, self._charts, self.size
         self._enter(k)
         whole, noise = np.zeros((self.size, size)), np.zeros((self.size, self.size))
@@ -183,8 +221,8 @@ class _Beside:
             correlation = 0.0
             if crater in columns:
                 change = float(shape_change(before[crater], self._charts[crater]))
-                correlation = np.exp(-change / self._lasting.decay)
-            for j in range(SIZE):
+                correlation = np.exp(-change / self._decay)
+            for j in range(ERROR_SIZE):
                 if crater in columns:
                     whole[row + j, columns[crater] + j] = correlation
                 noise[row + j, row + j] = 1.0 - correlation * correlation
@@ -192,16 +230,16 @@ class _Beside:
 
 
 def _kept(frame: FrameMeasurement) -> dict[int, FloatArray]:
-    """Give the images (5,) of those craters whose errors outlast a frame."""
+    """Charts (5,) of those craters that have time-correlated errors."""
     if frame.rims.correlated is None:
         return {}
     return dict(zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True))
 
 
 def _information(
-    descent: Descent, frame: FrameMeasurement, gTb: FloatArray, sigmas: FloatArray, beside: _Beside
+    descent: Descent, frame: FrameMeasurement, gTb: FloatArray, sigmas: FloatArray, augmented: _AugmentedState
 ) -> FloatArray:
-    """Give the information that a frame has of the state and what is beside it."""
+    """Information of a frame on the augmented state."""
     camera, catalog = descent.camera, descent.catalog
     frame = with_predicted_covariances(frame, gTb, camera, catalog)
     rims = frame.rims
@@ -210,11 +248,11 @@ def _information(
     W = whitening(white.covariance)
     rows = []
     for i in np.flatnonzero(usable):
-        J = np.zeros((5, beside.size))
+        J = np.zeros((5, augmented.size))
         J[:, _POSE] = A[i] * sigmas[_POSE]
         if rims.correlated is not None:
-            first = beside.first[int(rims.craters[i])]
-            J[:, first : first + SIZE] = W[i] @ rims.correlated[i]
+            first = augmented.first[int(rims.craters[i])]
+            J[:, first : first + ERROR_SIZE] = W[i] @ rims.correlated[i]
         if rims.shared is not None:
             J[:, _SIZE : _SIZE + SHARED_SIZE] = W[i] @ rims.shared[i]
         rows.append(J)
@@ -223,24 +261,24 @@ def _information(
     if sun is not None:
         others.append(sun)
     for one in others:
-        J = np.zeros((len(one.A), beside.size))
+        J = np.zeros((len(one.A), augmented.size))
         J[:, _POSE] = one.A * sigmas[_POSE]
         rows.append(J)
-    J = np.concatenate([np.zeros((0, beside.size)), *rows])
+    J = np.concatenate([np.zeros((0, augmented.size)), *rows])
     return np.asarray(J.T @ J)
 
 
 def _of_sample(
-    sample: Sample, state: SensorState, bank: SensorBank, sigmas: FloatArray, beside: _Beside
+    sample: Sample, state: SensorState, bank: SensorBank, sigmas: FloatArray, augmented: _AugmentedState
 ) -> FloatArray:
-    """Whitened derivatives (m, n) of a sample in the state and what is beside it, at the truth."""
+    """Whitened derivatives (m, n) of a sample in the augmented state, at the truth."""
     found = sample.linearise(state, np.zeros(len(bank.sigmas)))
-    J = np.zeros((len(found.error), beside.size))
+    J = np.zeros((len(found.error), augmented.size))
     whole = found.jacobian.copy()
     # The angular velocity is the gyro's less its bias.
     whole[:, strapdown.GYRO_BIAS] -= whole[:, strapdown.RATE]
     J[:, :_SIZE] = whole[:, strapdown.WITHOUT_RATE] * sigmas
-    first = _SIZE + beside.of_rims
+    first = _SIZE + augmented.of_rims
     biases = slice(first + sample.bias.start, first + sample.bias.stop)
     J[:, biases] = found.bias_jacobian * bank.sigmas[sample.bias]
     return J
@@ -251,7 +289,6 @@ def _transition(
 ) -> tuple[FloatArray, FloatArray]:
     """Transition (15, 15) from frame k to the next, and the IMU noise (15, 15) that it adds."""
     rows = descent.imu.between(int(truth.stamps_ns[k]), int(truth.stamps_ns[k + 1]))
-    noise = descent.imu_noise
     F, Q = strapdown.transition(
         truth.gTb[k],
         truth.gV[k],
@@ -259,9 +296,7 @@ def _transition(
         *rows,
         descent.body.mu_m3_s2,
         np.array(descent.body.spin_rad_s),
-        np.array(
-            [noise.gyro_density, noise.accelerometer_density, noise.gyro_walk, noise.accelerometer_walk]
-        ),
+        descent.imu_noise.densities,
     )
     return F * sigmas / sigmas[:, None], Q / np.outer(sigmas, sigmas)
 

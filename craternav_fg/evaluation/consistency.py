@@ -1,4 +1,4 @@
-"""Consistency: whether errors are as large as the covariances say, over trials, altitudes and sensors."""
+"""Consistency: whether errors are as large as the covariances predict, over trials, altitudes and sensors."""
 
 import itertools
 from collections.abc import Sequence
@@ -10,23 +10,25 @@ from scipy.stats import chi2
 
 FloatArray = npt.NDArray[np.float64]
 
-# Of intervals.
-PROBABILITY = 0.95
+# Of the intervals in which consistent estimators lie.
+INTERVAL_PROBABILITY = 0.95
 
 
 @dataclass(frozen=True)
 class Anees:
-    """Average normalised estimation error squared of some trials in a bin of altitude.
+    """Average normalised estimation error squared (ANEES) of some trials in a bin of altitude.
 
     Attributes
     ----------
     highest_m, lowest_m : float
         Altitudes of the bin.
     mean : float
-        The dimension (6 for a pose) when the covariances are honest, above it when they are too small.
+        The dimension (6 for a pose) when the estimator is consistent, above it when the covariances are too
+        small.
     low, high : float
-        Where it lies with a probability of 95 % if they are: a chi-square interval of the number of trials.
-        A trial's neighbouring frames err alike; so they count once, which makes the interval rather wide.
+        Interval of the mean with a probability of 95 % if it is: a chi-square interval of the number of
+        trials. Errors of neighbouring frames are correlated, so the frames of a trial count as one, which
+        makes the interval wide.
     trials, frames : int
         In the bin; frames of each trial.
     """
@@ -45,8 +47,24 @@ class Anees:
         return self.low <= self.mean <= self.high
 
 
-def mean_interval(dimension: int, count: int, probability: float = PROBABILITY) -> tuple[float, float]:
-    """Interval in which the mean of `count` independent chi-squares of a dimension lies."""
+def mean_interval(
+    dimension: int, count: int, probability: float = INTERVAL_PROBABILITY
+) -> tuple[float, float]:
+    """Interval of the mean of independent chi-squares.
+
+    Parameters
+    ----------
+    dimension : int
+        Degrees of freedom of each.
+    count : int
+        Number of them.
+    probability : float
+        Of the interval.
+
+    Returns
+    -------
+    low, high : float
+    """
     tail = 0.5 * (1.0 - probability)
     freedom = dimension * count
     return float(chi2.ppf(tail, freedom) / count), float(chi2.ppf(1.0 - tail, freedom) / count)
@@ -60,13 +78,17 @@ def anees_by_altitude(
     Parameters
     ----------
     nees : ndarray, shape (trials, k)
-        Normalised errors squared of each trial's frames.
+        Normalised estimation errors squared of each trial's frames, without a unit.
     altitude_m : ndarray, shape (k,)
         Of the frames.
     edges_m : sequence of float
         Falling altitudes; a frame is in the bin whose lower edge it is not below. Empty bins are left out.
     dimension : int
         Of the errors.
+
+    Returns
+    -------
+    list of Anees
     """
     bins = []
     for high_m, low_m in itertools.pairwise(edges_m):
@@ -79,10 +101,34 @@ def anees_by_altitude(
 
 
 def rms(errors: FloatArray) -> FloatArray:
-    """Root mean square norm over the trials, shape (k,), of errors (trials, k, d)."""
+    """Root mean square norm of errors over trials.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (trials, k, d)
+        In any unit and frame.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        In the same unit.
+    """
     return np.asarray(np.sqrt(np.mean(np.sum(errors**2, axis=-1), axis=0)))
 
 
 def over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:
-    """Mean of values (k,) over the altitude (k,), each frame by the altitude it stands for."""
+    """Average values over the altitude, each frame weighted by the altitude interval it stands for.
+
+    Parameters
+    ----------
+    values : ndarray, shape (k,)
+        In any unit.
+    altitude_m : ndarray, shape (k,)
+        Monotonic.
+
+    Returns
+    -------
+    float
+        In the same unit.
+    """
     return float(np.average(values, weights=np.abs(np.gradient(altitude_m))))

@@ -1,10 +1,10 @@
-"""Detected rims against true ones: who is who, and by how many pixels they differ.
+"""Detected rims against true ones: which belong together, and by how many pixels they differ.
 
-Of two ellipses, each taken as a Gaussian density with its matrix for the covariance, the overlap is the
-integral of the square root of their product; the distance is the angle whose cosine is its square
-(Christian, Derksen and Watkins 2021, J. Astronaut. Sci. 68, 1056). In units of sigma = 0.85 / sqrt(ab) a
-detection is a true rim's when the squared distance is below 13.277, the 99 % quantile of chi-square with
-four degrees of freedom, as in NASA's crater detection challenge.
+Each ellipse is taken as a Gaussian density with its matrix as the covariance. The overlap of two is the
+integral of the square root of their product; the distance is the angle whose cosine is its square (Christian,
+Derksen and Watkins 2021, J. Astronaut. Sci. 68, 1056). In units of sigma = 0.85 / sqrt(ab) a detection is a
+true rim's when the squared distance is below 13.277, the 99 % quantile of chi-square with four degrees of
+freedom, as in NASA's crater detection challenge.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 SIGMA_PX = 0.85
-GATE = 13.277
+GATE_CHI2 = 13.277
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Matches:
         Share of the wanted true rims that were detected; NaN when none is wanted.
     precision : float
         Share of the detections that are true rims, those of unwanted ones left out; NaN without any.
-    false : ndarray of int
+    false : ndarray of int, shape (n_false,)
         Rows of the detections that are no true rim.
-    missed : ndarray of int
+    missed : ndarray of int, shape (n_missed,)
         Rows of the wanted true rims that were not detected.
     centre_px, semi_major_px, semi_minor_px : ndarray, shape (k,)
         Errors of the detected wanted rims: distance of the centres, detected minus true axes.
@@ -58,18 +58,18 @@ class Matches:
 
 
 def gaussian_angle(one_px: FloatArray, other_px: FloatArray) -> FloatArray:
-    """Angle (...), rad, between the Gaussians of two ellipses.
+    """Angle between the Gaussians of two ellipses.
 
     Parameters
     ----------
     one_px, other_px : ndarray, shape (..., 5)
-        Centre x, y, semi-major and semi-minor axis, px, rotation of the major axis from x to y, rad.
-        Leading axes are broadcast.
+        Centre x, y, semi-major and semi-minor axis, px, rotation of the major axis from x to y, rad. Leading
+        axes are broadcast.
 
     Returns
     -------
-    ndarray
-        From 0, for equal ellipses, to pi / 2.
+    ndarray, shape (...,)
+        In rad, from 0, for equal ellipses, to pi / 2.
     """
     one, other = (matrix_of_chart(chart_of_axes(axes)) for axes in (one_px, other_px))
     total = one + other
@@ -87,14 +87,14 @@ def match(
     wanted: BoolArray | None = None,
     false_counts: BoolArray | None = None,
 ) -> Matches:
-    """Match detections to true rims so that as many as possible agree, and those as well as possible.
+    """Match detections to true rims so that as many as possible agree, and those as closely as possible.
 
     Parameters
     ----------
     detected_px : ndarray, shape (n, 5)
         Ellipses as in `gaussian_angle`.
     true_px : ndarray, shape (m, 5)
-        All rims in the image, also those that need not be detected.
+        All rims in the image, px and rad likewise, also those that need not be detected.
     wanted : ndarray of bool, shape (m,), optional
         Rims that must be detected; all if not given. A detection of another one is neither right nor wrong.
     false_counts : ndarray of bool, shape (n,), optional
@@ -111,9 +111,9 @@ def match(
     sigma = SIGMA_PX / np.sqrt(true[:, 2] * true[:, 3])
     distance2 = (gaussian_angle(detected[:, None], true[None]) / sigma) ** 2
     # Pairs beyond the gate cost alike, more than any number of pairs within.
-    cost = np.where(distance2 < GATE, distance2, GATE * (1 + min(distance2.shape)))
+    cost = np.where(distance2 < GATE_CHI2, distance2, GATE_CHI2 * (1 + min(distance2.shape)))
     rows, columns = linear_sum_assignment(cost)
-    good = distance2[rows, columns] < GATE
+    good = distance2[rows, columns] < GATE_CHI2
     rows, columns = rows[good], columns[good]
     right = wanted[columns]
     false = np.setdiff1d(np.flatnonzero(counts), rows)

@@ -1,8 +1,8 @@
 """Normalised innovations squared (NIS) of a filter, sensor by sensor.
 
-An innovation is what a frame shows less what was predicted before it was looked at. A filter whose
-covariances are honest has innovations that scatter as predicted and, unlike errors, do not need the truth;
-those of different frames are independent, so that their sum has a sharp chi-square interval.
+An innovation is a measurement minus its prediction from earlier data. The innovations of a consistent filter
+scatter as predicted. Unlike errors, they do not need the truth, and those of different frames are
+independent, so that their sum has a sharp chi-square interval.
 """
 
 import itertools
@@ -25,8 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 IMU, RIMS, SUN = SENSORS = ("imu", "rims", "sun")
-# Singular values of a frame's rows below this part of the prediction's noise say nothing of the pose.
-_FLAT = 1e-3
+# Singular value of a frame's rows, in units of the prediction's sigma, below which a direction is unobserved.
+_MIN_SINGULAR_VALUE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,14 @@ class Innovations:
     Attributes
     ----------
     sensor : tuple of str, length n
-        "rims": a rim's five (or an arc's points') innovations; "sun": the tilt's one; "imu": of all
-        innovations of a frame the part that a wrong prediction of the pose would cause, of at most six
-        dimensions. The rest is what the frame's measurements say of each other. Sensors beside camera and IMU
-        by their names, each sample by itself.
+        "rims": a rim's five (or an arc's points') innovations; "sun": the tilt's one; "imu": the part of all
+        innovations of a frame that errors of the predicted pose can cause, of at most six dimensions. The
+        rest tells how far the frame's measurements agree with each other. Further sensors by their names,
+        each sample by itself.
     stamps_ns : ndarray of int, shape (n,)
     nis : ndarray, shape (n,)
-        Of as many dimensions in the mean if prediction and measurements are as their covariances say.
+        NIS; its expectation is the dimension if prediction and measurement have the covariances that they
+        claim.
     dimension : ndarray of int, shape (n,)
     """
 
@@ -52,13 +53,13 @@ class Innovations:
     dimension: IntArray
 
     def of(self, sensor: str) -> "Innovations":
-        """Those of one sensor."""
+        """Select those of one sensor."""
         rows = np.array([i for i, name in enumerate(self.sensor) if name == sensor], dtype=np.int64)
         return Innovations((sensor,) * len(rows), self.stamps_ns[rows], self.nis[rows], self.dimension[rows])
 
     @classmethod
     def joined(cls, parts: Iterable["Innovations"]) -> "Innovations":
-        """Put those of several runs, or of the parts of a descent, one behind the other."""
+        """Concatenate those of several runs, or of the segments of a descent."""
         every = list(parts)
         return cls(
             tuple(itertools.chain.from_iterable(part.sensor for part in every)),
@@ -68,7 +69,7 @@ class Innovations:
         )
 
     def as_dict(self) -> dict[str, dict[str, float | int]]:
-        """Give mean, interval and total dimension of each sensor that was there, as metrics.json has them."""
+        """Give mean, interval and total dimension of each sensor that measured, as metrics.json has them."""
         others = sorted(set(self.sensor) - set(SENSORS))
         parts = {sensor: self.of(sensor) for sensor in (*SENSORS, *others) if sensor in self.sensor}
         return {
@@ -83,12 +84,12 @@ class Innovations:
 
     @property
     def mean(self) -> float:
-        """Sum over the sum of dimensions: 1 when all is as predicted; NaN without any."""
+        """NIS per dimension: its expectation is 1 for a consistent filter; NaN without any."""
         return float(self.nis.sum() / self.dimension.sum()) if len(self.nis) else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Where the mean lies with a probability of 95 % if all is as predicted."""
+        """Interval of the mean with a probability of 95 % for a consistent filter."""
         return mean_interval(1, max(int(self.dimension.sum()), 1))
 
 
@@ -101,6 +102,10 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
     states : sequence of FilterState
         A filter's, at every frame, each from the data up to it: `DistributedEkf.states`,
         `OnlineSession.states`. From each the next frame is predicted by the IMU.
+
+    Returns
+    -------
+    Innovations
 
     Raises
     ------
@@ -117,7 +122,7 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
         states[first:], itertools.pairwise(problem.frames[first:]), strict=False
     ):
         predicted = filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
-        # One frame's errors, what outlasts it among them.
+        # The errors of one frame, time-correlated ones included.
         seen = frame.inflate_correlated(1.0)
         gTb, P = predicted.gTb, predicted.covariance[POSE, POSE]
         camera, catalog = problem.camera, problem.catalog
@@ -165,5 +170,5 @@ def _whitened(A: FloatArray, residual: FloatArray, P: FloatArray) -> tuple[Float
 def _along_prediction(rows: FloatArray, innovation: FloatArray) -> tuple[float, int]:
     """Part of the innovation that errors of the prediction can cause: its square and its dimension."""
     U, strengths, _ = np.linalg.svd(rows, full_matrices=False)
-    U = U[:, strengths > _FLAT]
+    U = U[:, strengths > _MIN_SINGULAR_VALUE]
     return float(np.sum((U.T @ innovation) ** 2)), U.shape[1]

@@ -1,4 +1,4 @@
-"""Errors of an estimated trajectory, and the figures that sum them up."""
+"""Errors of an estimated trajectory, and the figures that summarise them."""
 
 from dataclasses import asdict, dataclass
 
@@ -36,7 +36,7 @@ class Errors:
 
     @property
     def pose(self) -> FloatArray:
-        """Attitude, then position error, shape (k, 6): the order of a pose covariance."""
+        """Attitude, then position error, shape (k, 6), rad and m: the order of a pose covariance."""
         return np.concatenate([self.attitude_rad, self.position_m], axis=1)
 
 
@@ -47,17 +47,17 @@ class Metrics:
     Attributes
     ----------
     position_rms_m, position_final_m : float or None
-        Norm of the position error over all frames, and at the last.
+        Norm of the position error: RMS over all frames, and at the last.
     velocity_rms_m_s : float or None
     attitude_rms_deg, attitude_final_deg : float or None
         Angle of the attitude error.
     ate_m : float or None
-        Absolute trajectory error: RMS of the position error after the estimate is turned and moved to fit the
-        truth best, as `evo_ape -a` has it. What is left is the shape's error.
+        Absolute trajectory error: RMS of the position error after the estimate is aligned with the truth by a
+        rotation and a shift, as `evo_ape -a` has it. It shows the error of the trajectory's shape.
     rpe_m, rpe_deg : float or None
         Relative pose error: RMS of the error of the motion from frame to frame, as `evo_rpe` has it.
     anees : float or None
-        Mean of the pose's normalised estimation error squared; 6 when the covariances are honest.
+        Average normalised estimation error squared of the pose; 6 for a consistent estimator.
     frames : int
     """
 
@@ -80,6 +80,14 @@ class Metrics:
 def errors(estimate: Trajectory, truth: Trajectory) -> Errors:
     """Errors of an estimate against the truth.
 
+    Parameters
+    ----------
+    estimate, truth : Trajectory
+
+    Returns
+    -------
+    Errors
+
     Raises
     ------
     EstimationError
@@ -97,12 +105,35 @@ def errors(estimate: Trajectory, truth: Trajectory) -> Errors:
 
 
 def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Normalised estimation error squared e' S^-1 e, shape (k,), of errors (k, d)."""
+    """Normalised estimation error squared e' S^-1 e.
+
+    Parameters
+    ----------
+    error : ndarray, shape (k, d)
+        In the units of the covariance.
+    covariance : ndarray, shape (k, d, d)
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        NEES; its expectation is d for a consistent estimator.
+    """
     return squared_distance(error, covariance)
 
 
 def metrics(estimate: Trajectory, truth: Trajectory | None) -> Metrics:
-    """Sum up an estimate's errors; without truth only the number of frames is known."""
+    """Summarise an estimate's errors.
+
+    Parameters
+    ----------
+    estimate : Trajectory
+    truth : Trajectory or None
+        Without it only the number of frames is known.
+
+    Returns
+    -------
+    Metrics
+    """
     if truth is None:
         return Metrics(None, None, None, None, None, None, None, None, None, len(estimate))
     e = errors(estimate, truth)
@@ -128,10 +159,20 @@ def metrics(estimate: Trajectory, truth: Trajectory | None) -> Metrics:
 
 
 def ate_m(gP: FloatArray, true_gP: FloatArray) -> float:
-    """RMS distance of positions (k, 3) from the true ones after the best rotation and shift.
+    """RMS distance of positions from the true ones after the best rotation and shift.
 
     Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13 (4),
     1991, without a scale.
+
+    Parameters
+    ----------
+    gP, true_gP : ndarray, shape (k, 3)
+        In g, m.
+
+    Returns
+    -------
+    float
+        In m.
     """
     x, y = gP - gP.mean(axis=0), true_gP - true_gP.mean(axis=0)
     U, _, Vt = np.linalg.svd(y.T @ x)
@@ -140,7 +181,19 @@ def ate_m(gP: FloatArray, true_gP: FloatArray) -> float:
 
 
 def step_errors(gTb: FloatArray, true_gTb: FloatArray) -> FloatArray:
-    """Errors (k - 1, 4, 4) of the motion from frame to frame of poses (k, 4, 4); the identity when zero."""
+    """Errors of the motion from frame to frame.
+
+    Parameters
+    ----------
+    gTb, true_gTb : ndarray, shape (k, 4, 4)
+        Poses in g, m.
+
+    Returns
+    -------
+    ndarray, shape (k - 1, 4, 4)
+        Poses of the estimated motion relative to the true one, in the body's frame; the identity without
+        error.
+    """
     steps, true = (np.linalg.solve(T[:-1], T[1:]) for T in (gTb, true_gTb))
     return np.asarray(np.linalg.solve(true, steps))
 

@@ -156,7 +156,7 @@ def _run(problem: Problem, lag_s: float) -> tuple[FloatArray, FloatArray, FloatA
         else:
             session.update(frame)
         frame_ms[k] = 1e3 * (time.process_time() - began)
-        numbers = session.frame_numbers
+        numbers = session.frame_state_indices
         while not solver.tree.valueExists(X(numbers[first])):
             first += 1
         # The next states to leave the lag and the newest; at the end, all.

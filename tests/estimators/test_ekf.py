@@ -72,12 +72,15 @@ def central_update(state, frame, problem):
 def test_exact_fusion_equals_a_central_update(world, problem):
     # The prior of the second frame: correlated over all 18 states.
     prior = filter_state.propagate(
-        filter_state.until_start(problem)[-1], problem, problem.frames[0].stamp_ns, problem.frames[1].stamp_ns
+        filter_state.states_to_start(problem)[-1],
+        problem,
+        problem.frames[0].stamp_ns,
+        problem.frames[1].stamp_ns,
     )
     frame = problem.frames[1]
     assert len(frame.rims) >= 3
     delta, covariance = central_update(prior, frame, problem)
-    expected = prior.moved(delta, covariance)
+    expected = prior.corrected(delta, covariance)
     found = DistributedEkf("ekf", PLAIN).estimate(dataclasses.replace(problem, frames=problem.frames[:2]))
     s = np.sqrt(np.diag(expected.covariance))
     R_error = frames.rotation_log(expected.gTb[:3, :3].T @ found.gRb[1])
@@ -126,8 +129,8 @@ def test_a_correction_carries_the_covariance_to_the_new_attitude():
     delta = rng.normal(size=18)
     for i in range(18):
         e = 1e-6 * np.eye(18)[i]
-        moved = state.moved(delta, np.outer(e, e) * 1e12)
-        left = state.moved(delta + e, np.eye(18)).minus(state.moved(delta - e, np.eye(18))) / 2e-6
+        moved = state.corrected(delta, np.outer(e, e) * 1e12)
+        left = state.corrected(delta + e, np.eye(18)).minus(state.corrected(delta - e, np.eye(18))) / 2e-6
         np.testing.assert_allclose(moved.covariance, np.outer(left, left), atol=1e-3)
 
 
@@ -350,7 +353,7 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
     problem = draw(world, np.random.default_rng(42), start_scale=20.0)
     frame = problem.frames[1]
     prior = filter_state.propagate(
-        filter_state.until_start(problem)[-1], problem, problem.frames[0].stamp_ns, frame.stamp_ns
+        filter_state.states_to_start(problem)[-1], problem, problem.frames[0].stamp_ns, frame.stamp_ns
     )
     scale = np.sqrt(np.diag(prior.covariance))
     root = np.linalg.cholesky(prior.covariance / np.outer(scale, scale))
@@ -359,7 +362,7 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
     rows = frame.rims.craters
 
     def residuals(x):
-        T = prior.moved(scale * (root @ x), prior.covariance).gTb
+        T = prior.corrected(scale * (root @ x), prior.covariance).gTb
         y, _ = conic.project_rims(
             T, problem.camera.bTc, problem.catalog.centres[rows], problem.catalog.axes[rows]
         )
@@ -368,7 +371,7 @@ def test_iterated_update_reaches_the_maximum_a_posteriori_state(world):
         return np.concatenate([x, rims, [sun.wrap(frame.sun.tilt_rad - tilt) / frame.sun.sigma_rad]])
 
     best = least_squares(residuals, np.zeros(18), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    expected = prior.moved(scale * (root @ best.x), prior.covariance)
+    expected = prior.corrected(scale * (root @ best.x), prior.covariance)
     assert np.linalg.norm(expected.minus(prior)[:3]) > np.radians(3.0)
     estimator = DistributedEkf("x", dataclasses.replace(PLAIN, iterations=12))
     out = estimator.estimate(dataclasses.replace(problem, frames=problem.frames[:2]))

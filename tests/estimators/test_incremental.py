@@ -15,9 +15,9 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import batch
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
-from craternav_fg.estimators.first_guess import initial_values
 from craternav_fg.estimators.graph import ImuInterval
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
+from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSession, OnlineSmoother
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import RimSet
@@ -114,7 +114,7 @@ def test_session_goes_on_after_a_frame_that_failed(
         graph.push_back(spoilt_factor(arguments[2]))
 
     lost, never = run(4), run(None)
-    assert lost.frame_numbers == never.frame_numbers
+    assert lost.frame_state_indices == never.frame_state_indices
     sigma = np.sqrt(np.diag(never.state.covariance)[3:6])
     assert (np.abs(lost.state.gTb[:3, 3] - never.state.gTb[:3, 3]) < 0.05 * sigma).all()
 
@@ -133,8 +133,8 @@ def test_a_variable_given_twice_is_refused_and_nothing_lost() -> None:
 def test_slots_stay_until_the_next_state(monkeypatch: pytest.MonkeyPatch) -> None:
     """A replacement in a tree that is due to be replaced must hit the factor it was meant for."""
     monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 4)
-    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP", 2)
-    monkeypatch.setattr("craternav_fg.estimators.incremental.SNAPSHOT_RAD", 10.0)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP_VARIABLES", 2)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.SNAPSHOT_ATTITUDE_RAD", 10.0)
     solver = Isam()
     for number in range(5):
         slots = step(solver, number)
@@ -191,7 +191,7 @@ def test_an_unsettled_state_is_not_handed_on(
 ) -> None:
     """The first rims come late, about when the tree is full: it must not keep their first linearisation."""
     monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 90)
-    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP", 15)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP_VARIABLES", 15)
     ends = []
     for p, truth in trials:
         frames = [replace(f, rims=RimSet.empty(), sun=None) for f in p.frames[:first]]
@@ -214,7 +214,7 @@ def test_a_tree_that_grew_hands_on_what_it_knows(
     p, _ = trials[0]
     whole = OnlineSmoother().run(p)
     monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 45)
-    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP", 15)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP_VARIABLES", 15)
     handed_on = OnlineSmoother().run(p)
     expected, actual = whole.filtered(), handed_on.filtered()
     assert expected.pose_covariance is not None
@@ -255,7 +255,7 @@ def test_fixed_lag_is_consistent_and_forgets(trials: list[tuple[Problem, Traject
     for frame in p.frames[1:]:
         session.update(frame)
     assert not solver.tree.valueExists(X(0))
-    assert solver.tree.valueExists(X(session.frame_numbers[-1]))
+    assert solver.tree.valueExists(X(session.frame_state_indices[-1]))
 
 
 def test_a_lag_must_be_positive() -> None:
@@ -279,7 +279,7 @@ def test_gravity_is_taken_anew_where_a_correction_moved_the_states(
 
     monkeypatch.setattr(batch, "initial_values", displaced)
     again = BatchSmoother().estimate(p)
-    monkeypatch.setattr(ImuInterval, "moved", lambda self, body, midpoint: self)
+    monkeypatch.setattr(ImuInterval, "with_gravity_at", lambda self, body, midpoint: self)
     once = BatchSmoother().estimate(p)
     off = [np.linalg.norm(t.gP - expected.gP, axis=1).max() for t in (again, once)]
     assert off[0] < 0.1

@@ -100,7 +100,7 @@ def test_a_start_that_leads_astray_is_replaced_by_the_online_smoothers(
     expected = BatchSmoother().estimate(p)
 
     def astray(self: DistributedEkf, problem: Problem) -> list[FilterState]:
-        states = filter_state.until_start(problem)
+        states = filter_state.states_to_start(problem)
         turned = states[0].gTb.copy()
         turned[:3, :3] = turned[:3, :3] @ frames.rotation_exp(np.array([0.0, 0.0, 2.5]))
         return [dataclasses.replace(states[0], gTb=turned)] * len(problem.frames)

@@ -1,4 +1,4 @@
-"""The distributed extended Kalman filter: one sub-filter per crater, eqs (25)-(29)."""
+"""The distributed extended Kalman filter: one sub-filter per crater, eqs. (25)-(29)."""
 
 import itertools
 from dataclasses import dataclass, field, replace
@@ -40,21 +40,21 @@ class EkfOptions:
     measurement : {"chart", "implicit", "los", "los+shape", "points", "centre"}
         Ellipse chart, or eq. (19) as an implicit measurement, eq. (25).
     noise : {"measured", "fixed"}
-        Each rim's own covariance, taken where the prediction expects it, or the paper's Qn for all of them.
+        Each rim's own covariance, evaluated at the predicted measurement, or the paper's Qn for all of them.
     fusion : {"exact", "paper", "paper-fed-back", "covariance-intersection"}
-        "exact" counts the prior that sub-filters share once; "paper" lets them run on by themselves
-        and publishes eq. (29); "paper-fed-back" writes eq. (29) back into them in every frame, which
-        makes them over-confident; "covariance-intersection" (weights 1/n) is cautious.
+        "exact" counts the prior that sub-filters share once. "paper" lets them run on by themselves and
+        publishes eq. (29). "paper-fed-back" writes eq. (29) back into them in every frame, which makes them
+        over-confident. "covariance-intersection" (weights 1/n) is conservative.
     iterations : int
-        Linearisations per update; the second makes the first updates after a start of a degree or a
+        Linearisations per update; the second makes the first updates after a start wrong by a degree or a
         kilometre consistent.
     limit_sigmas : float or None
-        A rim's noise is inflated until its normalised innovation (5 degrees of freedom) is this;
+        A rim's noise is inflated until its normalised innovation (5 degrees of freedom) is at most this;
         None: never.
     gate_sigmas : float or None
         A rim beyond this is dropped, unless every rim of the frame is; None: never.
     variance_inflation : float
-        How often errors that outlast a frame are counted, as the filter takes them as new in each.
+        Factor on the variance of time-correlated errors, which the filter treats as white.
     """
 
     measurement: MeasurementModel = "chart"
@@ -80,7 +80,15 @@ class DistributedEkf:
     options: EkfOptions = field(default_factory=EkfOptions)
 
     def estimate(self, problem: Problem) -> Trajectory:
-        """Filter all frames after the start's; up to it there are the prior, the IMU and the start.
+        """Filter the frames after the start's; the states before are propagated from the prior.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        Trajectory
 
         Raises
         ------
@@ -90,8 +98,23 @@ class DistributedEkf:
         return filter_state.trajectory([frame.stamp_ns for frame in problem.frames], self.states(problem))
 
     def states(self, problem: Problem) -> list[FilterState]:
-        """Filter as `estimate` does; the states at all frames."""
-        states = filter_state.until_start(problem)
+        """Filter as `estimate` does.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        list of FilterState
+            At every frame, each from the data up to it.
+
+        Raises
+        ------
+        ValueError
+            When the IMU log does not cover the frames.
+        """
+        states = filter_state.states_to_start(problem)
         base = states[-1]
         first = problem.start.frame
         # Under "paper" every crater in view has a state of its own; else all share the published one.
@@ -108,8 +131,8 @@ class DistributedEkf:
                 filters = self._step_each(filters, prior, last.stamp_ns, frame, problem, bank)
                 alone = self._update(prior, frame, problem, "exact", bank)
                 fused = _combined(list(filters.values())) if filters else alone
-                # (29) counts the past that n sub-filters share n times. It is published as it is, but
-                # a later sub-filter that began with it would trust itself for ever.
+                # (29) counts the past that n sub-filters share n times. It is published as it is, but a
+                # sub-filter that began with it would remain over-confident.
                 base = replace(fused, covariance=max(len(filters), 1) * fused.covariance)
                 states.append(fused)
             else:
@@ -128,10 +151,10 @@ class DistributedEkf:
         problem: Problem,
         bank: SensorBank,
     ) -> dict[int, FilterState]:
-        """Carry every sub-filter to a frame and update it by its own crater and the sun.
+        """Propagate every sub-filter to a frame and update it with its own crater and the sun.
 
-        Sub-filters end when their crater leaves the view; a new crater's begins from the fused state,
-        its covariance multiplied by the number of sub-filters that were fused.
+        A sub-filter ends when its crater leaves the view. A new crater's sub-filter begins from the fused
+        state, its covariance multiplied by the number of sub-filters that were fused.
         """
         out = {}
         for row, crater in enumerate(frame.rims.craters.tolist()):
@@ -145,6 +168,7 @@ class DistributedEkf:
     def _update(
         self, prior: FilterState, frame: FrameMeasurement, problem: Problem, rule: Rule, bank: SensorBank
     ) -> FilterState:
+        """Update a propagated state with a frame, relinearised `iterations` times."""
         options = self.options
         samples = bank.at(frame.stamp_ns)
         if not len(frame.rims) and not len(frame.arcs) and frame.sun is None and not samples:
@@ -158,7 +182,7 @@ class DistributedEkf:
         factors: FloatArray | None = None
         trust: list[float] = []
         for _ in range(options.iterations):
-            point = prior if not delta.any() else prior.moved(delta, covariance)
+            point = prior if not delta.any() else prior.corrected(delta, covariance)
             A, residual, usable = linearise_rims(
                 point.gTb,
                 rims,
@@ -184,7 +208,7 @@ class DistributedEkf:
             sun = linearise_sun(point.gTb, frame.sun, problem.camera)
             if sun is not None:
                 sun = _relative(sun, J, delta)
-                # A central filter uses the sun once; sub-filters that don't know each other, each.
+                # A central filter uses the sun once; independent sub-filters use it once each.
                 users = 1 if rule == "exact" else len(updates)
                 updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
             if samples:
@@ -200,7 +224,7 @@ class DistributedEkf:
             if not updates:
                 return point
             delta, covariance = fuse_updates(prior.covariance, updates, rule)
-        return prior.moved(delta, covariance)
+        return prior.corrected(delta, covariance)
 
     def _trust(self, sample: Sample, A: FloatArray, residual: FloatArray, prior: FilterState) -> float:
         """Give the root of a sample's weight: 1 inside its sensor's limit, 0 beyond the gate."""
@@ -225,20 +249,21 @@ class DistributedEkf:
         gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
         sigmas, factors = noise_inflation(A, residual, prior.covariance[POSE, POSE], limit)
         keep = usable & (sigmas <= gate)
-        # When all rims disagree with the prediction, it is the prediction that is suspect.
+        # When all rims disagree with the prediction, the prediction is suspect.
         if not keep.any():
             keep = usable.copy()
         return rims.take(keep), keep, factors[keep]
 
 
 def _relative(update: LinearMeasurement, J: FloatArray, delta: FloatArray) -> LinearMeasurement:
-    """Refer a measurement linearised at a moved pose to the prior's error."""
+    """Refer a measurement linearised at a corrected pose to the prior's error."""
     A = update.A.copy()
     A[:, :3] = A[:, :3] @ J
     return LinearMeasurement(A, update.residual + A @ delta[POSE])
 
 
 def _with(update: LinearMeasurement, sun: LinearMeasurement) -> LinearMeasurement:
+    """Stack the sun's tilt on another measurement."""
     return LinearMeasurement(np.vstack([update.A, sun.A]), np.concatenate([update.residual, sun.residual]))
 
 
@@ -250,26 +275,36 @@ def _widened(update: LinearMeasurement, size: int) -> LinearMeasurement:
 
 
 def _combined(states: list[FilterState]) -> FilterState:
-    """Eq. (29), attitudes averaged on the tangent space of the result."""
+    """Combine the states of sub-filters by eq. (29), attitudes averaged on the tangent space."""
     mean = states[0]
     covariances = np.array([state.covariance for state in states])
     if len(states) == 1:
         return mean
     for _ in range(3):
         delta, covariance = combine(np.array([state.minus(mean) for state in states]), covariances)
-        mean = mean.moved(delta, covariance)
+        mean = mean.corrected(delta, covariance)
         if np.linalg.norm(delta[:3]) < 1e-9:
             break
     return mean
 
 
 def ekf() -> DistributedEkf:
-    """Return the filter at its best: ellipse chart, each rim's own noise, prior counted once."""
+    """Return the best variant: ellipse chart, each rim's own noise, prior counted once."""
     return DistributedEkf("ekf", EkfOptions())
 
 
 def ekf_paper() -> DistributedEkf:
-    """Return the paper's filter: eq. (19) with (24), fixed Qn, eq. (29) on the output."""
+    """Return the paper's filter: eq. (19) with (24), fixed Qn, eq. (29) on the output.
+
+    Returns
+    -------
+    DistributedEkf
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (19), (24), (25), (29);
+    docs/equations.md.
+    """
     return DistributedEkf(
         "ekf_paper",
         EkfOptions(

@@ -1,9 +1,9 @@
-"""Fusion of sub-filters, eq. (29), and what it has to be to count a shared prior once.
+"""Fusion of sub-filters, eq. (29), and its exact form, which counts a shared prior once.
 
 Two cases. Sub-filters that run on their own are combined as estimates (`combine`, eq. (29) itself).
-Sub-filters that updated one common prior are combined in that prior's whitened coordinates
-(`fuse_updates`): with the prior's covariance L L' and errors L e, the prior's information is the
-identity, whatever the states' units.
+Sub-filters that updated one common prior are combined in that prior's whitened coordinates (`fuse_updates`):
+with the prior's covariance L L' and errors L e, the prior's information is the identity, whatever the states'
+units.
 """
 
 from collections.abc import Sequence
@@ -33,14 +33,18 @@ def fuse_updates(
     rule : {"exact", "paper-fed-back", "covariance-intersection"}
         "exact": information sum Lambda_i - (N - 1) Lambda_prior, equal to one central update.
         "paper-fed-back": sum Lambda_i as eq. (29), the prior counted N times.
-        "covariance-intersection": mean of the Lambda_i (weights 1/N), safe for any correlation.
+        "covariance-intersection": mean of the Lambda_i (weights 1/N), conservative for any correlation.
 
     Returns
     -------
     delta : ndarray, shape (n,)
-        Correction of the prior's mean.
+        Correction of the prior's mean, in the units of the error state.
     covariance : ndarray, shape (n, n)
         Of the fused estimate.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (29); docs/equations.md.
     """
     k = updates[0].A.shape[1]
     L = square_root(covariance)
@@ -75,13 +79,18 @@ def combine(deltas: FloatArray, covariances: FloatArray) -> tuple[FloatArray, Fl
     Parameters
     ----------
     deltas : ndarray, shape (N, n)
-        The estimates, as error-state vectors from a common reference.
+        The estimates, as error-state vectors from a common reference, in the units of the error state.
     covariances : ndarray, shape (N, n, n)
 
     Returns
     -------
     delta : ndarray, shape (n,)
+        In the units of the error state.
     covariance : ndarray, shape (n, n)
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (29); docs/equations.md.
     """
     white = whitening(covariances)
     total = np.einsum("kij,kil->jl", white, white)

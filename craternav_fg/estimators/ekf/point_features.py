@@ -138,7 +138,7 @@ class FeatureWindow:
             Q, A = np.linalg.qr(A)
             residual = Q.T @ residual
         delta, covariance = fuse_updates(state.covariance, [LinearMeasurement(A, residual)], "exact")
-        return state.moved(delta, covariance)
+        return state.corrected(delta, covariance)
 
     def _constraint(
         self, state: FilterState, seen: list[tuple[FloatArray, int, FloatArray]]

@@ -1,4 +1,4 @@
-"""Values of all states of a graph from a filter's, which carries them from frame to frame."""
+"""Initial values of all states of a graph, from the states of a filter at the frames."""
 
 import itertools
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from craternav_fg.estimators.graph import insert_state, state_stamps
 def initial_values(
     problem: Problem, start: Start, states: Sequence[FilterState], keyframe_s: float
 ) -> tuple[gtsam.Values, list[int]]:
-    """Values of all states from a filter's at the frames.
+    """Give all states of a graph the values of a filter's states.
 
     Parameters
     ----------
@@ -30,16 +30,16 @@ def initial_values(
     Returns
     -------
     values : gtsam.Values
-    numbers : list of int
+    state_indices : list of int
         Of the frames' states.
     """
-    at_frames = [*_before(problem, start), *states]
+    at_frames = [*_states_before(problem, start), *states]
     values = gtsam.Values()
-    numbers = []
+    state_indices = []
     last = 0
     for k, (frame, state) in enumerate(zip(problem.frames, at_frames, strict=True)):
         _insert(values, last, state)
-        numbers.append(last)
+        state_indices.append(last)
         if k + 1 < len(problem.frames):
             begin_ns = frame.stamp_ns
             stamps = state_stamps(begin_ns, problem.frames[k + 1].stamp_ns, keyframe_s)
@@ -48,15 +48,15 @@ def initial_values(
                 last, begin_ns = last + 1, int(end_ns)
                 _insert(values, last, state)
             last += 1
-    return values, numbers
+    return values, state_indices
 
 
-def _before(problem: Problem, start: Start) -> list[FilterState]:
-    """States at the frames before the start's: the prior, moved to where it leads to the start."""
+def _states_before(problem: Problem, start: Start) -> list[FilterState]:
+    """States at the frames before the start's: the prior, moved so that the IMU leads to the start."""
     first = start.frame
     if first == 0:
         return []
-    prior = filter_state.carried_prior(problem, problem.frames[: first + 1])
+    prior = filter_state.propagated_prior(problem, problem.frames[: first + 1])
     gTb = prior[0].gTb.copy()
     gTb[:3, :3] = start.gTb[:3, :3] @ prior[-1].gTb[:3, :3].T @ gTb[:3, :3]
     gTb[:3, 3] += start.gTb[:3, 3] - prior[-1].gTb[:3, 3]
@@ -66,5 +66,5 @@ def _before(problem: Problem, start: Start) -> list[FilterState]:
     return states
 
 
-def _insert(values: gtsam.Values, number: int, state: FilterState) -> None:
-    insert_state(values, number, gtsam.NavState(gtsam.Pose3(state.gTb), state.gV), state.bias)
+def _insert(values: gtsam.Values, index: int, state: FilterState) -> None:
+    insert_state(values, index, gtsam.NavState(gtsam.Pose3(state.gTb), state.gV), state.bias)
