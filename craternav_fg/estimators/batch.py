@@ -20,6 +20,7 @@ from craternav_fg.estimators.graph import (
     FactorGraph,
     GraphOptions,
     ImuInterval,
+    RimVariables,
     add_frame,
     add_imu,
     add_prior,
@@ -225,10 +226,9 @@ def build_graph(
         if options.rims == "chart":
             exposed = values.atPose3(key).matrix()
             errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed, known)
-        add_frame(
-            graph, problem, options, key, frame, states=states, values=added, map_errors=errors,
-            near=values.atPose3(key).matrix(),
-        )  # fmt: skip
+        variables = RimVariables(added, states, map_errors=errors)
+        near = values.atPose3(key).matrix()
+        add_frame(graph, problem, options, key, frame, variables=variables, near=near)
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), index, frame.stamp_ns)
         if features is not None:
             features.enter(

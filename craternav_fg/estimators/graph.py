@@ -145,36 +145,67 @@ def add_prior(graph: gtsam.NonlinearFactorGraph, initial: InitialState) -> None:
     graph.push_back(gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), diagonal(bias_sigmas)))
 
 
+@dataclass(frozen=True)
+class RimVariables:
+    """Variables of a frame's rims in a graph, beside the pose.
+
+    Attributes
+    ----------
+    values : gtsam.Values
+        Gets the variables that are new.
+    states : RimErrorStates or None
+        Time-correlated errors; None treats them as white.
+    holds : callable or None
+        See `RimErrorStates.enter`.
+    map_errors : sequence of ChartError
+        Errors of the rims' craters on the map, which the graph has already.
+    """
+
+    values: gtsam.Values
+    states: RimErrorStates | None = None
+    holds: Callable[[int], bool] | None = None
+    map_errors: Sequence[ChartError] = ()
+
+
 def add_frame(
     graph: gtsam.NonlinearFactorGraph,
     descent: Descent,
     options: GraphOptions,
     key: int,
     frame: FrameMeasurement,
+    *,
     noise_scale: float = 1.0,
-    states: RimErrorStates | None = None,
-    values: gtsam.Values | None = None,
-    holds: Callable[[int], bool] | None = None,
-    map_errors: Sequence[ChartError] = (),
+    variables: RimVariables | None = None,
     near: FloatArray | None = None,
 ) -> None:
-    """Add what one image says of the pose at `key`, its noise multiplied by `noise_scale`.
+    """Add the factors of one image: rims, arcs and sun tilt.
 
-    With `states` the errors that outlast the frame are variables, and `values` gets those that are new (see
-    `RimErrorStates.enter`); without, they count as new in every frame. `map_errors` are further variables of
-    the rims. Lines of sight are evaluated at the attitude of `near` (4, 4), a pose gTb, m.
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    descent : Descent
+    options : GraphOptions
+    key : int
+        Of the pose at the exposure.
+    frame : FrameMeasurement
+    noise_scale : float
+        Factor on all standard deviations.
+    variables : RimVariables, optional
+        Without them all errors of rims are treated as white.
+    near : ndarray, shape (4, 4), optional
+        Pose gTb, m, at whose attitude lines of sight are evaluated; the initial state's if not given.
     """
-    carried = states is not None and values is not None and options.rims == "chart"
-    rims = frame.rims if carried else frame.rims.inflate_correlated(options.variance_inflation)
+    states = None if variables is None or options.rims != "chart" else variables.states
+    rims = frame.rims if states is not None else frame.rims.inflate_correlated(options.variance_inflation)
     bTc = descent.camera.bTc
     if len(rims):
         if options.rims == "chart":
             centres, axes = descent.catalog.centres[rims.craters], descent.catalog.axes[rims.craters]
             errors: list[ChartError] = []
-            if states is not None and values is not None:
-                errors = states.enter(rims, graph, values, holds)
+            if variables is not None and states is not None:
+                errors = states.enter(rims, graph, variables.values, variables.holds)
             S = noise_scale**2 * (rims.uncorrelated_covariance if errors else rims.covariance)
-            errors.extend(map_errors)
+            errors.extend(() if variables is None else variables.map_errors)
             graph.push_back(
                 conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
             )

@@ -19,6 +19,7 @@ from craternav_fg.estimators.graph import (
     FactorGraph,
     GraphOptions,
     ImuInterval,
+    RimVariables,
     add_frame,
     add_imu,
     add_prior,
@@ -135,9 +136,8 @@ class OnlineSession:
         initial = self._descent.initial
         add_prior(graph, initial)
         gTb = start.gTb if start.frame == 0 else initial.gTb
-        add_frame(
-            graph, self._descent, self._options, X(0), frame, states=self._errors, values=values, near=gTb
-        )
+        variables = RimVariables(values, self._errors)
+        add_frame(graph, self._descent, self._options, X(0), frame, variables=variables, near=gTb)
         add_sensors(graph, values, self._descent, self._bank.at(frame.stamp_ns), 0, frame.stamp_ns)
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._add_features(graph, values, 0, frame.stamp_ns)
@@ -190,10 +190,8 @@ class OnlineSession:
             state, begin_ns = ahead, int(end_ns)
         # At the prediction and no later pose: the rims' weights must not depend on what they measured.
         frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
-        add_frame(
-            graph, self._descent, self._options, X(last), frame, states=self._errors, values=values,
-            holds=self._solver.tree.valueExists, near=state.gTb,
-        )  # fmt: skip
+        variables = RimVariables(values, self._errors, self._solver.tree.valueExists)
+        add_frame(graph, self._descent, self._options, X(last), frame, variables=variables, near=state.gTb)
         add_sensors(
             graph, values, self._descent, self._bank.at(frame.stamp_ns), last, frame.stamp_ns,
             self._solver.tree.valueExists,

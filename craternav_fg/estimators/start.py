@@ -62,7 +62,7 @@ def find_start(
     for scale in ANNEALING_SCALES:
         graph = FactorGraph()
         graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(prior.gTb), noise))
-        add_frame(graph, descent, options, X(0), frames[index], scale)
+        add_frame(graph, descent, options, X(0), frames[index], noise_scale=scale)
         values = levenberg_marquardt(graph, values).values
     information, _ = graph.linearize(values).hessian()
     posterior = scaled_inverse(information)

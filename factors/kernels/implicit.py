@@ -57,8 +57,8 @@ def implicit_residuals(
         Loss, see `robust`.
     linearise : bool
         Whether J is written.
-    e, J : ndarray, shape (m n,), (m n, 6)
-        Written; J for the body's right twist [w, rho].
+    e, J : ndarray, shape (rows,), (rows, 6)
+        Written, m rows for each rim; J for the body's right twist [w, rho].
 
     References
     ----------
