@@ -34,7 +34,7 @@ def write_overlay(path: Path, image: npt.NDArray[np.generic], rims: FoundRims) -
     path : Path
         PNG to write.
     image : ndarray, shape (H, W) or (H, W, 3)
-        As it was detected in.
+        Grey levels or colours, of any scale.
     rims : FoundRims
 
     Raises

@@ -1,1 +1,1 @@
-"""What a run or a campaign comes to, as one page that needs nothing but a browser."""
+"""The report of a run or a campaign: one HTML page that needs nothing but a browser."""

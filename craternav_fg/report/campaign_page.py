@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter
 
 from craternav_fg.campaign.read import Campaign
 from craternav_fg.campaign.store import MARKER
-from craternav_fg.campaign.summary import of_estimator
+from craternav_fg.campaign.summary import CONVERGED_DEG, CONVERGED_SHARE_OF_ALTITUDE, of_estimator
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
@@ -20,21 +20,24 @@ from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
 
 FloatArray = npt.NDArray[np.float64]
 
+# Bins of altitude, equal on a logarithmic scale.
 BINS = 8
+# Range of the drawing's axis.
 SHOWN_ANEES = (1.0, 50.0)
-# An ANEES outside is called a cause of concern, when so few trials do not explain it, either: the bins of a
-# good campaign stay well inside.
-CONCERN_ANEES = (4.5, 7.5)
+# An ANEES outside is highlighted, unless the number of trials explains it. All bins of a campaign without
+# model errors stay well inside.
+CONSISTENT_ANEES = (4.5, 7.5)
 COLUMNS = (
     ("converged", "converged"),
-    ("position_final_mean_m", "end, mean, m"),
-    ("position_final_rms_m", "end, RMS, m"),
-    ("attitude_final_mean_deg", "end, mean, deg"),
-    ("rms_over_pcrb", "RMS / bound"),
-    ("anees", "ANEES (honest: 6)"),
+    ("position_final_mean_m", "final position, mean, m"),
+    ("position_final_rms_m", "final position, RMS, m"),
+    ("attitude_final_mean_deg", "final attitude, mean, deg"),
+    ("rms_over_pcrb", "RMS / PCRB"),
+    ("anees", "ANEES (6 expected)"),
     ("time_per_trial_s", "time, s"),
 )
-BOUNDS = (("filtered bound", FILTERED_BOUND, "--"), ("smoothed bound", SMOOTHED_BOUND, ":"))
+# Labels, names and dashes of the posterior Cramér-Rao bounds.
+BOUNDS = (("filtering PCRB", FILTERED_BOUND, "--"), ("smoothing PCRB", SMOOTHED_BOUND, ":"))
 
 
 def campaign_page(campaign: Campaign) -> Page:
@@ -51,7 +54,7 @@ def campaign_page(campaign: Campaign) -> Page:
     Raises
     ------
     InputError
-        When the campaign was never brought to its end.
+        When the campaign was never completed.
     """
     summary = campaign.summary
     names = tuple(campaign.identity["estimators"])
@@ -61,9 +64,11 @@ def campaign_page(campaign: Campaign) -> Page:
         sections += [
             Section("errors", "Errors", [_errors(campaign, done)]),
             Section("consistency", "Consistency", _consistency(campaign, done)),
-            Section("final", "Last errors", [_final(campaign, done)]),
+            Section("final", "Final errors", [_final(campaign, done)]),
         ]
-    sections.append(Section("made", "How it was made", [Text((campaign.path / MARKER).read_text("utf-8"))]))
+    sections.append(
+        Section("made", "Scenario and versions", [Text((campaign.path / MARKER).read_text("utf-8"))])
+    )
     return Page(
         title=f"Campaign {campaign.path.resolve().name}",
         subtitle=f"{summary['trials']} trials, {summary['failed']} failed, {summary['wall_s']:.0f} s",
@@ -77,27 +82,31 @@ def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
     given = {name: len(of_estimator(campaign.table, name, "altitude_m")) for name in summary["estimators"]}
     trials = summary["trials"]
     fewer = any(count != trials for count in given.values())
-    # The errors of one trial hang together: it counts as one.
+    # The errors along one trial are correlated: it counts as one sample.
     chance = mean_interval(6, max(summary["trials"] - summary["failed"], 1))
-    low, high = min(CONCERN_ANEES[0], chance[0]), max(CONCERN_ANEES[1], chance[1])
+    low, high = min(CONSISTENT_ANEES[0], chance[0]), max(CONSISTENT_ANEES[1], chance[1])
     for name, values in summary["estimators"].items():
         cells = [Cell(name, name)]
         if fewer:
             cells.append(Cell(f"{given[name]} of {trials}", given[name], given[name] != trials))
         for field, _ in COLUMNS:
             value = values[field]
-            doubtful = field == "anees" and value is not None
-            doubtful = doubtful and not low <= value <= high
-            cells.append(number_cell(value, concern=doubtful))
+            concern = field == "anees" and value is not None
+            concern = concern and not low <= value <= high
+            cells.append(number_cell(value, concern=concern))
         rows.append((name, cells))
     smoothed = ", ".join(name for name in summary["estimators"] if name in RETROSPECTIVE)
     caption = (
-        "Converged: the last error is below 2 % of the altitude and 1 deg. The bound is the posterior "
-        f"Cramér-Rao bound, smoothed for {smoothed or 'none'}. "
-        f"An ANEES outside {low:.1f} to {high:.1f} is set off."
+        f"Converged: final errors below {100.0 * CONVERGED_SHARE_OF_ALTITUDE:g} % of the altitude and "
+        f"{CONVERGED_DEG:g} deg. RMS / PCRB: RMS position error over the posterior Cramér-Rao bound, "
+        f"averaged over the altitude (smoothing bound for {smoothed or 'none'}, else filtering bound). "
+        f"An ANEES outside {low:.1f} to {high:.1f} is highlighted."
     )
     if fewer:
-        caption += " The figures are over the trials in which the estimator gave a trajectory."
+        caption += (
+            " The figures of an estimator are over the trials in which it gave a trajectory: one that fails "
+            "on hard trials looks better on the others."
+        )
     headings = ["estimator", *(["trajectories"] if fewer else []), *(h for _, h in COLUMNS)]
     blocks: list[Block] = [Table(headings, rows, caption)]
     problems = [f"trial {number} failed: {why}" for number, why in campaign.failed.items()]
@@ -108,7 +117,7 @@ def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
 
 
 def _errors(campaign: Campaign, names: list[str]) -> Drawing:
-    """Position and attitude RMS over the trials against altitude, with the bounds."""
+    """Draw RMS position and attitude errors over the trials against altitude, with the bounds."""
     figure = Figure(figsize=(WIDTH_IN, 6.0), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True)
     parts: list[tuple[Axes, str, slice, float, str]] = [
@@ -125,16 +134,17 @@ def _errors(campaign: Campaign, names: list[str]) -> Drawing:
         axes.set_ylabel(label)
     panels[1].legend(*_bounds_only(panels[1]), frameon=False, fontsize=9)
     caption = (
-        "RMS over the trials; black: what no estimator can beat, with the data so far and with all data."
+        "RMS over the trials; black: posterior Cramér-Rao bound (PCRB) of the data up to each frame "
+        "(filtering) and of all data (smoothing)."
     )
     return _drawing(figure, "errors", names, caption)
 
 
 def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
-    """ANEES in bins of altitude, drawn and in numbers."""
+    """Draw the ANEES in bins of altitude, and tabulate it."""
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
-    # The bounds' rows are there for every trial.
+    # Every trial has rows of the bounds.
     altitude_m = of_estimator(campaign.table, FILTERED_BOUND, "altitude_m").mean(axis=0)
     edges = np.geomspace(altitude_m.max() * 1.001, altitude_m.min() * 0.999, BINS + 1)
     headings, rows = ["estimator"], []
@@ -151,7 +161,7 @@ def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
         cells = [number_cell(one.mean, concern=not one.consistent) for one in bins]
         rows.append((name, [Cell(name, name), *cells]))
     if not rows:
-        return [Text("No estimator tells its covariance.")]
+        return [Text("No estimator gives covariances.")]
     low, high = mean_interval(6, most)
     axes.axhspan(low, high, color="k", alpha=0.1)
     axes.set_ylim(*SHOWN_ANEES)
@@ -159,26 +169,29 @@ def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
     for which in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         which(FuncFormatter(_plain))
     caption = (
-        "Mean e' S⁻¹ e of the pose in bins of altitude, 6 when the covariances are honest; grey: where 95 % "
-        f"of an honest estimator's lie. What is above {SHOWN_ANEES[1]:g} is off the drawing."
+        "ANEES of the pose, the mean of e' S⁻¹ e, in bins of altitude: 6 expected; grey: 95 % interval of a "
+        f"consistent estimator. Values above {SHOWN_ANEES[1]:g} are not shown."
     )
-    told = f"In numbers; set off outside {low:.2f} to {high:.2f}, the 95 % interval of {most} trials."
-    return [_drawing(figure, "consistency", names, caption), Table(headings, rows, told)]
+    table_caption = (
+        f"The same in numbers. Values outside {low:.2f} to {high:.2f}, the 95 % interval for {most} trials, "
+        "are highlighted."
+    )
+    return [_drawing(figure, "consistency", names, caption), Table(headings, rows, table_caption)]
 
 
 def _final(campaign: Campaign, names: list[str]) -> Drawing:
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
     for name in names:
-        last_m = np.linalg.norm(of_estimator(campaign.table, name, "position_error_m")[:, -1], axis=-1)
-        share = np.arange(1, len(last_m) + 1) / len(last_m)
-        axes.step(np.sort(last_m), share, where="post", label=name, **line_style(name))
+        final_m = np.linalg.norm(of_estimator(campaign.table, name, "position_error_m")[:, -1], axis=-1)
+        share = np.arange(1, len(final_m) + 1) / len(final_m)
+        axes.step(np.sort(final_m), share, where="post", label=name, **line_style(name))
     axes.set_xscale("log")
-    axes.set_xlabel("last position error, m")
+    axes.set_xlabel("final position error, m")
     axes.set_ylabel("share of trials below")
     axes.grid(alpha=0.3)
     mark(figure.axes, names)
-    return Drawing(inline_svg(figure, "final"), "How many trials end within an error.")
+    return Drawing(inline_svg(figure, "final"), "Distribution of the final position error.")
 
 
 def _drawing(figure: Figure, name: str, names: list[str], caption: str) -> Drawing:
@@ -186,7 +199,7 @@ def _drawing(figure: Figure, name: str, names: list[str], caption: str) -> Drawi
         axes.grid(alpha=0.3)
         axes.margins(x=0.01)
     figure.axes[-1].set_xlabel("altitude, km")
-    # As flown: from high to low.
+    # In the order of a descent, from high to low.
     figure.axes[-1].invert_xaxis()
     for which in (figure.axes[-1].xaxis.set_major_formatter, figure.axes[-1].xaxis.set_minor_formatter):
         which(FuncFormatter(_plain))
@@ -195,7 +208,7 @@ def _drawing(figure: Figure, name: str, names: list[str], caption: str) -> Drawi
 
 
 def _plain(value: float, _position: int | None = None) -> str:
-    """Numbers as they are, where a logarithmic axis has room for them: 1, 2 and 5 of each power of ten."""
+    """Label a logarithmic axis with plain numbers: 1, 2 and 5 of each power of ten."""
     first = f"{value:e}"[0]
     return f"{value:g}" if first in "125" else ""
 
@@ -205,7 +218,8 @@ def _altitude_km(campaign: Campaign, name: str) -> FloatArray:
 
 
 def _bounds_only(axes: Axes) -> tuple[list[Any], list[Any]]:
-    """Legend of what the page has no buttons for."""
+    """Legend of the bounds, for which the page has no buttons."""
     handles, labels = axes.get_legend_handles_labels()
-    chosen = [(h, text) for h, text in zip(handles, labels, strict=True) if "bound" in text]
-    return [h for h, _ in chosen], [text for _, text in chosen]
+    bounds = {label for label, _, _ in BOUNDS}
+    chosen = [(handle, label) for handle, label in zip(handles, labels, strict=True) if label in bounds]
+    return [handle for handle, _ in chosen], [label for _, label in chosen]

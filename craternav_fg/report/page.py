@@ -14,7 +14,7 @@ from craternav_fg.files import replacing
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; `warning` sets it off."""
+    """A paragraph; a `warning` is highlighted, and one of several lines can be folded."""
 
     kind: ClassVar[str] = "text"
     text: str
@@ -23,7 +23,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: what is shown, what it is sorted by, and whether it is a cause of concern."""
+    """A cell of a table: its text, the key it is sorted by, and whether it is highlighted."""
 
     text: str
     key: float | str
@@ -40,7 +40,7 @@ def number_cell(value: float | None, *, concern: bool = False) -> Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; each row belongs to an estimator (and hides with it), or to none (an empty name)."""
+    """A table. A row that belongs to an estimator is hidden with it; others have an empty name."""
 
     kind: ClassVar[str] = "table"
     headings: Sequence[str]
@@ -59,7 +59,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Choice:
-    """Drawings of which one is shown, by the label of the button that shows it."""
+    """Drawings of which one is shown at a time, with the labels of their buttons."""
 
     kind: ClassVar[str] = "choice"
     drawings: Sequence[tuple[str, Drawing]]
@@ -67,7 +67,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures to leaf through: data URIs, each with its caption."""
+    """Pictures of which one is shown at a time: data URIs, each with its caption."""
 
     kind: ClassVar[str] = "pictures"
     pictures: Sequence[tuple[str, str]]
@@ -79,7 +79,7 @@ Block = Text | Table | Drawing | Choice | Pictures
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page; `identifier` is the target of its link in the page's menu."""
+    """A section of a page; the menu links to its `identifier`."""
 
     identifier: str
     title: str
@@ -95,7 +95,7 @@ class Page:
     title, subtitle : str
     sections : sequence of Section
     series : sequence of (str, str)
-        Name and colour of what the reader may show and hide in all drawings and tables.
+        Name and colour of each estimator, which the reader can show and hide in all drawings and tables.
     """
 
     title: str
@@ -106,6 +106,11 @@ class Page:
 
 def write_page(page: Page, path: Path) -> None:
     """Write a page as one HTML file, whole or not at all.
+
+    Parameters
+    ----------
+    page : Page
+    path : Path
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pictures of a run's folder, small enough for a page."""
+"""Pictures in the folder of a run, scaled down for a page."""
 
 import base64
 from pathlib import Path
@@ -8,10 +8,11 @@ import numpy as np
 
 from craternav_fg.errors import InputError
 from craternav_fg.report.page import Pictures
+from craternav_fg.runs.store import FIGURES, OVERLAYS
 
-OVERLAYS = "overlays"
-# What stands in for overlays that were not asked for, the best first.
-INSTEAD = ("contact_sheet.png", "overview.png")
+# Figures shown in place of overlays where there are none, the better one first.
+SUBSTITUTES = ("contact_sheet.png", "overview.png")
+# With so many pictures of this size and quality a page has a few megabytes.
 MAX_PICTURES = 24
 MAX_WIDTH_PX = 1000
 JPEG_QUALITY = 80
@@ -19,6 +20,15 @@ JPEG_QUALITY = 80
 
 def frame_pictures(run: Path) -> Pictures | None:
     """Give the overlays of a run's frames, or its overview; None for a run without images.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of the run.
+
+    Returns
+    -------
+    Pictures or None
 
     Raises
     ------
@@ -32,7 +42,7 @@ def frame_pictures(run: Path) -> Pictures | None:
         chosen = np.linspace(0, len(overlays) - 1, MAX_PICTURES).astype(int)
         overlays = [overlays[k] for k in chosen]
     if not overlays:
-        overlays = [p for p in (run / "figures" / name for name in INSTEAD) if p.is_file()][:1]
+        overlays = [p for p in (run / FIGURES / name for name in SUBSTITUTES) if p.is_file()][:1]
         caption = "Some frames with their rims."
     if not overlays:
         return None
@@ -40,7 +50,7 @@ def frame_pictures(run: Path) -> Pictures | None:
 
 
 def _data_uri(path: Path) -> str:
-    """Give a picture as JPEG within a URI, no wider than a page."""
+    """Give a picture as a data URI of a JPEG, no wider than a page."""
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         raise InputError(path, "expected a PNG image, found something else")

@@ -15,14 +15,18 @@ from craternav_fg.ellipse import points_on
 from craternav_fg.errors import CraternavError
 from craternav_fg.files import replacing
 from craternav_fg.plots.style import colour
+from craternav_fg.runs.columns import list_values
 from craternav_fg.runs.read import Run, read_residuals
 
 FloatArray = npt.NDArray[np.float64]
 
-# Craters this many times the first altitude away are not in the recording.
+# Craters within this multiple of the first altitude are in the recording.
 REACH_ALTITUDES = 4.0
 JPEG_QUALITY = 85
+# Of measured rims and of the catalogue's.
 YELLOW, GREY = (240, 228, 66), (140, 140, 140)
+# Points that draw a rim of the catalogue, and one in an image.
+_MAP_POINTS, _IMAGE_POINTS = 48, 72
 
 
 def write_recording(run: Run, path: Path) -> None:
@@ -39,9 +43,9 @@ def write_recording(run: Run, path: Path) -> None:
     Raises
     ------
     CraternavError
-        When the viewer's library is not installed.
+        When the extra `viewer` is not installed.
     InputError
-        When the run's data set cannot be read, or `path` not be written.
+        When the run's data set cannot be read, or `path` cannot be written.
     """
     try:
         import rerun as rr
@@ -84,7 +88,8 @@ def _log_frames(
     table = read_residuals(run.path)
     own = table.filter(pc.equal(table["estimator"], name))
     stamps = own["stamp_ns"].to_numpy()
-    charts = own["chart"].combine_chunks().flatten().to_numpy(zero_copy_only=False).reshape(-1, 5)
+    charts = list_values(own["chart"])
+    assert charts is not None
     identifiers = np.array(own["crater_id"].to_pylist())
     lander = "world/lander"
     pinhole = rr.Pinhole(
@@ -110,7 +115,7 @@ def _log_frames(
                 f"{lander}/camera/image", rr.EncodedImage(contents=coded.tobytes(), media_type="image/jpeg")
             )
         rows = stamps == stamp
-        outlines = camera.pixels(points_on(charts[rows], 72))
+        outlines = camera.pixels(points_on(charts[rows], _IMAGE_POINTS))
         outlines = np.concatenate([outlines, outlines[:, :1]], axis=1)
         recording.log(
             f"{lander}/camera/image/rims",
@@ -119,9 +124,9 @@ def _log_frames(
 
 
 def _catalogue_rims(catalog: Catalog, gO: FloatArray, reach_m: float) -> FloatArray:
-    """Points around the catalogue's rims in space, shape (n, 49, 3), g, m, of those near a point."""
+    """Give closed outlines (n, points, 3), in g, m, of the catalogue's rims near a point."""
     near = np.linalg.norm(catalog.centres - gO, axis=1) < reach_m
-    angle = np.linspace(0.0, 2.0 * np.pi, 49)[None, :, None]
+    angle = np.linspace(0.0, 2.0 * np.pi, _MAP_POINTS + 1)[None, :, None]
     axes = catalog.axes[near]
     along, across = axes[:, None, 0], axes[:, None, 1]
     rims = catalog.centres[near][:, None] + np.cos(angle) * along + np.sin(angle) * across

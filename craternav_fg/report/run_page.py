@@ -22,16 +22,16 @@ from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
 from craternav_fg.runs.read import Run, read_residuals
 from craternav_fg.runs.store import MARKER
 
-# Errors along one descent hang together: only an ANEES beyond these says something of a single run.
-DOUBTFUL_ANEES = (2.0, 15.0)
+# The errors of one run are correlated from frame to frame: an ANEES between these is inconclusive.
+INCONCLUSIVE_ANEES = (2.0, 15.0)
 
 ERROR_HEADINGS = (
     ("position_rms_m", "position RMS, m"),
-    ("position_final_m", "at the end, m"),
+    ("position_final_m", "final position, m"),
     ("velocity_rms_m_s", "velocity RMS, m/s"),
     ("attitude_rms_deg", "attitude RMS, deg"),
-    ("attitude_final_deg", "at the end, deg"),
-    ("anees", "ANEES (honest: 6)"),
+    ("attitude_final_deg", "final attitude, deg"),
+    ("anees", "ANEES (6 expected)"),
 )
 
 
@@ -41,7 +41,7 @@ def run_page(run: Run) -> Page:
     Parameters
     ----------
     run : Run
-        Its data set is read for the map, when it is still where it was.
+        Its data set is read for the map, if it is still there.
 
     Returns
     -------
@@ -60,14 +60,14 @@ def run_page(run: Run) -> Page:
         sections.append(Section("bounds", "Errors and 3 sigma", _bounds(run)))
         sections.append(Section("consistency", "Consistency", _consistency(run)))
     else:
-        sections.append(Section("sigmas", "What each believes", _sigmas(run)))
+        sections.append(Section("sigmas", "Standard deviations", _sigmas(run)))
     if dataset is not None:
         sections.append(Section("map", "Trajectory and craters", _map(run, dataset)))
     sections.append(Section("residuals", "Residuals", _residuals(run)))
     pictures = frame_pictures(run.path)
     if pictures is not None:
         sections.append(Section("frames", "Frames", [pictures]))
-    sections.append(Section("made", "How it was made", [Text((run.path / MARKER).read_text("utf-8"))]))
+    sections.append(Section("made", "Options and versions", [Text((run.path / MARKER).read_text("utf-8"))]))
     return Page(
         title=f"Run {run.path.resolve().name}",
         subtitle=f"{len(next(iter(run.trajectories.values())))} frames, data set {run.dataset}",
@@ -92,21 +92,21 @@ def _summary(run: Run, missing: str) -> list[Block]:
         cells = [Cell(name, name)]
         for field, _ in ERROR_HEADINGS if with_truth else ():
             value = values[field]
-            doubtful = (
-                field == "anees" and value is not None
-                and not DOUBTFUL_ANEES[0] < value < DOUBTFUL_ANEES[1]
-            )  # fmt: skip
-            cells.append(number_cell(value, concern=doubtful))
+            concern = field == "anees" and value is not None
+            concern = concern and not INCONCLUSIVE_ANEES[0] < value < INCONCLUSIVE_ANEES[1]
+            cells.append(number_cell(value, concern=concern))
         rows.append((name, [*cells, number_cell(seconds.get(name))]))
     headings = ["estimator", *(h for _, h in ERROR_HEADINGS if with_truth), "time, s"]
     counts = run.metrics["craters_per_frame"]
-    blocks: list[Block] = [Text(message, warning=True) for message in run.metrics["failures"].values()]
+    # Runs of version 0.1 hold their failures only.
+    warnings = run.metrics.get("warnings", run.metrics["failures"].values())
+    blocks: list[Block] = [Text(warning, warning=True) for warning in warnings]
     if not with_truth:
-        blocks.append(Text("Without ground truth: errors are not known."))
-    caption = (
-        f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each. "
-        + "The ANEES of one run scatters: between 2 and 15 it is no verdict." * with_truth
-    )
+        blocks.append(Text("No ground truth: the errors are unknown."))
+    caption = f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each."
+    if with_truth:
+        low, high = INCONCLUSIVE_ANEES
+        caption += f" The ANEES of a single run scatters: values from {low:g} to {high:g} are inconclusive."
     blocks.append(Table(headings, rows, caption))
     if run.metrics.get("innovations"):
         blocks.append(_nis(run.metrics["innovations"]))
@@ -127,22 +127,25 @@ def _nis(found: dict[str, Any]) -> Table:
         ]
         rows.append(("", cells))
     caption = (
-        f"Normalised innovations squared of {found['filter']}: how far each sensor lies from what was "
-        "predicted, by the claimed covariances. No truth is needed. Above the interval covariances are too "
-        "small; below it they are too large, or hold errors that are the same in every frame."
+        f"Normalised innovations squared (NIS) of {found['filter']}, 1 expected per dimension: the squared "
+        "difference between measurement and prediction, relative to their covariances. It needs no ground "
+        "truth. Above the interval the covariances are too small; below it they are too large, or they "
+        "contain errors that all frames have in common."
     )
-    return Table(["sensor", "NIS per dimension", "honest, 95 %", "dimensions"], rows, caption)
+    return Table(["sensor", "NIS per dimension", "95 % interval", "dimensions"], rows, caption)
 
 
 def _errors(run: Run) -> list[Block]:
     assert run.truth is not None
     figure = draw_errors(run.trajectories, run.truth, run.metrics["craters_per_frame"])
-    return [_drawing(figure, "errors", run, 8.0, "Norms of the errors, and the rims measured in each frame.")]
+    return [
+        _drawing(figure, "errors", run, 8.0, "Norms of the errors, and the number of rims in each frame.")
+    ]
 
 
 def _sigmas(run: Run) -> list[Block]:
     figure = draw_sigmas(run.trajectories, run.metrics["craters_per_frame"])
-    return [_drawing(figure, "sigmas", run, 8.0, "What each estimator believes its errors to be, 1 sigma.")]
+    return [_drawing(figure, "sigmas", run, 8.0, "Standard deviations that each estimator claims.")]
 
 
 def _bounds(run: Run) -> list[Block]:
@@ -153,13 +156,16 @@ def _bounds(run: Run) -> list[Block]:
             continue
         figure = draw_bounds(name, trajectory, run.truth)
         for axes in figure.axes:
-            # What it is of, tab and axes say already.
+            # The tab and the axes say it.
             axes.set_title("")
         drawings.append((name, _drawing(figure, f"bounds-{name}", run, 6.5, "")))
     return [
-        Text("Position in east, north, up. With an honest covariance the line leaves the band once in 370."),
+        Text(
+            "Position in east, north, up; attitude in body axes. With consistent covariances an error leaves "
+            "the 3-sigma band in 1 of 370 frames."
+        ),
         Choice(drawings),
-    ]  # fmt: skip
+    ]
 
 
 def _consistency(run: Run) -> list[Block]:
@@ -168,16 +174,14 @@ def _consistency(run: Run) -> list[Block]:
     legend = figure.axes[0].get_legend()
     if legend is not None:
         legend.remove()
-    caption = "e' S⁻¹ e of the pose at each frame; grey: where 95 % of an honest estimator's lie."
+    caption = "NEES of the pose, e' S⁻¹ e, at each frame; grey: 95 % interval of a consistent estimator."
     return [_drawing(figure, "consistency", run, 4.0, caption)]
 
 
 def _map(run: Run, dataset: Dataset) -> list[Block]:
     first = next(iter(run.trajectories.values()))
     figure = draw_descent(first, run.truth, dataset.catalog, dataset.body)
-    caption = (
-        f"Altitude, and the ground track of {next(iter(run.trajectories))} over the catalogue's craters."
-    )
+    caption = f"Altitude and ground track of {next(iter(run.trajectories))} over the catalogue's craters."
     return [_drawing(figure, "map", run, 5.0, caption)]
 
 
@@ -190,14 +194,14 @@ def _residuals(run: Run) -> list[Block]:
     t0 = int(next(iter(run.trajectories.values())).stamps_ns[0])
     figure = draw_residuals(own, t0)
     caption = (
-        f"χ² of each rim against the pose of {name}, per degree of freedom: near 1 where its covariance is "
-        "honest (below, where the pose follows the rims). Crosses: rejected as wrong matches."
+        f"χ² per degree of freedom of each rim at the poses of {name}: 1 on average if the covariances are "
+        "consistent, less where few rims determine the pose. Crosses: matches rejected as outliers."
     )
     return [_drawing(figure, "residuals", run, 3.6, caption), crater_table(own)]
 
 
 def _drawing(figure: Figure, name: str, run: Run, height_in: float, caption: str) -> Drawing:
-    # The page's buttons are the legend of its series.
+    # The buttons of the page are the legend.
     figure.legends.clear()
     figure.set_size_inches(WIDTH_IN, height_in)
     mark(figure.axes, run.trajectories)

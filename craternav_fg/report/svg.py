@@ -1,4 +1,4 @@
-"""matplotlib figures as SVG within a page, with curves that its buttons show and hide."""
+"""matplotlib figures as SVG in a page, with curves that its buttons show and hide."""
 
 import io
 import re
@@ -9,28 +9,28 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Narrow, with the letters' size of the text: a telephone shows a drawing as it is.
+# So narrow that the letters of a drawing have the size of the text, also on a telephone.
 WIDTH_IN = 5.0
-# matplotlib's names of parts are the same in every figure; in one page each may occur once.
+# matplotlib gives the parts of every figure the same identifiers; in a page each may occur once.
 _NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
 
 
 def inline_svg(figure: Figure, name: str) -> Markup:
-    """Give a figure as an `<svg>` element that takes the width it is given.
+    """Give a figure as an `<svg>` element that fills the width of the page.
 
     Parameters
     ----------
     figure : Figure
     name : str
-        Of the drawing, unlike all others' in the page: the identifiers of its parts begin with it.
+        Of the drawing, unique in the page: the identifiers of its parts begin with it.
 
     Returns
     -------
     Markup
-        From `<svg` on. The same figure gives the same text.
+        Begins with `<svg`. The same figure gives the same text.
     """
     out = io.StringIO()
-    # Text as text: it can be searched and read aloud, and takes a tenth of the room of outlines.
+    # Text stays text: it can be searched and read aloud, and is a tenth as long as outlines.
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "font.family": "sans-serif"}):
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     svg = out.getvalue()
@@ -42,9 +42,13 @@ def inline_svg(figure: Figure, name: str) -> Markup:
 
 
 def mark(axes: Iterable[Axes], names: Iterable[str]) -> None:
-    """Mark the lines that bear a series' name as label, so that the page can hide them.
+    """Mark the lines whose label begins with the name of a series, so that the page can hide them.
 
-    A label may go on after the name: `smoother (mean 6.1)`.
+    Parameters
+    ----------
+    axes : iterable of Axes
+    names : iterable of str
+        Of the series. A label may continue after the name: `smoother (mean 6.1)`.
     """
     known = list(names)
     for number, line in enumerate(line for panel in axes for line in panel.get_lines()):
