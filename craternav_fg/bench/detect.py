@@ -1,16 +1,15 @@
 """Speed and accuracy of blind detection, in rendered images whose rims are known."""
 
 import time
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from craternav_fg.bench.timing import shortest_ms
 from craternav_fg.reproduce.detection_accuracy import accuracy
 from craternav_fg.simulation.scenes import HARD, scene
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import find_rims
-
-REPETITIONS = 3
 
 
 def detect_ms(images: int = 6) -> dict[str, float]:
@@ -36,14 +35,5 @@ def detect_ms(images: int = 6) -> dict[str, float]:
         for prefix, scenes, detector in cases
         for name, value in accuracy(scenes, detector).items()
     }
-    return {"detect_ms": float(np.median([_duration_ms(one.image) for one in plain])), **figures}
-
-
-def _duration_ms(image: npt.NDArray[np.uint8]) -> float:
-    """Duration of one detection: the shortest of a few, as other programs disturb the rest."""
-    durations = []
-    for _ in range(REPETITIONS):
-        began_s = time.perf_counter()
-        find_rims(image)
-        durations.append(time.perf_counter() - began_s)
-    return 1e3 * min(durations)
+    durations = [shortest_ms(partial(find_rims, one.image), time.perf_counter) for one in plain]
+    return {"detect_ms": float(np.median(durations)), **figures}

@@ -1,14 +1,11 @@
 """Cost and accuracy of measuring catalogue rims and sun tilts from predicted poses."""
 
-import time
-
 import numpy as np
 
+from craternav_fg.bench.timing import shortest_ms
 from craternav_fg.reproduce.guided_accuracy import FAR, HELD_OUT, NEAR, accuracy, predicted, sun_tilts
 from craternav_fg.simulation.scenes import IRREGULAR, Ground, Scene, scene
 from craternav_fg.vision.guided import GuidedFrontEnd
-
-REPETITIONS = 3
 
 
 def guided_costs(images: int = 6) -> dict[str, float]:
@@ -46,9 +43,9 @@ def _rim_ms(one: Scene) -> float:
     """Processor time of one image per rim: the shortest of a few, as other programs disturb the rest."""
     gTb, covariance = predicted(one, NEAR, np.random.default_rng(0))
     front_end = GuidedFrontEnd(one.camera, one.catalog)
-    durations = []
-    for _ in range(REPETITIONS):
-        began_s = time.process_time()
-        frame = front_end.measure(one.image, 0, gTb, covariance, one.sun_g)
-        durations.append(time.process_time() - began_s)
-    return 1e3 * min(durations) / max(len(frame.rims), 1)
+    counts = []
+
+    def measure() -> None:
+        counts.append(len(front_end.measure(one.image, 0, gTb, covariance, one.sun_g).rims))
+
+    return shortest_ms(measure) / max(counts[0], 1)

@@ -1,6 +1,5 @@
 """Ratios of cost, each from one run in which both sides alternate."""
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +11,7 @@ from gtsam.symbol_shorthand import L, X
 
 from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
+from craternav_fg.bench.timing import seconds_of
 from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
@@ -225,10 +225,3 @@ def exponent(sizes: npt.ArrayLike, seconds: npt.ArrayLike) -> float:
     float
     """
     return float(np.polyfit(np.log(np.asarray(sizes)), np.log(np.asarray(seconds)), 1)[0])
-
-
-def seconds_of(function: Callable[[], object]) -> float:
-    """Processor time of one call, s: other programs do not count."""
-    began = time.process_time()
-    function()
-    return time.process_time() - began

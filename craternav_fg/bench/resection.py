@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from craternav_fg.bench.ratios import seconds_of
+from craternav_fg.bench.timing import seconds_of
 from craternav_fg.ellipse import chart_covariance
 from craternav_fg.resection.efficient import refine, solve
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,11 +19,10 @@ from craternav_fg.estimators.linearisation import MeasurementModel, NoiseModel
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.plots.style import COLOURS
-from craternav_fg.reproduce.fig15_18_trials import one_problem, scenario_of
+from craternav_fg.reproduce.fig15_18_trials import Trial, first_trials, problem_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, number
-from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,14 +37,6 @@ CENTRES, ELLIPSE_CENTRES, RIMS = (
 )  # fmt: skip
 # Variance of a rim's size and shape is multiplied by this where only its centre is to count.
 _IGNORED_VARIANCE = 1e8
-
-
-@dataclass(frozen=True)
-class AblationTask:
-    """A trial, for a worker."""
-
-    scenario: Scenario
-    number: int
 
 
 def filters() -> dict[str, Estimator]:
@@ -70,12 +61,11 @@ def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Rep
     -------
     Reproduction
     """
-    scenario = scenario_of(options)
-    tasks = [AblationTask(scenario, n) for n in range(min(options.descents, MAX_TRIALS))]
-    data = pa.concat_tables(run_all(_trial, tasks, options.workers, "ablations", progress))
+    trials = first_trials(options, MAX_TRIALS)
+    data = pa.concat_tables(run_all(_run_trial, trials, options.workers, "ablations", progress))
     error_m = {name: _errors(data, name) for name in dict.fromkeys(data["estimator"].to_pylist())}
     median = {name: float(np.median(values)) for name, values in error_m.items()}
-    last = f"end, {len(tasks)} trials"
+    last = f"end, {len(trials)} trials"
     rows = []
     for name, values in error_m.items():
         printed = name.startswith("EKF: eq. (19)")
@@ -92,7 +82,7 @@ def ablation(options: ReproduceOptions, progress: Progress | None = None) -> Rep
             )  # fmt: skip
     return Reproduction(
         "ablation", "Effect of single choices of the paper's filter, and of centres in place of rims", rows,
-        note(median, len(tasks)), _draw(error_m), data,
+        note(median, len(trials)), _draw(error_m), data,
     )  # fmt: skip
 
 
@@ -140,8 +130,8 @@ def note(median: Mapping[str, float], trials: int) -> str:
     )
 
 
-def _trial(task: AblationTask) -> pa.Table:
-    problem, truth = one_problem(task.scenario, task.number)
+def _run_trial(trial: Trial) -> pa.Table:
+    problem, truth = problem_of(trial)
     centres_only = replace(problem, frames=[_without_shape(frame) for frame in problem.frames])
     runs: dict[str, tuple[Estimator, Problem]] = {
         **{name: (one, problem) for name, one in filters().items()},
@@ -157,7 +147,7 @@ def _trial(task: AblationTask) -> pa.Table:
             error = np.full(3, np.inf)
         names.append(name)
         end_m.append(float(np.linalg.norm(error)))
-    return pa.table({"trial": np.full(len(names), task.number), "estimator": names, "end_m": end_m})
+    return pa.table({"trial": np.full(len(names), trial.number), "estimator": names, "end_m": end_m})
 
 
 def _without_shape(frame: FrameMeasurement) -> FrameMeasurement:

@@ -67,10 +67,25 @@ def scenario_of(options: ReproduceOptions) -> Scenario:
     return scenario.model_copy(update={"seed": scenario.seed + options.seed - ReproduceOptions.seed})
 
 
-def one_problem(scenario: Scenario, number: int) -> tuple[Problem, Trajectory]:
-    """Simulate a trial of a scenario with simulated measurements: its problem and the truth."""
+@dataclass(frozen=True)
+class Trial:
+    """A trial of a scenario by its number, for a worker."""
+
+    scenario: Scenario
+    number: int
+
+
+def first_trials(options: ReproduceOptions, count: int) -> list[Trial]:
+    """Give the first trials of figs. 17 and 18, at most `count`."""
+    scenario = scenario_of(options)
+    return [Trial(scenario, number) for number in range(min(options.descents, count))]
+
+
+def problem_of(trial: Trial) -> tuple[Problem, Trajectory]:
+    """Simulate a trial: its problem and the truth."""
     with tempfile.TemporaryDirectory(prefix="craternav-") as folder:
-        dataset = Dataset.open(simulate_trial(scenario, Path(folder) / "dataset", trial=number))
+        path = simulate_trial(trial.scenario, Path(folder) / "dataset", trial=trial.number)
+        dataset = Dataset.open(path)
     assert dataset.truth is not None
     assert dataset.measurements is not None
     return make_problem(Descent.of(dataset), dataset.measurements), dataset.truth

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +13,11 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.incremental import FixedLagIsam
 from craternav_fg.estimators.online import OnlineSession
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
-from craternav_fg.reproduce.fig15_18_trials import one_problem, scenario_of
+from craternav_fg.reproduce.fig15_18_trials import Trial, first_trials, problem_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import Reproduction, Row, number
 from craternav_fg.reproduce.sentences import compared
-from craternav_fg.simulation.scenario_file import Scenario
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,14 +29,6 @@ _LEAVING_STATES = 5
 # Altitudes of the comparison: the start has converged, and all craters are in view.
 BAND_KM = (50.0, 30.0)
 _NO_SMOOTHER = "the paper has no smoother"
-
-
-@dataclass(frozen=True)
-class LagTask:
-    """A trial, for a worker."""
-
-    scenario: Scenario
-    number: int
 
 
 def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
@@ -53,9 +43,8 @@ def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduc
     -------
     Reproduction
     """
-    scenario = scenario_of(options)
-    tasks = [LagTask(scenario, n) for n in range(min(options.descents, MAX_TRIALS))]
-    data = pa.concat_tables(run_all(_trial, tasks, options.workers, "lags", progress))
+    trials = first_trials(options, MAX_TRIALS)
+    data = pa.concat_tables(run_all(_run_trial, trials, options.workers, "lags", progress))
     columns = {name: data[name].to_numpy() for name in data.column_names}
     newest, oldest, cost = [], [], []
     for lag_s in LAGS_S:
@@ -64,7 +53,7 @@ def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduc
         oldest.append(_rms(columns["oldest_m"][mine]))
         cost.append(float(np.median(columns["frame_ms"][mine])))
     bounds = [_rms(columns[name]) for name in ("bound_online_m", "bound_smoothed_m")]
-    band = f"{BAND_KM[0]:g} to {BAND_KM[1]:g} km, {len(tasks)} trials"
+    band = f"{BAND_KM[0]:g} to {BAND_KM[1]:g} km, {len(trials)} trials"
     rows = []
     for k, lag_s in enumerate(LAGS_S):
         where = f"lag {lag_s:g} s, {band}"
@@ -75,7 +64,7 @@ def lag(options: ReproduceOptions, progress: Progress | None = None) -> Reproduc
         ):
             rows.append(Row("lag", quantity, where, unit, efficient=value, bound=bound, verdict=_NO_SMOOTHER))
     drawing = _draw(np.array(newest), np.array(oldest), np.array(cost), bounds)
-    text = note(newest, oldest, cost, bounds, len(tasks))
+    text = note(newest, oldest, cost, bounds, len(trials))
     return Reproduction(
         "lag", "Accuracy and cost of the fixed-lag smoother over its lag", rows, text, drawing, data
     )
@@ -120,8 +109,8 @@ def note(
     )
 
 
-def _trial(task: LagTask) -> pa.Table:
-    problem, truth = one_problem(task.scenario, task.number)
+def _run_trial(trial: Trial) -> pa.Table:
+    problem, truth = problem_of(trial)
     bound = posterior_bound(problem, problem.frames, truth)
     altitude_km = 1e-3 * problem.body.altitude_m(truth.gP)
     band = (altitude_km <= BAND_KM[0]) & (altitude_km >= BAND_KM[1])
@@ -129,7 +118,7 @@ def _trial(task: LagTask) -> pa.Table:
     for lag_s in LAGS_S:
         newest, oldest, frame_ms = _run(problem, lag_s)
         columns = {
-            "trial": np.full(len(altitude_km), task.number),
+            "trial": np.full(len(altitude_km), trial.number),
             "lag_s": np.full(len(altitude_km), lag_s),
             "altitude_km": altitude_km,
             "newest_m": np.linalg.norm(newest - truth.gP, axis=1),

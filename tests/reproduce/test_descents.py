@@ -176,11 +176,11 @@ def test_an_ablated_filter_that_gave_up_has_no_number_and_is_told_of(monkeypatch
         ablation_module.RIMS,
     ]
 
-    def trial(task: ablation_module.AblationTask) -> pa.Table:
+    def trial(task: fig15_18_trials.Trial) -> pa.Table:
         end_m = [np.inf if k == 0 and task.number else 10.0 + k for k in range(len(names))]
         return pa.table({"trial": [task.number] * len(names), "estimator": names, "end_m": end_m})
 
-    monkeypatch.setattr(ablation_module, "_trial", trial)
+    monkeypatch.setattr(ablation_module, "_run_trial", trial)
     result = ablation_module.ablation(ReproduceOptions(descents=3, workers=1))
     rows = [row for row in result.rows if row.condition.startswith(names[0])]
     assert [(row.as_printed, row.corrected) for row in rows] == [(None, None)] * 2
@@ -201,7 +201,7 @@ def test_the_seed_is_that_of_the_figures_trials(module: ModuleType, monkeypatch:
         seeds.append(task.scenario.seed)
         raise EnoughError
 
-    monkeypatch.setattr(module, "_trial", noted)
+    monkeypatch.setattr(module, "_run_trial", noted)
     for seed in (1, 5):
         with pytest.raises(EnoughError):
             run.reproduce([module.__name__.rpartition(".")[2]], ReproduceOptions(workers=1, seed=seed))
@@ -230,7 +230,7 @@ def test_figures_of_simulated_descents(tmp_path: Path, monkeypatch: pytest.Monke
     assert np.mean(table["oldest_m"].to_numpy() ** 2) < np.mean(table["newest_m"].to_numpy() ** 2)
     table = results[names.index("ablation")].data
     ends = dict(zip(table["estimator"].to_pylist(), table["end_m"].to_pylist(), strict=True))
-    # All three choices put right are the chart EKF, but for its second linearisation.
+    # All three corrected choices are the chart EKF, except for its second linearisation.
     best = ends["EKF: ellipse chart, own noise, prior counted once"]
     assert best < 0.2 * ends["EKF: eq. (19), one Qn, eq. (29)"]
     assert ends[ablation_module.RIMS] <= 1.5 * best
