@@ -1,1 +1,1 @@
-"""Catalogues of others: what their columns say, what is wrong with them; a store that opens fast."""
+"""Crater catalogues: the model with its spatial index, files of any origin, checks, elevation models."""

@@ -1,4 +1,4 @@
-"""Which body a catalogue is of: what the file says about it, and whether it is used on that one."""
+"""The body of a catalogue: what the file states, and whether that is the body it is used on."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,10 @@ from craternav_fg.errors import InputError
 
 BODY = "BODY"
 BODY_RADIUS = "BODY_RADIUS_M"
-# Names of a column that names the body, without case and signs: ours, the USGS Gazetteer's, that of EPN-TAP.
+# Columns that name the body, in lower-case letters: ours, the USGS Gazetteer's, that of EPN-TAP.
 BODY_NAMES = ("body", "target", "targetname")
-# Spheres that catalogues refer to: the IAU's mean radii, m (Archinal et al. 2018). Bodies on whose sphere
-# catalogues do not agree, as Mars and Ceres, are left out.
+# Radii of the spheres that catalogues refer to: the IAU's mean radii (Archinal et al. 2018, Celest. Mech.
+# 130, 22). Bodies on whose sphere catalogues do not agree, such as Mars and Ceres, are left out.
 SPHERES_M = {
     "Moon": 1737400.0,
     "Mercury": 2439400.0,
@@ -32,27 +32,28 @@ SPHERES_M = {
 }
 _ALSO_CALLED = {"lunar": "Moon", "luna": "Moon"}
 _BY_NAME = {**{name.lower(): name for name in SPHERES_M}, **_ALSO_CALLED}
-# Craters of Robbins (2018), of the Moon, have such identifiers.
+# Identifiers of craters in Robbins (2018), a catalogue of the Moon.
 _ROBBINS = re.compile(r"\d\d-\d-\d{6}")
-_ASKED = 200
-# Spheres closer than this, relative, are the same one; catalogues of one body may differ by so much.
-_SAME_SPHERE, _SAME_BODY = 1e-6, 0.01
+# Identifiers that are looked at to recognise that catalogue.
+_SAMPLED_IDENTIFIERS = 200
+# Relative differences of radii up to which two spheres are the same, and two spheres are of one body.
+_SAME_SPHERE, SAME_BODY = 1e-6, 0.01
 
 
 @dataclass(frozen=True)
 class StatedBody:
-    """What a file says about its body.
+    """What a file states about its body.
 
     Attributes
     ----------
     name : str
-        Empty when only the radius is told.
+        Empty when only the radius is stated.
     radius_m : float or None
-        Of the catalogue's sphere; None when it is not known.
+        Radius of the catalogue's sphere; None when it is not known.
     exact : bool
-        Whether the file itself tells the radius.
+        Whether the file itself states the radius.
     by : str
-        What tells it, for people.
+        What states the body, as words for messages: "BODY says".
     column : str or None
         The column that does, if any.
     """
@@ -65,12 +66,22 @@ class StatedBody:
 
 
 def named_body(name: str, radius_m: float | None = None) -> Body:
-    """Give a body of which only catalogues are read: without gravity and spin.
+    """Make a body without gravity and spin, on which catalogues are read but nothing moves.
+
+    Parameters
+    ----------
+    name : str
+    radius_m : float, optional
+        Without it that of the sphere known by this name.
+
+    Returns
+    -------
+    Body
 
     Raises
     ------
     InputError
-        When the radius is not given and the sphere is not one of those known by name.
+        When the radius is not given and no sphere is known by this name.
     """
     known = _BY_NAME.get(name.strip().lower())
     if radius_m is None:
@@ -78,7 +89,7 @@ def named_body(name: str, radius_m: float | None = None) -> Body:
             spheres = ", ".join(SPHERES_M)
             raise InputError(
                 "--body",
-                f"expected --body-radius-m beside {name!r}: of the spheres only of {spheres} is known",
+                f"expected --body-radius-m beside {name!r}: the radius is known only of {spheres}",
             )
         radius_m = SPHERES_M[known]
     return Body(known or name.strip(), radius_m, 1.0, (0.0, 0.0, 0.0))
@@ -87,20 +98,25 @@ def named_body(name: str, radius_m: float | None = None) -> Body:
 def stated_body(
     path: Path, columns: Mapping[str, Any], identifiers: Sequence[str | None]
 ) -> StatedBody | None:
-    """Find out what a table says about its body: in columns, by its identifiers, or by its name.
+    """Find out what a table states about its body: by columns, by identifiers, or by its name.
 
     Parameters
     ----------
     path : Path
     columns : mapping of str to sequence
-        Its columns that were read; of these, `BODY_RADIUS_M` and one that names the body are looked at.
+        Columns that were read; `BODY_RADIUS_M` and one that names the body are used.
     identifiers : sequence of str or None
-        The craters'.
+        Of the craters.
+
+    Returns
+    -------
+    StatedBody or None
+        None when nothing states the body.
 
     Raises
     ------
     InputError
-        When it names several bodies.
+        When it names several bodies, or a radius that is not positive.
     """
     column = next((name for name in columns if is_body_column(name)), None)
     name = "" if column is None else _only(path, column, columns[column])
@@ -113,8 +129,8 @@ def stated_body(
         known = _BY_NAME.get(name.lower())
         radius = SPHERES_M[known] if known else None
         return StatedBody(known or name, radius, False, f"{column} says", column)
-    asked = identifiers[:: max(1, len(identifiers) // _ASKED)]
-    if asked and all(one is not None and _ROBBINS.fullmatch(one) for one in asked):
+    sampled = identifiers[:: max(1, len(identifiers) // _SAMPLED_IDENTIFIERS)]
+    if sampled and all(one is not None and _ROBBINS.fullmatch(one) for one in sampled):
         return StatedBody("Moon", SPHERES_M["Moon"], False, "its identifiers, those of Robbins (2018), say")
     called = {_BY_NAME[word] for word in re.split(r"[^a-z]+", path.stem.lower()) if word in _BY_NAME}
     if len(called) == 1:
@@ -124,25 +140,32 @@ def stated_body(
 
 
 def is_body_column(name: str) -> bool:
-    """Whether a column names the body."""
+    """Tell whether a column names the body."""
     return re.sub(r"[^a-z]", "", name.lower()) in BODY_NAMES
 
 
-def settled(path: Path, body: Body | None, stated: StatedBody | None) -> tuple[Body, str]:
-    """Give the body of a catalogue, and what says so: empty when nothing does, and it is the Moon by default.
+def resolve_body(path: Path, body: Body | None, stated: StatedBody | None) -> tuple[Body, str]:
+    """Decide which body a catalogue is of.
 
     Parameters
     ----------
     path : Path
     body : Body or None
-        On which it is used; None when the file must tell.
+        Body on which the catalogue is used; None when the file decides.
     stated : StatedBody or None
-        What the file says.
+        What the file states.
+
+    Returns
+    -------
+    body : Body
+        The given one, else the stated one, else the Moon.
+    by : str
+        "given", or what in the file states the body; empty when nothing does and the Moon is assumed.
 
     Raises
     ------
     InputError
-        When it is a catalogue of another body, or its body's radius is not known.
+        When the file states another body than the given one, or a body whose radius is not known.
     """
     if stated is None:
         return (named_body("Moon"), "") if body is None else (body, "given")
@@ -154,7 +177,7 @@ def settled(path: Path, body: Body | None, stated: StatedBody | None) -> tuple[B
     if stated.radius_m is None:
         other = body.name != "" and body.name.strip().lower() != stated.name.lower()
     else:
-        limit = _SAME_SPHERE if stated.exact else _SAME_BODY
+        limit = _SAME_SPHERE if stated.exact else SAME_BODY
         other = abs(stated.radius_m - body.radius_m) > limit * body.radius_m
     if other:
         ratio = 0.0 if stated.radius_m is None else stated.radius_m / body.radius_m
@@ -170,7 +193,7 @@ def settled(path: Path, body: Body | None, stated: StatedBody | None) -> tuple[B
 
 
 def _only(path: Path, column: str, values: Sequence[Any]) -> Any:
-    """Give the one value that a column has."""
+    """Return the only value that a column has."""
     found = set(values)
     if len(found) > 1:
         one, other = sorted(map(str, found))[:2]

@@ -1,4 +1,4 @@
-"""What can be wrong with a catalogue: values out of range, wrong units, another body; rims that meet."""
+"""Checks of a catalogue: values out of range, wrong units, swapped columns, overlapping rims."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,20 +15,22 @@ from craternav_fg.tables import Column, write_table
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# For each row at fault, the column and what is wrong with it.
+# For each row at fault, its column and what is wrong with it.
 Faults = dict[int, tuple[str, str]]
 
-# The Moon's craters of 5 km and up cover two thirds of it; equilibrium keeps any ground from far more.
-_MOST_COVER = 5.0
-# Cells of equal area on the body, in sine of latitude and longitude.
+# Craters cannot cover the ground more often than this: those of 5 km and more cover two thirds of the Moon
+# (Robbins 2018), and new craters erase old ones long before this (equilibrium).
+_MAX_COVERAGE = 5.0
+# Cells of equal area in which the coverage is counted: rows in sine of latitude, columns in longitude.
 _CELLS = (36, 72)
-# Latitudes beyond the poles in so many rows, or in most of few, are longitudes.
-_SWAPPED, _FEW = 0.2, 20
-# Kilometres taken for metres leave no crater larger than this share of a body's radius.
-_LEAST_OF_A_GLOBE = 2e-3
-_ENOUGH_TO_TELL = 1000
-# Two entries this alike, in size and place, are taken for one crater.
-_ALIKE = 0.1
+# Share of rows with latitudes beyond the poles from which the columns are taken to be swapped; in tables of
+# fewer rows, half of them.
+_SWAPPED_SHARE, _SWAPPED_MIN_ROWS = 0.2, 20
+# A catalogue of this many craters, this share of them in each octant of the body, is global. The largest
+# crater of a global catalogue has at least this radius in body radii: kilometres taken for metres have not.
+_GLOBAL_MIN_CRATERS, _GLOBAL_OCTANT_SHARE, _GLOBAL_LARGEST_RADII = 1000, 0.02, 1e-3
+# Two entries are one crater when their radii and places differ by less than this, in radii of the smaller.
+_DUPLICATE_TOLERANCE = 0.1
 _PAIR_COLUMNS = (
     Column("kind", "text"), Column("crater_id", "text"), Column("other_id", "text"),
     Column("diameter_km"), Column("other_diameter_km"), Column("distance_km"),
@@ -37,31 +39,36 @@ _PAIR_COLUMNS = (
 
 @dataclass(frozen=True)
 class Overlaps:
-    """Craters that meet others.
+    """Pairs of craters that overlap.
 
     Attributes
     ----------
     crossings : ndarray of int, shape (m, 2)
-        Pairs of rows whose rims cross, the larger crater first.
-    twins : ndarray of int, shape (k, 2)
-        Pairs of rows that are probably one crater, entered twice.
+        Rows whose rims cross, the larger crater first.
+    duplicates : ndarray of int, shape (k, 2)
+        Rows that are probably one crater entered twice, the larger first.
     """
 
     crossings: IntArray
-    twins: IntArray
+    duplicates: IntArray
 
 
 def row_faults(values: Sequence[FloatArray], names: Sequence[str], radius_m: float) -> Faults:
-    """Find rows that are no rim on a body.
+    """Find rows whose values no rim on a body can have.
 
     Parameters
     ----------
     values : sequence of ndarray, shape (n,)
         Latitude, longitude (deg), major and minor diameter (m), angle (deg), height (m).
     names : sequence of str
-        Columns of the first five, or of latitude, longitude and diameter for circles.
+        Names of the first five columns, or of latitude, longitude and diameter for a catalogue of circles.
     radius_m : float
         Of the body.
+
+    Returns
+    -------
+    dict of int to (str, str)
+        Column and problem of each row at fault.
     """
     latitude, longitude, major, minor, angle, height = values
     names = names if len(names) == 5 else (*names, names[2], names[2])
@@ -84,7 +91,19 @@ def row_faults(values: Sequence[FloatArray], names: Sequence[str], radius_m: flo
 
 
 def identifier_faults(identifiers: Sequence[str | None], name: str) -> Faults:
-    """Find rows without an identifier, or with one that was there before."""
+    """Find rows without an identifier, or with that of an earlier row.
+
+    Parameters
+    ----------
+    identifiers : sequence of str or None
+    name : str
+        Of their column.
+
+    Returns
+    -------
+    dict of int to (str, str)
+        Column and problem of each row at fault.
+    """
     faults: Faults = {}
     if len(set(identifiers)) == len(identifiers) and all(identifiers):
         return faults
@@ -100,14 +119,27 @@ def identifier_faults(identifiers: Sequence[str | None], name: str) -> Faults:
 
 
 def overlaps(catalog: Catalog) -> Overlaps:
-    """Find rims that cross, taken for circles, and craters that were probably entered twice."""
-    return Overlaps(*catalog.index.overlaps(_ALIKE))
+    """Find rims that cross, taken for circles, and craters that were probably entered twice.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    """
+    return Overlaps(*catalog.index.overlaps(_DUPLICATE_TOLERANCE))
 
 
-def write_pairs(path: Path, catalog: Catalog, meets: Overlaps) -> None:
-    """Write the pairs of craters that meet as CSV: twins first, then crossing rims."""
-    pairs = np.concatenate([meets.twins, meets.crossings])
-    kinds = ["twin"] * len(meets.twins) + ["crossing"] * len(meets.crossings)
+def write_pairs(path: Path, catalog: Catalog, found: Overlaps) -> None:
+    """Write pairs of craters that overlap as CSV: duplicates first, then crossing rims.
+
+    Parameters
+    ----------
+    path : Path
+    catalog : Catalog
+    found : Overlaps
+        Of the catalogue.
+    """
+    pairs = np.concatenate([found.duplicates, found.crossings])
+    kinds = ["duplicate"] * len(found.duplicates) + ["crossing"] * len(found.crossings)
     data: list[Any] = [kinds]
     data += [[catalog.identifiers[row] for row in side] for side in pairs.T.tolist()]
     data += [2e-3 * catalog.semi_major_m[side] for side in pairs.T]
@@ -118,9 +150,22 @@ def write_pairs(path: Path, catalog: Catalog, meets: Overlaps) -> None:
 def swapped(
     latitude_deg: FloatArray, longitude_deg: FloatArray, longitude_name: str
 ) -> tuple[int, str] | None:
-    """Say when latitudes (n,) are longitudes: a row and what is wrong with it; None when they are not."""
+    """Detect swapped columns of latitude and longitude.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : ndarray, shape (n,)
+        As the table calls them.
+    longitude_name : str
+        Column of the longitudes.
+
+    Returns
+    -------
+    (int, str) or None
+        First row with a latitude beyond a pole, and the problem; None when the columns are not swapped.
+    """
     beyond = np.abs(latitude_deg) > 90.0
-    enough = _SWAPPED if len(beyond) >= _FEW else 0.5
+    enough = _SWAPPED_SHARE if len(beyond) >= _SWAPPED_MIN_ROWS else 0.5
     if np.count_nonzero(beyond) <= enough * len(beyond):
         return None
     if np.nanmax(np.abs(longitude_deg), initial=0.0) > 90.0:
@@ -133,27 +178,41 @@ def swapped(
 def implausible_sizes(
     latitude_deg: FloatArray, longitude_deg: FloatArray, diameter_m: FloatArray, radius_m: float
 ) -> str | None:
-    """Say what is odd about sizes (n,) on a body of some radius, None when nothing is.
+    """Detect sizes in a wrong unit, or of craters on another body.
 
-    Units and bodies are mixed up easily, and a single crater does not show it: together they would cover the
-    ground many times over, or, known all over the body, be grains.
+    A single crater does not show it. Too large, the craters would together cover the ground many times over;
+    too small, a global catalogue would know grains only.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : ndarray, shape (n,)
+        Of the rims' centres.
+    diameter_m : ndarray, shape (n,)
+        Major diameters.
+    radius_m : float
+        Of the body.
+
+    Returns
+    -------
+    str or None
+        The problem, None when there is none.
     """
     if not len(diameter_m):
         return None
     cover = _cover(latitude_deg, longitude_deg, diameter_m, radius_m)
     largest = float(np.max(diameter_m))
-    if cover > _MOST_COVER:
+    if cover > _MAX_COVERAGE:
         return (
             f"the craters would cover a body of radius {radius_m:g} m {cover:.3g} times over where they lie, "
             f"the largest of {largest:g} m: wrong unit (km, m; deg, rad), or another body"
         )
-    if len(diameter_m) < _ENOUGH_TO_TELL or largest > _LEAST_OF_A_GLOBE * radius_m:
+    if len(diameter_m) < _GLOBAL_MIN_CRATERS or largest > 2.0 * _GLOBAL_LARGEST_RADII * radius_m:
         return None
     octants = np.bincount(
         4 * (latitude_deg > 0.0) + (np.mod(longitude_deg, 360.0) // 90.0).astype(np.int64).clip(0, 3),
         minlength=8,
     )
-    if octants.min() > 0.02 * len(diameter_m):
+    if octants.min() > _GLOBAL_OCTANT_SHARE * len(diameter_m):
         return (
             f"craters all over a body of radius {radius_m:g} m, and the largest of {largest:g} m: "
             f"{wrong_unit(radius_m)}"
@@ -162,14 +221,20 @@ def implausible_sizes(
 
 
 def wrong_unit(radius_m: float) -> str:
-    """Say what can be wrong with sizes that make no sense on a body."""
+    """Name what may be wrong with sizes that make no sense on a body.
+
+    Parameters
+    ----------
+    radius_m : float
+        Of the body.
+    """
     return f"wrong unit (km, m) of the sizes or of the body's radius, {radius_m:.9g} m, or another body"
 
 
 def _cover(
     latitude_deg: FloatArray, longitude_deg: FloatArray, diameter_m: FloatArray, radius_m: float
 ) -> float:
-    """How many times over craters cover the ground about themselves; larger ones than a cell, the body."""
+    """How many times over craters cover the ground: small ones in their cells, larger ones on the body."""
     rows, turns = _CELLS
     cell_m2 = 4.0 * np.pi * radius_m**2 / (rows * turns)
     area_m2 = 0.25 * np.pi * diameter_m**2

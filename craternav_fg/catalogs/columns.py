@@ -1,4 +1,4 @@
-"""Which columns of a crater catalogue say what."""
+"""Columns of crater catalogues: the names of ours, and recognition of those of others."""
 
 import re
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ HEIGHT = "RIM_HEIGHT_M"
 ELLIPSE = (LATITUDE, LONGITUDE, MAJOR, MINOR, ANGLE)
 CIRCLE = ("LAT_CIRC_IMG", "LON_CIRC_IMG", "DIAM_CIRC_IMG")
 
-# Names that others give, without case, signs and units; the unit of a size is looked for in the whole name.
+# Names in catalogues of others, in lower case without punctuation.
 _LATITUDES = (
     "lat", "latitude", "latdeg", "latn", "latitudedeg", "latitudedegree", "centerlat", "centerlatitude",
     "latitudecircleimage", "ycoord",
@@ -36,23 +36,25 @@ _ANGULAR_RADII = ("radiusdeg", "rdeg")
 _RADII = ("radius", "radiuskm", "radiusm", "rkm")
 _IDENTIFIERS = ("craterid", "id", "identifier")
 _WEST = {"w", "west"}
+# Column names that an error lists.
+_MAX_LISTED = 30
 _METRES_PER = {"km": 1000.0, "m": 1.0}
 _METRES = {"m", "metre", "metres", "meter", "meters"}
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the columns of a catalogue are called; what is not given is recognised.
+    """Names of a catalogue's columns; columns that are not named are recognised.
 
     Attributes
     ----------
     latitude, longitude, diameter : str, optional
-        Columns of a catalogue of circles, deg (longitude to the east). A column of sizes that is called
-        a radius is one.
+        Columns of a catalogue of circles, deg (longitude to the east). A column of sizes whose name says
+        radius is read as radii.
     identifier : str, optional
-        Column of unique names; craters are numbered when there is none.
+        Column of unique names; without one craters are named by their line.
     unit : {"km", "m"}, optional
-        Of the sizes.  Taken from the column's name when not given, km when that does not tell.
+        Unit of the sizes; by default the one in the column's name, else km.
     """
 
     latitude: str | None = None
@@ -64,17 +66,17 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns that were recognised.
+    """Columns of a table that are to be read.
 
     Attributes
     ----------
     ellipse : tuple of str
         Latitude, longitude, major and minor diameter, angle; empty for a catalogue of circles.
     circle : tuple of str
-        Latitude, longitude, diameter; empty when there is none beside the ellipse.
+        Latitude, longitude, diameter; empty when the table has none beside the ellipse.
     identifier, height, body, body_radius : str or None
     size_m : float
-        Metres of diameter that a unit of the sizes means; of angular ones, on a sphere of 1 m.
+        Diameter in m for a size of 1; for angular sizes, on a sphere of 1 m.
     angular : bool
         Whether sizes are angles at the body's centre.
     """
@@ -90,18 +92,18 @@ class Columns:
 
     @property
     def numbers(self) -> list[str]:
-        """Columns of numbers that are needed."""
+        """Columns to read as numbers."""
         others = [name for name in (self.height, self.body_radius) if name]
         return list(dict.fromkeys([*self.ellipse, *self.circle, *others]))
 
     @property
     def texts(self) -> list[str]:
-        """Columns of texts that are needed."""
+        """Columns to read as texts."""
         return [name for name in (self.identifier, self.body) if name]
 
     @property
     def shown(self) -> str:
-        """What was taken for what, for people."""
+        """What the columns were recognised as, as words for messages."""
         names = self.ellipse or self.circle
         half = {1.0: "m", 2.0: "m of radius", 1000.0: "km", 2000.0: "km of radius"}
         unit = "deg of radius" if self.angular else half[self.size_m]
@@ -110,22 +112,26 @@ class Columns:
 
 
 def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: int = 1) -> Columns:
-    """Find out which columns of a table are needed.
+    """Recognise the columns of a table.
 
     Parameters
     ----------
     path : Path
         Named in errors.
     names : sequence of str
-        The header.
+        Names in the header.
     options : ImportOptions
     line : int
-        Of the header.
+        Line of the header.
+
+    Returns
+    -------
+    Columns
 
     Raises
     ------
     InputError
-        When a column that was named is not there, or one is missing (it lists what was found), or when
+        When a named column is not there, when one is missing (the error lists what was found), or when
         longitudes count to the west.
     """
     given = (options.latitude, options.longitude, options.diameter)
@@ -194,7 +200,7 @@ def _plain(name: str) -> str:
 
 
 def _one_of(names: Sequence[str], known: Sequence[str]) -> str | None:
-    """Find the column whose name comes first among known ones."""
+    """Find the column whose name comes first in a list of known ones."""
     plain = [_plain(name) for name in names]
     return next((names[plain.index(name)] for name in known if name in plain), None)
 
@@ -205,5 +211,5 @@ def _unit_in(name: str) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:30])
-    return f"{shown} and {len(names) - 30} more" if len(names) > 30 else shown
+    shown = ", ".join(names[:_MAX_LISTED])
+    return f"{shown} and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else shown

@@ -1,4 +1,4 @@
-"""Elevation models: a raster of heights, from a GeoTIFF, as a smooth function of position on the body."""
+"""Elevation models: rasters of heights, read from GeoTIFF, as smooth functions of the place on the body."""
 
 import re
 import warnings
@@ -10,29 +10,29 @@ import numpy.typing as npt
 from numba import njit
 from scipy.ndimage import spline_filter1d
 
+from craternav_fg.catalogs.bodies import SAME_BODY
 from craternav_fg.errors import CraternavError, InputError
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
-# More are no base for a landing site, and would fill the memory.
+# Larger rasters take more than a gigabyte while they are read: crop them.
 MAX_POINTS = 100_000_000
+# Equatorial radius of WGS 84, which stands on many rasters of other bodies.
 _EARTH_M = 6378137.0
-# Radii of one body differ by less than this part, from one author to another.
-_SAME_BODY = 0.01
 
 
 @dataclass(frozen=True)
 class Dem:
-    """Heights over the reference sphere on a raster of latitude and longitude, joined by a cubic spline.
+    """Heights above the sphere on a raster of latitude and longitude, interpolated by cubic B-splines.
 
     Attributes
     ----------
     coefficients : ndarray of float32, shape (rows, columns)
         Of the B-splines, m.
     frame : ndarray, shape (5,)
-        Longitude and latitude of the first point, steps along columns and rows, rad; 1 when the columns go
-        round the body, else 0.
+        Longitude and latitude of the first point, steps of the columns and of the rows, rad; 1 when the
+        columns go round the body, else 0.
     """
 
     coefficients: Float32Array
@@ -40,11 +40,22 @@ class Dem:
 
     @property
     def step_rad(self) -> float:
-        """Distance of neighbouring rows."""
+        """Distance of neighbouring rows, as an angle."""
         return abs(float(self.frame[3]))
 
     def heights_m(self, directions: FloatArray) -> FloatArray:
-        """Heights (n,) in directions (n, 3) in g; beyond the raster those of its border, mirrored."""
+        """Interpolate heights.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (n, 3)
+            Unit vectors from the body's centre, in g.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Heights above the sphere, m; beyond the raster those of its border, mirrored.
+        """
         out = np.empty(len(directions))
         _sample(np.ascontiguousarray(directions), self.coefficients, self.frame, out)
         return out
@@ -58,16 +69,21 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
     path : Path
         GeoTIFF with one band, in geographic coordinates: longitude and latitude in degrees.
     unit_m : float
-        Metres that a unit of its values means.
+        Unit of its values, m.
     radius_m : float, optional
-        Of the body that it must be of, as far as its coordinates tell.
+        Radius of the body it must be of, as far as its coordinates state one.
+
+    Returns
+    -------
+    Dem
 
     Raises
     ------
     CraternavError
         When rasterio is not installed.
     InputError
-        When the file is missing, no such raster, of another body, too large, or without heights somewhere.
+        When the file is missing or not such a raster, is of another body, too large, or has points without
+        heights.
     """
     try:
         import rasterio
@@ -77,7 +93,7 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
         raise InputError(path, "file is missing")
     try:
         with warnings.catch_warnings():
-            # What has no coordinates is refused below.
+            # A raster without coordinates is refused below.
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             opened = rasterio.open(path)
         with opened as raster:
@@ -91,7 +107,7 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
     holes = int(np.count_nonzero(~np.isfinite(heights)))
     if holes:
         raise InputError(path, f"expected heights everywhere, {holes} points have none")
-    # Of the first point's centre.
+    # Centre of the first point.
     longitude, latitude = transform.c + 0.5 * transform.a, transform.f + 0.5 * transform.e
     frame = np.radians([longitude, latitude, transform.a, transform.e])
     around = abs(abs(transform.a) * heights.shape[1] - 360.0) < 0.5 * abs(transform.a)
@@ -115,20 +131,20 @@ def _check(path: Path, raster: object) -> None:
 
 
 def _check_body(path: Path, wkt: str, radius_m: float | None) -> None:
-    """Refuse coordinates of another body; the Earth's are on many rasters of others, and tell nothing."""
+    """Refuse coordinates of another body; those of the Earth are ignored, see `_EARTH_M`."""
     found = re.search(r'(?:SPHEROID|ELLIPSOID)\["([^"]*)",\s*([\d.]+)', wkt)
     if found is None or radius_m is None:
         return
     sphere_m = float(found[2])
-    earth = abs(sphere_m - _EARTH_M) < _SAME_BODY * _EARTH_M
-    if not earth and abs(sphere_m - radius_m) > _SAME_BODY * radius_m:
+    earth = abs(sphere_m - _EARTH_M) < SAME_BODY * _EARTH_M
+    if not earth and abs(sphere_m - radius_m) > SAME_BODY * radius_m:
         problem = f"expected an elevation model of a body of {radius_m:.9g} m, found one of {sphere_m:.9g} m"
         raise InputError(path, f"{problem} ({found[1]})")
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _within(i: int, n: int, around: bool) -> int:
-    """Index of a point beyond the raster: of the other end, or mirrored."""
+    """Index of a point that may be beyond the raster: wrapped around, or mirrored at the border."""
     if around:
         return i % n
     i = abs(i)
@@ -143,7 +159,7 @@ def _sample(directions: FloatArray, coefficients: Float32Array, frame: FloatArra
     for k in range(directions.shape[0]):
         x, y, z = directions[k]
         v = (np.arctan2(z, np.sqrt(x * x + y * y)) - frame[1]) / frame[3]
-        # Within half a turn of the raster's middle, on whichever side its longitudes count from.
+        # Within half a turn of the raster's middle, whether its longitudes begin at 0 or at -180 deg.
         middle = frame[0] + 0.5 * (columns - 1) * frame[2]
         off = np.arctan2(y, x) - middle
         off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))

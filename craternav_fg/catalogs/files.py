@@ -1,4 +1,4 @@
-"""Crater catalogues in files: the columns of Robbins (2018), those of others, and our own store."""
+"""Catalogue files: tables with the columns of Robbins (2018), tables of others, and our own store."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs import checks
-from craternav_fg.catalogs.bodies import BODY, BODY_RADIUS, settled, stated_body
+from craternav_fg.catalogs.bodies import BODY, BODY_RADIUS, resolve_body, stated_body
 from craternav_fg.catalogs.columns import (
     ANGLE,
     ELLIPSE,
@@ -26,7 +26,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, read_table, write_table
 
-# The other columns of the published file: allowed, not used.
+# Further columns of the published file, which may be there and are not read.
 _PUBLISHED = (
     "LAT_CIRC_IMG",
     "LON_CIRC_IMG",
@@ -54,24 +54,33 @@ _COLUMNS: Sequence[Column] = (
 
 
 def read_catalog(path: Path, body: Body) -> Catalog:
-    """Read a catalogue in which every row must be right: our own store (`.parquet`), or a table.
+    """Read a catalogue without a fault: our own store (`.parquet`), or a table.
 
-    Columns of the table: CRATER_ID, LAT_ELLI_IMG and LON_ELLI_IMG (deg, east positive),
-    DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
-    north), and optionally RIM_HEIGHT_M (above the reference sphere, 0 without it), BODY and BODY_RADIUS_M
-    (the same in all rows). Other published columns are not read.
+    Parameters
+    ----------
+    path : Path
+        Store, or table with the columns CRATER_ID, LAT_ELLI_IMG and LON_ELLI_IMG (deg, east positive),
+        DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
+        north), and optionally RIM_HEIGHT_M (above the sphere, 0 without it), BODY and BODY_RADIUS_M (the same
+        in all rows). Other published columns are not read.
+    body : Body
+        Which the catalogue must be of.
+
+    Returns
+    -------
+    Catalog
 
     Raises
     ------
     InputError
-        For the first row at fault, for a catalogue without rows, and for one of another body.
+        For the first row at fault, a catalogue without rows, and one of another body.
     """
     if path.suffix == SUFFIX:
         return read_parquet(path, body)
     table = read_table(path, _COLUMNS, ignored=_PUBLISHED)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
-    settled(path, body, stated_body(path, table.columns, table.columns[ID]))
+    resolve_body(path, body, stated_body(path, table.columns, table.columns[ID]))
     latitude, longitude, major_km, minor_km, angle = (table.columns[name] for name in ELLIPSE)
     height = table.columns[HEIGHT] if HEIGHT in table.columns else np.zeros(len(table))
     values = (latitude, longitude, 1e3 * major_km, 1e3 * minor_km, angle, height)
@@ -98,15 +107,15 @@ def read_catalog(path: Path, body: Body) -> Catalog:
 def import_catalog(
     path: Path, body: Body | None = None, options: ImportOptions | None = None
 ) -> tuple[Catalog, ImportReport]:
-    """Read a catalogue of any origin, and leave out the rows that are no rim.
+    """Read a catalogue of any origin, and skip the rows that are no rims.
 
     Parameters
     ----------
     path : Path
-        Our own store (`.parquet`), or a table with Robbins' columns, or one of circles.
+        Our own store (`.parquet`), a table with the columns of Robbins (2018), or a table of circles.
     body : Body, optional
-        Which the catalogue must be of. Without it, that which the file tells by metadata, column, identifiers
-        of Robbins (2018) or its name, else the Moon; it has neither gravity nor spin then.
+        Which the catalogue must be of. Without it the body that the file states by metadata, a column,
+        identifiers of Robbins (2018) or its name, else the Moon; such a body has neither gravity nor spin.
     options : ImportOptions, optional
         Names of columns that are not recognised.
 
@@ -114,14 +123,14 @@ def import_catalog(
     -------
     catalog : Catalog
     report : ImportReport
-        With the rows that were left out: without a size, with values out of range, or with an identifier
-        seen before.
+        With the rows that were skipped: without a size, with values out of range, or with the identifier of
+        an earlier row.
 
     Raises
     ------
     InputError
-        When the file is no such table, is of another body, its sizes make no sense for the body, or no row is
-        left.
+        When the file is not such a table, is of another body, its sizes make no sense for the body, or no row
+        is left.
     """
     if path.suffix == SUFFIX:
         catalog = read_parquet(path, body)
@@ -130,7 +139,13 @@ def import_catalog(
 
 
 def write_catalog(path: Path, catalog: Catalog) -> None:
-    """Write a catalogue that `read_catalog` reads: a table, or under a name in `.parquet` our own store.
+    """Write a catalogue that `read_catalog` reads.
+
+    Parameters
+    ----------
+    path : Path
+        A name in `.parquet` for our own store, any other for a table.
+    catalog : Catalog
 
     Raises
     ------

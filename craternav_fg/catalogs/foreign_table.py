@@ -1,4 +1,4 @@
-"""Reading tables as others write them: any separator, broken lines left out and counted."""
+"""Tables as others write them: any separator, a preamble, broken lines that are skipped and counted."""
 
 import csv
 import re
@@ -16,17 +16,21 @@ from craternav_fg.errors import InputError
 
 IntArray = npt.NDArray[np.int64]
 
-_NONE = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "-", "--"]
-# So many lines may stand above the column names.
-_PREAMBLE = 60
-_NO_TEXT = {
+# Cells that stand for no value.
+_NULL_CELLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "-", "--"]
+# Lines that may stand above the column names.
+_MAX_PREAMBLE = 60
+# First bytes of files that are often taken for tables.
+_OTHER_FORMATS = {
     b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save it as CSV",
     b"\x1f\x8b": "a compressed file: unpack it",
     b"\xff\xfe": "one in UTF-16: save it in UTF-8",
     b"\xfe\xff": "one in UTF-16: save it in UTF-8",
     b"PAR1": "a Parquet file: its name must end in .parquet",
 }
+# Bytes that no text has.
 _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+# How pyarrow words an error of conversion.
 _CONVERSION = re.compile(r"In CSV column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'")
 
 
@@ -38,11 +42,11 @@ class ForeignTable:
     ----------
     path : Path
     columns : dict of str to ndarray or list of str
-        Float64 with NaN for empty cells; texts, None for empty ones.
+        Numbers as float64 with NaN for empty cells; texts with None for empty cells.
     broken : tuple of (int, int)
-        Lines with another number of cells than the header, each with that number.
+        Line and number of cells of each line with more or fewer cells than the header.
     width : int
-        Cells of the header.
+        Number of cells of the header.
     header_line : int
         1-based.
     """
@@ -57,19 +61,42 @@ class ForeignTable:
         return len(next(iter(self.columns.values())))
 
     def lines(self, rows: Sequence[int] | IntArray) -> list[int]:
-        """1-based lines of the file in which rows stand."""
+        """Find the lines of the file in which rows stand.
+
+        Parameters
+        ----------
+        rows : sequence of int, or ndarray of int, shape (k,)
+
+        Returns
+        -------
+        list of int
+            1-based.
+        """
         broken = {line for line, _ in self.broken}
         kept = [line for line in _filled_lines(self.path, self.header_line)[1:] if line not in broken]
         return [kept[row] for row in rows]
 
     def fail(self, row: int, column: str, problem: str) -> NoReturn:
-        """Raise the `InputError` of one cell."""
+        """Refuse a cell.
+
+        Parameters
+        ----------
+        row : int
+        column : str
+        problem : str
+            What was expected and what was found.
+
+        Raises
+        ------
+        InputError
+            Always: names the file, the line and the column.
+        """
         raise InputError(self.path, problem, line=self.lines([row])[0], column=column)
 
 
 @dataclass(frozen=True)
 class Header:
-    """A line that may hold column names.
+    """A line that may hold the column names.
 
     Attributes
     ----------
@@ -86,12 +113,21 @@ class Header:
 
 
 def read_headers(path: Path) -> list[Header]:
-    """Give the lines of a table that may hold its column names: the first that is not blank, then others.
+    """Read the lines of a table that may hold its column names.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    list of Header
+        The first line that is not blank, then those below it, which count if there is a preamble.
 
     Raises
     ------
     InputError
-        When the file is missing, empty, or no text with lines.
+        When the file is missing, empty, or not text with line feeds.
     """
     if not path.is_file():
         raise InputError(path, "expected a file, found a folder" if path.is_dir() else "file is missing")
@@ -100,9 +136,9 @@ def read_headers(path: Path) -> list[Header]:
         for number, line in enumerate(raw, 1):
             if line.strip():
                 first.append((number, line))
-            if len(first) > _PREAMBLE:
+            if len(first) > _MAX_PREAMBLE:
                 break
-    for sign, what in _NO_TEXT.items():
+    for sign, what in _OTHER_FORMATS.items():
         if first and first[0][1].startswith(sign):
             raise InputError(path, f"expected a table as text, found {what}")
     if not first:
@@ -123,7 +159,18 @@ def read_headers(path: Path) -> list[Header]:
 
 
 def refuse_doubled(path: Path, header: Header) -> None:
-    """Raise `InputError` when a column is there twice."""
+    """Refuse a header that has a column twice.
+
+    Parameters
+    ----------
+    path : Path
+    header : Header
+
+    Raises
+    ------
+    InputError
+        Naming the column.
+    """
     for name in header.names:
         if name and header.names.count(name) > 1:
             problem = "expected each column once, found this one twice"
@@ -131,21 +178,26 @@ def refuse_doubled(path: Path, header: Header) -> None:
 
 
 def read_columns(path: Path, header: Header, numbers: Sequence[str], texts: Sequence[str]) -> ForeignTable:
-    """Read some columns, which must be there.
+    """Read some columns of a table.
 
     Parameters
     ----------
     path : Path
     header : Header
+        Which must have the columns.
     numbers, texts : sequence of str
-        Their names in the header.
+        Names of the columns to read as numbers and as texts.
+
+    Returns
+    -------
+    ForeignTable
 
     Raises
     ------
     InputError
-        When a cell of a column of numbers is none.
+        When a cell of a column of numbers is not a number.
     """
-    # A name of one's own for nameless ones: pyarrow wants them to differ.
+    # Nameless columns get names, because pyarrow wants them to differ.
     unique = [name or f"#{k}" for k, name in enumerate(header.names)]
     broken: list[tuple[int, int]] = []
 
@@ -157,7 +209,7 @@ def read_columns(path: Path, header: Header, numbers: Sequence[str], texts: Sequ
     try:
         table = pa_csv.read_csv(
             path,
-            # One thread: only then pyarrow tells in which row something is wrong.
+            # With one thread pyarrow names the row of an error.
             read_options=pa_csv.ReadOptions(
                 column_names=unique, skip_rows=header.line, use_threads=False, encoding=encoding
             ),
@@ -165,7 +217,7 @@ def read_columns(path: Path, header: Header, numbers: Sequence[str], texts: Sequ
             convert_options=pa_csv.ConvertOptions(
                 column_types={**dict.fromkeys(numbers, pa.float64()), **dict.fromkeys(texts, pa.string())},
                 include_columns=[*numbers, *texts],
-                null_values=_NONE,
+                null_values=_NULL_CELLS,
                 strings_can_be_null=True,
                 quoted_strings_can_be_null=True,
             ),
@@ -179,7 +231,7 @@ def read_columns(path: Path, header: Header, numbers: Sequence[str], texts: Sequ
         data[name] = [text and text.strip() for text in table[name].to_pylist()]
     if broken:
         filled = _filled_lines(path, header.line)
-        # pyarrow counts the header's line and what it skips, but no blank lines below it.
+        # pyarrow counts the header and the lines above it, but not the blank lines below.
         broken = [(filled[number - header.line], cells) for number, cells in broken]
     return ForeignTable(path, data, tuple(broken), len(header.names), header.line)
 
@@ -195,7 +247,7 @@ def _cell_error(path: Path, header: Header, names: Sequence[str], message: str) 
 
 
 def _filled_lines(path: Path, first: int) -> list[int]:
-    """1-based numbers of the lines that are not blank, from some line on."""
+    """1-based lines that are not blank, from some line on."""
     with path.open("rb") as stream:
         return [number for number, line in enumerate(stream, 1) if number >= first and line.strip()]
 

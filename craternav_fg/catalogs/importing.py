@@ -1,4 +1,4 @@
-"""Importing the catalogues of others: rows that are no rim are left out and said, wrong files refused."""
+"""Import of catalogues of any origin: rows that are no rims are skipped and reported, wrong files refused."""
 
 import contextlib
 from collections.abc import Sequence
@@ -25,22 +25,22 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
-# From so many rows on, one fault in half of them is no matter of rows.
-_FEW = 20
+# In tables of at least this many rows, a fault that half of them have is one of the file, not of its rows.
+_COMMON_FAULT_MIN_ROWS, _COMMON_FAULT_SHARE = 20, 0.5
 
 
 @dataclass(frozen=True)
 class SkippedRow:
-    """A row of a published catalogue that was not imported.
+    """A row that was not imported.
 
     Attributes
     ----------
     line : int
         1-based line of the file.
     identifier : str
-        As in the file, empty when it has none.
+        As in the file; empty when it has none.
     reason : str
-        What is wrong with it.
+        Column and problem.
     """
 
     line: int
@@ -50,23 +50,22 @@ class SkippedRow:
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What became of a catalogue's rows.
+    """What an import made of a catalogue.
 
     Attributes
     ----------
     rows : int
-        In the file.
+        Rows of the file.
     circles : int
-        Craters of a catalogue of ellipses that have none, and were taken as circles.
+        Craters without an ellipse in a catalogue of ellipses; they were imported as circles.
     numbered : bool
-        Whether the file had no identifiers: craters have their line's number.
+        Whether the file has no identifiers; craters are then named by the line of the file.
     skipped : tuple of SkippedRow
-        Rows that were left out.
+        Rows that were not imported.
     columns : str
-        What was taken for what, for people; empty for our own store.
+        Which columns were recognised as what, as words for messages; empty for our own store.
     body_by : str
-        What told the body: "given", words that say what in the file did, or empty when nothing did and it was
-        taken for the Moon.
+        What states the body: "given", words for messages, or empty when the Moon was assumed.
     """
 
     rows: int
@@ -78,18 +77,30 @@ class ImportReport:
 
 
 def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple[Catalog, ImportReport]:
-    """Read a table of craters: Robbins' columns, or circles under the columns' usual names or given ones.
+    """Read a table of craters: ellipses in the columns of Robbins (2018), or circles in any columns.
+
+    Parameters
+    ----------
+    path : Path
+    body : Body or None
+        Which the catalogue must be of; None for the one that the file states.
+    options : ImportOptions
+
+    Returns
+    -------
+    catalog : Catalog
+    report : ImportReport
 
     Raises
     ------
     InputError
-        When the file is no such table or of another body, when latitude and longitude are swapped, when the
-        sizes make no sense for the body, or when no row is left.
+        When the file is not such a table or of another body, when latitude and longitude are swapped, when
+        the sizes make no sense for the body, or when no row is left.
     """
     header, found = _header(path, options)
     table = read_columns(path, header, found.numbers, found.texts)
     identifiers = table.columns[found.identifier] if found.identifier else []
-    body, body_by = bodies.settled(path, body, bodies.stated_body(path, table.columns, identifiers))
+    body, body_by = bodies.resolve_body(path, body, bodies.stated_body(path, table.columns, identifiers))
     shown = found.shown
     if found.angular:
         found = replace(found, size_m=found.size_m * body.radius_m)
@@ -149,7 +160,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
 
 
 def _header(path: Path, options: ImportOptions) -> tuple[Header, Columns]:
-    """Find the line with the column names: the first, or one below a preamble."""
+    """Find the line with the column names: the first one, or one below a preamble."""
     first, *others = read_headers(path)
     try:
         found = columns.recognise(path, first.names, options, first.line)
@@ -186,14 +197,14 @@ def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...]
 def _refuse_common_fault(
     table: ForeignTable, faults: checks.Faults, diameters: Sequence[str], radius_m: float
 ) -> None:
-    """Refuse a table of which half the rows have the same fault."""
-    if len(table) < _FEW:
+    """Refuse a table of which many rows have the same fault."""
+    if len(table) < _COMMON_FAULT_MIN_ROWS:
         return
     by_column: dict[str, list[int]] = {}
     for row, (column, _) in faults.items():
         by_column.setdefault(column, []).append(row)
     for column, rows in by_column.items():
-        if len(rows) > 0.5 * len(table):
+        if len(rows) > _COMMON_FAULT_SHARE * len(table):
             row = min(rows)
             problem = f"{faults[row][1]}; so in {len(rows)} of {len(table)} rows"
             if "at most the major" in problem:

@@ -1,4 +1,4 @@
-"""The crater catalogue: rims as ellipses on the body, and which of them a camera sees."""
+"""The catalogue of craters: rims as ellipses on the body, and which of them a camera sees."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,26 +21,30 @@ BoolArray = npt.NDArray[np.bool_]
 
 # Along each side of the image, to find the point farthest from the optical axis.
 _BORDER_POINTS = 33
+# Between the points a border that a lens bends may lie farther out: factor on the squared distance.
+_BENT_BORDER_SLACK = 1.02
+# Cosine of the half-angle of a field of view that has no bound in front of the camera.
+_ANY_DIRECTION = 1e-3
 
 
 @dataclass(frozen=True)
 class Catalog:
-    """Catalogue craters. A rim is a planar ellipse, level at its centre, `height_m` above the sphere.
+    """Craters of a catalogue. A rim is a planar ellipse, level at its centre, `height_m` above the sphere.
 
     Attributes
     ----------
     identifiers : tuple of str, length n
         Unique names.
     latitude_rad, longitude_rad : ndarray, shape (n,)
-        Rim centre; longitude counts to the east.
+        Of the rim's centre; longitude to the east.
     semi_major_m, semi_minor_m : ndarray, shape (n,)
-        Rim semi-axes a >= b > 0.
+        Semi-axes a >= b > 0 of the rim.
     angle_rad : ndarray, shape (n,)
-        Of the major axis, from local east towards north.
+        Direction of the major axis, from local east towards north.
     height_m : ndarray, shape (n,)
-        Of the rim's plane above the reference sphere, at the centre.
+        Height of the rim's plane above the sphere, at the rim's centre.
     body : Body
-        The body it describes.
+        Body with these craters.
     """
 
     identifiers: tuple[str, ...]
@@ -56,7 +60,12 @@ class Catalog:
         return len(self.identifiers)
 
     def take(self, rows: IntArray) -> "Catalog":
-        """Return the craters of some rows."""
+        """Select craters.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (k,)
+        """
         return Catalog(
             tuple(self.identifiers[row] for row in rows),
             self.latitude_rad[rows],
@@ -70,7 +79,13 @@ class Catalog:
 
     @classmethod
     def joined(cls, parts: Sequence["Catalog"]) -> "Catalog":
-        """Put catalogues of one body one behind the other; their identifiers must differ."""
+        """Join catalogues of one body.
+
+        Parameters
+        ----------
+        parts : sequence of Catalog
+            One or more; their identifiers must differ.
+        """
         numbers = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in (
@@ -113,7 +128,7 @@ class Catalog:
 
     @cached_property
     def index(self) -> SphereIndex:
-        """Where the craters lie, by size."""
+        """Spatial index of the rims' centres."""
         range_m = self.body.radius_m + self.height_m
         return SphereIndex.of(
             self.latitude_rad, self.longitude_rad, self.semi_major_m, self.semi_minor_m, range_m
@@ -127,13 +142,13 @@ class Catalog:
         *,
         min_diameter_m: float = 0.0,
     ) -> tuple[IntArray, FloatArray]:
-        """Craters around a place, the nearest first.
+        """Find the craters around a place, the nearest first.
 
         Parameters
         ----------
         latitude_rad, longitude_rad : float
         distance_m : float
-            Largest distance of a rim's centre along the reference sphere.
+            Largest distance of a rim's centre along the sphere.
         min_diameter_m : float
             Smallest major diameter.
 
@@ -142,6 +157,7 @@ class Catalog:
         craters : ndarray of int, shape (k,)
             Rows of the catalogue.
         distance_m : ndarray, shape (k,)
+            Of the rims' centres along the sphere.
         """
         place = frames.up(np.array(latitude_rad), np.array(longitude_rad))
         rows = self.index.near(place, distance_m / self.body.radius_m, 0.5 * min_diameter_m)
@@ -150,7 +166,18 @@ class Catalog:
         return rows[nearest], away_m[nearest]
 
     def distance_m(self, rows: IntArray, others: IntArray) -> FloatArray:
-        """Distances (k,) of rims' centres from those of others, along the reference sphere."""
+        """Compute distances between rims' centres along the sphere.
+
+        Parameters
+        ----------
+        rows, others : ndarray of int, shape (k,)
+            Pairs of craters.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            Distances, m.
+        """
         one, other = (frames.up(self.latitude_rad[k], self.longitude_rad[k]) for k in (rows, others))
         return self._along_sphere_m(one, other)
 
@@ -168,7 +195,7 @@ class Catalog:
         sun_g: FloatArray | None = None,
         min_sun_elevation_rad: float = 0.0,
     ) -> tuple[IntArray, FloatArray]:
-        """Craters whose whole rim a camera sees: in its field of view, above the horizon, large enough, lit.
+        """Find the craters whose whole rim a camera sees: in view, above the horizon, large enough, lit.
 
         Parameters
         ----------
@@ -177,24 +204,24 @@ class Catalog:
         gTb : ndarray, shape (4, 4)
             Pose of the body in g.
         min_semi_minor_px : float
-            Smallest semi-minor axis of the rim's image, without distortion.
+            Least semi-minor axis of the rim's image, without distortion.
         margin_px : float
-            How far inside the image's border the rim's bounding box must stay; negative: outside.
+            Least distance of the rim's bounding box inside the image's border; negative: outside.
         sun_g : ndarray, shape (3,), optional
-            Unit vector towards the sun in g; without it the light does not count.
+            Unit vector towards the sun in g; without it craters need not be lit.
         min_sun_elevation_rad : float
-            Of the sun above the horizon of the rim's centre, at least.
+            Least elevation of the sun at the rim's centre.
 
         Returns
         -------
         craters : ndarray of int, shape (k,)
-            Rows of the catalogue, in their order.
+            Rows of the catalogue, increasing.
         charts : ndarray, shape (k, 5)
-            Their images in the ellipse chart.
+            Charts of their images, in normalised image coordinates.
         """
         gTc = camera.gTc(gTb)
         cos_field = _cos_field(camera, margin_px)
-        # The cone around a ball of the rim's semi-major axis has an image that holds the rim's.
+        # The image of a ball around the rim bounds the rim's: it tells how far a crater may be.
         p = min_semi_minor_px / max(camera.fx_px, camera.fy_px)
         reach = np.sqrt(1.0 + p * p) / (p * cos_field) if p > 0.0 else np.inf
         rows = self.index.in_view(gTc[:3, 3], gTc[:3, 2], cos_field, reach)
@@ -225,7 +252,7 @@ def _rims(
     latitude: FloatArray, longitude: FloatArray, semi_major: FloatArray, semi_minor: FloatArray,
     angle: FloatArray, height: FloatArray, radius_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Centres (n, 3), semi-axes (n, 2, 3) and normals (n, 3): a million of them in a fifth of a second."""
+    """Centres (n, 3), semi-axes (n, 2, 3) and normals (n, 3) of rims in g."""
     n = latitude.shape[0]
     centres, axes, normals = np.empty((n, 3)), np.empty((n, 2, 3)), np.empty((n, 3))
     for i in range(n):
@@ -287,6 +314,8 @@ def _images(
 def _cos_field(camera: Camera, margin_px: float) -> float:
     """Cosine of the largest angle from the optical axis inside an image with a margin."""
     r2 = np.sum(camera.normalised(camera.border_px(_BORDER_POINTS, margin_px)) ** 2, axis=-1)
-    # Between the points of a bent border it may lie a little farther out; beyond a lens's fold, anywhere.
-    slack = 1.02 if camera.distorts else 1.0
-    return float(1.0 / np.sqrt(1.0 + slack * np.max(r2))) if np.all(np.isfinite(r2)) else 1e-3
+    if not np.all(np.isfinite(r2)):
+        # Beyond a lens's fold the border may lie anywhere.
+        return _ANY_DIRECTION
+    slack = _BENT_BORDER_SLACK if camera.distorts else 1.0
+    return float(1.0 / np.sqrt(1.0 + slack * np.max(r2)))

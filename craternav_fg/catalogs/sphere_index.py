@@ -39,13 +39,14 @@ class SphereIndex(NamedTuple):
     least_log_size: float
     """Lower end of the first octave."""
     octave_bands: Int32Array
-    """First band of each octave, counted over all octaves, shape (t + 1,)."""
+    """Index of the first band of each octave, counted over all octaves, shape (t + 1,)."""
     band_cells: Int32Array
-    """First cell of each band, counted over all bands, shape (bands + 1,)."""
+    """Index of the first cell of each band, counted over all bands, shape (bands + 1,)."""
     cell_starts: Int32Array
-    """First crater of each cell, shape (cells + 1,)."""
+    """Index of the first crater of each cell, shape (cells + 1,)."""
     limits_m: FloatArray
-    """Largest semi-major axis, least and largest range of each octave, shape (t, 3); zero if it is empty."""
+    """Largest semi-major axis, least and largest range from the body's centre of each octave, shape (t, 3);
+    zeros for an octave without craters."""
 
     @classmethod
     def of(

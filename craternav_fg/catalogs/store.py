@@ -1,4 +1,4 @@
-"""Our own store of a catalogue: a Parquet file whose rows lie in the order of the spatial index."""
+"""Store of a catalogue: a Parquet file that opens fast, as its rows are in the order of the spatial index."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from craternav_fg import tables
 from craternav_fg.body import Body
-from craternav_fg.catalogs.bodies import StatedBody, settled
+from craternav_fg.catalogs.bodies import StatedBody, resolve_body
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 
@@ -26,10 +26,15 @@ _NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "an
 
 
 def write_parquet(path: Path, catalog: Catalog) -> None:
-    """Write a catalogue so that it opens fast; numbers read back exactly.
+    """Write a catalogue; numbers read back exactly.
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
     north; height_m, of the rim above the sphere. Body and format are in the file's metadata.
+
+    Parameters
+    ----------
+    path : Path
+    catalog : Catalog
 
     Raises
     ------
@@ -54,14 +59,18 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     ----------
     path : Path
     body : Body or None
-        Must have the radius of the catalogue's; None for the catalogue's own, without gravity and spin.
+        Must have the radius of the catalogue's body; None for that body, without gravity and spin.
+
+    Returns
+    -------
+    Catalog
 
     Raises
     ------
     InputError
-        When it is no such file, of another body, or a value is out of range.
+        When the file is not such a store or of another body, or a value is out of range.
     """
-    body, _ = settled(path, body, _stated(path))
+    body, _ = resolve_body(path, body, _stated(path))
     table = tables.read_parquet(path, [_ID, *_NUMBERS])
     for name in (_ID, *_NUMBERS):
         if name not in table.column_names:

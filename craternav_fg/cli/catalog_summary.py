@@ -34,7 +34,7 @@ def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, A
     dict
     """
     diameter_km = 2e-3 * catalog.semi_major_m
-    first = overlaps.twins[:MAX_LISTED]
+    first = overlaps.duplicates[:MAX_LISTED]
     apart_km = 1e-3 * catalog.distance_m(first[:, 0], first[:, 1])
     return {
         "craters": len(catalog),
@@ -49,9 +49,9 @@ def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, A
         "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
         "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
         "crossed_rims": len(np.unique(overlaps.crossings)),
-        "twins": len(overlaps.twins),
-        "first_twins": [[catalog.identifiers[row] for row in pair] for pair in first.tolist()],
-        "first_twins_km": np.column_stack([2e-3 * catalog.semi_major_m[first], apart_km]).tolist(),
+        "duplicates": len(overlaps.duplicates),
+        "first_duplicates": [[catalog.identifiers[row] for row in pair] for pair in first.tolist()],
+        "first_duplicates_km": np.column_stack([2e-3 * catalog.semi_major_m[first], apart_km]).tolist(),
     }
 
 
@@ -77,15 +77,16 @@ def show(values: dict[str, Any]) -> None:
     heights = f"{bottom:.0f} to {top:.0f} m above the sphere" if bottom or top else "none: all on the sphere"
     say(f"  rim heights {heights}")
     say(f"  crossings   {values['crossed_rims']:,} craters whose rim crosses another's")
-    if not values["twins"]:
-        say("  twins       no pairs that are probably one crater entered twice")
+    if not values["duplicates"]:
+        say("  duplicates  no pairs that are probably one crater entered twice")
         return
-    say(f"  twins       {values['twins']:,} pairs that are probably one crater entered twice")
-    pairs = list(zip(values["first_twins"], values["first_twins_km"], strict=True))
+    say(f"  duplicates  {values['duplicates']:,} pairs that are probably one crater entered twice")
+    pairs = list(zip(values["first_duplicates"], values["first_duplicates_km"], strict=True))
     for (one, other), (large, small, apart) in pairs[:_MAX_PRINTED]:
         say(f"              {one} and {other}: {large:.3g} and {small:.3g} km, {apart:.2g} km apart")
-    if values["twins"] > _MAX_PRINTED:
-        say(f"              and {values['twins'] - _MAX_PRINTED:,} more (--pairs FILE.csv writes them all)")
+    if values["duplicates"] > _MAX_PRINTED:
+        more = values["duplicates"] - _MAX_PRINTED
+        say(f"              and {more:,} more (--pairs FILE.csv writes them all)")
 
 
 def _longitudes_deg(catalog: Catalog) -> list[float]:

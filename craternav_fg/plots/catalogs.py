@@ -19,7 +19,7 @@ from craternav_fg.catalogs.model import Catalog
 FloatArray = npt.NDArray[np.float64]
 
 # Okabe and Ito's colours.
-_INK, _CROSSING, _TWIN = "#0072B2", "#E69F00", "#D55E00"
+_INK, _CROSSING, _DUPLICATE = "#0072B2", "#E69F00", "#D55E00"
 # Cells of the density map, in latitude and longitude: 5 deg of longitude each.
 _DENSITY_CELLS = (36, 72)
 # A map of the body draws this many craters as rims at the most, more of them as their density.
@@ -170,9 +170,9 @@ def _colours(part: Catalog) -> tuple[npt.NDArray[np.str_], list[Line2D]]:
     meets = overlaps(part)
     colours = np.full(len(part), _INK)
     colours[meets.crossings.ravel()] = _CROSSING
-    colours[meets.twins.ravel()] = _TWIN
+    colours[meets.duplicates.ravel()] = _DUPLICATE
     key = []
-    for colour, label in ((_CROSSING, "crossing rims"), (_TWIN, "probable duplicates")):
+    for colour, label in ((_CROSSING, "crossing rims"), (_DUPLICATE, "probable duplicates")):
         count = int(np.count_nonzero(colours == colour))
         if count:
             key.append(Line2D([], [], color=colour, label=f"{label} ({count:,})"))

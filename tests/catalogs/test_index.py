@@ -130,7 +130,7 @@ def test_craters_of_some_sizes_within_a_cap_are_those_found_one_by_one(reach):
     assert wanted_any > 0 or reach < 0.01
 
 
-def test_crossing_rims_and_twins_are_those_found_pair_by_pair():
+def test_crossing_rims_and_duplicates_are_those_found_pair_by_pair():
     rng = np.random.default_rng(7)
     craters = catalog(rng, 800, heights_m=0.0)
     copies = rng.choice(800, 20, replace=False)
@@ -141,15 +141,15 @@ def test_crossing_rims_and_twins_are_those_found_pair_by_pair():
         1.04 * moved.semi_major_m, moved.semi_minor_m, moved.angle_rad, moved.height_m, BODY,
     )  # fmt: skip
     craters = Catalog.joined([craters, part])
-    crossings, twins = craters.index.overlaps(0.1)
-    assert {tuple(sorted(pair)) for pair in twins.tolist()} >= {
+    crossings, duplicates = craters.index.overlaps(0.1)
+    assert {tuple(sorted(pair)) for pair in duplicates.tolist()} >= {
         (row, 800 + k) for k, row in enumerate(copies.tolist())
     }
-    assert len(twins) < 25
+    assert len(duplicates) < 25
     a = craters.semi_major_m
     away = BODY.radius_m * np.linalg.norm(craters.normals[:, None] - craters.normals[None], axis=-1)
     meets = (away < a[:, None] + a) & (away > np.abs(a[:, None] - a))
-    meets[twins[:, 0], twins[:, 1]] = meets[twins[:, 1], twins[:, 0]] = False
+    meets[duplicates[:, 0], duplicates[:, 1]] = meets[duplicates[:, 1], duplicates[:, 0]] = False
     np.testing.assert_array_equal(a[crossings[:, 0]] >= a[crossings[:, 1]], True)
     found = {tuple(sorted(pair)) for pair in crossings.tolist()}
     assert len(found) == len(crossings)
@@ -164,9 +164,9 @@ def test_craters_as_large_as_their_body_meet_along_chords():
         ("A", "B"), np.zeros(2), np.array([0.0, angle]), np.full(2, 125.0), np.full(2, 125.0), np.zeros(2),
         np.zeros(2), ball,
     )  # fmt: skip
-    crossings, twins = two.index.overlaps(0.1)
+    crossings, duplicates = two.index.overlaps(0.1)
     assert crossings.tolist() == [[0, 1]]
-    assert not len(twins)
+    assert not len(duplicates)
 
 
 def test_a_catalogue_in_order_is_not_moved():

@@ -29,15 +29,18 @@ def test_import(imported):
     file = found["files"][0]
     assert (file["rows"], file["imported"], file["skipped"], file["numbered"]) == (242, 241, 1, True)
     assert file["first_skipped"][0]["line"] == 243
-    assert found["twins"] == 1
-    assert sorted(found["first_twins"][0]) == ["2", "242"]
+    assert found["duplicates"] == 1
+    assert sorted(found["first_duplicates"][0]) == ["2", "242"]
 
 
 def test_info_and_near(imported):
     folder, found = imported
     done = call("catalog", "info", folder / "craters.parquet", "--json")
     about = json.loads(done.out)
-    assert about.items() >= {key: found[key] for key in ("craters", "twins", "crossed_rims", "body")}.items()
+    assert (
+        about.items()
+        >= {key: found[key] for key in ("craters", "duplicates", "crossed_rims", "body")}.items()
+    )
     done = call(
         "catalog", "near", folder / "craters.parquet", "--distance-km", "1", "--json", "--", "-60", "360"
     )
@@ -79,7 +82,7 @@ def test_pairs_that_meet(imported, tmp_path):
     assert done.code == 0, done.err
     rows = [line.split(",") for line in pairs.read_text().splitlines()]
     assert rows[0][:3] == ["kind", "crater_id", "other_id"]
-    assert [sorted(row[1:3]) for row in rows if row[0] == "twin"] == [["2", "242"]]
+    assert [sorted(row[1:3]) for row in rows if row[0] == "duplicate"] == [["2", "242"]]
     assert float(rows[1][5]) == pytest.approx(0.0343, abs=1e-3)
     crossed = {name for row in rows if row[0] == "crossing" for name in row[1:3]}
     assert len(crossed) == found["crossed_rims"]
