@@ -66,11 +66,15 @@ def test_many_images():
     assert 0.7 < irregular["chi2_5"] < 1.3
 
 
+# Measured over 180 other frames: root mean square errors in degrees and over their standard deviations. These
+# allow for reflectance laws unlike the rendered one, seen obliquely, so the latter is below 1.
 @pytest.mark.slow
-@pytest.mark.parametrize(("tilt_deg", "limit_deg"), [(0.0, 2.0), (30.0, 6.0)])
-def test_the_sun_in_sixty_frames(tilt_deg, limit_deg):
+@pytest.mark.parametrize(("tilt_deg", "rms_deg", "rms_sigmas"), [(0.0, 0.76, 0.54), (30.0, 1.75, 0.38)])
+def test_the_sun_in_sixty_frames(tilt_deg, rms_deg, rms_sigmas):
     ground = Ground(tilt_deg=(tilt_deg, tilt_deg), size_px=512)
     figures = sun_tilts([scene(HELD_OUT + 200 + k, ground) for k in range(60)])
     assert figures["tilt_share"] > 0.9
-    assert figures["tilt_deg"] <= limit_deg
-    assert np.isclose(figures["tilt_sigmas"], 0.8, atol=0.6)
+    # A root mean square of n errors has the relative standard error 1 / sqrt(2 n); three of the difference.
+    margin = 3.0 * np.sqrt(0.5 / 60 + 0.5 / 180)
+    assert figures["tilt_deg"] < (1.0 + margin) * rms_deg
+    assert abs(figures["tilt_sigmas"] / rms_sigmas - 1.0) < margin

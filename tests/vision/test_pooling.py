@@ -1,9 +1,10 @@
-"""Rims of rough ground are given the covariances that they usually have."""
+"""Rims on rough ground get the covariances of their crater, pooled over frames."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from craternav_fg.measurements import RimQuality, RimSet
 from craternav_fg.vision.error_model.correlated import in_plane_slopes
@@ -12,8 +13,8 @@ from factors.kernels.conic import project_rims
 from tests.vision import scene
 
 CRATERS, FRAMES = 8, 24
-# On the ground, in radii: what lasts, what does not.
-LASTING, WHITE = 0.008, 0.006
+# Standard deviations on the ground, in radii, of the time-correlated and the white error.
+CORRELATED, WHITE = 0.008, 0.006
 
 
 @pytest.fixture(scope="module")
@@ -24,12 +25,12 @@ def view():
 
 
 def frame(view, claims, chart=None, outline=0.02):
-    """Rims that claim so many times (n,) the standard deviations that they have."""
+    """Rims that claim `claims` (n,) times their standard deviations."""
     catalog, camera, gTb = view
     rows = np.arange(CRATERS)
     slopes = in_plane_slopes(rows, gTb, camera, catalog)
-    correlated = LASTING * claims[:, None, None] * slopes
-    covariance = (LASTING**2 + WHITE**2) * claims[:, None, None] ** 2 * slopes @ np.swapaxes(slopes, 1, 2)
+    correlated = CORRELATED * claims[:, None, None] * slopes
+    covariance = (CORRELATED**2 + WHITE**2) * claims[:, None, None] ** 2 * slopes @ np.swapaxes(slopes, 1, 2)
     same = np.ones(CRATERS)
     quality = RimQuality(same, same, same, same, outline * same)
     if chart is None:
@@ -38,7 +39,7 @@ def frame(view, claims, chart=None, outline=0.02):
 
 
 def common_shift(view, frames):
-    """Estimate what moves all rims alike (5,), lasting errors along; return it and its covariance."""
+    """Estimate an error (5,) common to all rims beside the correlated ones, and its covariance."""
     catalog, camera, gTb = view
     slopes = in_plane_slopes(np.arange(CRATERS), gTb, camera, catalog)
     truth = project_rims(gTb, camera.bTc, catalog.centres, catalog.axes)[0]
@@ -48,36 +49,40 @@ def common_shift(view, frames):
         for i in range(CRATERS):
             H = np.zeros((5, size))
             H[:, :5], H[:, 5 + 5 * i : 10 + 5 * i] = slopes[i], rims.correlated[i]
-            weighed = np.linalg.solve(rims.uncorrelated_covariance[i], H).T
-            N += weighed @ H
-            b += weighed @ (rims.chart[i] - truth[i])
+            weighted = np.linalg.solve(rims.uncorrelated_covariance[i], H).T
+            N += weighted @ H
+            b += weighted @ (rims.chart[i] - truth[i])
     P = np.linalg.inv(N)
     return (P @ b)[:5], P[:5, :5]
 
 
-def test_claims_that_scatter_no_longer_mislead_who_fuses_frames(view):
+def test_pooled_covariances_are_consistent_where_the_claims_scatter(view):
+    """The variances that single frames claim are right on average, and scatter by a factor of e."""
     catalog, camera, gTb = view
     rng = np.random.default_rng(4)
     slopes = in_plane_slopes(np.arange(CRATERS), gTb, camera, catalog)
     truth = project_rims(gTb, camera.bTc, catalog.centres, catalog.axes)[0]
-    squared = {"told": [], "pooled": []}
-    for _ in range(12):
-        lasting = LASTING * rng.normal(size=(CRATERS, 5))
-        told = []
-        for _ in range(FRAMES):
-            error = lasting + WHITE * rng.normal(size=(CRATERS, 5))
+    trials = 40
+    squared = {"claimed": 0.0, "pooled": 0.0}
+    for _ in range(trials):
+        correlated = CORRELATED * rng.normal(size=(CRATERS, 5))
+        claimed = []
+        for _ in range(2 * FRAMES):
+            error = correlated + WHITE * rng.normal(size=(CRATERS, 5))
             chart = truth + np.einsum("nij,nj->ni", slopes, error)
-            told.append(frame(view, np.exp(rng.normal(0.0, 0.5, CRATERS)), chart))
+            variance = np.exp(rng.normal(-0.5, 1.0, CRATERS))
+            claimed.append(frame(view, np.sqrt(variance), chart))
         pooled = PooledErrors(camera, catalog)
-        for name, frames in (("told", told), ("pooled", [pooled.pool(rims, gTb) for rims in told])):
-            shift, P = common_shift(view, frames)
-            squared[name].append(shift @ np.linalg.solve(P, shift) / 5.0)
-    assert np.mean(squared["told"]) > 4.0
-    # Better, not well, as long as few frames have been seen.
-    assert 0.5 < np.mean(squared["pooled"]) < 2.0
+        for name, frames in (("claimed", claimed), ("pooled", [pooled.pool(rims, gTb) for rims in claimed])):
+            # The first frames only fill the pool.
+            shift, P = common_shift(view, frames[FRAMES:])
+            squared[name] += shift @ np.linalg.solve(P, shift)
+    low, high = chi2.ppf([0.001, 0.999], 5 * trials)
+    assert low < squared["pooled"] < high
+    assert squared["claimed"] > 5.0 * high
 
 
-def test_what_claims_less_is_believed_and_what_lasts_is_as_usual(view):
+def test_a_pool_is_a_mean_over_frames_and_a_larger_white_claim_is_kept(view):
     catalog, camera, gTb = view
     pooled = PooledErrors(camera, catalog)
     same = np.ones(CRATERS)
@@ -92,9 +97,10 @@ def test_what_claims_less_is_believed_and_what_lasts_is_as_usual(view):
     size = [np.sqrt(np.trace(C, axis1=1, axis2=2)) for C in covariances]
     assert size[0][0] == pytest.approx(size[1][0], rel=1e-6)
     assert size[0][1] == pytest.approx(size[2][1], rel=0.05)
-    kept = np.linalg.norm(got.correlated, axis=(1, 2)) / np.linalg.norm(plain.correlated, axis=(1, 2))
-    assert kept[0] == pytest.approx(np.sqrt((19.0 + 3.0 + 16.0) / 23.0), rel=0.1)
-    np.testing.assert_allclose(kept[2:], 1.0, rtol=1e-6)
+    variance = (got.correlated**2).sum(axis=(1, 2)) / (plain.correlated**2).sum(axis=(1, 2))
+    # Sixteen times the variance in one frame of 21, beside a prior worth a few frames.
+    assert 15.0 / 25.0 < variance[0] - 1.0 < 15.0 / 21.0
+    np.testing.assert_allclose(variance[2:], 1.0, rtol=1e-6)
 
 
 def test_rims_that_are_ellipses_stay_as_they_are(view):

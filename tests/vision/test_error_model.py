@@ -1,0 +1,87 @@
+"""Steps of the error model between the fit of one rim and the frame's rim set."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, split
+from craternav_fg.vision.error_model.frame_scatter import variance_factor
+from craternav_fg.vision.error_model.outline import unseen_deviation
+from craternav_fg.vision.error_model.systematic import RimErrors
+from tests.vision import scene
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("wrong", [0, 200])
+def test_variance_factor_is_that_of_the_residuals_whatever_wrong_matches_there_are(scale, wrong):
+    rng = np.random.default_rng(1)
+    count = 2000
+    distance2 = np.sum((scale * rng.normal(size=(count, 5))) ** 2, axis=1)
+    distance2[:wrong] = 1e6
+    # Wrong matches of 10 % move the median to the quantile 0.556 of the others: 1.10 times the median.
+    high = 1.0 if wrong == 0 else 1.10
+    # The relative standard error of a median of 2000 chi-squares of 5 degrees of freedom is 1.9 %.
+    margin = norm.ppf(0.999) * 0.019
+    assert scale**2 * (1.0 - margin) < variance_factor(distance2, 5) < scale**2 * high * (1.0 + margin)
+
+
+def test_rims_that_scatter_less_than_claimed_keep_their_covariance_and_few_rims_prove_nothing():
+    rng = np.random.default_rng(2)
+    assert variance_factor(0.3 * rng.chisquare(5, 100), 5) == 1.0
+    assert variance_factor(np.full(5, 1e3), 5) == 1.0
+
+
+def test_irregular_frames_expect_the_same_deviation_of_every_rim():
+    shares = np.array([0.001, 0.01, 0.02, 0.015, 0.03])
+    unseen = unseen_deviation(shares, 0.0003)
+    seen_less = shares < 0.018
+    np.testing.assert_allclose(np.hypot(shares, unseen)[seen_less], np.linalg.norm(shares) / np.sqrt(5.0))
+    assert np.all(unseen[~seen_less] == 0.0)
+    # Mostly ellipses, and no rims.
+    assert np.all(unseen_deviation(np.array([0.0003, 0.001, 0.0003, 0.02]), 0.0003) == 0.0)
+    assert unseen_deviation(np.empty(0), 0.0003).shape == (0,)
+
+
+@pytest.fixture(scope="module")
+def view():
+    catalog = scene.craters(np.random.default_rng(3))
+    return scene.pose(0.3, 20.0), scene.sun(30.0, 50.0), scene.camera(), catalog
+
+
+def claimed(count):
+    """Errors of rims with a systematic part and a part from the brightness, all drawn at random."""
+    rng = np.random.default_rng(4)
+    root = 1e-4 * rng.normal(size=(count, 5, 5))
+    brightness = 1e-4 * rng.normal(size=(count, 5))
+    white, outline = 1e-8 * np.eye(5), root @ np.swapaxes(root, 1, 2)
+    return RimErrors.stack(
+        [RimErrors.of_fit(white, S, v, white) for S, v in zip(outline, brightness, strict=True)]
+    )
+
+
+def test_correlated_and_shared_parts_leave_a_white_rest(view):
+    """Without common shifts the whole covariance is the fit's; what is correlated is taken from it."""
+    count = len(view[3])
+    errors = claimed(count)
+    quiet = CorrelatedErrorOptions(
+        camera_shift_px=0.0, sun_shift_px=0.0, stretch_px=0.0, stretch_share=0.0, size_px=0.0, size_share=0.0
+    )
+    covariance, correlated, shared = split(errors, 1.0, np.arange(count), *view, quiet)
+    np.testing.assert_allclose(covariance, errors.covariance, rtol=0.0, atol=1e-18)
+    rest = covariance - correlated @ np.swapaxes(correlated, 1, 2) - shared @ np.swapaxes(shared, 1, 2)
+    assert np.linalg.eigvalsh(rest)[:, 0].min() > 0.9e-8
+    # What is common comes on top of the fit's own covariance; a rough frame is whiter besides.
+    louder, *_ = split(errors, 1.0, np.arange(count), *view, CorrelatedErrorOptions())
+    rough, *_ = split(errors, 1.5, np.arange(count), *view, CorrelatedErrorOptions())
+    assert np.linalg.eigvalsh(louder - covariance)[:, 0].min() > -1e-18
+    assert np.trace(louder - covariance, axis1=1, axis2=2).min() > 1e-8
+    np.testing.assert_allclose(rough - louder, errors.systematic, rtol=1e-9, atol=1e-18)
+
+
+def test_scaling_multiplies_every_part_of_the_variance():
+    errors = claimed(3)
+    scaled = errors.scaled(4.0)
+    assert np.allclose(scaled.covariance, 4.0 * errors.covariance)
+    rest = scaled.systematic - scaled.brightness_root[:, :, None] * scaled.brightness_root[:, None, :]
+    before = errors.systematic - errors.brightness_root[:, :, None] * errors.brightness_root[:, None, :]
+    assert np.allclose(rest, 4.0 * before)
