@@ -20,7 +20,7 @@ from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED
 
 FloatArray = npt.NDArray[np.float64]
 
-# Looked up once: a method through its object costs as much as a crater.
+# Looked up once: calling a method through its object costs as much as a crater.
 _at_pose = gtsam.Values.atPose3
 _matrix = gtsam.Pose3.matrix
 

@@ -44,8 +44,6 @@ from factors.kernels.conic import project_rims
 FloatArray = npt.NDArray[np.float64]
 
 # Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
-# Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
-# Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
 MAX_OPTIMISATIONS = 5
 # Of the first optimisation, which ends within a few hundredths of a sigma of the optimum.
 ROUGH_LM = LmOptions(relative_tolerance=1e-5)

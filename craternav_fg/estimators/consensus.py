@@ -87,7 +87,7 @@ def robust_track(problem: Problem, limit2: float, options: GraphOptions = GraphO
         start = _start(problem, k, pair, limit2, options)
         if start is not None:
             track = _track(problem, start, early, limit2)
-            # What lies before is not explained.
+            # Rims of earlier frames count as unexplained.
             cost = track.cost + limit2 * sum(len(frame.rims) for frame in problem.frames[:k])
             if cost < best_cost:
                 best, best_cost = track, cost
@@ -200,7 +200,7 @@ def agreeing(
     kept = np.zeros(n, dtype=np.bool_)
     cost = n * limit2
     for i in np.flatnonzero(alone <= limit2):
-        # The pose corrected by rim i, and all rims as seen from there.
+        # The pose corrected by rim i, and the residuals of all rims there.
         to_i = covariance @ A[i].T
         off = residual - A @ (to_i @ solved[i, :, 0])
         left = covariance - to_i @ solved[i, :, 1:] @ covariance

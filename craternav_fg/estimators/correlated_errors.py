@@ -24,8 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 
 ERROR_LETTER, ERROR_SIZE = "r", 5
 SHARED_KEY: int = gtsam.symbol("s", 0)
-# How often what lasts counts where it is taken as new in each frame: it does not average out over the frames
-# that show a crater, half of ten or so, as neighbouring rims do not all err alike.
+# Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
+# over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 VARIANCE_INFLATION = 5.0
 
 

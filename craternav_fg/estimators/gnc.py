@@ -36,8 +36,6 @@ FloatArray = npt.NDArray[np.float64]
 # Within a round, whose weights are not final: few steps are enough.
 COARSE_LM = LmOptions(max_iterations=2, relative_tolerance=1e-3)
 # At a growth of 1.4 the control parameter grows by 6e8 in as many rounds.
-# At a growth of 1.4 the control parameter grows by 6e8 in as many rounds.
-# At a growth of 1.4 the control parameter grows by 6e8 in as many rounds.
 MAX_ROUNDS = 60
 # A rim of less weight is left out: its covariance would grow a thousandfold.
 MIN_WEIGHT = 1e-3
@@ -174,7 +172,7 @@ class GncSmoother:
         options = replace(self.options.graph, loss=Loss(), rim_errors=None)
         limit2 = self._limit2(RESIDUAL_SIZE[options.rims])
         rims = _Rims(problem, options, numbers)
-        # Arcs that are wrong could outweigh rims that are right.
+        # Wrong arcs could outweigh right rims.
         blind = [replace(f, rims=RimSet.empty(), arcs=ArcSet.empty()) for f in problem.frames]
         others = build_graph(replace(problem, frames=blind), options, values)
         squared = rims.squared(values)

@@ -18,9 +18,9 @@ from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
 
-# Relinearise a variable that moved by more: pose (rad, m), velocity (m/s), bias (m/s^2, rad/s). What is left
-# out is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
-# measurement. Velocity and bias are linear in an IMU factor of a second, far beyond their priors.
+# Relinearise a variable that moved by more: pose (rad, m), velocity (m/s), bias (m/s^2, rad/s). The remaining
+# error is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
+# measurement. An IMU factor of a second is linear in velocity and bias far beyond their priors.
 RELINEARISE_M = 5.0
 # A sensor's bias has its length for a letter.
 SENSOR_BIASES = tuple("123456789")
@@ -36,11 +36,11 @@ RELINEARISE_STEPS = {
 }
 # Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
 STATE_LETTERS = ("x", "v", "b")
-# Letters of errors that outlast a frame: of one rim, shared by all rims, tracked points,
-# biases of sensors.
-CORRELATED_LETTERS = ("r", "s", "l", *SENSOR_BIASES)
-# Back-substitution goes on into the past until nothing moves by more (in practice: 1 m). The newest states
-# are at the root and always exact; GTSAM's 1 mm would walk the whole past at every frame.
+# Letters of variables that several states share: time-correlated errors of one rim and of all rims, tracked
+# points, biases of sensors.
+SHARED_LETTERS = ("r", "s", "l", *SENSOR_BIASES)
+# Back-substitution continues into the past until no variable moves by more (in practice: 1 m). The newest
+# states are at the root and always exact; GTSAM's 1 mm would visit the whole past at every frame.
 WILDFIRE_STEP = 1.0
 
 
@@ -60,11 +60,11 @@ def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
     return params
 
 
-# Variables of the largest tree, and of what two successive ones share: three minutes, and one, of states at
-# one a second.
+# Largest number of variables of a tree, and of those that successive trees share: three minutes and one
+# minute of states at one a second.
 MAX_VARIABLES, OVERLAP_VARIABLES = 600, 180
-# A snapshot is taken when the newest attitude is known to this: errors of more are no Gaussian's; and used
-# when what was learned since lies within its covariance (15 degrees of freedom).
+# A snapshot is taken when the newest attitude is known to this, as larger errors are not Gaussian. It is used
+# when the later estimate agrees with it to this chi-square (15 degrees of freedom).
 SNAPSHOT_ATTITUDE_RAD = 0.01
 SNAPSHOT_CHI2 = 50.0
 
@@ -155,7 +155,7 @@ class Isam:
             When a variable is there already, a slot is void, a factor raised or the system is indeterminate.
             The solver then holds what it held before.
         """
-        # Not between a state and what is done again with it: slots that are to be dropped would be void.
+        # Not between a state's update and its repetition: slots that are to be dropped would be void.
         if values.size():
             self._bound()
         factors = self.tree.getFactorsUnsafe()
@@ -242,7 +242,7 @@ class Isam:
         try:
             W = whitening(joint.fullMatrix())
         except np.linalg.LinAlgError:
-            # Rounding; a larger tree is better than a wrong prior.
+            # Rounding: a larger tree is better than a wrong prior.
             return None
         blocks = np.split(W, np.cumsum([joint.at(key, key).shape[0] for key in keys])[:-1], axis=1)
         point = self._tree.calculateBestEstimate()
@@ -259,7 +259,7 @@ class Isam:
         factors = self.tree.getFactorsUnsafe()
         graph = gtsam.NonlinearFactorGraph()
         for slot in range(known):
-            # Whether the update came as far as removing these is not known.
+            # Whether the update had removed these already is unknown.
             if slot not in drop and factors.exists(slot):
                 graph.push_back(factors.at(slot))
         for factor in dropped:
@@ -318,12 +318,10 @@ class FixedLagIsam(Isam):
         stamps_s: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = dict.fromkeys(
             values.keys(), time_s
         )
-        # What outlasts a frame lives for as long as new factors speak of it.
+        # A shared variable lives for as long as new factors involve it.
         for number in range(graph.size()):
             keys = graph.at(number).keys()
-            stamps_s.update(
-                (key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in CORRELATED_LETTERS
-            )
+            stamps_s.update((key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in SHARED_LETTERS)
         self._smoother.update(graph, values, stamps_s, drop)
 
 

@@ -130,7 +130,7 @@ def _of_factors(
         return np.zeros((0, 1, 6)), np.zeros((0, 1)), np.zeros(0, dtype=np.bool_)
     A = np.concatenate([J for J, _ in parts], axis=1)
     residual = np.concatenate([r for _, r in parts], axis=1)
-    # A rim out of sight has no pull: its rows are zero.
+    # A rim out of sight has no slope: its rows are zero.
     usable = np.asarray(A.reshape(n, -1).any(axis=1))
     A[:, :, 3:] = A[:, :, 3:] @ gTb[:3, :3].T
     return A, residual, usable

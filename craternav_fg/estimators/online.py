@@ -200,7 +200,7 @@ class OnlineSession:
         self._update(graph, values, last, frame.stamp_ns)
 
     def _add_features(self, graph: FactorGraph, values: gtsam.Values, index: int, stamp_ns: int) -> None:
-        """Add what tracked points say of a frame."""
+        """Add the factors of tracked points at a frame."""
         if self._features is None:
             return
         tree = self._solver.tree
@@ -246,7 +246,7 @@ class OnlineSession:
         try:
             slots = self._solver.update(graph, values, time_s, drop)
         finally:
-            # A new tree has new slots: what is in it keeps its gravity.
+            # A new tree has new slots: the IMU factors in it keep their gravity.
             if self._solver.trees != trees:
                 self._intervals.clear()
             self._intervals += [

@@ -21,7 +21,7 @@ from factors.state_measurement import state_measurement_factor
 
 FloatArray = npt.NDArray[np.float64]
 
-# Most biases of one sensor: GTSAM's thresholds are by the letter of a key, and of one length each.
+# Largest number of biases of a sensor: GTSAM's thresholds go by the letter of a key, each of one length.
 MOST_BIASES = 9
 LOSSES = {"none": robust.NONE, "huber": robust.HUBER, "cauchy": robust.CAUCHY}
 
@@ -141,7 +141,7 @@ def add_sensors(
     stamp_ns: int,
     holds: Callable[[int], bool] | None = None,
 ) -> None:
-    """Add what sensors say of a state; their biases become variables when they are first met.
+    """Add the factors of sensors at a state; their biases become variables at their first sample.
 
     Parameters
     ----------

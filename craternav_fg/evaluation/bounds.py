@@ -1,7 +1,7 @@
 """Posterior Cramér-Rao bound (PCRB) of a descent, filtering and smoothing: what no estimator can beat.
 
 The information recursion at the truth: prior, IMU noise, rims and sun tilts linearised at the true states.
-Time-correlated errors of rims are unknowns beside the state, as in the smoothers.
+Time-correlated errors of rims are further unknowns, as in the smoothers.
 """
 
 from collections.abc import Sequence

@@ -110,7 +110,7 @@ def match(
     counts = np.ones(len(detected), np.bool_) if false_counts is None else np.asarray(false_counts, np.bool_)
     sigma = SIGMA_PX / np.sqrt(true[:, 2] * true[:, 3])
     distance2 = (gaussian_angle(detected[:, None], true[None]) / sigma) ** 2
-    # Pairs beyond the gate cost alike, more than any number of pairs within.
+    # All pairs beyond the gate cost the same, more than any number of pairs within.
     cost = np.where(distance2 < GATE_CHI2, distance2, GATE_CHI2 * (1 + min(distance2.shape)))
     rows, columns = linear_sum_assignment(cost)
     good = distance2[rows, columns] < GATE_CHI2

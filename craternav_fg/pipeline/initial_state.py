@@ -24,8 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 # Standard deviations of the initial state over those of the pose it is made of: its information is then 1 %
 # of what the estimators take from the same image.
 _SIGMA_FACTOR = 10.0
-# Of what the poses do not tell: far above a navigation-grade IMU's, no more than a tactical one's (10 deg/h,
-# 1 mg); the angular velocity is the gyro's.
+# Standard deviations of what the poses do not determine: biases of a tactical-grade IMU (10 deg/h, 1 mg). The
+# angular velocity is measured by the gyro.
 _GYRO_BIAS_SIGMA_RAD_S = 4.8e-5
 _ACCELEROMETER_BIAS_SIGMA_M_S2 = 1e-2
 _ANGULAR_VELOCITY_SIGMA_RAD_S = 0.01

@@ -27,10 +27,10 @@ from factors.errors import FactorError
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Called with what is being done, how much of it is done, and how much there is.
+# Called with a step's name, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
 
-# What extreme numbers end in: a factor that is not finite, a system that GTSAM cannot solve.
+# Errors that extreme numbers cause: a factor that is not finite, a system that GTSAM cannot solve.
 NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)
 
 

@@ -1,4 +1,4 @@
-"""The result of a reconstruction: measurements, trajectories, and what they say of each other."""
+"""The result of a reconstruction: measurements, trajectories, residuals, innovations and warnings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

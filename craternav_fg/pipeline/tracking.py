@@ -28,7 +28,7 @@ from factors.kernels import strapdown
 
 FloatArray = npt.NDArray[np.float64]
 
-# So many rims, found without a pose that explains the image, agree by chance only once in very many images.
+# Number of rims that agree with a pose by chance only once in very many images.
 MIN_AGREEING_RIMS = 3
 # Largest error of a prediction, over the whole image, from which the guided front end converges.
 GUIDED_REACH_PX = 30.0
@@ -155,7 +155,7 @@ class Tracker:
         """Find the start from the first image and begin the smoother."""
         start = find_start(self.descent, [guided.frame])
         if len(guided.frame.rims):
-            # Once more from the start: it predicts more rims than the prior does.
+            # Measure again from the start: it predicts more rims than the prior does.
             frame, gTb = self._measure(0, start.gTb, start.pose_covariance)
             guided = _Guided(self._pool(frame, gTb), gTb)
             start = find_start(self.descent, [guided.frame])

@@ -15,7 +15,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 # Share of outliers among all rims above which an estimator's trajectory is not to be trusted.
 MAX_OUTLIER_SHARE = 0.5
-# Measures no rims, so that none need agree with it.
+# Uses no rims, so that they need not agree with it.
 _UNAIDED = "dead_reckoning"
 # NIS per dimension above which a sensor contradicts the prediction: an underestimated noise gives less.
 MAX_NIS = 3.0

@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from factors.kernels.gauss_newton import substitute
+
 FloatArray = npt.NDArray[np.float64]
 
 # Least pivot of a Cholesky factorisation, relative to the diagonal.
@@ -62,16 +64,8 @@ def solved(L: FloatArray, rhs: FloatArray) -> FloatArray:
     -------
     ndarray, shape (n,)
     """
-    n = len(rhs)
     x = rhs.copy()
-    for i in range(n):
-        for k in range(i):
-            x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
+    substitute(L, x)
     return x
 
 

@@ -86,7 +86,7 @@ def implicit_residuals(
         for r in range(rows):
             ei[r] = 0.0
             for k in range(6):
-                # Without the measured conic, which P maps to 0, the digits of a small residual would go.
+                # Subtracting the measured conic, which P maps to 0, keeps the digits of a small residual.
                 ei[r] += projections[i, r, k] * (q[k] / dot - conics[i, k])
         if linearise:
             A = chart_to_conic_jacobian(y)

@@ -134,15 +134,15 @@ def shape_residuals_with_errors(
                 slope2 += out[j, r] * out[j, r]
         loss, weight = loss_and_weight(d2, kind, scale)
         factor = np.sqrt(weight) if linearise or d2 == 0.0 else np.sqrt(loss / d2)
-        # A rim that the pose cannot see has no pull on its errors either.
-        pull = 0.0 if slope2 == 0.0 else factor
+        # A rim that the pose cannot see does not constrain its errors either.
+        share = 0.0 if slope2 == 0.0 else factor
         for r in range(row, row + 5):
             out[6, r] *= factor
             if linearise:
                 for j in range(6):
                     out[j, r] *= factor
                 for j in range(z.shape[0]):
-                    slopes[r, j] = pull * white[r, j]
+                    slopes[r, j] = share * white[r, j]
     for j in range(z.shape[0]):
         total += z[j]
     return total
