@@ -20,6 +20,7 @@ from craternav_fg.simulation.world import World, make_world
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
+Progress = Callable[[int, int], None]
 
 
 def simulate(
@@ -28,7 +29,7 @@ def simulate(
     *,
     trial: int | None = None,
     with_initial: bool = True,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Simulate a descent and write its data set.
 
@@ -65,8 +66,7 @@ def simulate(
     descent, stamps = world.descent, world.stamps_ns
     begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
 
-    ideal = sensors.ideal_imu(descent, sensors.imu_stamps(scenario.imu, 0, end_ns), 0)
-    imu, bias = sensors.corrupt_imu(ideal, scenario.imu, imu_rng)
+    imu, bias = _imu(world, imu_rng)
     motion = descent.evaluate(np.multiply(stamps, 1e-9))
     initial = sensors.initial_state(
         motion.gTb[0], motion.gV[0], begin_ns, scenario.initial_error, scenario.imu, initial_rng
@@ -78,15 +78,11 @@ def simulate(
     catalog = faults.perturb_map(world.catalog, scenario.faults, fault_rng)
     camera = faults.perturb_mounting(world.camera, scenario.faults, fault_rng)
 
-    def done(frame: int) -> None:
-        if progress is not None:
-            progress(frame + 1, len(stamps))
-
     images = measured = None
     if scenario.render is not None:
-        images = _images(world, frame_rng, done)
+        images = _images(world, frame_rng, progress)
     else:
-        measured = list(_measurements(world, initial.gTb[:3, 3], (frame_rng, fault_rng), done))
+        measured = list(_measurements(world, initial.gTb[:3, 3], (frame_rng, fault_rng), progress))
     return write_dataset(
         folder,
         body=descent.body,
@@ -105,12 +101,19 @@ def simulate(
     )
 
 
+def _imu(world: World, rng: np.random.Generator) -> tuple[ImuLog, FloatArray]:
+    """Simulate the IMU: its log, and the biases (n, 6) during each row's interval."""
+    options = world.scenario.imu
+    stamps = sensors.imu_stamps(options, 0, int(world.stamps_ns[-1]))
+    return sensors.corrupt_imu(sensors.ideal_imu(world.descent, stamps, 0), options, rng)
+
+
 def _exposures_s(world: World) -> FloatArray:
     """Give the times (k,) at which the images are taken: their stamps plus the camera-IMU time offset."""
     return np.asarray(np.multiply(world.stamps_ns, 1e-9) + world.scenario.faults.time_offset_s)
 
 
-def _images(world: World, rng: np.random.Generator, done: Callable[[int], None]) -> Iterator[ImageArray]:
+def _images(world: World, rng: np.random.Generator, progress: Progress | None) -> Iterator[ImageArray]:
     """Render the images one by one."""
     render = world.scenario.render
     assert render is not None
@@ -120,14 +123,15 @@ def _images(world: World, rng: np.random.Generator, done: Callable[[int], None])
     for k, stamp in enumerate(world.stamps_ns.tolist()):
         sweep = (begin[k], end[k]) if half_s > 0.0 else None
         yield renderer.render(poses[k], world.sun.at(stamp), rng, sweep)
-        done(k)
+        if progress is not None:
+            progress(k + 1, len(world.stamps_ns))
 
 
 def _measurements(
     world: World,
     prior_gP: FloatArray,
     rngs: tuple[np.random.Generator, np.random.Generator],
-    done: Callable[[int], None],
+    progress: Progress | None,
 ) -> Iterator[FrameMeasurement]:
     """Simulate the measurements of the frames; random numbers of the measurements and of the faults."""
     options = world.scenario.measurements
@@ -146,7 +150,8 @@ def _measurements(
         )
         frame = faults.swap_matches(frame, world.catalog, world.scenario.faults, rngs[1])
         yield faults.without_craters(frame, world.scenario.faults)
-        done(k)
+        if progress is not None:
+            progress(k + 1, len(world.stamps_ns))
 
 
 def _truth(

@@ -1,47 +1,15 @@
-"""The simulated views: what is in the image, where the edge points are, what the bound is."""
+"""Simulated edge points: the arcs they cover, the fitted rims, and the bound of the pose."""
 
 import numpy as np
 import pytest
 
 from craternav_fg.ellipse import chart_covariance, pixel_chart, points_and_normals
-from craternav_fg.errors import CraternavError
 from craternav_fg.reproduce.edge_points import arc_angles, matched, measure, pixel_arc, pose_bound
 from craternav_fg.resection.bounds import cramer_rao
-from craternav_fg.simulation.flat_scenes import CAMERA, inside, random_scene, random_triple
+from craternav_fg.simulation.flat_scenes import CAMERA, random_scene
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_craters_lie_apart_and_whole_in_the_image(seed: int) -> None:
-    scene = random_scene(np.random.default_rng(seed), 3, 10e3)
-    for chart in scene.charts:
-        points, _ = points_and_normals(pixel_chart(chart, CAMERA), np.linspace(0.0, 2.0 * np.pi, 200))
-        assert points.min() > -1.0
-        assert points.max() < 1024.0
-    t = np.linspace(0.0, 2.0 * np.pi, 60)[:, None]
-    rims = [c + np.cos(t) * a[0] + np.sin(t) * a[1] for c, a in zip(scene.centres, scene.axes, strict=True)]
-    for k, rim in enumerate(rims):
-        for c, a in zip(scene.centres[:k], scene.axes[:k], strict=True):
-            x = np.stack([(rim - c) @ axis / (axis @ axis) for axis in a])
-            assert (np.sum(x**2, axis=0) > 1.0).all()
-    assert -scene.gTc[2, 2] > np.cos(np.deg2rad(30.001))
-    sizes = np.linalg.norm(scene.axes, axis=2)
-    assert (sizes[:, 0] >= sizes[:, 1]).all()
-    assert sizes.min() >= 500.0
-    assert sizes.max() <= 2500.0
-
-
-def test_no_room_is_said() -> None:
-    with pytest.raises(CraternavError, match="no room for 30 craters"):
-        random_scene(np.random.default_rng(0), 30, 3e3)
-
-
-def test_triples_are_in_the_image_even_from_five_radii() -> None:
-    scene = random_triple(np.random.default_rng(0), 5.0, np.deg2rad(5.0))
-    assert inside(scene.charts).all()
-    np.testing.assert_allclose(np.linalg.norm(scene.axes, axis=2), 1.0)
-
-
-def test_arcs_cover_what_they_should() -> None:
+def test_arcs_have_the_length_asked_for() -> None:
     rng = np.random.default_rng(0)
     scene = random_scene(rng, 2, 20e3)
     angles = arc_angles(rng, 50, 0.5)
@@ -52,7 +20,7 @@ def test_arcs_cover_what_they_should() -> None:
     np.testing.assert_allclose(steps, 1.0, atol=0.01)
 
 
-def test_bound_of_full_rims_is_the_static_solvers() -> None:
+def test_bound_of_full_rims_is_the_resection_solvers() -> None:
     rng = np.random.default_rng(1)
     scene = random_scene(rng, 3, 50e3)
     counts = np.array([20, 50, 90])
@@ -60,7 +28,7 @@ def test_bound_of_full_rims_is_the_static_solvers() -> None:
     expected = cramer_rao(matched(scene, scene.charts, S), scene.gTc).covariance
     _, bound = measure(scene, rng, counts, 1.0, 0.7)
     scale = np.sqrt(np.diag(expected))
-    # The points of a rim begin anywhere.
+    # Where the points of a rim begin is random.
     np.testing.assert_allclose(np.sqrt(np.diag(bound)) / scale, 1.0, rtol=0.02)
     half, _ = measure(scene, rng, counts, 0.5, 0.7)
     assert half is not None

@@ -1,4 +1,4 @@
-"""Options of terrain, light and sensor that the demo does not use."""
+"""Options of terrain, illumination and sensor that the demo does not use."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def rim_px(catalog, row):
     return np.sqrt(catalog.semi_major_m[row] * catalog.semi_minor_m[row]) * scene.FOCAL / 6e3
 
 
-def test_irregular_rims_wander_about_their_ellipse():
+def test_irregular_rims_scatter_around_their_ellipse():
     renderer = smooth(replace(FRESH, irregularity=0.03))
     rows = np.arange(4)
     count = 72
@@ -46,25 +46,25 @@ def test_irregular_rims_wander_about_their_ellipse():
     assert not np.any(np.isnan(offsets))
     share = offsets / [[rim_px(FOUR, row)] for row in rows]
     assert 0.02 < share.std() < 0.045
-    # No other ellipse fits better: mean, shift and stretch are none.
+    # The ellipse is the best fit: the deviations have no mean, no shift and no stretch.
     theta = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     for order in range(3):
         assert np.all(np.abs(share @ np.exp(1j * order * theta)) / count < 0.004)
-    # Each has a shape of its own.
+    # Every rim has a different shape.
     assert np.abs(np.corrcoef(share)[np.triu_indices(4, 1)]).max() < 0.9
 
 
-def test_worn_craters_keep_their_crest_and_lose_their_depth():
-    fresh, worn = smooth(), smooth(replace(FRESH, degradation=1.0))
+def test_degraded_craters_keep_their_crest_and_lose_their_depth():
+    fresh, degraded = smooth(), smooth(replace(FRESH, degradation=1.0))
     rows = np.arange(4)
-    offsets = crest_offsets_px(worn, FOUR, ABOVE, rows)
+    offsets = crest_offsets_px(degraded, FOUR, ABOVE, rows)
     assert np.nanmean(np.abs(offsets)) < 0.05
     middle = scene.project(ABOVE, FOUR.centres)
-    floors = [scene.MOON.altitude_m(r.ground_points(ABOVE, middle)[0]) for r in (fresh, worn)]
+    floors = [scene.MOON.altitude_m(r.ground_points(ABOVE, middle)[0]) for r in (fresh, degraded)]
     left = floors[1] / floors[0]
     assert np.all((left > 0.45) & (left < 1.0))
     assert left.std() > 0.05
-    light = [r.radiance(ABOVE, scene.sun(30.0, 70.0)) for r in (fresh, worn)]
+    light = [r.radiance(ABOVE, scene.sun(30.0, 70.0)) for r in (fresh, degraded)]
     assert light[1].std() < 0.9 * light[0].std()
 
 
@@ -130,7 +130,7 @@ def test_craters_overlap_when_they_may():
 
 
 def test_hapkes_limits():
-    """Dark grains that scatter evenly make Lommel-Seeliger; the surge doubles the light at zero phase."""
+    """Dark isotropic grains give Lommel-Seeliger; the opposition surge doubles it at zero phase."""
     dark = Hapke(1e-6, 0.0, 0.0, 0.05)
     sun = scene.sun(40.0, 120.0)
     seeliger = smooth(light=replace(CLEAN, lunar_lambert=1.0)).radiance(ABOVE, sun)

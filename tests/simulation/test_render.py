@@ -41,7 +41,7 @@ def renderer(terrain):
 
 @pytest.fixture(scope="module")
 def smooth():
-    """Level ground without relief or craters."""
+    """Locally flat terrain without relief or craters."""
     terrain = Terrain(scene.craters([]), scene.relief(slope=0.0), TerrainOptions(cells=512))
     return Renderer(scene.CAMERA, terrain, RenderOptions())
 
