@@ -352,15 +352,18 @@ class FaultsSection(Section):
         return self
 
 
-Interval = tuple[NotNegative, Positive]
+class Spread(Section):
+    """Mean and standard deviation of a figure over trials."""
+
+    mean: NotNegative
+    sd: Positive
 
 
 class ExpectedSection(Section):
-    """Between what an estimator's figures should lie in the mean over trials."""
+    """Figures of an estimator over many trials, as measured when the scenario was written."""
 
-    position_final_m: Interval | None = None
-    position_rms_m: Interval | None = None
-    anees: Interval | None = None
+    position_rms_m: Spread | None = None
+    anees: Spread | None = None
 
 
 class Scenario(Section):

@@ -23,7 +23,13 @@ from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import CraterTrials, ExpectedSection, Scenario, load_scenario
+from craternav_fg.simulation.scenario_file import (
+    CraterTrials,
+    ExpectedSection,
+    Scenario,
+    Spread,
+    load_scenario,
+)
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
 from tests.cli.calls import call, craternav
@@ -139,7 +145,7 @@ def test_another_campaigns_folder_is_refused(
 
 def test_another_expectation_is_no_other_campaign() -> None:
     case = load_scenario("hard_mounting")
-    wider = ExpectedSection(position_rms_m=(0.0, 9.0))
+    wider = ExpectedSection(position_rms_m=Spread(mean=4.0, sd=9.0))
     other = case.model_copy(update={"expected": {**case.expected, "smoother": wider}})
     assert other.expected != case.expected
     assert identity(other, ESTIMATORS) == identity(case, ESTIMATORS)
