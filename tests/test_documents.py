@@ -19,7 +19,7 @@ DOCUMENTS = [
     "CHANGELOG.md",
     *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
 ]
-PACKAGES = {path.name for path in (ROOT / "craternav_fg").iterdir() if path.is_dir()}
+PACKAGES = {path.parent.name for path in (ROOT / "craternav_fg").glob("*/__init__.py")}
 MODULES = {path.stem for path in (ROOT / "craternav_fg").glob("*.py")}
 
 
@@ -99,3 +99,14 @@ def test_estimators_and_scenarios() -> None:
     assert sorted(re.findall(r"`(\w+)`", first_cells)) == sorted(ESTIMATORS)
     named = set(re.findall(r"`(hard_\w+)`", text))
     assert named == {name for name in built_in_scenarios() if name.startswith("hard_")}
+
+
+def test_the_map_has_every_room() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text.split("## Map")[1].split("### ")[0]
+    first_cells = " ".join(re.findall(r"^\|([^|]*)\|", table, flags=re.MULTILINE))
+    rooms = set(re.findall(r"`([\w.]+)`", first_cells))
+    assert rooms == {*PACKAGES, *MODULES, "factors", "factors.kernels", "scenarios"} - {
+        "__init__",
+        "__main__",
+    }
