@@ -1,4 +1,4 @@
-"""The exceptions of this package: every known error derives from `CraternavError`."""
+"""Exceptions of this package: every known error derives from `CraternavError`."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ class CraternavError(Exception):
 
 
 class InputError(CraternavError):
-    """A file or value from outside is not what it must be.
+    """A file or value given by the user is not what it must be.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ class InputError(CraternavError):
         self.column = column
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Come back from another process as it was: made of its text, which has all that it was made of."""
+        """Pickle by its text and attributes: the text holds all arguments, so it cannot be composed anew."""
         return self.__class__.__new__, (self.__class__, *self.args), self.__dict__
 
 
 class EstimationError(CraternavError):
-    """An estimator cannot go on from the data it was given; the text says why."""
+    """An estimator cannot use the data it was given; the text says why."""

@@ -1,4 +1,4 @@
-"""Files and folders that are whole or absent: written under a temporary name, then renamed."""
+"""Writing of files and folders, whole or not at all: under a temporary name that is then changed."""
 
 import errno
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from craternav_fg.errors import InputError
 
-# What a disk without room says.
+# Errors of a disk without room.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -59,12 +59,12 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
     Parameters
     ----------
     path : Path
-        Final name. A folder of that name is replaced only when it is empty, or holds `marker` and
-        nothing but what is ours.
+        Final name. An existing folder is replaced only when it is empty, or holds `marker` and nothing but
+        names in `ours`.
     marker : str
-        Name of a file that tells that the folder was written by us.
+        Name of a file by which a folder is recognised as written by this package.
     ours : sequence of str
-        Patterns of the names that such a folder holds.
+        Patterns of all names that such a folder may hold.
 
     Yields
     ------
@@ -74,8 +74,8 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
     Raises
     ------
     InputError
-        When `path` is a file, the current folder, or a folder that holds something of somebody else's,
-        or when it cannot be written, as on a full disk. All but the last is noticed before anything is done.
+        When `path` is a file, the current folder, or a folder that holds anything else; these are noticed
+        before anything is written. Also when it cannot be written, as on a full disk.
     """
     final = path.resolve()
     _check(path, final, marker, ours)
@@ -93,12 +93,12 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
         temporary.replace(final)
         shutil.rmtree(old, ignore_errors=True)
     except InputError as error:
-        # The file that could not be written has a name that soon nobody knows.
+        # The error names a file in the temporary folder, which the user does not know.
         if isinstance(error.__cause__, OSError) and error.path.is_relative_to(temporary):
             raise _unwritten(path, error.__cause__) from error
         raise
     except OSError as error:
-        # Of others it is not known that they are of this folder: what is read there may be at fault.
+        # Other errors need not be of this folder: the caller may also read files meanwhile.
         if error.errno in _FULL:
             raise _unwritten(path, error) from error
         raise
@@ -107,7 +107,7 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
 
 
 def _unwritten(path: Path, error: OSError) -> InputError:
-    """Say that a file or folder cannot be written; some libraries make texts of their own of the reason."""
+    """Say that a file or folder cannot be written, by the system's text: some libraries replace it."""
     reason = error.strerror if error.errno is None else os.strerror(error.errno)
     return InputError(path, f"cannot be written: {reason or error}")
 
@@ -128,7 +128,7 @@ def _check(path: Path, final: Path, marker: str, ours: Sequence[str]) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that is there whole or not at all, also after a power cut.
+    """Write a file, whole or not at all even after a power cut.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The IMU's log; its error model is that of the IMU factor."""
+"""Log of the IMU, and the noise of its error model, which the IMU factor shares."""
 
 from dataclasses import dataclass
 
@@ -15,16 +15,16 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ImuLog:
-    """Increments of an IMU, as rates: row k is the mean over the interval that ENDS at its stamp.
+    """Log of an IMU: row k is the mean over the interval that ends at its stamp.
 
     Attributes
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Strictly increasing. The first row's interval is taken as long as the second's.
+        Strictly increasing. The first interval is assumed to be as long as the second.
     gyro : ndarray, shape (n, 3)
         Mean inertial angular velocity in b, rad/s.
     accelerometer : ndarray, shape (n, 3)
-        Mean specific force in b, m/s^2, each instant's taken along the axes of that instant.
+        Mean specific force, m/s^2: of its components along the axes of b as they turn during the interval.
     """
 
     stamps_ns: IntArray
@@ -32,7 +32,7 @@ class ImuLog:
     accelerometer: FloatArray
 
     def between(self, begin_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Cut the log to an interval; a row that reaches over an end counts with its share of time.
+        """Cut the log to an interval. A row that extends beyond an end counts for its part inside.
 
         Parameters
         ----------
@@ -42,8 +42,9 @@ class ImuLog:
         Returns
         -------
         dt_s : ndarray, shape (m,)
-            Positive durations; they add up to the interval's.
+            Positive durations, which add up to that of the interval.
         gyro, accelerometer : ndarray, shape (m, 3)
+            As in the log: in b, rad/s and m/s^2.
 
         Raises
         ------

@@ -2,7 +2,8 @@
 
 from craternav_fg.dataset.measurements import ground_sun_direction
 from craternav_fg.dataset.reader import Dataset
+from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.dataset.writer import write_dataset
 
-__all__ = ["Dataset", "SunVectors", "ground_sun_direction", "write_dataset"]
+__all__ = ["Dataset", "Recording", "SunVectors", "ground_sun_direction", "write_dataset"]

@@ -1,10 +1,11 @@
-"""dataset.toml: format version, body, initial state."""
+"""The file dataset.toml: format version, body, initial state."""
 
 import tomllib
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import numpy as np
+import tomli_w
 from pydantic import Field
 
 from craternav_fg import frames
@@ -13,6 +14,11 @@ from craternav_fg.config import BodySection, Positive, Section, Vector, line_of,
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
 from craternav_fg.trajectory import InitialState
+
+# Largest deviation of a quaternion's length from 1, from numbers of seven digits.
+_UNIT_TOLERANCE = 1e-6
+# An initial position nearer to the body's centre than this is in a wrong unit, or relative to the surface.
+_MIN_RANGE_RADII = 0.5
 
 
 class _Initial(Section):
@@ -35,12 +41,22 @@ class _Description(Section):
 
 
 def read_description(path: Path) -> tuple[Body, InitialState | None]:
-    """Read dataset.toml; without the table `initial` there is no initial state.
+    """Read dataset.toml.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    body : Body
+    initial : InitialState or None
+        None without the table `initial`.
 
     Raises
     ------
     InputError
-        When it is missing or wrong, or of a format version from the future.
+        When the file is missing or wrong, or of another format version.
     """
     text = read_text(path)
     _check_version(path, text)
@@ -49,10 +65,10 @@ def read_description(path: Path) -> tuple[Body, InitialState | None]:
     if initial is None:
         return model.body.body(), None
     norm = float(np.linalg.norm(initial.attitude_wxyz))
-    if abs(norm - 1.0) > 1e-6:
+    if abs(norm - 1.0) > _UNIT_TOLERANCE:
         _fail(path, text, "attitude_wxyz", f"expected a unit quaternion, its length is {norm:.9g}")
     range_m = float(np.linalg.norm(initial.position_m))
-    if range_m < 0.5 * model.body.radius_m:
+    if range_m < _MIN_RANGE_RADII * model.body.radius_m:
         problem = f"expected metres from the body's centre, found {range_m:g} m: deep in the body"
         _fail(path, text, "position_m", problem)
     R = frames.from_quaternion_wxyz(np.array(initial.attitude_wxyz))
@@ -70,14 +86,22 @@ def read_description(path: Path) -> tuple[Body, InitialState | None]:
 
 
 def description_toml(body: Body, initial: InitialState | None) -> str:
-    """Text of dataset.toml."""
-    # A JSON string without control characters is a TOML string too.
-    name = '"' + body.name.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    """Compose the text of dataset.toml.
+
+    Parameters
+    ----------
+    body : Body
+    initial : InitialState or None
+
+    Returns
+    -------
+    str
+    """
     lines = [
         f"format_version = {layout.FORMAT_VERSION}",
         "",
         "[body]",
-        f"name = {name}",
+        tomli_w.dumps({"name": body.name}).strip(),
         f"radius_m = {float(body.radius_m)!r}",
         f"mu_m3_s2 = {float(body.mu_m3_s2)!r}",
         f"spin_rad_s = {_list(body.spin_rad_s)}",
@@ -110,7 +134,7 @@ def _list(values: object) -> str:
 
 
 def _check_version(path: Path, text: str) -> None:
-    """Refuse a later format before its keys are called unknown."""
+    """Refuse another format version before its keys are called unknown."""
     try:
         version = tomllib.loads(text).get("format_version")
     except tomllib.TOMLDecodeError:

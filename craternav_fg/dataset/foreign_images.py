@@ -1,4 +1,4 @@
-"""Images from anywhere, in whatever format and depth: read as they are, not as part of a data set."""
+"""Images of any format and depth, which are not part of a data set."""
 
 import warnings
 from pathlib import Path
@@ -9,24 +9,29 @@ from PIL import Image
 
 from craternav_fg.errors import InputError
 
-# Larger ones need more than two gigabytes.
+# Detection in a larger image takes more than two gigabytes.
 MAX_PIXELS = 25_000_000
-# Other modes, such as a palette or CMYK, are made colour first.
+# Modes of Pillow that are read as they are; others, such as a palette or CMYK, are converted to colour.
 _PLAIN = ("1", "L", "LA", "I", "I;16", "I;16B", "I;16L", "F", "RGB", "RGBA")
 
 
 def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
-    """Read an image file: PNG, TIFF, JPEG and whatever else Pillow knows, the first one of several.
+    """Read an image file: PNG, TIFF, JPEG or another format that Pillow knows.
+
+    Parameters
+    ----------
+    path : Path
+        The first image is read when it holds several.
 
     Returns
     -------
     ndarray, shape (H, W) or (H, W, channels)
-        With the file's own type.
+        Grey levels or colours, with the type that the file has.
 
     Raises
     ------
     InputError
-        When it is missing, no image, damaged or too large.
+        When the file is missing, not an image, damaged or too large.
     """
     if not path.is_file():
         raise InputError(

@@ -18,14 +18,20 @@ _COLOUR_TYPES = {2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour wit
 
 
 def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> None:
-    """Check that a file is a whole grey PNG of a size, by its first and last bytes.
+    """Check by its first and last bytes that a file is a whole grey PNG.
 
-    8 bits are stored as 8, more as 16.
+    Parameters
+    ----------
+    path : Path
+    width_px, height_px : int
+        Its size.
+    bit_depth : int
+        Bits of its grey levels: 8 are stored as 8, more as 16.
 
     Raises
     ------
     InputError
-        When it is missing or something else.
+        When the file is missing or not such an image.
     """
     if not path.is_file():
         raise InputError(path, "image is missing")
@@ -50,13 +56,23 @@ def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -
 
 
 def read_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> ImageArray:
-    """Read an image, shape (height, width).
+    """Read an image.
+
+    Parameters
+    ----------
+    path : Path
+    width_px, height_px, bit_depth : int
+        As in `check_image`.
+
+    Returns
+    -------
+    ndarray of uint8 or uint16, shape (height, width)
+        Grey levels.
 
     Raises
     ------
     InputError
-        When it is missing, damaged or something else than a grey PNG of that size, or has grey levels
-        beyond its bits.
+        When the file is missing, damaged or not such an image, or has grey levels beyond its bits.
     """
     check_image(path, width_px, height_px, bit_depth)
     data = path.read_bytes()
@@ -72,14 +88,21 @@ def read_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) ->
 
 
 def write_image(path: Path, image: ImageArray) -> None:
-    """Write an image, shape (height, width), as PNG."""
-    # Level 1: noise hardly compresses, and higher levels cost seconds over a descent.
+    """Write an image as PNG.
+
+    Parameters
+    ----------
+    path : Path
+    image : ndarray of uint8 or uint16, shape (height, width)
+        Grey levels.
+    """
+    # Level 1: noise hardly compresses, and higher levels take seconds over a descent.
     _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     path.write_bytes(data.tobytes())
 
 
 def _check_chunks(path: Path, data: bytes) -> None:
-    """Raise for a chunk that is cut or damaged: the decoder would fill in black rows."""
+    """Refuse a chunk that is cut or damaged: the decoder would fill in black rows."""
     at = len(_SIGNATURE)
     while at < len(data):
         if at + 12 > len(data):

@@ -1,4 +1,4 @@
-"""Opening a data set: every file is checked before anything is estimated."""
+"""Reading of a data set: every file is checked before anything is estimated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,8 +8,6 @@ import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from craternav_fg.body import Body
-from craternav_fg.camera import Camera
 from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
@@ -17,92 +15,65 @@ from craternav_fg.dataset import layout
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.images import ImageArray, check_image, read_image
 from craternav_fg.dataset.measurements import read_measurements
+from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
-from craternav_fg.imu import ImuLog, ImuNoise
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.imu import ImuLog
 from craternav_fg.sensors.files import folder_of, read_sensor
-from craternav_fg.sensors.point_features import FeatureTracks, read_features
+from craternav_fg.sensors.point_features import read_features
 from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.sensors.registry import sensors
 from craternav_fg.tables import Table, read_table
-from craternav_fg.trajectory import InitialState, Trajectory
+from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-LARGEST_GAP_S = 0.1
-# No lander turns or accelerates so fast: a wrong unit, or a broken row.
-LARGEST_RATE_RAD_S = 50.0
-LARGEST_FORCE_M_S2 = 1000.0
+# Longest step of an IMU log: attitude and velocity are integrated with constant rates over a step.
+MAX_IMU_STEP_S = 0.1
+# No lander turns or accelerates so fast; such values have a wrong unit or come from a broken row.
+MAX_RATE_RAD_S = 50.0
+MAX_SPECIFIC_FORCE_M_S2 = 1000.0
+# Largest deviation of the length of unit vectors and quaternions from 1, from numbers of seven digits.
+_UNIT_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
-class Dataset:
-    """A descent as it was recorded or simulated.
+@dataclass(frozen=True, kw_only=True)
+class Dataset(Recording):
+    """A recording on disk. Its `truth` is at the frames' stamps, interpolated where the file has others.
 
     Attributes
     ----------
     path : Path
         Its folder.
-    body : Body
-    camera : Camera
-    catalog : Catalog
-    imu : ImuLog
-    imu_noise : ImuNoise
-    initial : InitialState or None
-        At the first frame's stamp; None when nothing is known: the images must tell.
-    sun : SunVectors
-        `sun.at(stamp_ns)` is the unit vector towards the sun in g.
-    stamps_ns : ndarray of int, shape (k,)
-        Of the frames, strictly increasing.
     image_paths : tuple of Path, length k
         Of the frames' images; they need not exist when there are `measurements`.
-    truth : Trajectory or None
-        At the frames' stamps, interpolated where the file has others; for evaluation only.
-    measurements : tuple of FrameMeasurement, length k, or None
-        Measured rims and sun tilts; None when they are to be found in the images.
-    sensors : tuple of Sensor
-        Logs of the sensors beside camera and IMU.
     ignored : tuple of str
         Folders below `mav0` that no sensor known here reads.
-    features : FeatureTracks or None
-        Points tracked from frame to frame.
     """
 
     path: Path
-    body: Body
-    camera: Camera
-    catalog: Catalog
-    imu: ImuLog
-    imu_noise: ImuNoise
-    initial: InitialState | None
-    sun: SunVectors
-    stamps_ns: IntArray
     image_paths: tuple[Path, ...]
-    truth: Trajectory | None
-    measurements: tuple[FrameMeasurement, ...] | None
-    sensors: tuple[Sensor, ...] = ()
     ignored: tuple[str, ...] = ()
-    features: FeatureTracks | None = None
-
-    def __len__(self) -> int:
-        return len(self.stamps_ns)
 
     @classmethod
     def open(cls, path: Path | str) -> "Dataset":
-        """Read and check a data set; the images are checked, not read.
+        """Read and check a data set. Images are checked by their first and last bytes, but not decoded.
 
         Parameters
         ----------
         path : Path or str
-            Folder with `dataset.toml`; its files are listed in `craternav_fg.dataset.layout`.
+            Folder with `dataset.toml`; `craternav_fg.dataset.layout` describes its files.
+
+        Returns
+        -------
+        Dataset
 
         Raises
         ------
         InputError
-            For the first thing that is wrong: names file, line or column.
+            For the first fault: names file, line or column.
         """
         folder = Path(path)
         if not folder.is_dir():
@@ -129,21 +100,23 @@ class Dataset:
         else:
             for image_path in image_paths:
                 check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)
+        logs, ignored = _read_sensors(folder, catalog, int(stamps[0]), int(stamps[-1]))
         return cls(
-            folder,
-            body,
-            camera,
-            catalog,
-            imu,
-            imu_noise,
-            initial,
-            sun,
-            stamps,
-            image_paths,
-            truth,
-            measurements,
-            *_read_sensors(folder, catalog, int(stamps[0]), int(stamps[-1])),
-            read_features(folder, camera, stamps),
+            path=folder,
+            body=body,
+            camera=camera,
+            catalog=catalog,
+            imu=imu,
+            imu_noise=imu_noise,
+            initial=initial,
+            sun=sun,
+            stamps_ns=stamps,
+            image_paths=image_paths,
+            truth=truth,
+            measurements=measurements,
+            sensors=logs,
+            ignored=ignored,
+            features=read_features(folder, camera, stamps),
         )
 
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
@@ -166,7 +139,17 @@ class Dataset:
         return _read_truth(self.path / layout.TRUTH, stamps_ns)
 
     def image(self, frame: int) -> ImageArray:
-        """Read a frame's image, shape (height, width): grey levels from 0 to `camera.full_scale`.
+        """Read the image of a frame.
+
+        Parameters
+        ----------
+        frame : int
+            Index of the frame.
+
+        Returns
+        -------
+        ndarray of uint8 or uint16, shape (height, width)
+            Grey levels from 0 to `camera.full_scale`.
 
         Raises
         ------
@@ -220,14 +203,14 @@ def _read_imu(path: Path, frames_ns: IntArray) -> ImuLog:
     stamps: IntArray = table.columns[layout.STAMP]
     gap_s = np.diff(stamps) * 1e-9
     first = int(stamps[0] - (stamps[1] - stamps[0]))
-    # Checked before the gaps: a first step that is too long would also shift the beginning.
-    long = np.flatnonzero(gap_s > LARGEST_GAP_S)
+    # Checked before the coverage: a first step that is too long would also shift the beginning.
+    long = np.flatnonzero(gap_s > MAX_IMU_STEP_S)
     if len(long):
         row = int(long[0])
         table.fail(
             row + 1,
             layout.STAMP,
-            f"expected steps of at most {LARGEST_GAP_S} s, found a gap of {gap_s[row]:.3f} s"
+            f"expected steps of at most {MAX_IMU_STEP_S} s, found a gap of {gap_s[row]:.3f} s"
             f" from {stamps[row]} to {stamps[row + 1]}",
         )
     if first > frames_ns[0] or stamps[-1] < frames_ns[-1]:
@@ -237,8 +220,8 @@ def _read_imu(path: Path, frames_ns: IntArray) -> ImuLog:
             f" found {first} to {stamps[-1]} ns",
         )
     for names, limit, unit in (
-        (layout.GYRO, LARGEST_RATE_RAD_S, "rad/s"),
-        (layout.ACCELEROMETER, LARGEST_FORCE_M_S2, "m/s^2"),
+        (layout.GYRO, MAX_RATE_RAD_S, "rad/s"),
+        (layout.ACCELEROMETER, MAX_SPECIFIC_FORCE_M_S2, "m/s^2"),
     ):
         for name in names:
             far = np.flatnonzero(np.abs(table.columns[name]) > limit)
@@ -298,7 +281,7 @@ def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:
 
 def _require_unit(table: Table, vectors: FloatArray, names: tuple[str, ...], what: str) -> None:
     norms = np.linalg.norm(vectors, axis=1)
-    bad = np.flatnonzero(np.abs(norms - 1.0) > 1e-6)
+    bad = np.flatnonzero(np.abs(norms - 1.0) > _UNIT_TOLERANCE)
     if len(bad):
         row = int(bad[0])
         table.fail(row, ",".join(names), f"expected a unit {what}, its length is {norms[row]:.9g}")

@@ -1,4 +1,4 @@
-"""The sensor.yaml files of camera and IMU, with EuRoC's keys."""
+"""The files sensor.yaml of camera and IMU, with the keys of EuRoC."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,8 +16,14 @@ from craternav_fg.imu import ImuNoise
 FloatArray = npt.NDArray[np.float64]
 
 
-# EuRoC's name, Kalibr's, ROS's.
+# The distortion model's name in EuRoC, in Kalibr and in ROS.
 _RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
+
+
+# Accepted focal lengths in image sizes: fields of view of 157 deg to 0.6 deg. Others are in another unit.
+_FOCAL_RANGE_IMAGES = (0.1, 100.0)
+# Largest deviation of R R' from the identity, from numbers of seven digits.
+_RIGID_TOLERANCE = 1e-6
 
 
 class _Matrix(Section):
@@ -54,11 +60,19 @@ class _ImuFile(Section):
 def read_camera(path: Path) -> Camera:
     """Read the camera's sensor.yaml.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Camera
+
     Raises
     ------
     InputError
-        When it is wrong, the distortion is of another model or folds inside the image, or the
-        intrinsics don't fit the resolution.
+        When the file is wrong, the distortion is of another model or folds inside the image, or the
+        intrinsics do not fit the resolution.
     """
     text = read_text(path)
     model = validate(path, _parse(path, text), _CameraFile, text=text)
@@ -70,7 +84,8 @@ def read_camera(path: Path) -> Camera:
             line=line_of(text, ["intrinsics"]),
             column="intrinsics",
         )
-    if not (0.1 <= fx / width <= 100.0 and 0.1 <= fy / height <= 100.0):
+    least, most = _FOCAL_RANGE_IMAGES
+    if not (least <= fx / width <= most and least <= fy / height <= most):
         raise InputError(
             path,
             f"expected focal lengths in px that fit the {width} x {height} image, found {fx:g} and {fy:g}",
@@ -92,10 +107,18 @@ def read_camera(path: Path) -> Camera:
 def read_imu_noise(path: Path) -> ImuNoise:
     """Read the IMU's sensor.yaml.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ImuNoise
+
     Raises
     ------
     InputError
-        When it is wrong, or the IMU is not at the origin of b, along its axes.
+        When the file is wrong, or the IMU's frame is not b.
     """
     text = read_text(path)
     model = validate(path, _parse(path, text), _ImuFile, text=text)
@@ -115,7 +138,18 @@ def read_imu_noise(path: Path) -> ImuNoise:
 
 
 def camera_yaml(camera: Camera, rate_hz: float) -> str:
-    """Text of the camera's sensor.yaml."""
+    """Compose the text of the camera's sensor.yaml.
+
+    Parameters
+    ----------
+    camera : Camera
+    rate_hz : float
+        Nominal rate of the images.
+
+    Returns
+    -------
+    str
+    """
     coefficients = camera.distortion if camera.distortion[4] else camera.distortion[:4]
     return _dump(
         {
@@ -135,7 +169,18 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
 
 
 def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
-    """Text of the IMU's sensor.yaml."""
+    """Compose the text of the IMU's sensor.yaml.
+
+    Parameters
+    ----------
+    noise : ImuNoise
+    rate_hz : float
+        Nominal rate of the log.
+
+    Returns
+    -------
+    str
+    """
     return _dump(
         {
             "sensor_type": "imu",
@@ -151,12 +196,12 @@ def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
 
 
 def _distortion(path: Path, text: str, model: _CameraFile) -> tuple[float, ...]:
-    """k1, k2, p1, p2 and k3, which may be left out with its last zero."""
+    """Coefficients k1, k2, p1, p2 and k3, which the file may leave out."""
     found = model.distortion_coefficients
     if model.distortion_model is None and not any(found):
         return (0.0,) * 5
     if model.distortion_model not in _RADIAL_TANGENTIAL:
-        # No distortion at all in one model is some in another: an equidistant lens is no pinhole.
+        # Even with zeros for coefficients: an equidistant lens without distortion is no pinhole.
         name = "distortion_model"
         problem = f"expected {_RADIAL_TANGENTIAL[0]}, found {model.distortion_model or 'none'}"
     elif len(found) not in (4, 5):
@@ -168,7 +213,7 @@ def _distortion(path: Path, text: str, model: _CameraFile) -> tuple[float, ...]:
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
-    # OpenCV's directive, which is no YAML, stands at the head of some files.
+    # Some files begin with OpenCV's directive, which is not YAML.
     if text.startswith("%YAML:"):
         text = "#" + text
     try:
@@ -187,7 +232,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> Any:
-    """YAML 1.1 takes 1e-05, without a point, for a text; here it is a number."""
+    """Turn texts such as 1e-05 into numbers: YAML 1.1 wants a decimal point in a number."""
     if isinstance(value, dict):
         return {str(key): _numbers(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -203,7 +248,7 @@ def _numbers(value: Any) -> Any:
 def _mounting(path: Path, text: str, matrix: _Matrix) -> FloatArray:
     T = np.array(matrix.data).reshape(4, 4)
     R = T[:3, :3]
-    rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    rigid = np.allclose(R @ R.T, np.eye(3), atol=_RIGID_TOLERANCE) and np.linalg.det(R) > 0.0
     if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(
             path,

@@ -11,20 +11,31 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SunVectors:
-    """Unit vectors towards the sun in g, at some times.
+    """Direction towards the sun at some times.
 
     Attributes
     ----------
     stamps_ns : ndarray of int, shape (n,)
         Strictly increasing.
     vectors : ndarray, shape (n, 3)
+        Unit vectors towards the sun, in g.
     """
 
     stamps_ns: IntArray
     vectors: FloatArray
 
     def at(self, stamp_ns: int) -> FloatArray:
-        """Give the unit vector (3,) in g at a time, interpolated; beyond the ends, that of the nearer end."""
+        """Interpolate the direction.
+
+        Parameters
+        ----------
+        stamp_ns : int
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Unit vector towards the sun, in g; beyond the first or last stamp, that of the nearer one.
+        """
         last = len(self.stamps_ns) - 1
         k = int(np.searchsorted(self.stamps_ns, stamp_ns, side="right")) - 1
         if k < 0 or k >= last:

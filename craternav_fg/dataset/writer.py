@@ -1,72 +1,42 @@
-"""Writing a data set, whole or not at all."""
+"""Writing of a data set, whole or not at all."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.body import Body
-from craternav_fg.camera import Camera
 from craternav_fg.catalogs.files import write_catalog
-from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.images import ImageArray, write_image
 from craternav_fg.dataset.measurements import write_measurements
+from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml
-from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.files import replacing_folder
-from craternav_fg.imu import ImuLog, ImuNoise
-from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.sensors.files import write_sensor
-from craternav_fg.sensors.point_features import FeatureTracks, write_features
-from craternav_fg.sensors.protocol import Sensor
+from craternav_fg.sensors.point_features import write_features
 from craternav_fg.tables import write_table
-from craternav_fg.trajectory import InitialState, Trajectory
+from craternav_fg.trajectory import Trajectory
 
 IntArray = npt.NDArray[np.int64]
 
-# Catalogues with more craters are written as Parquet: a table of them takes seconds to read.
-_LARGE = 100_000
+# Catalogues with more craters than this are written as Parquet: a CSV table of them takes seconds to read.
+_MAX_CSV_CRATERS = 100_000
 
 
-def write_dataset(
-    folder: Path,
-    *,
-    body: Body,
-    camera: Camera,
-    catalog: Catalog,
-    imu: ImuLog,
-    imu_noise: ImuNoise,
-    initial: InitialState | None,
-    sun: SunVectors,
-    stamps_ns: IntArray,
-    images: Iterable[ImageArray] | None = None,
-    measurements: Sequence[FrameMeasurement] | None = None,
-    sensors: Sequence[Sensor] = (),
-    features: FeatureTracks | None = None,
-    truth: Trajectory | None = None,
-) -> Path:
+def write_dataset(folder: Path, recording: Recording, images: Iterable[ImageArray] | None = None) -> Path:
     """Write a data set that `Dataset.open` reads; numbers read back exactly.
 
     Parameters
     ----------
     folder : Path
         Replaced when it is empty or a data set.
-    body, camera, catalog, imu, imu_noise, initial, sun
-        As in `Dataset`.
-    stamps_ns : ndarray of int, shape (k,)
-        Of the frames.
+    recording : Recording
+        Its `measurements` take the place of images.
     images : iterable of ndarray of uint8 or, above 8 bits, uint16, shape (height, width), optional
-        One per frame, taken one at a time.
-    measurements : sequence of FrameMeasurement, length k, optional
-        Given in place of images.
-    sensors : sequence of Sensor
-        Logs of further sensors.
-    features : FeatureTracks, optional
-    truth : Trajectory, optional
+        Images of the frames, read one at a time.
 
     Returns
     -------
@@ -76,53 +46,57 @@ def write_dataset(
     Raises
     ------
     InputError
-        When the folder holds something else.
+        When the folder holds something else, or cannot be written.
     ValueError
-        When neither or both of images and measurements are given, or their number is not that of the stamps.
+        When there are neither images nor measurements, or both, or not one for each stamp.
     """
-    if (images is None) == (measurements is None):
+    if (images is None) == (recording.measurements is None):
         raise ValueError("give either images or measurements")
+    stamps = recording.stamps_ns
     with replacing_folder(folder, marker=layout.DESCRIPTION, ours=layout.CONTENTS) as temporary:
         for name in (layout.IMAGES, layout.IMU_DATA):
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
-        names = [f"{stamp}.png" for stamp in stamps_ns]
-        if measurements is not None:
-            if len(measurements) != len(stamps_ns):
-                raise ValueError(f"{len(measurements)} measurements for {len(stamps_ns)} stamps")
-            write_measurements(temporary, measurements, catalog)
+        if recording.measurements is not None:
+            if len(recording.measurements) != len(stamps):
+                raise ValueError(f"{len(recording.measurements)} measurements for {len(stamps)} stamps")
+            write_measurements(temporary, recording.measurements, recording.catalog)
+        names = [f"{stamp}.png" for stamp in stamps]
         if images is not None:
             (temporary / layout.IMAGES).mkdir()
             for name, image in zip(names, images, strict=True):
                 write_image(temporary / layout.IMAGES / name, image)
-        large = len(catalog) > _LARGE
-        write_catalog(temporary / (layout.LARGE_CRATERS if large else layout.CRATERS), catalog)
-        write_table(temporary / layout.SUN, layout.SUN_COLUMNS, [sun.stamps_ns, *sun.vectors.T], comment=True)
-        (temporary / layout.CAMERA_SENSOR).write_text(camera_yaml(camera, _rate_hz(stamps_ns)))
-        (temporary / layout.IMU_SENSOR).write_text(imu_yaml(imu_noise, _rate_hz(imu.stamps_ns)))
-        write_table(temporary / layout.CAMERA_DATA, layout.CAMERA_COLUMNS, [stamps_ns, names], comment=True)
-        write_table(
-            temporary / layout.IMU_DATA,
-            layout.IMU_COLUMNS,
-            [imu.stamps_ns, *imu.gyro.T, *imu.accelerometer.T],
-            comment=True,
-        )
-        for sensor in sensors:
-            write_sensor(temporary, sensor)
-        if features is not None:
-            write_features(temporary, features)
-        if truth is not None:
-            (temporary / layout.TRUTH).parent.mkdir()
-            q = frames.to_quaternion_wxyz(truth.gRb)
-            write_table(
-                temporary / layout.TRUTH,
-                layout.TRUTH_COLUMNS,
-                [truth.stamps_ns, *truth.gP.T, *q.T, *truth.gV.T, *truth.bias.T],
-                comment=True,
-            )
-        (temporary / layout.DESCRIPTION).write_text(description_toml(body, initial), encoding="utf-8")
+        write_table(temporary / layout.CAMERA_DATA, layout.CAMERA_COLUMNS, [stamps, names], comment=True)
+        (temporary / layout.CAMERA_SENSOR).write_text(camera_yaml(recording.camera, _rate_hz(stamps)))
+        large = len(recording.catalog) > _MAX_CSV_CRATERS
+        write_catalog(temporary / (layout.LARGE_CRATERS if large else layout.CRATERS), recording.catalog)
+        _write_logs(temporary, recording)
+        if recording.truth is not None:
+            _write_truth(temporary, recording.truth)
+        description = description_toml(recording.body, recording.initial)
+        (temporary / layout.DESCRIPTION).write_text(description, encoding="utf-8")
     return folder
 
 
+def _write_logs(folder: Path, recording: Recording) -> None:
+    """Write IMU, sun and further sensors."""
+    imu, sun = recording.imu, recording.sun
+    (folder / layout.IMU_SENSOR).write_text(imu_yaml(recording.imu_noise, _rate_hz(imu.stamps_ns)))
+    rows = [imu.stamps_ns, *imu.gyro.T, *imu.accelerometer.T]
+    write_table(folder / layout.IMU_DATA, layout.IMU_COLUMNS, rows, comment=True)
+    write_table(folder / layout.SUN, layout.SUN_COLUMNS, [sun.stamps_ns, *sun.vectors.T], comment=True)
+    for sensor in recording.sensors:
+        write_sensor(folder, sensor)
+    if recording.features is not None:
+        write_features(folder, recording.features)
+
+
+def _write_truth(folder: Path, truth: Trajectory) -> None:
+    (folder / layout.TRUTH).parent.mkdir()
+    q = frames.to_quaternion_wxyz(truth.gRb)
+    rows = [truth.stamps_ns, *truth.gP.T, *q.T, *truth.gV.T, *truth.bias.T]
+    write_table(folder / layout.TRUTH, layout.TRUTH_COLUMNS, rows, comment=True)
+
+
 def _rate_hz(stamps_ns: IntArray) -> float:
-    """Nominal rate, for people: the stamps count."""
+    """Nominal rate, for the reader of the file: only the stamps are used."""
     return float(1e9 / np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 1.0

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.catalogs.ground import ground_heights
-from craternav_fg.dataset import write_dataset
+from craternav_fg.dataset import Recording, write_dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement
@@ -82,9 +82,8 @@ def simulate(
     if scenario.render is not None:
         images = _images(world, frame_rng, progress)
     else:
-        measured = list(_measurements(world, initial.gTb[:3, 3], (frame_rng, fault_rng), progress))
-    return write_dataset(
-        folder,
+        measured = tuple(_measurements(world, initial.gTb[:3, 3], (frame_rng, fault_rng), progress))
+    recording = Recording(
         body=descent.body,
         camera=camera,
         catalog=catalog,
@@ -93,12 +92,12 @@ def simulate(
         initial=initial if with_initial else None,
         sun=world.sun,
         stamps_ns=stamps,
-        images=images,
-        measurements=measured,
-        sensors=others,
-        features=features,
         truth=_truth(descent, imu, bias, stamps, others),
+        measurements=measured,
+        sensors=tuple(others),
+        features=features,
     )
+    return write_dataset(folder, recording, images)
 
 
 def _imu(world: World, rng: np.random.Generator) -> tuple[ImuLog, FloatArray]:

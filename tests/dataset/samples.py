@@ -10,7 +10,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.dataset import SunVectors
+from craternav_fg.dataset import Recording, SunVectors
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimQuality, RimSet, SunTilt
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -36,8 +36,8 @@ class Folder:
         (self.path / name).write_text("\n".join(lines) + "\n")
 
 
-def parts(rng: np.random.Generator) -> dict[str, Any]:
-    """Arguments of `write_dataset`, numbers as awkward as they come."""
+def recording(rng: np.random.Generator) -> Recording:
+    """Without images and measurements; numbers as awkward as they come."""
     body = Body('Moon "test"', 1737400.0, 4.902800118e12, (1e-7, -2e-9, 2.6616995e-6))
     bTc = frames.pose(frames.rotation_exp(rng.standard_normal(3)), rng.standard_normal(3))
     n = 41
@@ -46,10 +46,10 @@ def parts(rng: np.random.Generator) -> dict[str, Any]:
     R = frames.rotation_exp(rng.standard_normal((3, 3)))
     gTb = np.stack([frames.pose(R[k], np.array([1.75e6, 3e3, -2e3]) + k) for k in range(3)])
     vectors = frames.up(np.array([0.1, 0.1001]), np.array([0.3, 0.3002]))
-    return {
-        "body": body,
-        "camera": Camera(64, 48, 71.3, 71.1, 31.1, 24.7, bTc),
-        "catalog": Catalog(
+    return Recording(
+        body=body,
+        camera=Camera(64, 48, 71.3, 71.1, 31.1, 24.7, bTc),
+        catalog=Catalog(
             identifiers=("A-1", "B, the second"),
             latitude_rad=np.array([0.01, -0.02]),
             longitude_rad=np.array([0.3, 0.31]),
@@ -59,23 +59,23 @@ def parts(rng: np.random.Generator) -> dict[str, Any]:
             height_m=np.array([12.3, -45.6]),
             body=body,
         ),
-        "imu": imu,
-        "imu_noise": ImuNoise(2e-5, 3.4e-4, 1e-9, 4e-6),
-        "initial": InitialState(
+        imu=imu,
+        imu_noise=ImuNoise(2e-5, 3.4e-4, 1e-9, 4e-6),
+        initial=InitialState(
             START_NS, gTb[0], rng.standard_normal(3), 0.4, 4000.0, 5.0, 0.09, 4.8e-6, 2.9e-3
         ),
-        "sun": SunVectors(FRAMES_NS[[0, 2]], vectors),
-        "stamps_ns": FRAMES_NS,
-        "truth": Trajectory(FRAMES_NS, gTb, rng.standard_normal((3, 3)), rng.standard_normal((3, 6)) * 1e-5),
-    }
+        sun=SunVectors(FRAMES_NS[[0, 2]], vectors),
+        stamps_ns=FRAMES_NS,
+        truth=Trajectory(FRAMES_NS, gTb, rng.standard_normal((3, 3)), rng.standard_normal((3, 6)) * 1e-5),
+    )
 
 
 def random_images(rng: np.random.Generator) -> list[Any]:
     return [rng.integers(0, 256, (48, 64), dtype=np.uint8) for _ in FRAMES_NS]
 
 
-def random_rims(rng: np.random.Generator) -> list[FrameMeasurement]:
-    """Three frames with 0, 1 and 2 rims; the first has an arc, the last has all that a rim can have."""
+def random_measurements(rng: np.random.Generator) -> tuple[FrameMeasurement, ...]:
+    """Three frames with 0, 1 and 2 rims; the first two have an arc, the last all that rims can have."""
     out = []
     for k, stamp in enumerate(FRAMES_NS.tolist()):
         root = rng.standard_normal((k, 5, 18)) * 1e-3
@@ -92,4 +92,4 @@ def random_rims(rng: np.random.Generator) -> list[FrameMeasurement]:
             sigmas = tuple(rng.uniform(1e-4, 1e-3, len(one)) for one in points)
             arcs = ArcSet(np.array([1]), points, sigmas, np.array([2e-4]) if k else None)
         out.append(FrameMeasurement(stamp, rims, sun, arcs))
-    return out
+    return tuple(out)

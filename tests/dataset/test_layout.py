@@ -6,9 +6,10 @@ import textwrap
 import numpy as np
 import pytest
 
+from craternav_fg.body import Body
 from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.dataset import layout
-from craternav_fg.dataset.description import read_description
+from craternav_fg.dataset.description import description_toml, read_description
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
 from craternav_fg.tables import read_table
 
@@ -28,6 +29,14 @@ def test_the_description(example):
     body, initial = read_description(example(layout.DESCRIPTION))
     assert body.name == "Moon"
     assert initial.velocity_sigma_m_s == 5.0
+
+
+@pytest.mark.parametrize("name", ['"quoted" \\\\', "two\nlines\t\x01", "\N{LAST QUARTER MOON} 1"])
+def test_any_name_of_a_body_is_kept(name, tmp_path):
+    path = tmp_path / layout.DESCRIPTION
+    body = Body(name, 1.0e6, 2.0e12, (0.0, 1e-7, 1.0 / 3.0))
+    path.write_text(description_toml(body, None), encoding="utf-8")
+    assert read_description(path) == (body, None)
 
 
 def test_the_sensors(example):

@@ -10,7 +10,7 @@ from craternav_fg.dataset import Dataset, SunVectors, layout, write_dataset
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import RimQuality
 from craternav_fg.tables import read_table, write_table
-from tests.dataset.samples import FRAMES_NS, START_NS, parts, random_images, random_rims
+from tests.dataset.samples import FRAMES_NS, START_NS, random_images, random_measurements, recording
 
 
 def exact(found, expected):
@@ -19,33 +19,33 @@ def exact(found, expected):
 
 def test_everything_reads_back_as_it_was(tmp_path):
     rng = np.random.default_rng(7)
-    given, images = parts(rng), random_images(rng)
-    write_dataset(tmp_path / "data", images=images, **given)
+    given, images = recording(rng), random_images(rng)
+    write_dataset(tmp_path / "data", given, images)
     data = Dataset.open(tmp_path / "data")
-    assert data.body == given["body"]
-    camera = given["camera"]
+    assert data.body == given.body
+    camera = given.camera
     assert (data.camera.width_px, data.camera.height_px) == (64, 48)
     exact(data.camera.matrix, camera.matrix)
     exact(data.camera.bTc, camera.bTc)
-    assert data.imu_noise == given["imu_noise"]
-    exact(data.imu.stamps_ns, given["imu"].stamps_ns)
-    exact(data.imu.gyro, given["imu"].gyro)
-    exact(data.imu.accelerometer, given["imu"].accelerometer)
+    assert data.imu_noise == given.imu_noise
+    exact(data.imu.stamps_ns, given.imu.stamps_ns)
+    exact(data.imu.gyro, given.imu.gyro)
+    exact(data.imu.accelerometer, given.imu.accelerometer)
     exact(data.stamps_ns, FRAMES_NS)
-    exact(data.sun.vectors, given["sun"].vectors)
-    exact(data.truth.gP, given["truth"].gP)
-    exact(data.truth.gV, given["truth"].gV)
-    exact(data.truth.bias, given["truth"].bias)
-    exact(data.initial.gV, given["initial"].gV)
+    exact(data.sun.vectors, given.sun.vectors)
+    exact(data.truth.gP, given.truth.gP)
+    exact(data.truth.gV, given.truth.gV)
+    exact(data.truth.bias, given.truth.bias)
+    exact(data.initial.gV, given.initial.gV)
     # Matrices become quaternions, radians degrees: equal to rounding.
-    np.testing.assert_allclose(data.truth.gRb, given["truth"].gRb, rtol=0.0, atol=4e-16)
-    np.testing.assert_allclose(data.initial.gTb, given["initial"].gTb, rtol=1e-15, atol=4e-16)
+    np.testing.assert_allclose(data.truth.gRb, given.truth.gRb, rtol=0.0, atol=4e-16)
+    np.testing.assert_allclose(data.initial.gTb, given.initial.gTb, rtol=1e-15, atol=4e-16)
     for name in ("position_sigma_m", "attitude_sigma_rad", "gyro_bias_sigma_rad_s", "stamp_ns"):
-        assert getattr(data.initial, name) == getattr(given["initial"], name)
-    assert data.catalog.identifiers == given["catalog"].identifiers
+        assert getattr(data.initial, name) == getattr(given.initial, name)
+    assert data.catalog.identifiers == given.catalog.identifiers
     for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m"):
         np.testing.assert_allclose(
-            getattr(data.catalog, name), getattr(given["catalog"], name), rtol=4e-16, atol=0.0
+            getattr(data.catalog, name), getattr(given.catalog, name), rtol=4e-16, atol=0.0
         )
     assert data.measurements is None
     for k, image in enumerate(images):
@@ -56,11 +56,11 @@ def test_a_camera_that_distorts_reads_back_as_it_was(tmp_path):
     """With grey levels of more than eight bits, and a third radial term or none."""
     for k, k3 in enumerate((0.0, 1.0 / 3.0)):
         rng = np.random.default_rng(8)
-        given = parts(rng)
+        given = recording(rng)
         lens = (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, k3)
-        camera = replace(given["camera"], distortion=lens, psf_sigma_px=0.1 + 0.7, bit_depth=12)
+        camera = replace(given.camera, distortion=lens, psf_sigma_px=0.1 + 0.7, bit_depth=12)
         images = [rng.integers(0, 4096, (48, 64), dtype=np.uint16) for _ in FRAMES_NS]
-        write_dataset(tmp_path / f"{k}", images=images, **{**given, "camera": camera})
+        write_dataset(tmp_path / f"{k}", replace(given, camera=camera), images)
         data = Dataset.open(tmp_path / f"{k}")
         assert data.camera.distortion == lens
         assert data.camera.psf_sigma_px == camera.psf_sigma_px
@@ -72,10 +72,10 @@ def test_a_camera_that_distorts_reads_back_as_it_was(tmp_path):
 
 def test_grey_levels_beyond_the_cameras_bits_are_refused(tmp_path):
     rng = np.random.default_rng(9)
-    given = parts(rng)
+    given = recording(rng)
     images = [np.full((48, 64), level, np.uint16) for level in (1023, 1023, 1024)]
-    given["camera"] = replace(given["camera"], bit_depth=10)
-    data = Dataset.open(write_dataset(tmp_path / "data", images=images, **given))
+    given = replace(given, camera=replace(given.camera, bit_depth=10))
+    data = Dataset.open(write_dataset(tmp_path / "data", given, images))
     data.image(0)
     with pytest.raises(InputError, match=r"grey levels of 10 bits, found 1024"):
         data.image(2)
@@ -108,21 +108,21 @@ def exact_all(found, expected):
 
 def test_measurements_read_back_as_they_were(tmp_path):
     rng = np.random.default_rng(8)
-    given, measured = parts(rng), random_rims(rng)
-    write_dataset(tmp_path / "data", measurements=measured, **given)
+    given, measured = recording(rng), random_measurements(rng)
+    write_dataset(tmp_path / "data", replace(given, measurements=measured))
     data = Dataset.open(tmp_path / "data")
     assert len(data) == 3
-    exact_all(data.measurements, tuple(measured))
-    again = write_dataset(tmp_path / "again", measurements=data.measurements, **given)
-    exact_all(Dataset.open(again).measurements, tuple(measured))
+    exact_all(data.measurements, measured)
+    again = write_dataset(tmp_path / "again", data)
+    exact_all(Dataset.open(again).measurements, measured)
 
 
 def test_rims_are_read_in_the_catalogues_order(tmp_path):
     rng = np.random.default_rng(8)
-    given, measured = parts(rng), random_rims(rng)
-    turned = [replace(f, rims=f.rims.take(np.arange(len(f.rims))[::-1])) for f in measured]
-    write_dataset(tmp_path / "data", measurements=turned, **given)
-    exact_all(Dataset.open(tmp_path / "data").measurements, tuple(measured))
+    given, measured = recording(rng), random_measurements(rng)
+    turned = tuple(replace(f, rims=f.rims.take(np.arange(len(f.rims))[::-1])) for f in measured)
+    write_dataset(tmp_path / "data", replace(given, measurements=turned))
+    exact_all(Dataset.open(tmp_path / "data").measurements, measured)
 
 
 def without_columns(path, *names):
@@ -221,7 +221,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_dataset(tmp_path / "data", images=images(), **parts(rng))
+        write_dataset(tmp_path / "data", recording(rng), images())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -234,7 +234,7 @@ def test_an_interrupted_write_leaves_the_old_data_set(folder):
         raise RuntimeError("disk full")
 
     with pytest.raises(RuntimeError, match="disk full"):
-        write_dataset(folder.path, images=images(), **parts(rng))
+        write_dataset(folder.path, recording(rng), images())
     assert sorted(p.name for p in folder.path.rglob("*")) == before
     assert [p.name for p in folder.path.parent.iterdir()] == [folder.path.name]
     Dataset.open(folder.path)
@@ -244,14 +244,14 @@ def test_a_folder_of_somebody_else_is_not_overwritten(tmp_path):
     rng = np.random.default_rng(9)
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match=r"holds no dataset\.toml"):
-        write_dataset(tmp_path, images=random_images(rng), **parts(rng))
+        write_dataset(tmp_path, recording(rng), random_images(rng))
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
 def test_images_and_rims_exclude_each_other(tmp_path):
     rng = np.random.default_rng(9)
     with pytest.raises(ValueError, match="either"):
-        write_dataset(tmp_path / "data", **parts(rng))
+        write_dataset(tmp_path / "data", recording(rng))
 
 
 def processor_time_s(read):

@@ -1,0 +1,63 @@
+"""A descent as it was recorded or simulated: what its sensors measured and what is known beside them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset.sun import SunVectors
+from craternav_fg.imu import ImuLog, ImuNoise
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.sensors.point_features import FeatureTracks
+from craternav_fg.sensors.protocol import Sensor
+from craternav_fg.trajectory import InitialState, Trajectory
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Contents of a data set but for its images.
+
+    Attributes
+    ----------
+    body : Body
+    camera : Camera
+    catalog : Catalog
+        Of the craters on the body.
+    imu : ImuLog
+    imu_noise : ImuNoise
+    initial : InitialState or None
+        State at the stamp of the first frame; None when nothing is known before the first image.
+    sun : SunVectors
+        `sun.at(stamp_ns)` is the unit vector towards the sun in g.
+    stamps_ns : ndarray of int, shape (k,)
+        Of the frames, strictly increasing.
+    truth : Trajectory or None
+        For evaluation only; None when it is not known.
+    measurements : tuple of FrameMeasurement, length k, or None
+        What the frames measured; None when it is to be measured in the images.
+    sensors : tuple of Sensor
+        Logs of the sensors beside camera and IMU.
+    features : FeatureTracks or None
+        Points tracked from frame to frame.
+    """
+
+    body: Body
+    camera: Camera
+    catalog: Catalog
+    imu: ImuLog
+    imu_noise: ImuNoise
+    initial: InitialState | None
+    sun: SunVectors
+    stamps_ns: IntArray
+    truth: Trajectory | None = None
+    measurements: tuple[FrameMeasurement, ...] | None = None
+    sensors: tuple[Sensor, ...] = ()
+    features: FeatureTracks | None = None
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
