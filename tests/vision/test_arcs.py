@@ -47,7 +47,7 @@ def distances_px(points, chart):
 def test_cut_rims_are_arcs_that_lie_on_their_rims(frames):
     whitened, covered = [], 0
     for catalog, gTb, frame in frames:
-        # Of a single frame counts all that the points share.
+        # In a single frame the whole error that the points share counts.
         arcs = frame.arcs.inflate_correlated(1.0)
         assert len(np.intersect1d(arcs.craters, frame.rims.craters)) == 0
         truth = project_rims(gTb, np.eye(4), catalog.centres[arcs.craters], catalog.axes[arcs.craters])[0]
@@ -62,8 +62,11 @@ def test_cut_rims_are_arcs_that_lie_on_their_rims(frames):
             whitened.append(weight @ off / np.sqrt(weight.sum()))
             covered += 1
     assert covered >= 12
-    # Whole arcs, too far out or in, against what their points together are said to be wrong by.
-    assert 0.05 < np.sqrt(np.mean(np.square(whitened))) < 1.5
+    # Outward shifts of whole arcs over the standard deviations that their points claim together. Measured
+    # over 76 arcs of other images: below 1, as these rims are smoother than the model allows for. Three
+    # standard errors of the difference.
+    margin = 3.0 * np.sqrt(0.5 / covered + 0.5 / 76)
+    assert abs(np.sqrt(np.mean(np.square(whitened))) / 0.375 - 1.0) < margin
 
 
 def pose_error(catalog, gTb, frame, rows):

@@ -184,7 +184,8 @@ def test_an_unknown_common_motion_of_the_points_is_estimated():
     points, normals = rim(30.0, 25.0, 0.2, 80)
     side = normals @ [0.6, 0.8]
     keep = np.abs(side) > 0.15
-    # What a wrong level does to crossings: the less the slope across the rim, the farther they move.
+    # What a wrong reference brightness does to crossings: the smaller the slope across the rim, the farther
+    # they move.
     motion = (normals / side[:, None])[keep]
     points = points[keep] + 0.3 * motion + normals[keep] * rng.normal(0.0, 0.05, (np.count_nonzero(keep), 1))
     start = pixel_chart(chart_of(30.0, 25.0, 0.2, CAMERA), CAMERA)
@@ -215,9 +216,9 @@ def test_a_slope_of_that_motion_is_in_the_covariance():
         off = rng.normal(0.0, 0.08, (len(motion), 1))
         moved = points[keep] + slope[:, None] * motion + normals[keep] * off
         args = (moved, start, CAMERA, BARE, np.abs(1.0 / side[keep]))
-        level, sloping = BrightnessUnknown(motion, 0.02), BrightnessUnknown(motion, 0.02, 0.01, sun_px)
+        even, sloping = BrightnessUnknown(motion, 0.02), BrightnessUnknown(motion, 0.02, 0.01, sun_px)
         for fit, errors, distances in (
-            (refine_rim(*args, level), blind, too_sure), (refine_rim(*args, sloping), knowing, consistent)
+            (refine_rim(*args, even), blind, too_sure), (refine_rim(*args, sloping), knowing, consistent)
         ):  # fmt: skip
             assert isinstance(fit, RimFit)
             error = fit.chart - truth

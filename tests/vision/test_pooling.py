@@ -90,10 +90,10 @@ def test_a_pool_is_a_mean_over_frames_and_a_larger_white_claim_is_kept(view):
         pooled.pool(frame(view, same), gTb)
     odd = same.copy()
     odd[0], odd[1] = 4.0, 0.25
-    told = frame(view, odd)
-    got = pooled.pool(told, gTb)
+    claimed = frame(view, odd)
+    got = pooled.pool(claimed, gTb)
     plain = frame(view, same)
-    covariances = [rims.uncorrelated_covariance for rims in (got, told, plain)]
+    covariances = [rims.uncorrelated_covariance for rims in (got, claimed, plain)]
     size = [np.sqrt(np.trace(C, axis1=1, axis2=2)) for C in covariances]
     assert size[0][0] == pytest.approx(size[1][0], rel=1e-6)
     assert size[0][1] == pytest.approx(size[2][1], rel=0.05)
@@ -105,9 +105,9 @@ def test_a_pool_is_a_mean_over_frames_and_a_larger_white_claim_is_kept(view):
 
 def test_rims_that_are_ellipses_stay_as_they_are(view):
     catalog, camera, gTb = view
-    told = frame(view, np.linspace(0.3, 3.0, CRATERS), outline=0.001)
-    assert PooledErrors(camera, catalog).pool(told, gTb) is told
-    bare = replace(told, quality=None)
+    claimed = frame(view, np.linspace(0.3, 3.0, CRATERS), outline=0.001)
+    assert PooledErrors(camera, catalog).pool(claimed, gTb) is claimed
+    bare = replace(claimed, quality=None)
     assert PooledErrors(camera, catalog).pool(bare, gTb) is bare
 
 

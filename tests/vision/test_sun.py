@@ -82,8 +82,8 @@ def test_undefined_without_shading():
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 30.0])
-def test_craters_tell_the_light_far_better_than_the_relief(tilt_deg):
-    """Elliptical bowls on rough ground, any direction of the light.
+def test_craters_show_the_sun_far_better_than_the_relief(tilt_deg):
+    """Elliptical bowls on rough ground, any illumination direction.
 
     The scene reflects by Lambert's law, not as the Moon: seen obliquely that turns the shading by degrees,
     all alike, and the standard deviation must allow for it.
@@ -103,8 +103,8 @@ def test_craters_tell_the_light_far_better_than_the_relief(tilt_deg):
     assert np.mean(chi2) < 4.5
 
 
-def test_craters_tell_the_sense_of_the_light():
-    """Lit from where the catalogue's sun is not: the walls say so, three of them suffice."""
+def test_craters_show_the_sense_of_the_sun_direction():
+    """The image is lit from elsewhere than the given sun: three craters suffice to show it."""
     gTb, sun_g = scene.pose(), scene.sun(30.0, 40.0)
     rng = np.random.default_rng(3)
     catalog = scene.craters(rng, 3)
