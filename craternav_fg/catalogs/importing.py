@@ -118,13 +118,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     keep = np.ones(len(table), dtype=np.bool_)
     keep[list(faults)] = False
     if not keep.any():
-        none_left = f"expected at least one crater, found none in {len(table)} rows"
-        if faults:
-            row = min(faults)
-            column, fault = faults[row]
-            hint = f": {checks.wrong_unit(body.radius_m)}" if column in used[2:4] else ""
-            none_left += f", the first left out is line {table.lines([row])[0]}: {column}: {fault}{hint}"
-        raise InputError(path, none_left)
+        raise InputError(path, _none_left(table, faults, used[2:4], body.radius_m))
     latitude, longitude, major, minor, angle, height = (column[keep] for column in values)
     odd = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
     if odd is not None:
@@ -139,20 +133,11 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         height_m=height,
         body=body,
     )
-    rows = sorted(faults)
-    skipped = [
-        SkippedRow(line, identifiers[row] or "", f"{faults[row][0]}: {faults[row][1]}")
-        for row, line in zip(rows, table.lines(rows) if rows else [], strict=True)
-    ]
-    skipped += [
-        SkippedRow(line, "", f"expected {table.width} columns, found {cells}") for line, cells in table.broken
-    ]
-    skipped.sort(key=lambda row: row.line)
     report = ImportReport(
         rows=len(table) + len(table.broken),
         circles=int(np.count_nonzero(is_circle & keep)) if found.ellipse else 0,
         numbered=found.identifier is None,
-        skipped=tuple(skipped),
+        skipped=_skipped(table, faults, identifiers),
         columns=shown,
         body_by=body_by,
     )
@@ -192,6 +177,32 @@ def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...]
         is_circle = np.any(np.isnan(ellipse), axis=0) & ~np.any(np.isnan(circle), axis=0)
         ellipse = [np.where(is_circle, c, e) for c, e in zip(circle, ellipse, strict=True)]
     return (*ellipse, np.nan_to_num(height)), is_circle
+
+
+def _skipped(
+    table: ForeignTable, faults: checks.Faults, identifiers: Sequence[str | None]
+) -> tuple[SkippedRow, ...]:
+    """Rows at fault and lines with another number of cells, in the order of the file."""
+    rows = sorted(faults)
+    skipped = [
+        SkippedRow(line, identifiers[row] or "", f"{faults[row][0]}: {faults[row][1]}")
+        for row, line in zip(rows, table.lines(rows) if rows else [], strict=True)
+    ]
+    skipped += [
+        SkippedRow(line, "", f"expected {table.width} columns, found {cells}") for line, cells in table.broken
+    ]
+    return tuple(sorted(skipped, key=lambda row: row.line))
+
+
+def _none_left(table: ForeignTable, faults: checks.Faults, diameters: Sequence[str], radius_m: float) -> str:
+    """Say why no row of a table was imported."""
+    problem = f"expected at least one crater, found none in {len(table)} rows"
+    if not faults:
+        return problem
+    row = min(faults)
+    column, fault = faults[row]
+    hint = f": {checks.wrong_unit(radius_m)}" if column in diameters else ""
+    return f"{problem}, the first left out is line {table.lines([row])[0]}: {column}: {fault}{hint}"
 
 
 def _refuse_common_fault(
