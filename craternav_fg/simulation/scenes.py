@@ -203,8 +203,8 @@ def photograph(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.r
     normals = np.concatenate([catalog.normals[rows], middle / np.linalg.norm(middle)])
     points = np.concatenate([catalog.centres[rows], middle])
     view = gTb[:3, 3] - points
-    _, gain = level_ground(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
-    along = gain[-1] / np.linalg.norm(gain[-1])
+    _, contrast = level_ground(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
+    along = contrast[-1] / np.linalg.norm(contrast[-1])
     ends = camera.project((middle + np.outer([0.0, _LIGHT_STEP_M], along) - gTb[:3, 3]) @ gTb[:3, :3])
     return Scene(
         renderer.render(gTb, sun_g, rng).astype(np.uint8, copy=False),
@@ -214,6 +214,6 @@ def photograph(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.r
         sun_g,
         axes_of_chart(pixel_chart(charts, camera)),
         rows,
-        np.linalg.norm(gain[:-1], axis=1),
+        np.linalg.norm(contrast[:-1], axis=1),
         float(np.arctan2(*(ends[1] - ends[0])[::-1])),
     )

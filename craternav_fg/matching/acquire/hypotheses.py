@@ -44,14 +44,14 @@ class Craters:
     ----------
     centres, axes, normals : ndarray, shapes (n, 3), (n, 2, 3), (n, 3)
         As in the catalogue, in g.
-    gains : ndarray, shape (n, 3)
-        Shading gains in g (see `photometry`): the ground's walls are darkest in this direction.
+    contrasts : ndarray, shape (n, 3)
+        Slope contrasts in g (see `photometry`): the walls are darkest in this direction.
     """
 
     centres: FloatArray
     axes: FloatArray
     normals: FloatArray
-    gains: FloatArray
+    contrasts: FloatArray
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def single_poses(
     tilt = rims.sunward_rad[: len(charts)]
     sunward = np.stack([np.cos(tilt), np.sin(tilt), np.zeros_like(tilt)], axis=-1)
     # Attitudes (crater, rim) that put the crater on the rim's line of sight and the sun where it shows.
-    gRc = triads(line, craters.gains)[:, None] @ np.swapaxes(triads(ray, sunward), 1, 2)
+    gRc = triads(line, craters.contrasts)[:, None] @ np.swapaxes(triads(ray, sunward), 1, 2)
     gRb = gRc @ bTc[:3, :3].T
     turn = frames.rotation_log((prior.gTb[:3, :3].T @ gRb).reshape(-1, 3, 3)).reshape(*gRb.shape[:2], 3)
     slack = (aside2 + rims.sunward_sigma_rad**2)[:, None, None] * np.eye(3)
@@ -147,9 +147,9 @@ def single_poses(
     start[:, :3, :3] = gRb[crater, rim]
     start[:, :3, 3] = gTc[:3, 3] - start[:, :3, :3] @ bTc[:3, 3]
     pose, information, cost = rim_poses.map_poses(
-        prior.gTb, scaled_inverse(prior.covariance), start, bTc, craters.centres, craters.axes, craters.gains,
-        rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater[:, None],
-        rim[:, None],
+        prior.gTb, scaled_inverse(prior.covariance), start, bTc, craters.centres, craters.axes,
+        craters.contrasts, rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0,
+        crater[:, None], rim[:, None],
     )  # fmt: skip
     found = Hypotheses(pose, information, cost).take(cost < gate)
     return Hypotheses(found.gTb, scaled_inverse(found.covariance), found.cost)
@@ -194,7 +194,7 @@ def expand_inliers(
         if len(rim) < 2:
             break
         pose, found, _ = rim_poses.map_poses(
-            prior.gTb, information, pose, bTc, craters.centres, craters.axes, craters.gains, rims.charts,
+            prior.gTb, information, pose, bTc, craters.centres, craters.axes, craters.contrasts, rims.charts,
             rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater[rim][None], rim[None],
         )  # fmt: skip
         covariance = scaled_inverse(found)

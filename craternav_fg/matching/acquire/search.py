@@ -141,7 +141,7 @@ def acquire(
     prior = match.Prior(
         np.ascontiguousarray(gTb, dtype=np.float64), np.ascontiguousarray(pose_covariance, dtype=np.float64)
     )
-    rows, gains = _candidates(camera, catalog, prior, sun_g, options)
+    rows, contrasts = _candidates(camera, catalog, prior, sun_g, options)
     if len(rows) < 2:
         return None
     # Rims found here only guide: an interpolated image will do, and all that follows is a pinhole's.
@@ -150,7 +150,7 @@ def acquire(
     rims = detect_rims(straight, camera, options.detect)
     if len(rims) < 2:
         return None
-    return _Search(camera, catalog, rows, gains, rims, prior, options).run()
+    return _Search(camera, catalog, rows, contrasts, rims, prior, options).run()
 
 
 def image_spread_px(camera: Camera, radius_m: float, gTb: FloatArray, pose_covariance: FloatArray) -> float:
@@ -193,7 +193,7 @@ def image_spread_px(camera: Camera, radius_m: float, gTb: FloatArray, pose_covar
 def _candidates(
     camera: Camera, catalog: Catalog, prior: match.Prior, sun_g: FloatArray, options: AcquireOptions
 ) -> tuple[IntArray, FloatArray]:
-    """Craters that may be seen, lit and large enough, from about the prior position; their gains (n, 3)."""
+    """Craters that may be seen, lit and large enough, from about the prior; their slope contrasts (n, 3)."""
     gPc = camera.gTc(prior.gTb)[:3, 3]
     # All that is above the horizon and, at the least part of its range below, large enough.
     reach = camera.focal_px / (_LEAST_RANGE * options.detect.min_radius_px)
@@ -201,30 +201,30 @@ def _candidates(
     view = gPc - catalog.centres[rows]
     range_m = np.linalg.norm(view, axis=-1)
     view /= range_m[:, None]
-    _, gain = level_ground(catalog.normals[rows], sun_g, view)
+    _, contrast = level_ground(catalog.normals[rows], sun_g, view)
     slack_m = 3.0 * float(np.sqrt(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
     nearest_m = np.maximum(range_m - slack_m, _LEAST_RANGE * range_m)
     size_px = camera.focal_px * catalog.semi_major_m[rows] / nearest_m
     keep = (
         (np.sum(view * catalog.normals[rows], axis=-1) > 0.15)
         & (size_px > options.detect.min_radius_px)
-        & (np.linalg.norm(gain, axis=-1) > 0.1)
+        & (np.linalg.norm(contrast, axis=-1) > 0.1)
     )
-    return rows[keep], np.ascontiguousarray(gain[keep])
+    return rows[keep], np.ascontiguousarray(contrast[keep])
 
 
 class _Search:
     """One image's search: rims against candidate craters."""
 
     def __init__(
-        self, camera: Camera, catalog: Catalog, rows: IntArray, gains: FloatArray, found: Detections,
+        self, camera: Camera, catalog: Catalog, rows: IntArray, contrasts: FloatArray, found: Detections,
         prior: match.Prior, options: AcquireOptions,
     ) -> None:  # fmt: skip
         self.camera = camera
         self.rows = rows
         self.craters = match.Craters(
             np.ascontiguousarray(catalog.centres[rows]), np.ascontiguousarray(catalog.axes[rows]),
-            catalog.normals[rows], gains,
+            catalog.normals[rows], contrasts,
         )  # fmt: skip
         self.rims = match.Rims(
             found.charts, found.covariance, scaled_inverse(found.covariance), found.sunward_rad,
