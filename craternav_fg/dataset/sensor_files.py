@@ -1,20 +1,16 @@
 """The files sensor.yaml of camera and IMU, with the keys of EuRoC."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
-import yaml
 from pydantic import Field
 
 from craternav_fg.camera import Camera
 from craternav_fg.config import Positive, Section, line_of, read_text, validate
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuNoise
-
-FloatArray = npt.NDArray[np.float64]
-
+from craternav_fg.sensors.yaml_files import dump_yaml, matrix, mounting, parse_yaml
 
 # The distortion model's name in EuRoC, in Kalibr and in ROS.
 _RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
@@ -22,8 +18,6 @@ _RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
 
 # Accepted focal lengths in image sizes: fields of view of 157 deg to 0.6 deg. Others are in another unit.
 _FOCAL_RANGE_IMAGES = (0.1, 100.0)
-# Largest deviation of R R' from the identity, from numbers of seven digits.
-_RIGID_TOLERANCE = 1e-6
 
 
 class _Matrix(Section):
@@ -75,7 +69,7 @@ def read_camera(path: Path) -> Camera:
         intrinsics do not fit the resolution.
     """
     text = read_text(path)
-    model = validate(path, _parse(path, text), _CameraFile, text=text)
+    model = validate(path, parse_yaml(path, text), _CameraFile, text=text)
     (width, height), (fx, fy, cx, cy) = model.resolution, model.intrinsics
     if not (0.0 <= cx <= width - 1 and 0.0 <= cy <= height - 1):
         raise InputError(
@@ -92,11 +86,11 @@ def read_camera(path: Path) -> Camera:
             line=line_of(text, ["intrinsics"]),
             column="intrinsics",
         )
-    mounting = _mounting(path, text, model.T_BS)
+    bTc = mounting(path, text, model.T_BS.data)
     k1, k2, p1, p2, k3 = _distortion(path, text, model)
     try:
         return Camera(
-            width, height, fx, fy, cx, cy, mounting,
+            width, height, fx, fy, cx, cy, bTc,
             (k1, k2, p1, p2, k3), model.psf_sigma_px, model.bit_depth,
         )  # fmt: skip
     except ValueError as error:
@@ -121,8 +115,8 @@ def read_imu_noise(path: Path) -> ImuNoise:
         When the file is wrong, or the IMU's frame is not b.
     """
     text = read_text(path)
-    model = validate(path, _parse(path, text), _ImuFile, text=text)
-    if not np.array_equal(_mounting(path, text, model.T_BS), np.eye(4)):
+    model = validate(path, parse_yaml(path, text), _ImuFile, text=text)
+    if not np.array_equal(mounting(path, text, model.T_BS.data), np.eye(4)):
         raise InputError(
             path,
             "expected the identity: b is the IMU's frame",
@@ -151,11 +145,11 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
     str
     """
     coefficients = camera.distortion if camera.distortion[4] else camera.distortion[:4]
-    return _dump(
+    return dump_yaml(
         {
             "sensor_type": "camera",
             "comment": "pixel (0, 0) is the centre of the top-left pixel",
-            "T_BS": _matrix(camera.bTc),
+            "T_BS": matrix(camera.bTc),
             "rate_hz": rate_hz,
             "resolution": [camera.width_px, camera.height_px],
             "camera_model": "pinhole",
@@ -181,11 +175,11 @@ def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
     -------
     str
     """
-    return _dump(
+    return dump_yaml(
         {
             "sensor_type": "imu",
             "comment": "each row is the mean over the interval that ends at its stamp",
-            "T_BS": _matrix(np.eye(4)),
+            "T_BS": matrix(np.eye(4)),
             "rate_hz": rate_hz,
             "gyroscope_noise_density": noise.gyro_density,
             "gyroscope_random_walk": noise.gyro_walk,
@@ -210,58 +204,3 @@ def _distortion(path: Path, text: str, model: _CameraFile) -> tuple[float, ...]:
     else:
         return (*found, 0.0) if len(found) == 4 else found
     raise InputError(path, problem, line=line_of(text, [name]), column=name)
-
-
-def _parse(path: Path, text: str) -> dict[str, Any]:
-    # Some files begin with OpenCV's directive, which is not YAML.
-    if text.startswith("%YAML:"):
-        text = "#" + text
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        raise InputError(
-            path, f"expected YAML: {getattr(error, 'problem', None) or error}", line=mark and mark.line + 1
-        ) from None
-    if not isinstance(data, dict):
-        raise InputError(path, "expected keys and values")
-    try:
-        return {str(key): _numbers(value) for key, value in data.items()}
-    except RecursionError:
-        raise InputError(path, "expected values that do not contain themselves") from None
-
-
-def _numbers(value: Any) -> Any:
-    """Turn texts such as 1e-05 into numbers: YAML 1.1 wants a decimal point in a number."""
-    if isinstance(value, dict):
-        return {str(key): _numbers(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_numbers(item) for item in value]
-    if isinstance(value, str) and value[:1] in set("+-.0123456789"):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
-
-
-def _mounting(path: Path, text: str, matrix: _Matrix) -> FloatArray:
-    T = np.array(matrix.data).reshape(4, 4)
-    R = T[:3, :3]
-    rigid = np.allclose(R @ R.T, np.eye(3), atol=_RIGID_TOLERANCE) and np.linalg.det(R) > 0.0
-    if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise InputError(
-            path,
-            "expected a rotation and a translation, last row 0 0 0 1",
-            line=line_of(text, ["T_BS"]),
-            column="T_BS",
-        )
-    return T
-
-
-def _matrix(T: FloatArray) -> dict[str, Any]:
-    return {"cols": 4, "rows": 4, "data": [float(v) for v in T.ravel()]}
-
-
-def _dump(data: dict[str, Any]) -> str:
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)

@@ -1,4 +1,4 @@
-"""`sensor.yaml` files as EuRoC has them: parsed, checked against a model, written."""
+"""The files sensor.yaml of EuRoC: parsing, poses of sensors, and writing."""
 
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,12 @@ from craternav_fg.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
 
+# Largest deviation of R R' from the identity, from numbers of seven digits.
+_RIGID_TOLERANCE = 1e-6
+
 
 def parse_yaml(path: Path, text: str) -> dict[str, Any]:
-    """Keys and values of a YAML file.
+    """Parse a YAML file of keys and values.
 
     Parameters
     ----------
@@ -29,9 +32,9 @@ def parse_yaml(path: Path, text: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When it is no YAML, or no table.
+        When the text is not YAML, or not a table.
     """
-    # OpenCV's directive, which is no YAML, stands at the head of some files.
+    # Some files begin with OpenCV's directive, which is not YAML.
     if text.startswith("%YAML:"):
         text = "#" + text
     try:
@@ -50,7 +53,7 @@ def parse_yaml(path: Path, text: str) -> dict[str, Any]:
 
 
 def _numbers(value: Any) -> Any:
-    """YAML 1.1 takes 1e-05, without a point, for a text; here it is a number."""
+    """Turn texts such as 1e-05 into numbers: YAML 1.1 wants a decimal point in a number."""
     if isinstance(value, dict):
         return {str(key): _numbers(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -64,7 +67,7 @@ def _numbers(value: Any) -> Any:
 
 
 def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
-    """Pose of a sensor in b from the sixteen numbers of T_BS.
+    """Read the pose of a sensor from the sixteen numbers of T_BS.
 
     Parameters
     ----------
@@ -78,16 +81,16 @@ def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
     Returns
     -------
     ndarray, shape (4, 4)
-        m.
+        Pose of the sensor in b, m.
 
     Raises
     ------
     InputError
-        When it is no rotation and translation.
+        When it is not a rotation and a translation.
     """
     T = np.array(data).reshape(4, 4)
     R = T[:3, :3]
-    rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
+    rigid = np.allclose(R @ R.T, np.eye(3), atol=_RIGID_TOLERANCE) and np.linalg.det(R) > 0.0
     if not rigid or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
         raise InputError(
             path,
@@ -99,7 +102,7 @@ def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
 
 
 def matrix(T: FloatArray) -> dict[str, Any]:
-    """Write a pose (4, 4) as EuRoC's T_BS.
+    """Write a pose as T_BS.
 
     Parameters
     ----------
@@ -114,5 +117,5 @@ def matrix(T: FloatArray) -> dict[str, Any]:
 
 
 def dump_yaml(data: dict[str, Any]) -> str:
-    """Text of a YAML file."""
+    """Compose the text of a YAML file."""
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
