@@ -16,7 +16,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path to write; on success it takes the final name, on failure it is removed.
+    """Provide a temporary path to write; on success it takes the final name, on failure it is removed.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterator[Path]:
-    """Give a temporary folder to fill; on success it replaces the folder of the final name.
+    """Provide a temporary folder to fill; on success it replaces the folder of the final name.
 
     Parameters
     ----------

@@ -303,7 +303,7 @@ def _from_arrow(values: pa.ChunkedArray, column: Column) -> Any:
 def _read_header(
     path: Path, columns: Sequence[Column], ignored: Sequence[str], others: bool
 ) -> tuple[list[str], list[Column], int]:
-    """Give the columns' names, those that are read, and the line of the header."""
+    """Read the header: names of all columns, columns to read, and the header's line."""
     if not path.is_file():
         raise InputError(path, "file is missing")
     try:

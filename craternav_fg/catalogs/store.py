@@ -89,7 +89,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
 
 
 def _stated(path: Path) -> StatedBody:
-    """Give the body that the metadata name."""
+    """Read which body the metadata name."""
     if not path.is_file():
         raise InputError(path, "file is missing")
     try:

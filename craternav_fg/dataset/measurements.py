@@ -24,7 +24,7 @@ def ground_sun_direction(
 ) -> FloatArray:
     """Project the direction towards the sun onto the ground of a frame: a measured sun tilt is its image.
 
-    It depends on nothing that a lander does not know, whatever its true position.
+    It depends only on what the lander knows, not on its true position.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def read_measurements(
     ------
     InputError
         For a table of another form, unknown stamps or craters, a crater twice in a frame, values out of
-        range, and covariances that are none.
+        range, and matrices that are not covariances.
     """
     rims = read_rims(folder / layout.RIMS, stamps_ns, catalog)
     arcs = [ArcSet.empty()] * len(stamps_ns)
@@ -123,7 +123,7 @@ def read_measurements(
 def _with_direction(
     tilt: SunTilt, sun: FloatArray, catalog: Catalog, craters: IntArray, prior_gP: FloatArray | None
 ) -> SunTilt | None:
-    """Give a tilt the direction whose image it is, if anything tells the ground's normal."""
+    """Set the direction of a tilt; None when the ground's normal is not known."""
     if prior_gP is None:
         if not len(craters):
             return None

@@ -163,7 +163,7 @@ class Dataset(Recording):
 def _read_sensors(
     folder: Path, catalog: Catalog, begin_ns: int, end_ns: int
 ) -> tuple[tuple[Sensor, ...], tuple[str, ...]]:
-    """Give the logs of the sensors that are there, and the folders that none of them reads."""
+    """Read the logs of the sensors beside camera and IMU; also the folders that none of them reads."""
     kinds = {Path(folder_of(name)).name: kind for name, kind in sensors().items()}
     found: list[Sensor] = []
     ignored: list[str] = []
