@@ -193,11 +193,11 @@ def draw_rows(rows: Sequence[Row]) -> Figure:
     for axes, unit, group in zip(panels[:, 0], units, groups, strict=True):
         for place, row in enumerate(group):
             if row.paper is not None:
-                axes.plot(row.paper, place, ms=11, **_PAPER)
+                axes.plot(row.paper, place, ms=11, clip_on=False, **_PAPER)
             for method, (_, colour, marker) in STYLE.items():
                 value = getattr(row, _COLUMN[method])
                 if value is not None:
-                    axes.plot(value, place, marker, color=colour, ms=6)
+                    axes.plot(value, place, marker, color=colour, ms=6, clip_on=False)
         axes.set_yticks(range(len(group)), [f"{row.quantity}: {row.condition}" for row in group], fontsize=8)
         axes.set_ylim(len(group) - 0.5, -0.5)
         axes.set_xlim(left=0.0)

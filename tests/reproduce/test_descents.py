@@ -35,7 +35,7 @@ SIGMAS_M = {FILTERED_BOUND: [50.0, 30.0, 6.0], SMOOTHED_BOUND: [25.0, 15.0, 6.0]
 
 
 def known() -> pa.Table:
-    """Table of two trials with errors and bounds that one can reckon with."""
+    """Table of two trials with simple errors and bounds."""
     rows = []
     for trial in range(2):
         for name in (*ERRORS, *SIGMAS_M):
@@ -102,7 +102,7 @@ def without(name: str, *trials: int) -> pa.Table:
     return data.filter(pa.array([not (one == name and trial in trials) for one, trial in pairs]))
 
 
-def test_an_estimator_that_gave_up_counts_where_it_did_not() -> None:
+def test_an_estimator_counts_in_the_trials_where_it_gave_a_trajectory() -> None:
     every = Descents(without(PAPERS, 1), "m")
     assert_allclose(every.of(PAPERS).mean, ERRORS[PAPERS][0])
     assert_allclose(every.of(FILTER).mean, np.mean(ERRORS[FILTER], axis=0))
@@ -168,7 +168,9 @@ def test_what_the_note_says_of_the_paper_follows_from_the_trials() -> None:
     )
 
 
-def test_an_ablated_filter_that_gave_up_has_no_number_and_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ablated_filter_without_a_trajectory_has_no_number_and_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     names = [
         *ablation_module.filters(),
         ablation_module.CENTRES,

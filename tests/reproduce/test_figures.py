@@ -120,13 +120,13 @@ def compare(km: int, craters: int, trials: int) -> None:
 
 
 @pytest.mark.parametrize(("km", "craters"), [(10, 2), (10, 3), CROWDED, (50, 3)])
-def test_static_errors_are_those_of_the_reference(km: int, craters: int) -> None:
+def test_errors_are_those_of_the_reference(km: int, craters: int) -> None:
     compare(km, craters, 120)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("km", "craters"), sorted(MONTE_CARLO))
-def test_static_errors_are_those_of_the_reference_in_full(km: int, craters: int) -> None:
+def test_errors_are_those_of_the_reference_in_full(km: int, craters: int) -> None:
     compare(km, craters, 300)
 
 
@@ -137,7 +137,7 @@ def test_crowded_craters_of_the_stated_sizes_have_a_bound_below_the_references()
     assert np.sqrt(square.mean()) + 3.5 * error < MONTE_CARLO[CROWDED]["bound"]
 
 
-def test_printed_sign_has_no_pose_and_fine_noise_the_papers_error() -> None:
+def test_the_printed_sign_diverges_and_fine_noise_gives_the_papers_error() -> None:
     found = columns(10, 3, 5)
     assert np.median(found["edges_printed_m"]) > 5e3
     fine = run_batch(Batch(2, 1e5, 0.01, 1.0, (10, 100), SEMI_AXES_M, 7, 0, 40))
