@@ -248,7 +248,7 @@ def test_a_failed_trial_is_recorded_and_the_rest_go_on(
     assert len(calls) == 5
 
 
-def test_an_estimator_without_a_trajectory_in_some_trials_is_told_of(
+def test_an_estimator_without_a_trajectory_in_some_trials_is_named(
     tmp_path: Path, here: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = []

@@ -175,12 +175,12 @@ def test_evo_reads_the_trajectories(demo: tuple[Path, subprocess.CompletedProces
 
 def test_run_toml_tells_how_it_was_made(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, _ = demo
-    told = tomllib.loads((run / "run.toml").read_text())
-    assert told["estimators"] == list(DEFAULT)
-    assert told["options"]["centre_smoother"]["rims"] == "centre"
-    assert told["options"]["ekf_paper"]["measurement"] == "implicit"
-    assert told["options"]["front_end"]["fit"]["floor_px"] > 0.0
-    assert told["versions"]["gtsam"].startswith("4.3")
+    description = tomllib.loads((run / "run.toml").read_text())
+    assert description["estimators"] == list(DEFAULT)
+    assert description["options"]["centre_smoother"]["rims"] == "centre"
+    assert description["options"]["ekf_paper"]["measurement"] == "implicit"
+    assert description["options"]["front_end"]["fit"]["floor_px"] > 0.0
+    assert description["versions"]["gtsam"].startswith("4.3")
 
 
 def test_run_reads_back(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
@@ -217,7 +217,7 @@ def test_without_truth_there_are_sigmas_instead_of_errors(
 def test_images_that_show_something_else_are_warned_of(
     demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
-    """Black images: no rim, no pose; the prior and the IMU are all there is, and the user is told."""
+    """Black images: no rim, no pose; the prior and the IMU are all there is, and the user is warned."""
     data = tmp_path / "data"
     shutil.copytree(demo[0] / "dataset", data)
     for image in (data / "mav0/cam0/data").iterdir():

@@ -81,11 +81,11 @@ def test_what_was_skipped_and_assumed_of_a_catalogue_is_said(files: Files, run: 
         )
     ]  # fmt: skip
     path.write_text("\n".join(["id,lat,lon,diam_km", *rows, "none,95,0,1", ""]))
-    told = run("--catalog", str(path)).err
-    assert f"warning: {path}: 1 row skipped: lat: expected -90 to 90 deg, line" in told
+    warnings = run("--catalog", str(path)).err
+    assert f"warning: {path}: 1 row skipped: lat: expected -90 to 90 deg, line" in warnings
     assert (
         f"warning: {path}: does not name its body, the Moon is assumed (--body-radius-m gives another)"
-        in told
+        in warnings
     )
     assert "the Moon is assumed" not in run("--catalog", str(path), "--body-radius-m", "1737400").err
     done = run("--catalog", str(path), "--body-radius-m", "1737.4")

@@ -166,7 +166,7 @@ def test_overlays_are_in_the_page_and_shrunk_to_it(page: Reader) -> None:
     assert last.mean() == pytest.approx(120, abs=3)
 
 
-def test_without_truth_the_page_says_so_and_shows_what_is_believed(run: Path, tmp_path: Path) -> None:
+def test_without_truth_the_page_says_so_and_shows_standard_deviations(run: Path, tmp_path: Path) -> None:
     dataset = run / "dataset"
     shutil.rmtree(dataset / "mav0" / "state_groundtruth_estimate0")
     assert call("reconstruct", dataset, "-o", tmp_path / "blind", "-e", "smoother", "-e", "ekf").code == 0
