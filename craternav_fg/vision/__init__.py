@@ -9,7 +9,8 @@ predicts),
 - `detect` finds rims without any prediction: `brightness` (any image), `candidates` (template matching);
 `canny` is
   the published method for comparison.
-- Shared: `grey`, `image_sampling`, `reference_brightness`, `crater_profile`, `rim_geometry`, `edges` with
+- Shared: `grey`, `image_sampling`, `robust_scale`, `reference_brightness`, `crater_profile`, `rim_geometry`,
+`edges` with
   `edge_kernel`, `ellipse_fit` with `ellipse_kernel`, `ellipse_bias`, `ellipse_distance` and `dense_kernel`.
 - `error_model` makes the covariance of a rim, from the fit to what an estimator uses.
 """

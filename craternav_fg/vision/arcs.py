@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from craternav_fg.vision.edges import EdgePoints
 from craternav_fg.vision.ellipse_distance import signed_distance
+from craternav_fg.vision.robust_scale import robust_sigma
 
 FloatArray = npt.NDArray[np.float64]
 
-# Standard deviation of a Gaussian over its median absolute deviation.
-_MAD_TO_SIGMA = 1.4826
 # Points farther from the smooth line along the arc, in standard deviations, belong to another edge.
 _OUTLIER_SIGMAS = 3.5
 # Least standard deviation of the points, px: the scatter of few points on a fine rim understates it.
@@ -105,7 +104,7 @@ def judge(
         smooth = line @ np.linalg.lstsq(A, distance[kept] / ratio[kept], rcond=None)[0]
         off = (distance - smooth) / ratio
         least = _MIN_SCATTER_PX / float(np.mean(ratio))
-        scatter = max(_MAD_TO_SIGMA * float(np.median(np.abs(off[kept]))), least)
+        scatter = max(robust_sigma(off[kept]), least)
         kept = np.abs(off) < _OUTLIER_SIGMAS * scatter
         if np.count_nonzero(kept) < options.min_points:
             return None

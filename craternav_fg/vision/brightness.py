@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
+
 ImageArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
-SATURATED_BRIGHTNESS = 255.0
-# Brightness of the brightest pixel that is not saturated: `edge_kernel` takes pixels above 250 for saturated.
-_MAX_VALID_BRIGHTNESS = 249.0
+# Brightness of saturated pixels, and the largest of others: safely below what counts as saturated.
+_SATURATED_MARK = 255.0
+_MAX_VALID_BRIGHTNESS = SATURATED_BRIGHTNESS - 1.0
 # Weights of red, green and blue in the luma (ITU-R BT.601).
 _RGB_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 # An 8-bit image is stretched if its bright end, the upper percentile below, is under the first of these;
@@ -73,7 +75,7 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
         out = np.clip((out - np.float32(base)) * np.float32(scale), 0.0, _MAX_VALID_BRIGHTNESS)
         if not high > low:
             saturated[:] = False
-    out[saturated] = SATURATED_BRIGHTNESS
+    out[saturated] = _SATURATED_MARK
     return np.asarray(out, dtype=np.float32)
 
 

@@ -4,14 +4,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.vision.image_sampling import bicubic
+from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, bicubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
-# Brightness, of 255, above which a pixel counts as saturated.
-_SATURATED_BRIGHTNESS = 250.0
 # Width of the second smoothing over that of the first: the crossing's displacement between them is observed.
 _SECOND_SMOOTHING_FACTOR = 2.2
 # Share of a rim's largest slope contrast below which errors of the reference brightness and of the rim's own
@@ -195,7 +193,7 @@ def trace_rim(
         brightest = 0.0
         for j in range(int(where) - n_side, int(where) + n_side + 2):
             brightest = max(brightest, reference * (1.0 + sign * raw[j]))
-        if brightest > _SATURATED_BRIGHTNESS:
+        if brightest > SATURATED_BRIGHTNESS:
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
         shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast)

@@ -55,6 +55,7 @@ class FitOptions:
         Lower bound of the points' standard deviation: keeps perfect points from an infinite weight.
     floor_px, floor_share : float
         Systematic floor, the standard deviation of centre, semi-axes and rotation: floor_px + floor_share b.
+        Fitted by `craternav_fg.calibration.rim_floor`.
     outline_share : float
         Expected root mean square deviation of a rim from an ellipse, in radii. How much the rim deviates is
         then estimated, and is uncertainty of its unseen parts. 0: rims are ellipses.

@@ -12,13 +12,12 @@ from craternav_fg.ellipse import whiten_kernel
 from craternav_fg.vision.dense_kernel import factorised, inverse_block, ordered, solved
 from craternav_fg.vision.ellipse_bias import PSI_VARIANCE, second_order_bias
 from craternav_fg.vision.ellipse_distance import signed_distance
+from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 
 FloatArray = npt.NDArray[np.float64]
 
 # Cut-off of Tukey's biweight in standard deviations: 95 % efficiency under Gaussian errors.
 _TUKEY_SIGMAS = 4.685
-# Standard deviation of a Gaussian over its median absolute deviation.
-_MAD_TO_SIGMA = 1.4826
 # Iterations under Cauchy's weights, which only down-weight; up to which the scale follows the residuals; up
 # to which the weights do; and in all. Numerics: enough for convergence, few enough against cycles.
 _CAUCHY_ITERATIONS = 5
@@ -175,7 +174,7 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
         power += min(abs(r[i]), _TUKEY_SIGMAS * sigma) ** 2
         if i > 0:
             jump[i - 1] = abs(r[i] - r[i - 1])
-    own = 0.5 * (_MAD_TO_SIGMA * ordered(jump)[(count - 1) // 2]) ** 2
+    own = 0.5 * (MAD_TO_SIGMA * ordered(jump)[(count - 1) // 2]) ** 2
     N, _ = _normal_equations(rows, m, r, base, np.ones(count))
     ellipse = np.ascontiguousarray(N[:5, :5])
     L = np.zeros((5, 5))
@@ -270,7 +269,7 @@ def fit(
             r[i] = d[i] * np.sqrt(base[i])
         # The scale is a median: with a scale that keeps changing, the weights may cycle for ever.
         if iteration < _SCALE_ITERATIONS:
-            sigma = max(_MAD_TO_SIGMA * ordered(np.abs(r))[count // 2], min_scatter)
+            sigma = max(MAD_TO_SIGMA * ordered(np.abs(r))[count // 2], min_scatter)
         for i in range(count):
             t = r[i] / (_TUKEY_SIGMAS * sigma)
             # The first weights are never zero: a poor start must not reject good points. The last iterations

@@ -4,12 +4,14 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from craternav_fg.vision.robust_scale import robust_sigma
+
 ImageArray = npt.NDArray[np.float32]
 
+# Brightness, of 255, above which a pixel counts as saturated.
+SATURATED_BRIGHTNESS = 250.0
 # Rows that the noise is estimated from: enough for a median.
 _NOISE_ROWS = 128
-# Standard deviation of a Gaussian over its median absolute deviation.
-_MAD_TO_SIGMA = 1.4826
 # Standard deviation of the difference operator's response to white noise of standard deviation 1.
 _OPERATOR_GAIN = 6.0
 
@@ -32,7 +34,7 @@ def noise_level(image: ImageArray) -> float:
     rows = np.arange(1, image.shape[0] - 1, max(1, image.shape[0] // _NOISE_ROWS))
     second = [image[rows + d, :-2] - 2.0 * image[rows + d, 1:-1] + image[rows + d, 2:] for d in (-1, 0, 1)]
     response = second[0] - 2.0 * second[1] + second[2]
-    return float(np.median(np.abs(response)) * _MAD_TO_SIGMA / _OPERATOR_GAIN)
+    return robust_sigma(response) / _OPERATOR_GAIN
 
 
 @njit(cache=True, error_model="numpy")

@@ -6,7 +6,8 @@ import numpy.typing as npt
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.photometry import level_ground
-from craternav_fg.vision.image_sampling import noise_level
+from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, noise_level
+from craternav_fg.vision.robust_scale import robust_sigma
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -14,12 +15,10 @@ FloatArray = npt.NDArray[np.float64]
 MIN_REFERENCE_BRIGHTNESS = 6.0
 # Blocks along the shorter side of an image, at least, and blocks of lit ground that determine a quadratic.
 _MIN_BLOCKS_PER_SIDE, _MIN_BLOCKS_QUADRATIC = 6, 24
-# Blocks count if the photometric law gives them at least this brightness (1 at the zenith), and their own
-# median, of 255, is below saturation.
-_MIN_LAW, _SATURATED_BRIGHTNESS = 0.02, 250.0
-# Iterations of the robust fit, its cut-off in standard deviations, and the standard deviation of a Gaussian
-# over its median absolute deviation.
-_ITERATIONS, _CUTOFF_SIGMAS, _MAD_TO_SIGMA = 10, 3.0, 1.4826
+# Blocks count if the photometric law gives them at least this brightness, which is 1 at the zenith.
+_MIN_LAW = 0.02
+# Iterations of the robust fit, and its cut-off in standard deviations.
+_ITERATIONS, _CUTOFF_SIGMAS = 10, 3.0
 
 
 class ReferenceBrightness:
@@ -72,7 +71,7 @@ class ReferenceBrightness:
         view = gTc[:3, 3] - ground
         view /= np.linalg.norm(view, axis=-1, keepdims=True)
         law, _ = level_ground(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
-        keep = hit & (law > _MIN_LAW) & (median < _SATURATED_BRIGHTNESS)
+        keep = hit & (law > _MIN_LAW) & (median < SATURATED_BRIGHTNESS)
         self._coefficients = np.zeros(6)
         ratio = median[keep] / law[keep]
         if len(ratio) >= _MIN_BLOCKS_QUADRATIC:
@@ -107,7 +106,7 @@ def _robust_quadratic(A: FloatArray, values: FloatArray) -> FloatArray:
     for _ in range(_ITERATIONS):
         out = np.asarray(np.linalg.lstsq(A * weight[:, None], values * weight, rcond=None)[0], np.float64)
         residual = values - A @ out
-        scale = _MAD_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-12
+        scale = robust_sigma(residual) + 1e-12
         t = residual / (_CUTOFF_SIGMAS * scale)
         weight = np.where(np.abs(t) < 1.0, 1.0 - t * t, 0.0)
     return out

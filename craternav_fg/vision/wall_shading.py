@@ -13,6 +13,8 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.photometry import level_ground
+from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
+from craternav_fg.vision.robust_scale import robust_sigma
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -22,12 +24,10 @@ _WALL_RING_RADII = np.array([0.6, 0.7, 0.8])
 _RING_ANGLES_RAD = 2.0 * np.pi * (np.arange(48) + 0.5) / 48.0
 # Scatter of single craters' directions that is expected before they are seen, rad, and its weight in craters.
 _PRIOR_SCATTER_RAD, _PRIOR_SCATTER_COUNT = float(np.deg2rad(2.0)), 3.0
-# Brightness, of 255, above which a pixel is saturated, and the largest share of a wall that may be: like a
-# shadow, saturation is symmetric about the illumination direction.
-_SATURATED_BRIGHTNESS, _MAX_SATURATED_SHARE = 250.0, 0.35
-# Iterations of the robust mean, its scale in standard deviations, and the standard deviation of a Gaussian
-# over its median absolute deviation.
-_ITERATIONS, _SCALE_SIGMAS, _MAD_TO_SIGMA = 10, 2.0, 1.4826
+# Largest saturated share of a wall: like a shadow, saturation is symmetric about the illumination direction.
+_MAX_SATURATED_SHARE = 0.35
+# Iterations of the robust mean, and its scale in standard deviations.
+_ITERATIONS, _SCALE_SIGMAS = 10, 2.0
 
 
 def sun_azimuth_offset(
@@ -74,7 +74,7 @@ def sun_azimuth_offset(
     along = -a * np.mean(value * np.tile(c, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 0]
     along -= b * np.mean(value * np.tile(s, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 1]
     offset = np.arctan2(np.sum(np.cross(contrast, along) * normals, axis=1), np.sum(contrast * along, axis=1))
-    saturated = np.mean(value > _SATURATED_BRIGHTNESS, axis=1)
+    saturated = np.mean(value > SATURATED_BRIGHTNESS, axis=1)
     offset = offset[
         np.isfinite(offset) & (saturated < _MAX_SATURATED_SHARE) & (np.linalg.norm(contrast, axis=1) > 0.0)
     ]
@@ -85,7 +85,7 @@ def sun_azimuth_offset(
     off = np.angle(np.exp(1j * (offset - middle)))
     best, scatter = 0.0, 0.0
     for _ in range(_ITERATIONS):
-        found = _MAD_TO_SIGMA * float(np.median(np.abs(off - best)))
+        found = robust_sigma(off - best)
         scatter = float(
             np.sqrt(
                 (len(off) * found**2 + _PRIOR_SCATTER_COUNT * _PRIOR_SCATTER_RAD**2)

@@ -32,7 +32,8 @@ class CorrelatedErrorOptions:
     """Size of the errors of rims that are correlated over frames or over rims.
 
     All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
-    unless they are shares of a variance.
+    unless they are shares of a variance. Fitted by `craternav_fg.calibration.correlated_errors`, the last two
+    by `craternav_fg.calibration.arcs`; `excess_white_share` is chosen.
 
     Attributes
     ----------

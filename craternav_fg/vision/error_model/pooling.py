@@ -22,7 +22,7 @@ from craternav_fg.vision.error_model.correlated import in_plane_slopes
 FloatArray = npt.NDArray[np.float64]
 
 # Weight, in frames, of the mean covariance of a frame's rims in the pool of a crater that is new: one frame
-# tells the covariance of a single rim poorly.
+# determines that of a single rim poorly. Chosen, see `craternav_fg.calibration.pooling`.
 PRIOR_FRAMES = 2.0
 
 
@@ -35,7 +35,8 @@ class PoolingOptions:
     min_outline_share : float
         Rims are pooled in frames whose median rim deviates by more than this from an ellipse, in radii.
     memory : float
-        Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e.
+        Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e. Fitted by
+        `craternav_fg.calibration.pooling`.
     """
 
     min_outline_share: float = 0.003
