@@ -14,7 +14,7 @@ def robust_sigma(deviations: FloatArray) -> float:
 
     Parameters
     ----------
-    deviations : ndarray, shape (...)
+    deviations : ndarray, shape (n,) or (m, n)
         In any unit; at least one.
 
     Returns
