@@ -1,7 +1,7 @@
 """Linear algebra of small covariances whose unknowns differ by orders of magnitude, and orthonormal triads.
 
-Radians beside metres cost half the digits of an inverse. So matrices are scaled to a unit diagonal before
-they are factored or inverted, and the result is scaled back.
+Radians stand beside metres. So matrices are scaled to a unit diagonal before they are factored or inverted,
+and the result is scaled back: it does not depend on the units of the unknowns.
 """
 
 import numpy as np

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from craternav_fg.linalg import (
@@ -54,6 +54,18 @@ def test_inverses_keep_their_digits_whatever_the_units() -> None:
         expected = exact_inverse(C)
         size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         assert_allclose(one / size, expected / size, atol=1e-12)
+
+
+def test_results_do_not_depend_on_units() -> None:
+    """Units that differ by powers of two change no digit."""
+    C = covariances()
+    units = 2.0 ** np.array([30, -20, 7, 0, -41, 12])
+    scale = units[:, None] * units
+    r = np.random.default_rng(7).standard_normal((4, 6))
+    assert_array_equal(scaled_inverse(C * scale) * scale, scaled_inverse(C))
+    assert_array_equal(square_root(C * scale) / units[:, None], square_root(C))
+    assert_array_equal(whitening(C * scale) * units, whitening(C))
+    assert_array_equal(squared_distance(r * units, C * scale), squared_distance(r, C))
 
 
 def test_roots_and_whitening() -> None:
