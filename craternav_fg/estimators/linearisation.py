@@ -144,7 +144,7 @@ def _conic_jacobians(rims: RimSet) -> FloatArray:
 def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     # The rows of eq. (19) differ by the square of a length in metres.
     W = whitening(covariance)
-    return W @ H, np.einsum("nij,nj->ni", W, innovation)
+    return W @ H, (W @ innovation[:, :, None])[:, :, 0]
 
 
 def linearise_arcs(

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import FrameMeasurement
 from factors.kernels import conic
 
@@ -70,7 +69,9 @@ def noise_inflation(
         measurement's influence as Huber's loss does.
     """
     predicted = A @ covariance @ np.swapaxes(A, 1, 2)
-    squared = squared_distance(residual, predicted + np.eye(A.shape[1]))
+    # Whitened: no scaling is needed.
+    solved = np.linalg.solve(predicted + np.eye(A.shape[1]), residual[:, :, None])[:, :, 0]
+    squared = np.sum(residual * solved, axis=1)
     factor = np.ones(len(A))
     for i in np.flatnonzero(squared > limit * limit):
         values, vectors = np.linalg.eigh(predicted[i])

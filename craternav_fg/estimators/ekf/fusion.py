@@ -65,7 +65,9 @@ def fuse_updates(
         prior = 1.0
         gain /= count
         vector /= count
-    inverse = whitening(prior * np.eye(k) + gain)
+    # Whitened coordinates need no scaling. The inverse of a small factor, not a triangular solve: LAPACK's
+    # starts threads whatever the size.
+    inverse = np.linalg.inv(np.linalg.cholesky(prior * np.eye(k) + gain))
     root = L / np.sqrt(prior)
     root[:, :k] = L[:, :k] @ inverse.T
     delta = root[:, :k] @ (inverse @ vector)
