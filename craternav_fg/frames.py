@@ -201,6 +201,44 @@ def latitude_longitude(gP: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.arctan2(P[..., 2], np.hypot(P[..., 0], P[..., 1])), np.arctan2(P[..., 1], P[..., 0])
 
 
+def cross_matrix(v: FloatArray) -> FloatArray:
+    """Make the matrices that multiply like a cross product from the left.
+
+    Parameters
+    ----------
+    v : ndarray, shape (..., 3)
+        In any unit and any axes.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        [v]x with [v]x u = v x u, in the unit and axes of v.
+    """
+    x, y, z = np.moveaxis(np.asarray(v), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def adjoint(T: FloatArray) -> FloatArray:
+    """Compute the adjoint of a pose, which takes twists from one frame to another.
+
+    Parameters
+    ----------
+    T : ndarray, shape (4, 4)
+        Pose aTb of frame b in a.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        A with w_a = A w_b, right twists [w, rho] of gTa and of gTb = gTa aTb for the same motion, rad and m.
+    """
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = T[:3, :3]
+    out[3:, :3] = cross_matrix(T[:3, 3]) @ T[:3, :3]
+    return out
+
+
 def right_jacobian(w: FloatArray) -> FloatArray:
     """Differentiate the exponential of a rotation vector from the right.
 
@@ -215,7 +253,7 @@ def right_jacobian(w: FloatArray) -> FloatArray:
         J with exp(w + d) = exp(w) exp(J d) for small d.
     """
     angle2 = float(w @ w)
-    W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    W = cross_matrix(w)
     if angle2 < _SMALL_ANGLE_RAD**2:
         return np.asarray(np.eye(3) - 0.5 * W + W @ W / 6.0)
     angle = np.sqrt(angle2)

@@ -5,7 +5,10 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.errors import EstimationError
 from craternav_fg.linalg import squared_distance
+from factors import validation
+from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -253,6 +256,30 @@ class ArcSet:
             for sigma, shared in zip(self.sigmas, self.correlated_sigmas, strict=True)
         )
         return ArcSet(self.craters, self.points, sigmas)
+
+
+@dataclass(frozen=True)
+class KnownAttitude:
+    """Attitude of the body from another sensor, such as a star tracker.
+
+    Attributes
+    ----------
+    gRb : ndarray, shape (3, 3)
+        Rotation from b to g.
+    sigma_rad : float
+        Standard deviation about each axis of b; 0 takes the attitude as exact.
+    """
+
+    gRb: FloatArray
+    sigma_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "gRb", validation.rotation("attitude.gRb", self.gRb))
+        except FactorError as error:
+            raise EstimationError(str(error)) from None
+        if not (np.isfinite(self.sigma_rad) and self.sigma_rad >= 0.0):
+            raise EstimationError(f"attitude.sigma_rad: expected 0 or more, found {self.sigma_rad}")
 
 
 @dataclass(frozen=True)

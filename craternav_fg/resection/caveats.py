@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.resection import bounds
-from craternav_fg.resection.problem import ResectionProblem, StaticPose
+from craternav_fg.resection.problem import PoseSolution, ResectionProblem
 from craternav_fg.resection.solve_kernel import normal_equations
 from factors.kernels.gauss_newton import screw
 from factors.kernels.packed import CRATER, HEADER
@@ -20,13 +20,13 @@ _STEPS = np.array([-2.0, -1.0, 1.0, 2.0])
 _POWERS = 20
 
 
-def caveats(problem: ResectionProblem, poses: Sequence[StaticPose]) -> tuple[str, ...]:
+def caveats(problem: ResectionProblem, poses: Sequence[PoseSolution]) -> tuple[str, ...]:
     """Say what is weak about the poses of a problem, one line each.
 
     Parameters
     ----------
     problem : ResectionProblem
-    poses : sequence of StaticPose
+    poses : sequence of PoseSolution
         With their covariances.
     """
     out = []
@@ -43,7 +43,7 @@ def caveats(problem: ResectionProblem, poses: Sequence[StaticPose]) -> tuple[str
     return tuple(out)
 
 
-def departure(problem: ResectionProblem, pose: StaticPose) -> float:
+def departure(problem: ResectionProblem, pose: PoseSolution) -> float:
     """Largest difference of the squared norm from its parabola, one and two weakest sigmas away."""
     prior, weight = bounds.prior_arrays(problem)
     return _departure(

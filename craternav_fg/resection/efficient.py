@@ -11,7 +11,7 @@ import numpy.typing as npt
 from craternav_fg.resection import bounds
 from craternav_fg.resection.bounds import MAX_SIGMA
 from craternav_fg.resection.caveats import caveats
-from craternav_fg.resection.problem import ResectionProblem, ResectionResult, StaticPose, Status
+from craternav_fg.resection.problem import PoseSolution, ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.solve_kernel import distance2, invert, minimise, solutions
 from factors.kernels.validity import UNSEEN
 
@@ -230,8 +230,8 @@ def _that_matter(shares: FloatArray, apart2: FloatArray, options: SolveOptions) 
 def _poses(
     problem: ResectionProblem, gTb: FloatArray, covariances: FloatArray, costs: FloatArray,
     shares: FloatArray,
-) -> tuple[StaticPose, ...]:  # fmt: skip
+) -> tuple[PoseSolution, ...]:  # fmt: skip
     return tuple(
-        StaticPose(T, covariance, problem.rims.residuals(T, problem.bTc), float(cost), float(share))
+        PoseSolution(T, covariance, problem.rims.residuals(T, problem.bTc), float(cost), float(share))
         for T, covariance, cost, share in zip(gTb, covariances, costs, shares, strict=True)
     )

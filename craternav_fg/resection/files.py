@@ -17,15 +17,14 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.ellipses import MatchedEllipses, read_matched_ellipses
 from craternav_fg.dataset.measurements import ground_sun_direction
 from craternav_fg.ellipse import chart_of_axes, normalised_chart
-from craternav_fg.measurements import SunTilt
+from craternav_fg.measurements import KnownAttitude, SunTilt
 from craternav_fg.resection.edge_fit import fit_covariance
 from craternav_fg.resection.problem import (
-    KnownAttitude,
     MatchedRims,
+    PoseSolution,
+    ResectionError,
     ResectionProblem,
     ResectionResult,
-    StaticError,
-    StaticPose,
     Status,
 )
 
@@ -105,13 +104,13 @@ def resection_problem(
 
     Raises
     ------
-    StaticError
+    ResectionError
         For a quaternion or a direction of no length, and a standard deviation out of range.
     """
     least, most = _SIGMA_RANGE_DEG
     for name, sigma in (("attitude", attitude_sigma_deg or least), ("sun", sun[1] if sun else least)):
         if not least <= sigma <= most:
-            raise StaticError(
+            raise ResectionError(
                 f"{name}: expected a standard deviation of {least:g} to {most:g} deg, found {sigma:g}"
             )
     known = None
@@ -133,7 +132,7 @@ def _direction(expected: str, values: Sequence[float]) -> FloatArray:
     v = np.array(values)
     largest = np.abs(v).max()
     if not largest > 0.0:
-        raise StaticError(f"{expected}, found zero")
+        raise ResectionError(f"{expected}, found zero")
     # First to about one: the squares of large and small numbers overflow.
     v /= largest
     return np.asarray(v / np.linalg.norm(v))
@@ -155,7 +154,7 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body
     }
 
 
-def _pose(problem: ResectionProblem, pose: StaticPose, body: Body) -> dict[str, Any]:
+def _pose(problem: ResectionProblem, pose: PoseSolution, body: Body) -> dict[str, Any]:
     gP = pose.gTb[:3, 3]
     latitude, longitude = frames.latitude_longitude(gP)
     return {

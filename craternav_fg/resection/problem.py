@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import CraternavError
-from craternav_fg.measurements import RimSet, SunTilt
+from craternav_fg.measurements import KnownAttitude, RimSet, SunTilt
 from factors import validation
 from factors.errors import FactorError
 from factors.kernels import packed
@@ -25,7 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
-class StaticError(CraternavError):
+class ResectionError(CraternavError):
     """A static problem is posed wrongly: a value is not what it must be; the text says which."""
 
 
@@ -35,7 +35,7 @@ def _as_static_error() -> Iterator[None]:
     try:
         yield
     except FactorError as error:
-        raise StaticError(str(error)) from None
+        raise ResectionError(str(error)) from None
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class MatchedRims:
         n = len(self.identifiers)
         repeated = [name for k, name in enumerate(self.identifiers) if name in self.identifiers[:k]]
         if repeated:
-            raise StaticError(f"crater {repeated[0]!r} is matched to more than one rim")
+            raise ResectionError(f"crater {repeated[0]!r} is matched to more than one rim")
         shapes = {"centres": (n, 3), "chart": (n, 5), "covariance": (n, 5, 5)}
         with _as_static_error():
             for name, shape in shapes.items():
@@ -144,29 +144,6 @@ class PosePrior:
 
 
 @dataclass(frozen=True)
-class KnownAttitude:
-    """Attitude of the body, from a star tracker.
-
-    Attributes
-    ----------
-    gRb : ndarray, shape (3, 3)
-        Rotation from b to g.
-    sigma_rad : float
-        Standard deviation about each body axis; 0 takes the attitude as exact, and the covariance of
-        the pose is then that of the position alone.
-    """
-
-    gRb: FloatArray
-    sigma_rad: float = 0.0
-
-    def __post_init__(self) -> None:
-        with _as_static_error():
-            object.__setattr__(self, "gRb", validation.rotation("attitude.gRb", self.gRb))
-        if not (np.isfinite(self.sigma_rad) and self.sigma_rad >= 0.0):
-            raise StaticError(f"attitude.sigma_rad: expected 0 or more, found {self.sigma_rad}")
-
-
-@dataclass(frozen=True)
 class ResectionProblem:
     """One image's rims and what is known beside them.
 
@@ -191,7 +168,7 @@ class ResectionProblem:
         with _as_static_error():
             object.__setattr__(self, "bTc", validation.pose("bTc", self.bTc))
         if self.prior is not None and self.attitude is not None:
-            raise StaticError("expected a prior or a known attitude, found both")
+            raise ResectionError("expected a prior or a known attitude, found both")
         if self.sun is not None and not (
             self.sun.sigma_rad > 0.0
             and np.isfinite(
@@ -199,7 +176,7 @@ class ResectionProblem:
             ).all()
             and np.linalg.norm(self.sun.direction) > 0.0
         ):
-            raise StaticError("sun: expected finite numbers, a positive sigma and a direction")
+            raise ResectionError("sun: expected finite numbers, a positive sigma and a direction")
 
 
 class Status(Enum):
@@ -214,7 +191,7 @@ class Status(Enum):
 
 
 @dataclass(frozen=True)
-class StaticPose:
+class PoseSolution:
     """One pose that explains the image.
 
     Attributes
@@ -252,7 +229,7 @@ class ResectionResult:
     status : Status
     reason : str
         One line that says why, when the status is not `SOLVED`.
-    poses : tuple of StaticPose
+    poses : tuple of PoseSolution
         All distinct ones, the most probable first; of `UNDETERMINED`, samples of a continuum. Empty
         when there is none.
     wrong : tuple of str
@@ -264,7 +241,7 @@ class ResectionResult:
 
     status: Status
     reason: str
-    poses: tuple[StaticPose, ...]
+    poses: tuple[PoseSolution, ...]
     wrong: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -274,14 +251,14 @@ class ResectionResult:
         return self.status is Status.SOLVED
 
     @property
-    def pose(self) -> StaticPose:
+    def pose(self) -> PoseSolution:
         """The pose.
 
         Raises
         ------
-        StaticError
+        ResectionError
             When the problem is not solved.
         """
         if not self.solved:
-            raise StaticError(f"no pose: {self.reason}")
+            raise ResectionError(f"no pose: {self.reason}")
         return self.poses[0]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from craternav_fg.resection import bounds
 from craternav_fg.resection.efficient import SolveOptions, solve
-from craternav_fg.resection.problem import ResectionProblem, ResectionResult, StaticPose, Status
+from craternav_fg.resection.problem import PoseSolution, ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.robust_kernel import consensus, distances2
 
 BoolArray = npt.NDArray[np.bool_]
@@ -109,7 +109,7 @@ def _settle(
     return result, members
 
 
-def _of_all(problem: ResectionProblem, pose: StaticPose) -> StaticPose:
+def _of_all(problem: ResectionProblem, pose: PoseSolution) -> PoseSolution:
     return replace(pose, residuals=problem.rims.residuals(pose.gTb, problem.bTc))
 
 

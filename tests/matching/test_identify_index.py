@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.errors import InputError
-from craternav_fg.matching.identify import tree
+from craternav_fg.matching.identify import kd_tree
 from craternav_fg.matching.identify.craters import density
 from craternav_fg.matching.identify.triple_index import SMALLEST, TripleIndex, load_or_build
 from craternav_fg.simulation.catalog_views import synthetic_catalog
@@ -16,14 +16,20 @@ def index() -> TripleIndex:
     return TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(2), count=3000))
 
 
+def assert_same(one: TripleIndex, other: TripleIndex) -> None:
+    np.testing.assert_array_equal(one.neighbours, other.neighbours)
+    for a, b in zip(one.tree, other.tree, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_the_tree_finds_the_nearest_points(index) -> None:
-    t = index.triples
+    t = index.tree
     rng = np.random.default_rng(3)
     weights = np.array([1 / 600.0, 1 / 400.0, 1 / 900.0, 1 / 300.0, 1 / 500.0])
     d2, codes = np.empty(20), np.empty(20, dtype=np.uint32)
     for row in rng.integers(len(t.points), size=40):
         query = t.points[row] + rng.normal(size=5) / weights
-        count = tree.nearest(t.points, t.codes, t.dims, t.splits, t.levels, query, weights, 16.0, d2, codes)
+        count = kd_tree.nearest(t, query, weights, 16.0, d2, codes)
         every = np.sum(((t.points - query) * weights) ** 2, axis=1)
         nearest = np.argsort(every)[:20]
         nearest = nearest[every[nearest] < 16.0]
@@ -39,7 +45,7 @@ def test_neighbours_are_the_nearest_of_their_size(index) -> None:
         others = others[others != crater]
         centres = index.catalog.centres
         far = np.linalg.norm(centres[others] - centres[crater], axis=1)
-        found = index.triples.neighbours[crater]
+        found = index.neighbours[crater]
         found = found[found >= 0]
         # A few of the last may be missing: those beyond what one question to the tree of their size gives.
         assert len(found) >= min(7, len(others))
@@ -56,13 +62,11 @@ def test_density_is_the_catalogues_over_its_sphere(index) -> None:
 def test_the_index_comes_back_from_its_file(index, tmp_path) -> None:
     path = tmp_path / "index.npz"
     first, said = load_or_build(path, index.catalog)
-    assert said == f"{path}: none yet: built"
+    assert said == f"{path}: file is missing; built anew"
     again, said = load_or_build(path, index.catalog)
     assert said == ""
-    for name in ("neighbours", "points", "codes", "dims", "splits"):
-        np.testing.assert_array_equal(getattr(again.triples, name), getattr(first.triples, name))
-    assert again.triples.levels == first.triples.levels
-    assert path.stat().st_size < 1.1 * again.triples.nbytes + 10_000
+    assert_same(again, first)
+    assert path.stat().st_size < 1.1 * again.nbytes + 10_000
 
 
 def test_the_index_of_another_catalogue_is_built_anew(index, tmp_path) -> None:
@@ -72,8 +76,8 @@ def test_the_index_of_another_catalogue_is_built_anew(index, tmp_path) -> None:
     with pytest.raises(InputError, match="is the index of another catalogue"):
         TripleIndex.load(path, other)
     fresh, said = load_or_build(path, other)
-    assert said == f"{path}: is the index of another catalogue: built"
-    assert len(fresh.triples.neighbours) == 1000
+    assert said == f"{path}: is the index of another catalogue; built anew"
+    assert len(fresh.neighbours) == 1000
     assert load_or_build(path, other)[1] == ""
 
 
@@ -82,7 +86,7 @@ def test_the_index_of_another_version_is_built_anew(index, tmp_path, monkeypatch
     monkeypatch.setattr("craternav_fg.matching.identify.triple_index.VERSION", 77)
     index.save(path)
     monkeypatch.undo()
-    assert "expected an index of version 1, found 77: built" in load_or_build(path, index.catalog)[1]
+    assert "expected an index of version 1, found 77; built anew" in load_or_build(path, index.catalog)[1]
 
 
 @pytest.mark.parametrize("content", [b"", b"no index", b"PK\x03\x04 cut off"])
@@ -105,12 +109,11 @@ def test_a_damaged_index_is_refused_or_right(index, tmp_path) -> None:
         damaged[place] ^= int(rng.integers(1, 256))
         path.write_bytes(damaged)
         try:
-            found = TripleIndex.load(path, index.catalog).triples
+            found = TripleIndex.load(path, index.catalog)
         except InputError:
             refused += 1
             continue
-        for name in ("neighbours", "points", "codes", "dims", "splits"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(index.triples, name))
+        assert_same(found, index)
     assert refused > 100
 
 
@@ -119,7 +122,7 @@ def test_an_index_that_cannot_be_stored_is_used_all_the_same(index, tmp_path) ->
     folder.mkdir()
     built, said = load_or_build(folder, index.catalog)
     assert "not stored" in said
-    assert len(built.triples.codes) == len(index.triples.codes)
+    assert len(built.tree.codes) == len(index.tree.codes)
 
 
 def test_catalogues_of_few_craters(index) -> None:

@@ -73,7 +73,7 @@ def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, mon
     kept = tmp_path / f"{layout.LARGE_CRATERS}.index.npz"
     assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
     assert kept.is_file()
-    assert relocaliser.index_note == f"{kept}: none yet: built"
+    assert relocaliser.index_note == f"{kept}: file is missing; built anew"
     monkeypatch.setattr(TripleIndex, "build", lambda catalog: pytest.fail("built again"))
     np.testing.assert_array_equal(Relocaliser(data).locate(0).gTb, first.gTb)
 

@@ -6,9 +6,10 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_covariance, pixel_chart, points_and_normals
+from craternav_fg.measurements import KnownAttitude
 from craternav_fg.resection.bounds import cramer_rao
 from craternav_fg.resection.edge_fit import fit_covariance, fit_edges
-from craternav_fg.resection.problem import KnownAttitude, MatchedRims, PosePrior, ResectionProblem
+from craternav_fg.resection.problem import MatchedRims, PosePrior, ResectionProblem
 from factors.kernels.conic import project_rims
 from tests.resection.scenes import CAMERA, camera_pose, level_axes
 

@@ -12,7 +12,7 @@ import pytest
 
 from craternav_fg.resection.bounds import cramer_rao
 from craternav_fg.resection.efficient import SolveOptions, refine, solve
-from craternav_fg.resection.problem import StaticPose, Status
+from craternav_fg.resection.problem import PoseSolution, Status
 from tests.resection.scenes import Scene, make_scene
 
 # 1 in 1e6 of chi-square variables of 6 degrees of freedom lies above.
@@ -42,7 +42,7 @@ class Trials:
         return float(np.sqrt(self.squared_m2[of].mean() / self.bound_m2[of].mean()))
 
 
-def nees(scene: Scene, pose: StaticPose) -> float:
+def nees(scene: Scene, pose: PoseSolution) -> float:
     error = gtsam.Pose3(pose.gTb).localCoordinates(gtsam.Pose3(scene.gTb))
     return float(error @ np.linalg.solve(pose.covariance, error))
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from craternav_fg.ellipse import chart_covariance
+from craternav_fg.measurements import KnownAttitude
 from craternav_fg.resection.efficient import solve
-from craternav_fg.resection.problem import KnownAttitude, MatchedRims, ResectionProblem, Status
+from craternav_fg.resection.problem import MatchedRims, ResectionProblem, Status
 from craternav_fg.resection.robust import RobustOptions, solve_robustly
 from factors.kernels.conic import project_rims
 from tests.resection.scenes import CAMERA, Scene, bTc, camera_pose, level_axes, make_scene, on_ground

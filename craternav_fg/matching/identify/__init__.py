@@ -1,1 +1,25 @@
-"""Identification without a prior: which catalogue crater is each rim, and where it was seen from."""
+"""Crater identification without a prior pose: which catalogue crater each rim is, and where the camera was.
+
+Input are the ellipses of one image and a catalogue. The position is unknown; the attitude may be known.
+The algorithm, in order, with the module of each step:
+
+1. `triple_index`: once per catalogue, each crater is grouped with pairs of its nearest neighbours of at least
+   its size. Two side lengths and three sizes, over the perimeter, describe such a triple; they depend neither
+   on scale nor on rotation. A k-d tree (`kd_tree`) holds all triples.
+2. `view`: the ellipses are undistorted and described by directions, sizes and ellipse charts.
+3. `nadir`: most craters are nearly circular, so the common foreshortening of the rims shows the vertical.
+4. `triple_search`: with the vertical, rims are projected to the sphere up to scale. Triples of neighbouring
+   rims are looked up in the index; each hit gives the altitude and a rotation, thus a pose (`hypothesis`).
+   The pose is scored by how many further rims it puts on craters of their size; the best poses are kept.
+5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when
+   triples gave no answer.
+6. `expand`: the best poses are refined by Gauss-Newton (`pose_fit`) on all rims that they explain, and rims
+   and craters are associated anew, until the pairs no longer change. The noise of the rims is estimated
+   from their residuals (`noise`).
+7. `evidence`: the pose is believed when so many agreeing rims are improbable by chance over all poses that
+   were searched. Two poses of similar evidence are ambiguous.
+8. `refine`: the pose that is returned and its covariance are averaged over the unknown noise.
+
+`search` runs these steps (`search.identify`); `options` and `result` say what it takes and returns; `craters`
+holds the catalogue as compiled code takes it.
+"""

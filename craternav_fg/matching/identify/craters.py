@@ -1,4 +1,4 @@
-"""The catalogue's craters as identification takes them: arrays for compiled code."""
+"""Craters of a catalogue as identification uses them: arrays for compiled code."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from craternav_fg.catalogs.model import Catalog
 
 FloatArray = npt.NDArray[np.float64]
 
-# Step of the table of densities in the logarithm of the size: within a step the density is linear.
+# Step of the table of densities in the logarithm of the size; the table is interpolated.
 _LOG_SIZE_STEP = 0.05
 
 
 class Craters(NamedTuple):
-    """The n craters of a catalogue; arrays are in the catalogue's order."""
+    """The n craters of a catalogue, in its order; `Catalog.index` finds them by place and size."""
 
     centres: FloatArray
     """Rim centres in g, m, shape (n, 3)."""
@@ -26,16 +26,20 @@ class Craters(NamedTuple):
     least_log_size: float
     """The smallest of them."""
     larger_per_sr: FloatArray
-    """Craters per steradian that are larger than `least_log_size` + k `_LOG_SIZE_STEP`, shape (steps,)."""
+    """Number per steradian of craters above `least_log_size` + k `_LOG_SIZE_STEP`, shape (steps,)."""
 
 
 def craters_of(catalog: Catalog) -> Craters:
-    """Take the craters of a catalogue.
+    """Collect the craters of a catalogue.
 
     Parameters
     ----------
     catalog : Catalog
-        Of at least one crater.
+        At least one crater.
+
+    Returns
+    -------
+    Craters
     """
     log_size = log_sizes(catalog)
     least, most = float(log_size.min()), float(log_size.max())
@@ -47,13 +51,30 @@ def craters_of(catalog: Catalog) -> Craters:
 
 
 def log_sizes(catalog: Catalog) -> FloatArray:
-    """Natural logarithms (n,) of the geometric mean of the craters' semi-axes in m."""
+    """Compute the sizes of craters.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Natural logarithms of the geometric mean of the semi-axes in m.
+    """
     return np.asarray(0.5 * np.log(catalog.semi_major_m * catalog.semi_minor_m))
 
 
 @njit(cache=True, error_model="numpy")
 def density(craters: Craters, least: float, most: float) -> float:
-    """Craters per steradian, averaged over the body, of log sizes between two."""
+    """Craters per steradian in an interval of sizes, averaged over the body.
+
+    Parameters
+    ----------
+    craters : Craters
+    least, most : float
+        Natural logarithms of the geometric mean of the semi-axes in m.
+    """
     last = craters.larger_per_sr.shape[0] - 1
     total = 0.0
     for k in range(2):

@@ -1,8 +1,11 @@
-"""A hypothetical pose of the camera, and how many other rims it puts on craters of their size.
+"""A hypothetical pose of the camera, and its score by the rims that it puts on craters of their size.
 
-A hypothesis is an array (`HYPOTHESIS`,): the score, gRc by rows, gPc, the sphere's radius there, and the rims
-and craters that it was made of, three at most, -1 for none.
+A hypothesis is an array (`HYPOTHESIS`,): the score; gRc by rows; gPc, m; the radius of the sphere on which
+its craters lie, m; the rows of its rims in the view and of their craters in the catalogue, three each, -1 for
+none.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,31 +13,122 @@ from numba import njit
 
 from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.matching.identify.craters import Craters, density
+from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+Int32Array = npt.NDArray[np.int32]
 
 SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14, 17, 20
-# A rim without a crater: of its visible craters a catalogue lacks, or an image's rims are false.
-_MISS = 0.7
-_GATE = 3.0
+# Most rims by which a hypothesis is scored.
+SCORED_RIMS = 14
+# Penalty on the score for a rim without a crater, about ln 2: one rim in two may be false or be missing from
+# the catalogue.
+_MISS_PENALTY = 0.7
+# Gate on a rim's place and size, in standard deviations.
+_GATE_SIGMAS = 3.0
+# Additions to the gates for what no noise accounts for: that an ellipse's centre is not the image of the
+# crater's, px, and that the ground is not a sphere, in the logarithm of the size.
+_GATE_PX = 1.0
+_GATE_LOG_SIZE = 0.06
+# Relative standard deviation of a rim's size: a constant part, and a part per noise in px over the radius.
+_SIZE_SHARE, _SIZE_PER_NOISE = 0.02, 0.4
+# Least cosine of the angle between a line of sight and the vertical: sizes nearer the limb are not used.
+_MIN_COS_SLANT = 0.1
+# Relative distance within which two hypothetical positions are one: squared, 1e-3 of the range.
+_SAME_POSITION2 = 1e-6
+
+
+class PoseLimits(NamedTuple):
+    """What is known about the pose before the search."""
+
+    attitude: FloatArray
+    """Known rotation gRc, shape (3, 3), or shape (0, 3) when it is unknown."""
+    min_cos_turn: float
+    """Cosine of the largest rotation from the known attitude."""
+    min_altitude_m: float
+    """Lowest altitude above the sphere."""
+    max_altitude_m: float
+    """Highest altitude above the sphere."""
 
 
 @njit(cache=True, error_model="numpy")
-def axis_share(view: View, i: int, sigma: float) -> float:
-    """Relative standard deviation of a rim's size at a noise in px."""
-    return np.sqrt(0.02**2 + (0.4 * sigma / view.radius_px[i]) ** 2)
+def allowed(pose: FloatArray, limits: PoseLimits) -> bool:
+    """Whether a hypothesis agrees with what is known about the pose.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (HYPOTHESIS,)
+    limits : PoseLimits
+    """
+    range2 = 0.0
+    for r in range(3):
+        range2 += pose[POSITION + r] ** 2
+    altitude = np.sqrt(range2) - pose[SPHERE]
+    if not limits.min_altitude_m < altitude < limits.max_altitude_m:
+        return False
+    known = limits.attitude.shape[0]
+    trace = 0.0
+    for r in range(known):
+        for c in range(3):
+            trace += limits.attitude[r, c] * pose[ROTATION + 3 * r + c]
+    return known == 0 or 0.5 * (trace - 1.0) >= limits.min_cos_turn
 
 
-def axis_shares(view: View, sigma: float) -> FloatArray:
-    """Relative standard deviations (n,) of the rims' sizes, as `axis_share`."""
-    return np.array([axis_share(view, i, sigma) for i in range(len(view.radius_px))])
+@njit(cache=True, error_model="numpy")
+def size_sigma(view: View, i: int, sigma: float) -> float:
+    """Relative standard deviation of a rim's size.
+
+    Parameters
+    ----------
+    view : View
+    i : int
+        The rim.
+    sigma : float
+        Noise of the centres, px.
+    """
+    return np.sqrt(_SIZE_SHARE**2 + (_SIZE_PER_NOISE * sigma / view.radius_px[i]) ** 2)
+
+
+def size_sigmas(view: View, sigma: float) -> FloatArray:
+    """Relative standard deviations of all rims' sizes.
+
+    Parameters
+    ----------
+    view : View
+    sigma : float
+        Noise of the centres, px.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return np.array([size_sigma(view, i, sigma) for i in range(len(view.radius_px))])
 
 
 @njit(cache=True, error_model="numpy")
 def project_to_sphere(view: View, i: int, pose: FloatArray, X: FloatArray) -> tuple[bool, float, float]:
-    """Write the unit vector X (3,) in g to where a rim lies; give whether it does, log size, distance, m."""
+    """Project a rim to the sphere at a hypothetical pose.
+
+    Parameters
+    ----------
+    view : View
+    i : int
+        The rim.
+    pose : ndarray, shape (HYPOTHESIS,)
+    X : ndarray, shape (3,)
+        Written: unit vector in g to the rim's centre on the sphere.
+
+    Returns
+    -------
+    seen : bool
+        Whether the line of sight meets the sphere, and not too near the limb.
+    log_size : float
+        Natural logarithm of the geometric mean of the semi-axes there, m.
+    scale : float
+        Extent on the ground per radian, across the mean of the foreshortening, m.
+    """
     dx, dy, dz = view.directions[i, 0], view.directions[i, 1], view.directions[i, 2]
     gx = pose[1] * dx + pose[2] * dy + pose[3] * dz
     gy = pose[4] * dx + pose[5] * dy + pose[6] * dz
@@ -42,49 +136,52 @@ def project_to_sphere(view: View, i: int, pose: FloatArray, X: FloatArray) -> tu
     px, py, pz = pose[POSITION], pose[POSITION + 1], pose[POSITION + 2]
     radius = pose[SPHERE]
     along = -(gx * px + gy * py + gz * pz)
-    under = along * along - (px * px + py * py + pz * pz - radius * radius)
-    if not (along > 0.0 and under > 0.0):
+    distance = distance_to_sphere(along, px * px + py * py + pz * pz, radius)
+    if distance < 0.0:
         return False, 0.0, 0.0
-    distance = along - np.sqrt(under)
     X[0], X[1], X[2] = (
         (px + distance * gx) / radius,
         (py + distance * gy) / radius,
         (pz + distance * gz) / radius,
     )
     cos = -(gx * X[0] + gy * X[1] + gz * X[2])
-    if not cos > 0.1:
+    if not cos > _MIN_COS_SLANT:
         return False, 0.0, 0.0
     return True, view.log_angle[i] + np.log(distance) - 0.5 * np.log(cos), distance / np.sqrt(cos)
 
 
 @njit(cache=True, error_model="numpy")
 def support(
-    view: View, index: SphereIndex, craters: Craters, order: npt.NDArray[np.int32], pose: FloatArray,
-    extent_px: float, lever: float, sigma: float, most: int, patience: int,
+    view: View, index: SphereIndex, craters: Craters, order: Int32Array, pose: FloatArray, extent_px: float,
+    lever: float, sigma: float, patience: int,
 ) -> float:  # fmt: skip
-    """Logarithm of how unlikely it is by chance that so many rims fall on craters of their size.
+    """Score a hypothesis: how improbable it is by chance that so many rims fall on craters of their size.
 
     Parameters
     ----------
     view : View
-    index, craters
-        Of the catalogue.
-    order : ndarray of int32
-        Rims, those nearest to the hypothesis' own first.
+    index : SphereIndex
+    craters : Craters
+    order : ndarray of int32, shape (m,)
+        Rims, those nearest to the hypothesis' own in the image first.
     pose : ndarray, shape (HYPOTHESIS,)
     extent_px : float
-        Of its own rims: what their noise is a lever of.
+        Size of the group of its own rims: their noise, extrapolated to a rim at some distance, grows with the
+        distance over this.
     lever : float
-        Error of the places that it predicts, per distance in the image from its own rims.
+        Further error of a predicted place, over its distance in the image from the hypothesis' own rims.
     sigma : float
-        Noise of the rims' centres, px.
-    most : int
-        Rims to ask at most.
+        Noise of the centres, px.
     patience : int
-        Rims that may be asked in vain.
+        Rims after which the scoring ends when the score is not positive.
+
+    Returns
+    -------
+    float
+        Natural logarithm; -1 when no other rim falls on a crater.
     """
     X = np.empty(3)
-    # Whether there is one, not how many.
+    # Room for one: whether there is a crater, not how many.
     found = np.empty(1, dtype=np.int64)
     score = 0.0
     asked = 0
@@ -105,40 +202,46 @@ def support(
             own = own or i == int(pose[RIMS + k])
         if own:
             continue
-        seen, size, distance = project_to_sphere(view, i, pose, X)
+        seen, size, scale = project_to_sphere(view, i, pose, X)
         if not seen:
             continue
         asked += 1
         away = np.sqrt((view.points_px[i, 0] - u0) ** 2 + (view.points_px[i, 1] - v0) ** 2)
-        gate_px = 1.0 + _GATE * sigma * np.sqrt(1.0 + (away / extent_px) ** 2) + lever * away
-        slack = 0.06 + _GATE * axis_share(view, i, sigma)
-        angle = gate_px * distance / (view.focal_px * pose[SPHERE])
+        gate_px = _GATE_PX + _GATE_SIGMAS * sigma * np.sqrt(1.0 + (away / extent_px) ** 2) + lever * away
+        slack = _GATE_LOG_SIZE + _GATE_SIGMAS * size_sigma(view, i, sigma)
+        angle = gate_px * scale / (view.focal_px * pose[SPHERE])
         chance = density(craters, size - slack, size + slack) * np.pi * angle * angle
         if chance < 1.0:
             if within(index, X[0], X[1], X[2], angle, size - slack, size + slack, found):
                 hits += 1
                 score -= np.log(chance)
             else:
-                score -= _MISS * (1.0 - chance)
-        if asked == most or (asked >= patience and score <= 0.0):
+                score -= _MISS_PENALTY * (1.0 - chance)
+        if asked == SCORED_RIMS or (asked >= patience and score <= 0.0):
             break
     return score if hits else -1.0
 
 
 @njit(cache=True, error_model="numpy")
 def keep(pose: FloatArray, best: FloatArray) -> None:
-    """Put a hypothesis in the place of the worst of the best (k, HYPOTHESIS), unless that is better."""
+    """Replace the worst of the best hypotheses by another one, if that is better and no repetition.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (HYPOTHESIS,)
+    best : ndarray, shape (k, HYPOTHESIS)
+        Hypothetical poses; changed.
+    """
     worst = 0
     for k in range(best.shape[0]):
         if best[k, SCORE] < best[worst, SCORE]:
             worst = k
-        # The same crater for the same rim from the same side: the same hypothesis again.
         near = 0.0
         far = 0.0
         for r in range(3):
             near += (best[k, POSITION + r] - pose[POSITION + r]) ** 2
             far += pose[POSITION + r] ** 2
-        if near < 1e-6 * far and best[k, SCORE] >= pose[SCORE] > -np.inf:
+        if near < _SAME_POSITION2 * far and best[k, SCORE] >= pose[SCORE] > -np.inf:
             return
     if best[worst, SCORE] < pose[SCORE]:
         best[worst] = pose

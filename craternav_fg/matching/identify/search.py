@@ -1,9 +1,6 @@
-"""Identification with no prior position: which catalogue crater is each rim, and from where it was seen.
+"""Identification of an image's rims without a prior position: the search, and the decision on its answer.
 
-Hypotheses of the pose come from triples of rims that have the form of a triple of the index or, with the
-attitude known, from single rims. The best grow to all rims that agree, by Gauss-Newton on the kernels that
-the static solver uses, too. One is believed when so many agreeing rims are improbable by chance, over all
-places that were searched; otherwise there is no answer.
+See the package's docstring for the algorithm.
 """
 
 import time
@@ -16,9 +13,8 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.errors import EstimationError
-from craternav_fg.matching.identify.anchors import anchor_search
-from craternav_fg.matching.identify.answer import Identification, IdentifyOptions, KnownAttitude, Status
-from craternav_fg.matching.identify.evidence import log_by_chance, log_evidence
+from craternav_fg.matching.identify.chance import log_by_chance
+from craternav_fg.matching.identify.evidence import log_evidence
 from craternav_fg.matching.identify.expand import expand_inliers
 from craternav_fg.matching.identify.hypothesis import (
     CRATERS,
@@ -28,38 +24,68 @@ from craternav_fg.matching.identify.hypothesis import (
     ROTATION,
     SCORE,
     SPHERE,
+    PoseLimits,
 )
 from craternav_fg.matching.identify.nadir import nadirs
-from craternav_fg.matching.identify.refine import settle
+from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.refine import refine
+from craternav_fg.matching.identify.result import Identification, Status
+from craternav_fg.matching.identify.single_rim_search import search_single_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
-from craternav_fg.matching.identify.triples import image_order, image_triples, project_all_to_sphere, search
+from craternav_fg.matching.identify.triple_search import (
+    image_order,
+    image_triples,
+    project_all_to_sphere,
+    search_triples,
+)
 from craternav_fg.matching.identify.view import View, view_of
+from craternav_fg.measurements import KnownAttitude
 
 __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-
-_LEAST_RIMS = 3
-_ANCHORS = 8
+_MIN_RIMS = 3
+# Ellipses closer than this in centre and axes, px, are one rim given twice.
 _SAME_PX = 0.05
-# What the model of the view may be turned by, rad.
-_TURN_RAD = float(np.radians(20.0))
-# So many rims tell well which way is down; of fewer, another guess is made. Ways around the likeliest, rad
-# away, are tried, too, with so small a part of the triples, by many rims only when all else was in vain.
-_MANY = 15
-_RING = float(np.radians(9.0))
-_ASIDE = 4
-# Triples that are looked up before the best of their hypotheses grow, how many, and of what score: with much
-# noise right ones say little more than chance, and growing costs less than looking up.
-_CHUNK = 12
-_BEST = 4
-_PROMISING = 4.0
+# Images with at least so many rims determine the vertical well: one estimate is used, and all noise levels
+# are tried with it before the vertical is varied. With fewer rims, all verticals are tried per noise level.
+_MANY_RIMS = 15
+# Rims, the largest first, from which the vertical is estimated, and altitudes over the body's radius that are
+# tried for it: the foreshortening depends only weakly on the altitude.
+_NADIR_RIMS = 40
+_NADIR_HEIGHTS = np.array([0.08, 0.25])
+# Verticals around the best estimate that are also tried: their angle from it, rad, and the divisor of the
+# number of triples.
+_RING_RAD = float(np.radians(9.0))
+_RING_DIVISOR = 4
+# Neighbours of a rim that are paired to triples.
+_PAIRED_NEIGHBOURS = 6
+# Rims around each rim that may be asked when a hypothesis is scored.
+_ORDERED_RIMS = 24
+# Triples that are looked up between two expansions, hypotheses kept among all triples, how many of them are
+# expanded each time, and the least score of those: with much noise the scores of right and wrong hypotheses
+# differ little, and an expansion costs less than a look-up.
+_LOOKED_UP = 12
+_KEPT_OF_TRIPLES = 24
+_EXPANDED = 4
+_MIN_SCORE = 4.0
+# Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
+_SINGLE_RIMS = 8
+_KEPT_OF_SINGLE_RIMS = 64
+# Largest rotation of a triple's hypothesis from a known attitude, beside 5 standard deviations of that: three
+# centres determine the attitude coarsely.
+_MAX_TURN_RAD = float(np.radians(20.0))
+_ATTITUDE_SIGMAS = 5.0
+# An attitude known more accurately than this, rad, is used with this: its information stays invertible.
+_MIN_ATTITUDE_SIGMA_RAD = 1e-5
 
 
 @dataclass
 class _Expanded:
+    """A pose with its matched rims, information N (6, 6), noise (3,) and logarithm of the evidence."""
+
     gTc: FloatArray
     match: IntArray
     N: FloatArray
@@ -68,89 +94,87 @@ class _Expanded:
 
 
 class _Search:
-    """What one call needs at every step."""
+    """Data of one call that every step needs."""
 
     def __init__(
-        self, view: View, index: TripleIndex, gRc: FloatArray | None, known: KnownAttitude | None,
+        self, view: View, index: TripleIndex, gRc: FloatArray | None, sigma_rad: float,
         options: IdentifyOptions,
     ) -> None:  # fmt: skip
         self.view, self.index, self.options = view, index, options
         self.n = len(view.charts)
         self.prior = np.eye(4)
         self.weight = np.zeros((6, 6))
-        self.attitude = np.empty((0, 3))
-        self.sigma_rad, self.least_cos = 1.0, -1.0
-        if gRc is not None and known is not None:
-            self.attitude = np.ascontiguousarray(gRc)
+        self.sigma_rad = max(sigma_rad, _MIN_ATTITUDE_SIGMA_RAD)
+        attitude, min_cos_turn = np.empty((0, 3)), -1.0
+        if gRc is not None:
+            attitude = np.ascontiguousarray(gRc)
             self.prior[:3, :3] = gRc
-            self.weight[:3, :3] = np.eye(3) / known.sigma_rad**2
-            self.sigma_rad = known.sigma_rad
-            self.least_cos = float(np.cos(_TURN_RAD + 5.0 * known.sigma_rad))
+            self.weight[:3, :3] = np.eye(3) / self.sigma_rad**2
+            min_cos_turn = float(np.cos(_MAX_TURN_RAD + _ATTITUDE_SIGMAS * self.sigma_rad))
+        self.limits = PoseLimits(attitude, min_cos_turn, *options.altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
-        self.order = image_order(view, 24)
+        self.order = image_order(view, _ORDERED_RIMS)
 
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
-        """Grow a hypothesis and weigh it; what promises something but is not enough, in all ways."""
+        """Expand a hypothesis; if its evidence is promising but too low, try variations of it."""
         gTc = np.eye(4)
         gTc[:3, :3] = hypothesis[ROTATION:POSITION].reshape(3, 3)
         gTc[:3, 3] = hypothesis[POSITION:SPHERE]
         match = np.full(self.n, -1)
         rims = hypothesis[RIMS:CRATERS].astype(np.int64)
         match[rims[rims >= 0]] = hypothesis[CRATERS:][rims >= 0]
-        grown = self._from(gTc, match, noise)
-        if grown is not None and 0.0 < grown.log_ratio < -self.options.log_chance:
-            return self.best_near(grown)
-        return grown
+        expanded = self._expand_from(gTc, match, noise)
+        if expanded is not None and 0.0 < expanded.log_ratio < -self.options.log_chance:
+            return self.best_variation(expanded)
+        return expanded
 
-    def best_near(self, grown: _Expanded) -> _Expanded:
-        """Grow anew from the pairs on each side of the image, and with all noises; the most probable.
+    def best_variation(self, expanded: _Expanded) -> _Expanded:
+        """Expand anew from the pairs in each half of the image, and with each noise level; return the best.
 
-        Growth that began with some noise keeps pairs that suit it; and where it met wrong craters on one
-        side of the image, the other side knows better.
+        Pairs that suit the noise assumed at first are kept, and wrong pairs on one side of the image distort
+        the pose there: both are overcome from another start.
         """
-        matched = grown.match >= 0
+        matched = expanded.match >= 0
         places = self.view.points_px[matched]
         halves = []
         for axis in range(2):
             middle = np.median(places[:, axis])
             for side in (self.view.points_px[:, axis] <= middle, self.view.points_px[:, axis] >= middle):
-                if np.sum(side & matched) >= _LEAST_RIMS:
-                    halves.append(np.where(side, grown.match, -1))
+                if np.sum(side & matched) >= _MIN_RIMS:
+                    halves.append(np.where(side, expanded.match, -1))
         levels = np.array(self.options.noise_levels_px)
-        noise = float(levels[np.argmin(np.abs(np.log(levels / grown.sigma[0])))])
-        begun = [(grown.match, float(level)) for level in levels] + [(half, noise) for half in halves]
-        for match, level in begun:
-            other = self._from(grown.gTc.copy(), match.copy(), level)
-            if other is not None and other.log_ratio > grown.log_ratio:
-                grown = other
-        return grown
+        noise = float(levels[np.argmin(np.abs(np.log(levels / expanded.sigma[0])))])
+        starts = [(expanded.match, float(level)) for level in levels] + [(half, noise) for half in halves]
+        for match, level in starts:
+            other = self._expand_from(expanded.gTc.copy(), match.copy(), level)
+            if other is not None and other.log_ratio > expanded.log_ratio:
+                expanded = other
+        return expanded
 
-    def _from(self, gTc: FloatArray, match: IntArray, noise: float) -> _Expanded | None:
-        index = self.index
+    def _expand_from(self, gTc: FloatArray, match: IntArray, noise: float) -> _Expanded | None:
+        craters, index = self.index.craters, self.index.catalog.index
         N, sigma = np.empty((6, 6)), np.empty(3)
         pairs = expand_inliers(
-            self.view, index.catalog.index, index.craters, noise, self.chance, self.prior,
-            self.weight, gTc, match, N, sigma,
-        )  # fmt: skip
-        if pairs < _LEAST_RIMS:
+            self.view, index, craters, noise, self.chance, self.prior, self.weight, gTc, match, N, sigma
+        )
+        if pairs < _MIN_RIMS:
             return None
-        ratio, _ = log_evidence(
-            self.view, index.catalog.index, index.craters, gTc, match, N, self.chance,
-            self.shape_chance, self._log_prior(gTc),
-        )  # fmt: skip
+        ratio = log_evidence(
+            self.view, index, craters, gTc, match, N, self.chance, self.shape_chance, self._log_prior(gTc)
+        )
         return _Expanded(gTc, match, N, sigma, ratio) if np.isfinite(ratio) else None
 
     def _log_prior(self, gTc: FloatArray) -> float:
-        """Logarithm of the density of a pose before the image was seen, per rad^3 m^3."""
+        """Natural logarithm of the density of a pose before the image was seen, per rad^3 m^3."""
         least, most = self.options.altitudes_m
         range_m = float(np.linalg.norm(gTc[:3, 3]))
         altitude = range_m - self.index.catalog.body.radius_m
         if not least < altitude < most:
             return -np.inf
         place = -np.log(4.0 * np.pi * range_m**2) - np.log(altitude * np.log(most / least))
-        if not len(self.attitude):
+        if not len(self.limits.attitude):
             return float(place - np.log(8.0 * np.pi**2))
-        turn = frames.rotation_log(self.attitude.T @ gTc[:3, :3])
+        turn = frames.rotation_log(self.limits.attitude.T @ gTc[:3, :3])
         spread = self.sigma_rad
         return float(place - 1.5 * np.log(2.0 * np.pi * spread**2) - 0.5 * turn @ turn / spread**2)
 
@@ -159,28 +183,30 @@ def identify(
     ellipses_px: FloatArray, camera: Camera, index: TripleIndex, attitude: KnownAttitude | None = None,
     options: IdentifyOptions = IdentifyOptions(),
 ) -> Identification:  # fmt: skip
-    """Find the craters of an image's rims, and the pose.
+    """Identify the craters of an image's rims, and estimate the pose.
 
     Parameters
     ----------
     ellipses_px : ndarray, shape (n, 5)
-        Centre, semi-axes, angle of the first from x towards y, rad; as the image shows them, through the
-        lens.
+        Centre, semi-axes, angle of the first axis from x towards y, rad; px, as seen in the image through
+        the lens.
     camera : Camera
     index : TripleIndex
+        Of the catalogue.
     attitude : KnownAttitude, optional
+        One that is known exactly is used with a standard deviation of 1e-5 rad.
     options : IdentifyOptions
 
     Returns
     -------
     Identification
-        Three rims are the least; alone they are no answer without the attitude. Of a rim that is given
-        twice the second has no crater.
+        Without an answer for fewer than three rims, and in general for three with an unknown attitude. When
+        a rim is given twice, the second has no crater.
 
     Raises
     ------
     EstimationError
-        For ellipses that are none.
+        When an ellipse has a number that is not finite or an axis that is not positive.
     """
     began = time.perf_counter()
     ellipses = np.asarray(ellipses_px, dtype=np.float64).reshape(-1, 5)
@@ -189,25 +215,26 @@ def identify(
     n = len(ellipses)
     once = _once(ellipses)
     view = view_of(ellipses[once], camera)
-    if len(once) < _LEAST_RIMS:
-        reason = f"found {len(once)} rims, expected {_LEAST_RIMS} or more"
-        return _nothing(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
-    searched = _Search(
-        view, index, None if attitude is None else attitude.gRb @ camera.bTc[:3, :3], attitude, options
-    )
-    found = _by_triples(searched)
+    if len(once) < _MIN_RIMS:
+        reason = f"found {len(once)} rims, expected {_MIN_RIMS} or more"
+        return _no_answer(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
+    if attitude is None:
+        search = _Search(view, index, None, 1.0, options)
+    else:
+        search = _Search(view, index, attitude.gRb @ camera.bTc[:3, :3], attitude.sigma_rad, options)
+    found = _by_triples(search)
     threshold = -options.log_chance
     if attitude is not None:
-        found = found if found and found[0].log_ratio >= threshold else _by_anchors(searched, found)
+        found = found if found and found[0].log_ratio >= threshold else _by_single_rims(search, found)
         threshold = -options.log_chance_attitude
     if not found or found[0].log_ratio < threshold:
         best = found[0].log_ratio if found else 0.0
         reason = "no pose puts more rims on craters of their size than chance does"
-        return _nothing(n, Status.NO_ANSWER, reason, -best, began)
+        return _no_answer(n, Status.NO_ANSWER, reason, -best, began)
     if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
-        reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} as probable"
-        return _nothing(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
-    return _answer(searched.best_near(found[0]), searched, once, n, camera, began)
+        reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} times as probable"
+        return _no_answer(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
+    return _answer(search.best_variation(found[0]), search, once, n, camera, began)
 
 
 def _once(ellipses: FloatArray) -> IntArray:
@@ -221,86 +248,86 @@ def _once(ellipses: FloatArray) -> IntArray:
     return np.array(kept, dtype=np.int64)
 
 
-def _by_triples(search_: _Search) -> list[_Expanded]:
-    """Grow the hypotheses from triples until one has the evidence; the best first."""
-    view, index, options = search_.view, search_.index, search_.options
-    triples_of = index.triples
+def _by_triples(search: _Search) -> list[_Expanded]:
+    """Expand hypotheses from triples until one has enough evidence; the best first."""
+    view, index, options = search.view, search.index, search.options
     radius = index.catalog.body.radius_m
-    largest = np.argsort(-view.radius_px)[:40]
-    models, misfits = nadirs(view, largest, np.array([0.08, 0.25]), 1 if search_.n >= _MANY else 2)
+    found: list[_Expanded] = []
+    for model, count, noise, candidates in _stages(search):
+        projection = project_all_to_sphere(
+            view, np.ascontiguousarray(model[:3]), float(model[3] * radius), radius
+        )
+        triples = image_triples(view, projection, _PAIRED_NEIGHBOURS, noise)[:count]
+        best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
+        for start in range(0, len(triples), _LOOKED_UP):
+            search_triples(
+                view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
+                triples[start : start + _LOOKED_UP], search.order, noise, candidates, search.limits, best,
+            )  # fmt: skip
+            for row in np.argsort(-best[:, SCORE])[:_EXPANDED]:
+                if best[row, SCORE] < _MIN_SCORE:
+                    break
+                expanded = search.expand(best[row], noise)
+                # Makes room for others.
+                best[row, SCORE] = -np.inf
+                if expanded is None:
+                    continue
+                if expanded.log_ratio >= -options.log_chance:
+                    return [expanded]
+                found.append(expanded)
+    return sorted(found, key=lambda one: -one.log_ratio)
+
+
+def _stages(search: _Search) -> list[tuple[FloatArray, int, float, int]]:
+    """Vertical and altitude (4,), number of triples, noise, and candidates per triple, in the order tried."""
+    view, options = search.view, search.options
+    largest = np.argsort(-view.radius_px)[:_NADIR_RIMS]
+    models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MANY_RIMS else 2)
     models = models[np.argsort(misfits)]
     tried = [(model, options.triples) for model in models]
-    tried += [(model, options.triples // _ASIDE) for model in _around(models[0])]
+    tried += [(model, options.triples // _RING_DIVISOR) for model in _around(models[0])]
     levels = list(zip(options.noise_levels_px, options.candidates, strict=True))
-    if search_.n >= _MANY:
-        stages = [(*model, *level) for model in tried for level in levels]
-    else:
-        stages = [(*model, *level) for level in levels for model in tried]
-    least, most = options.altitudes_m
-    enough = -options.log_chance
-    found: list[_Expanded] = []
-    for model, count, noise, candidates in stages:
-        down, height = np.ascontiguousarray(model[:3]), float(model[3] * radius)
-        X, log_sizes, scale = project_all_to_sphere(view, down, height, radius)
-        triples = image_triples(X, log_sizes, scale, view, 6, noise)[:count]
-        best = np.full((24, HYPOTHESIS), -np.inf)
-        for start in range(0, len(triples), _CHUNK):
-            search(
-                view, index.catalog.index, index.craters, triples_of.neighbours, triples_of.points,
-                triples_of.codes, triples_of.dims, triples_of.splits, triples_of.levels, X, log_sizes,
-                scale, triples[start : start + _CHUNK], search_.order, down, height, radius, noise, 0.02,
-                0.05, candidates, search_.attitude, search_.least_cos, least, most, best,
-            )  # fmt: skip
-            for row in np.argsort(-best[:, SCORE])[:_BEST]:
-                if best[row, SCORE] < _PROMISING:
-                    break
-                grown = search_.expand(best[row], noise)
-                # It makes room for others.
-                best[row, SCORE] = -np.inf
-                if grown is None:
-                    continue
-                if grown.log_ratio >= enough:
-                    return [grown]
-                found.append(grown)
-    return sorted(found, key=lambda g: -g.log_ratio)
+    if search.n >= _MANY_RIMS:
+        return [(*model, *level) for model in tried for level in levels]
+    return [(*model, *level) for level in levels for model in tried]
 
 
 def _around(model: FloatArray) -> FloatArray:
-    """Models (6, 4) whose nadir lies around another's."""
+    """Models (6, 4) whose verticals lie on a circle around another's."""
     down = model[:3]
     aside = np.cross(down, [0.0, 1.0, 0.0])
     aside /= np.linalg.norm(aside)
     turn = np.pi / 3.0 * np.arange(6)[:, None]
-    out = np.cos(_RING) * down + np.sin(_RING) * (np.cos(turn) * aside + np.sin(turn) * np.cross(down, aside))
-    return np.column_stack([out, np.full(6, model[3])])
+    ring = np.cos(turn) * aside + np.sin(turn) * np.cross(down, aside)
+    return np.column_stack([np.cos(_RING_RAD) * down + np.sin(_RING_RAD) * ring, np.full(6, model[3])])
 
 
-def _by_anchors(search_: _Search, found: list[_Expanded]) -> list[_Expanded]:
-    """Grow the hypotheses from single rims; distinct ones and those found before, the best first."""
-    view, index, options = search_.view, search_.index, search_.options
-    anchors = np.argsort(-view.radius_px)[:_ANCHORS].astype(np.int32)
-    least, most = options.altitudes_m
+def _by_single_rims(search: _Search, found: list[_Expanded]) -> list[_Expanded]:
+    """Expand hypotheses from single rims; distinct ones and those found before, the best first."""
+    view, index, options = search.view, search.index, search.options
+    rims = np.argsort(-view.radius_px)[:_SINGLE_RIMS].astype(np.int32)
     left = options.tried
     for noise in options.noise_levels_px:
-        best = np.full((64, HYPOTHESIS), -np.inf)
-        for start in range(len(anchors)):
+        best = np.full((_KEPT_OF_SINGLE_RIMS, HYPOTHESIS), -np.inf)
+        for start in range(len(rims)):
             left -= len(index.catalog)
-            anchor_search(
-                view, index.catalog.index, index.craters, anchors[start : start + 1],
-                search_.order, search_.attitude, search_.sigma_rad, noise, least, most, best,
+            search_single_rims(
+                view, index.catalog.index, index.craters, rims[start : start + 1], search.order,
+                search.sigma_rad, noise, search.limits, best,
             )  # fmt: skip
-            # Only where nothing else can be as good the other rims are not asked; many rims tell the best.
-            last = start + 1 >= len(anchors) or left < len(index.catalog)
-            for row in np.argsort(-best[:, SCORE])[: len(best) if last and search_.n < _MANY else _BEST]:
+            # With few rims, all that was kept is expanded once no further rim is tried.
+            last = start + 1 >= len(rims) or left < len(index.catalog)
+            count = len(best) if last and search.n < _MANY_RIMS else _EXPANDED
+            for row in np.argsort(-best[:, SCORE])[:count]:
                 if best[row, SCORE] == -np.inf:
                     break
-                grown = search_.expand(best[row], noise)
+                expanded = search.expand(best[row], noise)
                 best[row, SCORE] = -np.inf
-                if grown is None:
+                if expanded is None:
                     continue
-                if grown.log_ratio >= -options.log_chance:
-                    return [grown]
-                found.append(grown)
+                if expanded.log_ratio >= -options.log_chance:
+                    return [expanded]
+                found.append(expanded)
             if last:
                 break
         found = _distinct(found)
@@ -311,38 +338,44 @@ def _by_anchors(search_: _Search, found: list[_Expanded]) -> list[_Expanded]:
 
 
 def _distinct(found: Sequence[_Expanded]) -> list[_Expanded]:
+    """Select the poses that share at most one pair with any better one, the best first."""
     out: list[_Expanded] = []
-    for grown in sorted(found, key=lambda g: -g.log_ratio):
-        same = (np.sum((grown.match == other.match) & (grown.match >= 0)) >= 2 for other in out)
+    for expanded in sorted(found, key=lambda one: -one.log_ratio):
+        same = (np.sum((expanded.match == other.match) & (expanded.match >= 0)) >= 2 for other in out)
         if not any(same):
-            out.append(grown)
+            out.append(expanded)
     return out
 
 
 def _answer(
-    grown: _Expanded, searched: _Search, once: IntArray, n: int, camera: Camera, began: float
+    expanded: _Expanded, search: _Search, once: IntArray, n: int, camera: Camera, began: float
 ) -> Identification:
-    index = searched.index
-    covariance = settle(
-        searched.view, index.craters, searched.prior, searched.weight, grown.gTc,
-        grown.match, grown.sigma,
-    )  # fmt: skip
-    # From the camera's twist to the body's.
-    cTb = frames.inverse(camera.bTc)
-    R, t = camera.bTc[:3, :3], camera.bTc[:3, 3]
-    cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-    adjoint = np.block([[R, np.zeros((3, 3))], [cross @ R, R]])
+    """Refine the pose, and give it for the body."""
+    index = search.index
+    covariance = refine(
+        search.view, index.craters, search.prior, search.weight, expanded.gTc, expanded.match, expanded.sigma
+    )
+    # From the camera's right twist to the body's.
+    adjoint = frames.adjoint(camera.bTc)
     names = index.catalog.identifiers
     rows = np.full(n, -1)
-    rows[once] = grown.match
+    rows[once] = expanded.match
     return Identification(
-        Status.IDENTIFIED, "", tuple(names[row] if row >= 0 else None for row in rows), rows,
-        grown.gTc, grown.gTc @ cTb, adjoint @ covariance @ adjoint.T, -grown.log_ratio,
-        float(grown.sigma[0]), time.perf_counter() - began,
-    )  # fmt: skip
+        status=Status.IDENTIFIED,
+        reason="",
+        craters=tuple(names[row] if row >= 0 else None for row in rows),
+        rows=rows,
+        gTc=expanded.gTc,
+        gTb=expanded.gTc @ frames.inverse(camera.bTc),
+        covariance=adjoint @ covariance @ adjoint.T,
+        log_chance=-expanded.log_ratio,
+        sigma_px=float(expanded.sigma[0]),
+        seconds=time.perf_counter() - began,
+    )
 
 
-def _nothing(n: int, status: Status, reason: str, log_chance: float, began: float) -> Identification:
+def _no_answer(n: int, status: Status, reason: str, log_chance: float, began: float) -> Identification:
+    """Make a result without matches and pose."""
     empty = np.full((4, 4), np.nan)
     return Identification(
         status, reason, (None,) * n, np.full(n, -1), empty, empty, np.full((6, 6), np.nan), log_chance,

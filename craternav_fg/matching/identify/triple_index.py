@@ -1,7 +1,8 @@
-"""The index of a catalogue: triples of craters by five numbers that neither scale nor turning changes.
+"""Index of a catalogue: triples of craters, described by five numbers that scale and rotation do not change.
 
 A triple is a crater and two of its nearest neighbours of at least `SMALLEST` its size, counter-clockwise as
-seen from above. Its numbers are two sides and the three sizes, over the perimeter; sides are chords.
+seen from above. The numbers are two side lengths over the perimeter, and the logarithms of the three sizes
+over the perimeter. Sides are chords; a size is the geometric mean of the semi-axes.
 """
 
 import hashlib
@@ -20,96 +21,105 @@ from scipy.spatial import cKDTree
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
-from craternav_fg.matching.identify import tree
+from craternav_fg.matching.identify import kd_tree
 from craternav_fg.matching.identify.craters import Craters, craters_of, log_sizes
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Int32Array = npt.NDArray[np.int32]
 
+# Version of the file's format: to be raised when the triples or the tree change.
 VERSION = 1
+# Least size of a neighbour over the crater's: measured sizes of equal craters may differ by as much.
 SMALLEST = 0.9
-# What numpy and zipfile raise for a file that is none of ours, or has a byte that is wrong.
-_NO_INDEX = (
+# What numpy and zipfile raise for a file of another kind, or with a corrupted byte.
+_UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, RuntimeError, MemoryError, zipfile.BadZipFile,
     zlib.error, tokenize.TokenError,
 )  # fmt: skip
-# Of the sides over the perimeter, 0 to 1/2, and of the logarithms of sizes over the perimeter.
+# Units of the 16-bit numbers: sides over the perimeter are 0 to 1/2; logarithms of sizes over the perimeter
+# are `MIN_LOG_SIZE` to `MIN_LOG_SIZE` + 9, and beyond that stored as the nearer end.
 SIDE_UNIT = 0.5 / 65535
 SIZE_UNIT = 9.0 / 65535
-LEAST_LOG = -8.0
-# A tree that is asked with small tolerances on sides and large ones on sizes is halved likewise.
-_SPREAD = np.array([4.0 * SIDE_UNIT, 4.0 * SIDE_UNIT, SIZE_UNIT, SIZE_UNIT, SIZE_UNIT])
-# Neighbours of a crater: missing and false rims need many, the room that a large catalogue takes needs few.
+MIN_LOG_SIZE = -8.0
+# Weights by which the tree is split: queries tolerate about four times as much in sizes as in sides.
+_SPLIT_WEIGHTS = np.array([4.0 * SIDE_UNIT, 4.0 * SIDE_UNIT, SIZE_UNIT, SIZE_UNIT, SIZE_UNIT])
+# Neighbours per crater, for catalogues of up to so many craters: many allow for missing and false rims, few
+# limit the memory of a large catalogue.
 _NEIGHBOURS = ((100_000, 9), (400_000, 7), (np.inf, 6))
-# Ratio of the sizes of craters whose neighbours are sought in one tree.
-_LEVEL = 1.15
-
-
-@dataclass(frozen=True)
-class Triples:
-    """The part of an index that is stored.
-
-    Attributes
-    ----------
-    neighbours : ndarray of int32, shape (n, k)
-        Of each crater, nearest first; -1 where there is none.
-    points : ndarray of uint16, shape (m, 5)
-        The five numbers of each triple, ordered as a tree.
-    codes : ndarray of uint32, shape (m,)
-        crater k^2 + i k + j: its neighbours i and j.
-    dims : ndarray of uint8
-    splits : ndarray of uint16
-        Of the tree's nodes.
-    levels : int
-    """
-
-    neighbours: npt.NDArray[np.int32]
-    points: tree.Points
-    codes: tree.Codes
-    dims: npt.NDArray[np.uint8]
-    splits: tree.Points
-    levels: int
-
-    @property
-    def nbytes(self) -> int:
-        """Size in memory and, but for headers, on disk."""
-        return sum(a.nbytes for a in (self.neighbours, self.points, self.codes, self.dims, self.splits))
+# Ratio of the sizes of craters whose neighbours are sought in one tree of the larger craters.
+_SIZE_STEP = 1.15
 
 
 @dataclass(frozen=True)
 class TripleIndex:
-    """A catalogue, ready for identification.
+    """A catalogue with its triples, ready for identification.
 
     Attributes
     ----------
     catalog : Catalog
-    triples : Triples
+    neighbours : ndarray of int32, shape (n, k)
+        Rows of each crater's neighbours, nearest first; -1 where there are fewer.
+    tree : Tree
+        The triples' five numbers; the code of a triple of crater c and its neighbours i and j is
+        c k^2 + i k + j.
     """
 
     catalog: Catalog
-    triples: Triples
+    neighbours: Int32Array
+    tree: kd_tree.Tree
 
     @classmethod
     def build(cls, catalog: Catalog) -> "TripleIndex":
-        """Index a catalogue of at least one crater."""
-        return cls(catalog, _triples(catalog))
+        """Index a catalogue.
+
+        Parameters
+        ----------
+        catalog : Catalog
+            At least one crater.
+
+        Returns
+        -------
+        TripleIndex
+        """
+        centres, sizes = np.ascontiguousarray(catalog.centres), log_sizes(catalog)
+        count = next(k for most, k in _NEIGHBOURS if len(catalog) <= most)
+        neighbours = _neighbours(centres, sizes, count)
+        found = np.sum(neighbours >= 0, axis=1)
+        total = int(np.sum(found * (found - 1) // 2))
+        points = np.empty((total, kd_tree.DIMENSIONS), dtype=np.uint16)
+        codes = np.empty(total, dtype=np.uint32)
+        _describe_all(centres, sizes, neighbours, points, codes)
+        return cls(catalog, neighbours, kd_tree.build(points, codes, _SPLIT_WEIGHTS))
 
     @cached_property
     def craters(self) -> Craters:
-        """The catalogue's craters."""
+        """The catalogue's craters as compiled code takes them."""
         return craters_of(self.catalog)
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the triples in memory and, but for headers, on disk."""
+        t = self.tree
+        return sum(a.nbytes for a in (self.neighbours, t.points, t.codes, t.dims, t.splits))
+
     def save(self, path: Path) -> None:
-        """Write the index; the file appears whole or not at all.
+        """Write the index; the file is complete or absent.
+
+        Parameters
+        ----------
+        path : Path
+            A .npz file.
 
         Raises
         ------
         InputError
             When it cannot be written.
         """
-        t = self.triples
+        t = self.tree
         with replacing(path) as temporary, temporary.open("wb") as stream:
             np.savez(
-                stream, version=VERSION, fingerprint=fingerprint(self.catalog), neighbours=t.neighbours,
+                stream, version=VERSION, fingerprint=fingerprint(self.catalog), neighbours=self.neighbours,
                 points=t.points, codes=t.codes, dims=t.dims, splits=t.splits, levels=t.levels,
             )  # fmt: skip
 
@@ -117,13 +127,23 @@ class TripleIndex:
     def load(cls, path: Path, catalog: Catalog) -> "TripleIndex":
         """Read the index of a catalogue.
 
+        Parameters
+        ----------
+        path : Path
+        catalog : Catalog
+            The catalogue that was indexed.
+
+        Returns
+        -------
+        TripleIndex
+
         Raises
         ------
         InputError
-            When the file is missing, none of ours, of another version or of another catalogue.
+            When the file is missing, of another kind or version, or the index of another catalogue.
         """
         if not path.is_file():
-            raise InputError(path, "none yet")
+            raise InputError(path, "file is missing")
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 found = int(data["version"])
@@ -131,44 +151,53 @@ class TripleIndex:
                     raise InputError(path, f"expected an index of version {VERSION}, found {found}")
                 if str(data["fingerprint"]) != fingerprint(catalog):
                     raise InputError(path, "is the index of another catalogue")
-                triples = Triples(
-                    data["neighbours"], data["points"], data["codes"], data["dims"], data["splits"],
-                    int(data["levels"]),
-                )  # fmt: skip
-        except _NO_INDEX:
+                tree = kd_tree.Tree(
+                    data["points"], data["codes"], data["dims"], data["splits"], int(data["levels"])
+                )
+                return cls(catalog, data["neighbours"], tree)
+        except _UNREADABLE:
             raise InputError(path, "expected an index written by craternav, found something else") from None
-        return cls(catalog, triples)
 
 
 def load_or_build(path: Path, catalog: Catalog) -> tuple[TripleIndex, str]:
-    """Give a catalogue's index: the stored one or, when that is not of this catalogue, a new one.
+    """Load the index of a catalogue or, when there is none at a path, build and store it.
 
     Parameters
     ----------
     path : Path
-        Where it is stored.
+        Where the index is stored.
     catalog : Catalog
 
     Returns
     -------
     index : TripleIndex
-    said : str
-        Why it was built, and what became of it; empty when it was loaded.
+    message : str
+        Why it was built, and whether it could be stored; empty when it was loaded.
     """
     try:
         return TripleIndex.load(path, catalog), ""
     except InputError as error:
-        said = f"{error}: built"
+        message = f"{error}; built anew"
     index = TripleIndex.build(catalog)
     try:
         index.save(path)
     except InputError as error:
-        said += f", not stored ({error})"
-    return index, said
+        message += f", not stored ({error})"
+    return index, message
 
 
 def fingerprint(catalog: Catalog) -> str:
-    """Hash of all that an index depends on: craters, their order, the body's radius."""
+    """Hash all that an index depends on: the craters, their order, and the body's radius.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    str
+        Hexadecimal digits.
+    """
     digest = hashlib.blake2b(digest_size=16)
     for values in (
         catalog.latitude_rad, catalog.longitude_rad, catalog.semi_major_m, catalog.semi_minor_m,
@@ -178,87 +207,62 @@ def fingerprint(catalog: Catalog) -> str:
     return digest.hexdigest()
 
 
-def _triples(catalog: Catalog) -> Triples:
-    centres = np.ascontiguousarray(catalog.centres)
-    sizes = log_sizes(catalog)
-    count = next(k for most, k in _NEIGHBOURS if len(catalog) <= most)
-    neighbours = _neighbours(centres, sizes, count)
-    total = _number(neighbours)
-    points = np.empty((total, tree.DIMENSIONS), dtype=np.uint16)
-    codes = np.empty(total, dtype=np.uint32)
-    _describe_all(centres, sizes, neighbours, points, codes)
-    levels = tree.levels_of(total)
-    dims, splits = tree.build(points, codes, _SPREAD, levels)
-    return Triples(neighbours, points, codes, dims, splits, levels)
-
-
-def _neighbours(centres: FloatArray, log_sizes: FloatArray, count: int) -> npt.NDArray[np.int32]:
+def _neighbours(centres: FloatArray, sizes: FloatArray, count: int) -> Int32Array:
     """Nearest neighbours (n, count) of at least `SMALLEST` each one's size, -1 where there are fewer."""
     n = len(centres)
     out = np.full((n, count), -1, dtype=np.int32)
-    order = np.argsort(log_sizes)
-    ordered = log_sizes[order]
+    order = np.argsort(sizes)
+    ordered = sizes[order]
     slack = np.log(SMALLEST)
     first = 0
     while first < n:
-        last = int(np.searchsorted(ordered, ordered[first] + np.log(_LEVEL), side="right"))
+        last = int(np.searchsorted(ordered, ordered[first] + np.log(_SIZE_STEP), side="right"))
         large = order[np.searchsorted(ordered, ordered[first] + slack) :]
+        # The tree also holds craters too small for the larger ones of this step.
         wanted = min(2 * count + 2, len(large))
-        tree_of_level = cKDTree(centres[large], compact_nodes=False, balanced_tree=False)
-        _, found = tree_of_level.query(centres[order[first:last]], k=wanted)
+        tree_of_step = cKDTree(centres[large], compact_nodes=False, balanced_tree=False)
+        _, found = tree_of_step.query(centres[order[first:last]], k=wanted)
         rows = large[found.reshape(last - first, wanted)]
-        _keep_large(order[first:last], rows, log_sizes, slack, out)
+        _keep_large(order[first:last], rows, sizes, slack, out)
         first = last
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def _keep_large(
-    craters: npt.NDArray[np.int64], rows: npt.NDArray[np.int64], log_sizes: FloatArray, slack: float,
-    out: npt.NDArray[np.int32],
-) -> None:  # fmt: skip
+def _keep_large(craters: IntArray, rows: IntArray, sizes: FloatArray, slack: float, out: Int32Array) -> None:
+    """Write the first of the neighbours `rows` (n, m) that are large enough."""
     for i in range(craters.shape[0]):
         crater = craters[i]
         k = 0
         for row in rows[i]:
-            if row != crater and log_sizes[row] >= log_sizes[crater] + slack and k < out.shape[1]:
+            if row != crater and sizes[row] >= sizes[crater] + slack and k < out.shape[1]:
                 out[crater, k] = row
                 k += 1
-
-
-@njit(cache=True, error_model="numpy")
-def _number(neighbours: npt.NDArray[np.int32]) -> int:
-    total = 0
-    for i in range(neighbours.shape[0]):
-        k = 0
-        while k < neighbours.shape[1] and neighbours[i, k] >= 0:
-            k += 1
-        total += k * (k - 1) // 2
-    return total
 
 
 @njit(cache=True, error_model="numpy")
 def describe(
     X: FloatArray, log_sizes: FloatArray, i: int, j: int, k: int, out: FloatArray
 ) -> tuple[bool, float]:
-    """Write the five numbers (5,) of three craters, in the tree's units.
+    """Describe three craters by the five numbers of their triple.
 
     Parameters
     ----------
     X : ndarray, shape (n, 3)
-        Centres, from that of a sphere.
+        Positions of the rims' centres relative to the sphere's, in any unit and frame.
     log_sizes : ndarray, shape (n,)
-        In the same units.
+        Natural logarithms of the sizes in the same unit.
     i, j, k : int
         Rows of the three.
     out : ndarray, shape (5,)
-        Written.
+        Written: the numbers in the tree's units.
 
     Returns
     -------
     swapped : bool
-        Whether j and k changed places: the numbers are of i, k, j, which is counter-clockwise from above.
+        Whether the numbers are those of i, k, j, because that is counter-clockwise seen from above.
     perimeter : float
+        In the unit of X.
     """
     ax, ay, az = X[j, 0] - X[i, 0], X[j, 1] - X[i, 1], X[j, 2] - X[i, 2]
     bx, by, bz = X[k, 0] - X[i, 0], X[k, 1] - X[i, 1], X[k, 2] - X[i, 2]
@@ -267,7 +271,7 @@ def describe(
     b = np.sqrt(bx * bx + by * by + bz * bz)
     c = np.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2)
     perimeter = a + b + c
-    log = np.log(perimeter) + LEAST_LOG
+    log = np.log(perimeter) + MIN_LOG_SIZE
     swapped = turn < 0.0
     if swapped:
         a, b = b, a
@@ -282,9 +286,10 @@ def describe(
 
 @njit(cache=True, error_model="numpy")
 def _describe_all(
-    centres: FloatArray, log_sizes: FloatArray, neighbours: npt.NDArray[np.int32], points: tree.Points,
-    codes: tree.Codes,
+    centres: FloatArray, log_sizes: FloatArray, neighbours: Int32Array, points: kd_tree.Points,
+    codes: kd_tree.Codes,
 ) -> None:  # fmt: skip
+    """Write the numbers (m, 5) and codes (m,) of all triples."""
     count = neighbours.shape[1]
     numbers = np.empty(5)
     row = 0

@@ -1,4 +1,4 @@
-"""The rims of an image as identification takes them: directions, sizes and shapes, whatever the lens."""
+"""Rims of one image as identification uses them: directions, sizes and shapes without lens distortion."""
 
 from typing import NamedTuple
 
@@ -10,52 +10,58 @@ from craternav_fg.ellipse import matrix_of_chart, seen_through_lens
 
 FloatArray = npt.NDArray[np.float64]
 
-# Along each side of the image, to bound its undistorted pixels.
+# Points along each side of the image, by which its undistorted bounds are found.
 _BORDER_POINTS = 9
 
-# Errors of a rim whose noise is `1 px`: of each coordinate of its centre and of its semi-axes, px; that of a
-# centre grows with the rim, as its map and its shape do.
-CENTRE_PX, AXIS_PX = 1.0, 0.5
-CENTRE_SHARE = 0.01
+# Error model of a rim at a noise of 1 px: standard deviation of each coordinate of its centre and of its
+# semi-axes, px. An axis is assumed to be measured twice as well as a centre (`simulation.catalog_views`).
+CENTRE_SIGMA_PX, AXIS_SIGMA_PX = 1.0, 0.5
+# The centre's standard deviation that grows with the rim, over its radius: catalogued centres and irregular
+# outlines are off by about a percent of the size.
+CENTRE_SIGMA_SHARE = 0.01
 
 
 class View(NamedTuple):
-    """Rims in normalised image coordinates, as arrays; n rims."""
+    """The n rims of an image in normalised image coordinates, as arrays; and the image's bounds."""
 
     directions: FloatArray
-    """Unit vectors (n, 3) to their centres, in the camera's frame."""
+    """Unit vectors to the rims' centres in c, shape (n, 3)."""
     log_angle: FloatArray
-    """Logarithm (n,) of the root of the solid angle over pi: of the mean angular radius."""
+    """Natural logarithms of the mean angular radii, the roots of the solid angles over pi, shape (n,)."""
     moments: FloatArray
-    """S_xx, S_xy, S_yy (n, 3) in normalised coordinates."""
+    """Elements S_xx, S_xy, S_yy of the ellipses' matrices in normalised image coordinates, shape (n, 3)."""
     charts: FloatArray
-    """Charts (n, 5) in normalised coordinates."""
+    """Ellipse charts, shape (n, 5)."""
     radius_px: FloatArray
-    """Geometric mean of the semi-axes (n,), px."""
+    """Geometric means of the semi-axes, px, shape (n,)."""
     points_px: FloatArray
-    """Centres (n, 2) in pixels without distortion."""
+    """Centres in pixels without distortion, shape (n, 2)."""
     precision: FloatArray
-    """Inverse standard deviations (n, 5) of the charts at a noise of 1 px."""
+    """Inverse standard deviations of the charts at a noise of 1 px, shape (n, 5)."""
     focal_px: float
     """Geometric mean of the focal lengths."""
-    corners: FloatArray
-    """Undistorted pixels that bound the image: least x, least y, largest x, largest y (4,)."""
+    bounds_px: FloatArray
+    """Bounds of the image in pixels without distortion: least x and y, largest x and y, shape (4,)."""
     fx_px: float
-    """For the size of craters in pixels."""
+    """Focal length along x."""
     fy_px: float
-    """Likewise."""
-    middle_px: FloatArray
-    """Principal point (2,)."""
+    """Focal length along y."""
+    principal_px: FloatArray
+    """Principal point, shape (2,)."""
 
 
 def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
-    """Take an image's ellipses through the lens.
+    """Remove the lens distortion from an image's ellipses.
 
     Parameters
     ----------
     ellipses_px : ndarray, shape (n, 5)
-        Centre, semi-axes, angle of the first from x towards y, as seen in the image.
+        Centre, semi-axes, angle of the first axis from x towards y, rad; px, as seen in the image.
     camera : Camera
+
+    Returns
+    -------
+    View
     """
     charts = seen_through_lens(ellipses_px, camera)
     l11, l22 = np.exp(charts[:, 2]), np.exp(charts[:, 4])
@@ -64,17 +70,26 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
     length = np.linalg.norm(rays, axis=1)
     fx, fy = camera.fx_px, camera.fy_px
     radius_px = np.sqrt(l11 * l22 * fx * fy)
-    centre_px = np.hypot(CENTRE_PX, CENTRE_SHARE * radius_px)
-    # Errors of L, the lower triangular root of S, relative to it: its own two sizes and, doubled in variance
-    # as ever across the axes of a round rim, the element below.
-    relative = [fx * l11 / AXIS_PX, l11 / l22 * radius_px / (np.sqrt(2.0) * AXIS_PX), fy * l22 / AXIS_PX]
+    centre_px = np.hypot(CENTRE_SIGMA_PX, CENTRE_SIGMA_SHARE * radius_px)
+    # Relative errors of L, the lower triangular root of S: of its diagonal those of the axes; of the element
+    # below, twice the variance, so that errors of a circle do not depend on direction.
+    below = l11 / l22 * radius_px / (np.sqrt(2.0) * AXIS_SIGMA_PX)
+    relative = [fx * l11 / AXIS_SIGMA_PX, below, fy * l22 / AXIS_SIGMA_PX]
     precision = np.stack([fx / centre_px, fy / centre_px, *relative], axis=-1)
     edge = camera.pinhole.pixels(camera.normalised(camera.border_px(_BORDER_POINTS)))
-    # Of one layout: another would be compiled for anew.
-    whole = np.ascontiguousarray
+    # Compiled code is compiled anew for each memory layout: all arrays are C-ordered.
+    ordered = np.ascontiguousarray
     return View(
-        whole(rays / length[:, None]), whole(0.5 * np.log(l11 * l22) - 1.5 * np.log(length)), whole(moments),
-        whole(charts), whole(radius_px), whole(camera.pinhole.pixels(charts[:, :2])), whole(precision),
-        camera.focal_px, np.concatenate([edge.min(axis=0), edge.max(axis=0)]), fx, fy,
-        np.array([camera.cx_px, camera.cy_px]),
-    )  # fmt: skip
+        directions=ordered(rays / length[:, None]),
+        log_angle=ordered(0.5 * np.log(l11 * l22) - 1.5 * np.log(length)),
+        moments=ordered(moments),
+        charts=ordered(charts),
+        radius_px=ordered(radius_px),
+        points_px=ordered(camera.pinhole.pixels(charts[:, :2])),
+        precision=ordered(precision),
+        focal_px=camera.focal_px,
+        bounds_px=np.concatenate([edge.min(axis=0), edge.max(axis=0)]),
+        fx_px=fx,
+        fy_px=fy,
+        principal_px=np.array([camera.cx_px, camera.cy_px]),
+    )

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.linalg import squared_distance
+from craternav_fg.measurements import KnownAttitude
 from craternav_fg.resection.efficient import refine
 from craternav_fg.resection.least_squares import (
     EVERYTHING,
@@ -27,12 +28,11 @@ from craternav_fg.resection.paper import equations
 from craternav_fg.resection.paper.centres import centre_covariance, centre_pose
 from craternav_fg.resection.paper.equations import PaperRims
 from craternav_fg.resection.problem import (
-    KnownAttitude,
     PosePrior,
+    PoseSolution,
+    ResectionError,
     ResectionProblem,
     ResectionResult,
-    StaticError,
-    StaticPose,
     Status,
 )
 from factors.kernels import conic
@@ -87,12 +87,12 @@ def solve_paper(
 
     Raises
     ------
-    StaticError
+    ResectionError
         Without a start and without a prior; for `CRATER_AND_SUN` without the sun or with more craters.
     """
     if start is None:
         if problem.prior is None:
-            raise StaticError(f"eq. {method.value} needs a start or a prior")
+            raise ResectionError(f"eq. {method.value} needs a start or a prior")
         start = problem.prior.gTb
     least = _LEAST[method][problem.attitude is not None]
     if len(problem.rims) < least:
@@ -125,9 +125,9 @@ def _system(problem: ResectionProblem, method: Method, seen: PaperRims) -> PoseE
     if method is Method.SHAPES:
         return partial(equations.conic_shapes, seen)
     if problem.sun is None:
-        raise StaticError("eq. (25) needs the sun's tilt")
+        raise ResectionError("eq. (25) needs the sun's tilt")
     if len(problem.rims) > 1:
-        raise StaticError(f"eq. (25) is of one crater, found {len(problem.rims)}")
+        raise ResectionError(f"eq. (25) is of one crater, found {len(problem.rims)}")
     return partial(equations.with_sun, problem.sun, seen)
 
 
@@ -164,7 +164,7 @@ def _result(
     residuals = rims.residuals(gTb, problem.bTc)
     turn = _adjoint(problem.bTc)
     S = np.full((6, 6), np.nan) if covariance is None else turn @ covariance @ turn.T
-    pose = StaticPose(gTb, S, residuals, float(np.sum(residuals**2)))
+    pose = PoseSolution(gTb, S, residuals, float(np.sum(residuals**2)))
     if covariance is None:
         return ResectionResult(Status.UNDETERMINED, f"{name} leaves a direction of the pose free", (pose,))
     if method is Method.CRATER_AND_SUN:

@@ -1,11 +1,13 @@
 """A k-d tree of points of five 16-bit numbers, as arrays that are stored and loaded without a copy.
 
-SciPy's tree has no form on disk but a pickle, takes a metric of equal weights, and is asked from Python, one
-call for each set of points. Here every query brings its own weights, from within a compiled search, and a
-point takes 14 bytes.
+SciPy's tree can be stored only as a pickle, has one metric for all queries, and is queried from Python. Here
+every query has weights of its own and comes from compiled code, and a point takes 14 bytes.
 
-Node k has the children 2k and 2k + 1; its points are the first and the second half of its range.
+Node 1 is the root; node k has the children 2k and 2k + 1, which hold the first and the second half of its
+points.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,18 +16,52 @@ from numba import njit
 FloatArray = npt.NDArray[np.float64]
 Points = npt.NDArray[np.uint16]
 Codes = npt.NDArray[np.uint32]
+Dims = npt.NDArray[np.uint8]
 
 DIMENSIONS = 5
-_LEAF = 24
-_DEPTH = 40
+# Largest number of points in a leaf: a shorter scan would not pay for a deeper descent.
+_LEAF_POINTS = 24
+# Room for the nodes that a query has yet to visit: more than the tree can be deep.
+_MAX_DEPTH = 40
+# Points by which the spread of a large node is judged.
+_SPREAD_SAMPLE = 512
 
 
-def levels_of(count: int) -> int:
-    """Levels of inner nodes of a tree of some points."""
+class Tree(NamedTuple):
+    """Points, ordered so that each node's points are contiguous."""
+
+    points: Points
+    """Shape (n, 5)."""
+    codes: Codes
+    """What each point stands for, shape (n,)."""
+    dims: Dims
+    """Dimension in which each inner node is split, shape (2^levels,)."""
+    splits: Points
+    """Value at which each inner node is split, shape (2^levels,)."""
+    levels: int
+    """Levels of inner nodes."""
+
+
+def build(points: Points, codes: Codes, weights: FloatArray) -> Tree:
+    """Build a tree; the arrays given are reordered in place and belong to it.
+
+    Parameters
+    ----------
+    points : ndarray of uint16, shape (n, 5)
+    codes : ndarray of uint32, shape (n,)
+        What each point stands for.
+    weights : ndarray, shape (5,)
+        Of the dimensions: each node is split where its weighted spread is largest.
+
+    Returns
+    -------
+    Tree
+    """
     levels = 0
-    while count > _LEAF << levels:
+    while len(points) > _LEAF_POINTS << levels:
         levels += 1
-    return levels
+    dims, splits = _order(points, codes, weights, levels)
+    return Tree(points, codes, dims, splits, levels)
 
 
 @njit(cache=True, error_model="numpy")
@@ -37,10 +73,10 @@ def _swap(points: Points, codes: Codes, i: int, j: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _select(points: Points, codes: Codes, lo: int, hi: int, middle: int, d: int) -> None:
-    """Order the rows lo to hi so that none before `middle` is above it in dimension d, none after below."""
+    """Order rows lo to hi: in dimension d, none before `middle` is above it and none after it is below."""
     hi -= 1
     while hi > lo:
-        # The median of three keeps ordered rows from costing the square of their number.
+        # The median of three as pivot: rows in order would otherwise cost the square of their number.
         mid = (lo + hi) // 2
         if points[mid, d] < points[lo, d]:
             _swap(points, codes, mid, lo)
@@ -68,28 +104,15 @@ def _select(points: Points, codes: Codes, lo: int, hi: int, middle: int, d: int)
 
 
 @njit(cache=True, error_model="numpy")
-def build(
-    points: Points, codes: Codes, weights: FloatArray, levels: int
-) -> tuple[npt.NDArray[np.uint8], Points]:
-    """Order points and codes into a tree, in place; give each inner node's dimension and value.
-
-    Parameters
-    ----------
-    points : ndarray of uint16, shape (n, 5)
-    codes : ndarray of uint32, shape (n,)
-        What each point stands for.
-    weights : ndarray, shape (5,)
-        Per dimension: the widest weighted spread is halved.
-    levels : int
-        From `levels_of`.
-    """
+def _order(points: Points, codes: Codes, weights: FloatArray, levels: int) -> tuple[Dims, Points]:
+    """Order points and codes into a tree, in place; return each inner node's dimension and value."""
     dims = np.zeros(1 << levels, dtype=np.uint8)
     splits = np.zeros(1 << levels, dtype=np.uint16)
     n = points.shape[0]
     for level in range(levels):
         first = 1 << level
         for node in range(first, 2 * first):
-            # The range of a node follows from its number: halves of halves.
+            # The bits of a node's number tell which halves lead to it.
             lo, hi = 0, n
             for k in range(level - 1, -1, -1):
                 half = (lo + hi) // 2
@@ -100,8 +123,7 @@ def build(
             best, widest = 0, -1.0
             for d in range(DIMENSIONS):
                 least, most = points[lo, d], points[lo, d]
-                # A sample tells the spread of a large node.
-                for i in range(lo, hi, 1 + (hi - lo) // 512):
+                for i in range(lo, hi, 1 + (hi - lo) // _SPREAD_SAMPLE):
                     least = min(least, points[i, d])
                     most = max(most, points[i, d])
                 spread = weights[d] * (float(most) - float(least))
@@ -133,31 +155,36 @@ def _sink(d2: FloatArray, codes: Codes, count: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def nearest(
-    points: Points, codes: Codes, dims: npt.NDArray[np.uint8], splits: Points, levels: int,
-    query: FloatArray, weights: FloatArray, reach2: float, found_d2: FloatArray, found: Codes,
-) -> int:  # fmt: skip
-    """Write the codes of the nearest points, in no order, and their squared distances; give their number.
+    tree: Tree, query: FloatArray, weights: FloatArray, reach2: float, found_d2: FloatArray, found: Codes
+) -> int:
+    """Find the nearest points; write their codes and squared distances, in no order.
 
     Parameters
     ----------
-    points, codes, dims, splits, levels
-        Of the tree.
+    tree : Tree
     query : ndarray, shape (5,)
         In the points' units.
     weights : ndarray, shape (5,)
-        Per dimension, on differences.
+        Factors on the differences in each dimension.
     reach2 : float
-        Points at this squared distance or beyond are not sought.
-    found_d2, found : ndarray, shape (m,)
-        Room for the m nearest.
+        Points at this squared distance or farther are ignored.
+    found_d2 : ndarray, shape (m,)
+        Written: squared weighted distances.
+    found : ndarray of uint32, shape (m,)
+        Written: codes.
+
+    Returns
+    -------
+    int
+        Number of points found, at most m.
     """
     room = found.shape[0]
     count = 0
-    nodes = np.empty(_DEPTH, dtype=np.int64)
-    bounds = np.empty((_DEPTH, 2), dtype=np.int64)
-    sides = np.empty((_DEPTH, DIMENSIONS))
-    away = np.empty(_DEPTH)
-    nodes[0], bounds[0, 0], bounds[0, 1], away[0] = 1, 0, points.shape[0], 0.0
+    nodes = np.empty(_MAX_DEPTH, dtype=np.int64)
+    bounds = np.empty((_MAX_DEPTH, 2), dtype=np.int64)
+    sides = np.empty((_MAX_DEPTH, DIMENSIONS))
+    away = np.empty(_MAX_DEPTH)
+    nodes[0], bounds[0, 0], bounds[0, 1], away[0] = 1, 0, tree.points.shape[0], 0.0
     sides[0] = 0.0
     top = 1
     near = np.empty(DIMENSIONS)
@@ -169,10 +196,10 @@ def nearest(
         total = away[top]
         for d in range(DIMENSIONS):
             near[d] = sides[top, d]
-        while node < 1 << levels:
-            d = dims[node]
+        while node < 1 << tree.levels:
+            d = tree.dims[node]
             middle = (lo + hi) // 2
-            delta = weights[d] * (query[d] - float(splits[node]))
+            delta = weights[d] * (query[d] - float(tree.splits[node]))
             other = total - near[d] * near[d] + delta * delta
             after = delta >= 0.0
             if other < reach2:
@@ -192,14 +219,14 @@ def nearest(
         for i in range(lo, hi):
             d2 = 0.0
             for d in range(DIMENSIONS):
-                e = weights[d] * (query[d] - float(points[i, d]))
+                e = weights[d] * (query[d] - float(tree.points[i, d]))
                 d2 += e * e
             if d2 >= reach2:
                 continue
             if count < room:
                 # Sift up.
                 k = count
-                found_d2[k], found[k] = d2, codes[i]
+                found_d2[k], found[k] = d2, tree.codes[i]
                 while k and found_d2[(k - 1) // 2] < found_d2[k]:
                     parent = (k - 1) // 2
                     found_d2[k], found_d2[parent] = found_d2[parent], found_d2[k]
@@ -207,7 +234,7 @@ def nearest(
                     k = parent
                 count += 1
             else:
-                found_d2[0], found[0] = d2, codes[i]
+                found_d2[0], found[0] = d2, tree.codes[i]
                 _sink(found_d2, found, count)
             if count == room:
                 reach2 = min(reach2, found_d2[0])

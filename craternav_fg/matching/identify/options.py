@@ -1,0 +1,43 @@
+"""Options of identification."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """Extent of the search, and the evidence that an answer needs.
+
+    Attributes
+    ----------
+    altitudes_m : tuple of float
+        Lowest and highest altitude above the reference sphere that are searched.
+    noise_levels_px : tuple of float
+        Standard deviations of the rims' centres that are assumed, one after the other, until one gives an
+        answer.
+    candidates : tuple of int
+        Triples of craters that are examined per triple of rims, for each noise level.
+    triples : int
+        Largest number of rim triples that are looked up per noise level and estimate of the vertical. A
+        quarter of it is used for verticals beside the best estimate.
+    tried : int
+        Largest number of pairs of a rim and a crater that are tried with a known attitude. It bounds the
+        computing time with a large catalogue.
+    log_chance : float
+        Natural logarithm of the largest probability that an answer arose by chance.
+    log_chance_attitude : float
+        The same with a known attitude.
+    log_ambiguity : float
+        A second pose is ignored when its evidence is lower by more than this (a negative logarithm);
+        otherwise the result is ambiguous.
+    """
+
+    altitudes_m: tuple[float, float] = (1e3, 2e6)
+    noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
+    candidates: tuple[int, ...] = (16, 48, 160)
+    triples: int = 96
+    tried: int = 3_000_000
+    log_chance: float = float(np.log(1e-6))
+    log_chance_attitude: float = float(np.log(1e-4))
+    log_ambiguity: float = float(np.log(1e-3))

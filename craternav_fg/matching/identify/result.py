@@ -1,0 +1,62 @@
+"""Result of identification."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+class Status(Enum):
+    """Outcome of an identification; `Identification.reason` gives the details."""
+
+    IDENTIFIED = "identified"
+    AMBIGUOUS = "several poses explain the rims"
+    NO_ANSWER = "no pose explains the rims better than chance"
+    TOO_FEW_RIMS = "too few rims"
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Craters of an image's rims, and the pose.
+
+    Attributes
+    ----------
+    status : Status
+    reason : str
+        Why there is no answer, in one line; empty when the status is `IDENTIFIED`.
+    craters : tuple of str or None, length n
+        Identifier of each rim's crater; None for a rim without one.
+    rows : ndarray of int, shape (n,)
+        Row of each rim's crater in the catalogue; -1 for a rim without one.
+    gTc, gTb : ndarray, shape (4, 4)
+        Pose of the camera and of the body in g; NaN without an answer.
+    covariance : ndarray, shape (6, 6)
+        Of the body's pose, for its right twist [w, rho] in b, rad and m; NaN without an answer.
+    log_chance : float
+        Natural logarithm of an upper bound on the probability that chance explains the rims as well, over
+        all poses that were searched. Without an answer, that of the best pose found.
+    sigma_px : float
+        Standard deviation of the centres, estimated from the matched rims; NaN without an answer.
+    seconds : float
+        Elapsed time.
+    """
+
+    status: Status
+    reason: str
+    craters: tuple[str | None, ...]
+    rows: IntArray
+    gTc: FloatArray
+    gTb: FloatArray
+    covariance: FloatArray
+    log_chance: float
+    sigma_px: float
+    seconds: float
+
+    @property
+    def identified(self) -> bool:
+        """Whether there is an answer."""
+        return self.status is Status.IDENTIFIED

@@ -1,0 +1,327 @@
+"""Hypotheses of the pose from triples of neighbouring rims, with position and attitude unknown."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from craternav_fg.catalogs.sphere_index import SphereIndex
+from craternav_fg.matching.identify.craters import Craters
+from craternav_fg.matching.identify.hypothesis import (
+    CRATERS,
+    HYPOTHESIS,
+    POSITION,
+    RIMS,
+    ROTATION,
+    SCORE,
+    SPHERE,
+    PoseLimits,
+    allowed,
+    keep,
+    size_sigma,
+    size_sigmas,
+    support,
+)
+from craternav_fg.matching.identify.kd_tree import Tree, nearest
+from craternav_fg.matching.identify.nadir import place
+from craternav_fg.matching.identify.triple_index import SIDE_UNIT, SIZE_UNIT, SMALLEST, describe
+from craternav_fg.matching.identify.view import View
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Int32Array = npt.NDArray[np.int32]
+
+# Squared distance in the index, in standard deviations, up to which a triple of craters is a candidate: with
+# five degrees of freedom, 97 % of the true ones.
+_MAX_DISTANCE2 = 12.0
+# Other rims after which a hypothesis with a score that is not positive is given up.
+_PATIENCE = 3
+# Least share of a disc around a rim that counts as shown in the image: bounds the estimate of how many
+# neighbours are hidden.
+_MIN_SHOWN = 0.05
+# Points per ring by which that share is measured.
+_RING_POINTS = 16
+# Least cosine of the angle between a line of sight and the vertical in the correction of sizes.
+_MIN_COS_SLANT = 0.1
+# Relative error of a triple's sides besides the rims' noise: the sphere is not flat, nor the ground a sphere.
+SIDE_ERROR = 0.02
+# Share of the distance from a triple by which its pose predicts other rims wrongly.
+LEVER = 0.05
+# Factor from the noise of one centre to that of the distance between two.
+_PAIR_NOISE = 1.4
+# Least ratio of twice a triple's area to the product of two sides: flatter triples give no rotation.
+_MIN_SINE = 1e-3
+
+
+class Projection(NamedTuple):
+    """The n rims projected to the sphere under a hypothesis of vertical and altitude."""
+
+    X: FloatArray
+    """Positions of the rims' centres relative to the body's, in axes of c, m; NaN beside the body; (n, 3)."""
+    log_size: FloatArray
+    """Natural logarithms of the geometric means of the semi-axes, m; NaN beside the body; shape (n,)."""
+    m_per_px: FloatArray
+    """Extent of a pixel on the ground, across the mean of the foreshortening; shape (n,)."""
+    down: FloatArray
+    """Unit vector to the body's centre in c, shape (3,)."""
+    range_m: float
+    """Distance of the body's centre."""
+
+
+def project_all_to_sphere(view: View, down: FloatArray, height_m: float, radius_m: float) -> Projection:
+    """Project all rims of an image to the sphere.
+
+    Parameters
+    ----------
+    view : View
+    down : ndarray, shape (3,)
+        Unit vector to the body's centre in c.
+    height_m : float
+        Altitude.
+    radius_m : float
+        Of the sphere.
+
+    Returns
+    -------
+    Projection
+    """
+    range_m = radius_m + height_m
+    X, log_size, m_per_px = _project_all(view, down, range_m, radius_m)
+    return Projection(X, log_size, m_per_px, down, range_m)
+
+
+@njit(cache=True, error_model="numpy")
+def _project_all(
+    view: View, down: FloatArray, range_m: float, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    n = view.directions.shape[0]
+    X = np.full((n, 3), np.nan)
+    log_size = np.full(n, np.nan)
+    m_per_px = np.full(n, np.nan)
+    point = np.empty(3)
+    for i in range(n):
+        distance = place(view, i, down, range_m, radius_m, point)
+        if distance < 0.0:
+            continue
+        cos = 0.0
+        for k in range(3):
+            X[i, k] = point[k]
+            cos -= point[k] * view.directions[i, k] / radius_m
+        cos = max(cos, _MIN_COS_SLANT)
+        log_size[i] = view.log_angle[i] + np.log(distance) - 0.5 * np.log(cos)
+        m_per_px[i] = distance / np.sqrt(cos) / view.focal_px
+    return X, log_size, m_per_px
+
+
+def image_order(view: View, count: int) -> Int32Array:
+    """Order the rims around each rim by their distance in the image.
+
+    Parameters
+    ----------
+    view : View
+    count : int
+        Largest number of rims per rim, itself included.
+
+    Returns
+    -------
+    ndarray of int32, shape (n, m)
+        Each rim itself, then its neighbours, nearest first.
+    """
+    p = view.points_px
+    d2 = np.sum((p[:, None] - p[None]) ** 2, axis=-1)
+    return np.argsort(d2, axis=1)[:, :count].astype(np.int32)
+
+
+def image_triples(view: View, projection: Projection, count: int, sigma: float) -> Int32Array:
+    """Form triples of rims as the index forms triples of craters.
+
+    Two things decide the order. The index holds a triple only when few craters are nearer to its first one;
+    the share of the surroundings that the image shows tells how many may be hidden. And a triple with small
+    relative errors has fewer candidates.
+
+    Parameters
+    ----------
+    view : View
+    projection : Projection
+    count : int
+        Neighbours of a rim that are paired.
+    sigma : float
+        Noise of the centres, px.
+
+    Returns
+    -------
+    ndarray of int32, shape (m, 3)
+        Rows of rims, the most promising triple first.
+    """
+    X, log_size, m_per_px = projection.X, projection.log_size, projection.m_per_px
+    n = len(X)
+    share = size_sigmas(view, sigma)
+    d2 = np.sum((X[:, None] - X[None]) ** 2, axis=-1)
+    large = log_size[None] >= (log_size + np.log(SMALLEST) - share)[:, None]
+    d2[~large | np.eye(n, dtype=bool) | ~(d2 > 0.0)] = np.inf
+    near = np.argsort(d2, axis=1)[:, :count]
+    first, second = np.triu_indices(near.shape[1], 1)
+    i = np.repeat(np.arange(n), len(first))
+    j, k = near[:, first].ravel(), near[:, second].ravel()
+    there = np.isfinite(d2[i, j]) & np.isfinite(d2[i, k])
+    i, j, k = i[there], j[there], k[there]
+    perimeter = np.sqrt(d2[i, j]) + np.sqrt(d2[i, k])
+    side = np.hypot(sigma * m_per_px[i] / perimeter, 0.5 * SIDE_ERROR)
+    doubt = np.log(side * side * share[i] * share[j] * share[k])
+    reach_px = np.sqrt(np.take_along_axis(d2, near, axis=1)) / m_per_px[:, None]
+    shown = _shown(view, np.where(np.isfinite(reach_px), reach_px, 0.0))
+    nearer = (np.arange(1, near.shape[1] + 1) / shown)[:, second].ravel()[there]
+    return np.stack([i, j, k], axis=-1)[np.argsort(doubt + nearer, kind="stable")].astype(np.int32)
+
+
+def _shown(view: View, reach_px: FloatArray) -> FloatArray:
+    """Share (n, m), at least `_MIN_SHOWN`, that the image shows of discs of radii (n, m) around the rims."""
+    turn = 2.0 * np.pi * np.arange(_RING_POINTS) / _RING_POINTS
+    # Two rings that stand for equal areas.
+    ring = np.concatenate([np.sqrt(part) * np.exp(1j * turn) for part in (0.25, 0.75)])
+    offset = reach_px[:, :, None] * ring
+    x, y = view.points_px[:, 0, None, None] + offset.real, view.points_px[:, 1, None, None] + offset.imag
+    left, top, right, bottom = view.bounds_px
+    inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+    return np.maximum(inside.mean(axis=-1), _MIN_SHOWN)
+
+
+@njit(cache=True, error_model="numpy")
+def _pose_of(
+    projection: Projection, centres: FloatArray, rims: Int32Array, triple: Int32Array, ratio: float,
+    pose: FloatArray,
+) -> bool:  # fmt: skip
+    """Write the pose for which three projected rims, scaled by a ratio, lie on three craters.
+
+    False when either triple is degenerate.
+    """
+    X = projection.X
+    A = np.empty((3, 3))
+    B = np.empty((3, 3))
+    a0, b0 = np.zeros(3), np.zeros(3)
+    sphere = 0.0
+    for k in range(3):
+        length = 0.0
+        for r in range(3):
+            # Relative to the camera: the altitude is what the ratio scales.
+            a0[r] += ratio * (X[rims[k], r] + projection.range_m * projection.down[r]) / 3.0
+            b0[r] += centres[triple[k], r] / 3.0
+            length += centres[triple[k], r] ** 2
+        sphere += np.sqrt(length) / 3.0
+    for side in range(2):
+        M = A if side == 0 else B
+        for r in range(3):
+            if side == 0:
+                M[0, r] = X[rims[1], r] - X[rims[0], r]
+                M[1, r] = X[rims[2], r] - X[rims[0], r]
+            else:
+                M[0, r] = centres[triple[1], r] - centres[triple[0], r]
+                M[1, r] = centres[triple[2], r] - centres[triple[0], r]
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            M[2, r] = M[0, s] * M[1, t] - M[0, t] * M[1, s]
+        # A frame of the triangle's plane in which both sides count alike: along the bisector, and across it.
+        l0 = np.sqrt(M[0, 0] ** 2 + M[0, 1] ** 2 + M[0, 2] ** 2)
+        l1 = np.sqrt(M[1, 0] ** 2 + M[1, 1] ** 2 + M[1, 2] ** 2)
+        l2 = np.sqrt(M[2, 0] ** 2 + M[2, 1] ** 2 + M[2, 2] ** 2)
+        if not l2 > _MIN_SINE * l0 * l1:
+            return False
+        total = 0.0
+        for r in range(3):
+            M[0, r] = M[0, r] / l0 + M[1, r] / l1
+            M[2, r] /= l2
+            total += M[0, r] ** 2
+        for r in range(3):
+            M[0, r] /= np.sqrt(total)
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            M[1, r] = M[2, s] * M[0, t] - M[2, t] * M[0, s]
+    for r in range(3):
+        for c in range(3):
+            value = 0.0
+            for k in range(3):
+                value += B[k, r] * A[k, c]
+            pose[ROTATION + 3 * r + c] = value
+    for r in range(3):
+        pose[POSITION + r] = b0[r]
+        for c in range(3):
+            pose[POSITION + r] -= pose[ROTATION + 3 * r + c] * a0[c]
+    pose[SPHERE] = sphere
+    for k in range(3):
+        pose[RIMS + k] = rims[k]
+        pose[CRATERS + k] = triple[k]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def search_triples(
+    view: View, index: SphereIndex, craters: Craters, neighbours: Int32Array, tree: Tree,
+    projection: Projection, triples: Int32Array, order: Int32Array, sigma: float, candidates: int,
+    limits: PoseLimits, best: FloatArray,
+) -> None:  # fmt: skip
+    """Look up triples of rims in the index and keep the best hypotheses.
+
+    Parameters
+    ----------
+    view : View
+    index : SphereIndex
+    craters : Craters
+    neighbours : ndarray of int32, shape (c, k)
+        See `TripleIndex`.
+    tree : Tree
+        See `TripleIndex`.
+    projection : Projection
+    triples : ndarray of int32, shape (m, 3)
+        Rows of rims, from `image_triples`.
+    order : ndarray of int32, shape (n, l)
+        From `image_order`.
+    sigma : float
+        Noise of the centres, px.
+    candidates : int
+        Largest number of triples of craters that are examined per triple of rims.
+    limits : PoseLimits
+    best : ndarray, shape (h, HYPOTHESIS)
+        Changed: the best hypothetical poses.
+    """
+    X, log_size, m_per_px = projection.X, projection.log_size, projection.m_per_px
+    centres = craters.centres
+    count = neighbours.shape[1]
+    found_d2 = np.empty(candidates)
+    found = np.empty(candidates, dtype=np.uint32)
+    query = np.empty(5)
+    weights = np.empty(5)
+    rims = np.empty(3, dtype=np.int32)
+    triple = np.empty(3, dtype=np.int32)
+    pose = np.empty(HYPOTHESIS)
+    for row in range(triples.shape[0]):
+        for k in range(3):
+            rims[k] = triples[row, k]
+        swapped, perimeter = describe(X, log_size, rims[0], rims[1], rims[2], query)
+        if swapped:
+            rims[1], rims[2] = rims[2], rims[1]
+        side = np.hypot(_PAIR_NOISE * sigma * m_per_px[rims[0]] / perimeter, SIDE_ERROR)
+        weights[0] = weights[1] = SIDE_UNIT / side
+        for k in range(3):
+            weights[2 + k] = SIZE_UNIT / np.hypot(size_sigma(view, rims[k], sigma), side)
+        hits = nearest(tree, query, weights, _MAX_DISTANCE2, found_d2, found)
+        extent_px = perimeter / m_per_px[rims[0]] / 4.0
+        for h in range(hits):
+            code = np.int64(found[h])
+            triple[0] = code // (count * count)
+            triple[1] = neighbours[triple[0], (code // count) % count]
+            triple[2] = neighbours[triple[0], code % count]
+            span = 0.0
+            for k in range(3):
+                total = 0.0
+                for r in range(3):
+                    total += (centres[triple[k], r] - centres[triple[(k + 1) % 3], r]) ** 2
+                span += np.sqrt(total)
+            if not _pose_of(projection, centres, rims, triple, span / perimeter, pose):
+                continue
+            if not allowed(pose, limits):
+                continue
+            score = support(view, index, craters, order[rims[0]], pose, extent_px, LEVER, sigma, _PATIENCE)
+            pose[SCORE] = score - 0.5 * found_d2[h]
+            if pose[SCORE] > 0.0:
+                keep(pose, best)
