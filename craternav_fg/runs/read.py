@@ -21,7 +21,9 @@ from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-# What version 0.1 called metrics, calibration results and columns of residuals.parquet.
+# What version 0.1 called parts of metrics.json, metrics of an estimator, its calibration, and columns of
+# residuals.parquet.
+_FORMER_PARTS = {"resumed_at_frames": "reinitialised_at_frames"}
 _FORMER_METRICS = {"rim_misfit_share": "rim_outlier_share"}
 _FORMER_CALIBRATED = {"image_delay_s": "time_offset_s", "image_delay_sigma_s": "time_offset_sigma_s"}
 _FORMER_COLUMNS = {"taken_for": "reassociated_with", "gain": "slope_contrast"}
@@ -80,13 +82,15 @@ def read_run(folder: Path | str) -> Run:
         description = tomllib.loads((path / store.MARKER).read_text(encoding="utf-8"))
         trajectories = _trajectories(states)
         dataset = path / description["dataset"]
-        metrics["estimators"] = {present_name(name): each for name, each in metrics["estimators"].items()}
+        _rename(metrics, _FORMER_PARTS)
+        for part in ("estimators", "times_s", "failures"):
+            metrics[part] = {present_name(name): each for name, each in metrics[part].items()}
         for values in metrics["estimators"].values():
             _rename(values, _FORMER_METRICS)
             _rename(values.get("calibrated", {}), _FORMER_CALIBRATED)
     except KeyError as error:
         raise InputError(path, f"is damaged: {error} is missing") from None
-    except (ValueError, pa.ArrowException, OSError) as error:
+    except (ValueError, TypeError, AttributeError, pa.ArrowException, OSError) as error:
         raise InputError(path, f"is damaged: {error}") from None
     truth = trajectories.pop(store.TRUTH, None)
     return Run(path, metrics, trajectories, truth, dataset)

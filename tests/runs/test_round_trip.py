@@ -151,6 +151,7 @@ def test_residuals_are_at_the_calibrated_camera(tmp_path: Path) -> None:
 def test_runs_of_version_0_1_are_read(tmp_path: Path) -> None:
     folder = write(tmp_path / "run")
     metrics = json.loads((folder / "metrics.json").read_text())
+    metrics["resumed_at_frames"] = metrics.pop("reinitialised_at_frames")
     for values in metrics["estimators"].values():
         values["rim_misfit_share"] = values.pop("rim_outlier_share")
         values["calibrated"] = {"image_delay_s": 0.02, "image_delay_sigma_s": 0.004}
@@ -158,7 +159,9 @@ def test_runs_of_version_0_1_are_read(tmp_path: Path) -> None:
     table = pq.read_table(folder / "residuals.parquet")
     former = ["taken_for" if name == "reassociated_with" else name for name in table.column_names]
     pq.write_table(table.rename_columns(former), folder / "residuals.parquet")
-    values = read_run(folder).metrics["estimators"]["dead_reckoning"]
+    metrics = read_run(folder).metrics
+    assert metrics["reinitialised_at_frames"] == []
+    values = metrics["estimators"]["dead_reckoning"]
     assert values["rim_outlier_share"] == 1.0
     assert values["calibrated"] == {"time_offset_s": 0.02, "time_offset_sigma_s": 0.004}
     assert read_residuals(folder)["reassociated_with"].to_pylist() == [None] * 8
@@ -172,6 +175,8 @@ def test_runs_of_version_0_1_are_read(tmp_path: Path) -> None:
         ("run.toml", b"\xff", "is damaged"),
         ("metrics.json", b"{", "is damaged"),
         ("metrics.json", b"{}", "'estimators' is missing"),
+        ("metrics.json", b"[1]", "is damaged"),
+        ("metrics.json", b'{"estimators": 3}', "is damaged"),
         ("states.parquet", b"PAR1", "is damaged"),
         ("states.parquet", None, "states.parquet: is missing from the run"),
     ],
