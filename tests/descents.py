@@ -6,7 +6,8 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import Crater, CraterList, Scenario, load_scenario
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from craternav_fg.simulation.scenario_tables import Crater, CraterList
 from craternav_fg.trajectory import Trajectory
 
 # Places (east, north, km) and sizes (km) of craters below a lander that looks ahead.

@@ -15,7 +15,8 @@ from craternav_fg.campaign.workers import Workers, cluster, processes
 from craternav_fg.campaign.write import CampaignFolder, identity
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT, estimator
-from craternav_fg.simulation.scenario_file import MeasurementSection, Scenario
+from craternav_fg.simulation.scenario_file import Scenario
+from craternav_fg.simulation.scenario_tables import MeasurementSection
 
 # Called with the name of a step, the number of its parts that are done, and their total.
 Progress = Callable[[str, int, int], None]

@@ -19,7 +19,8 @@ from craternav_fg.campaign.store import FORMAT, MARKER, SCRATCH, SUMMARY, TIMES,
 from craternav_fg.campaign.trial import TrialResult, software
 from craternav_fg.errors import InputError
 from craternav_fg.files import write_whole
-from craternav_fg.simulation.scenario_file import CraterFile, Scenario
+from craternav_fg.simulation.scenario_file import Scenario
+from craternav_fg.simulation.scenario_tables import CraterFile
 
 # Temporary names of `write_whole`: what a killed run leaves behind.
 _HALF_WRITTEN = (

@@ -10,7 +10,7 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.simulation.scenario_file import FaultsSection
+from craternav_fg.simulation.scenario_tables import FaultsSection
 
 FloatArray = npt.NDArray[np.float64]
 

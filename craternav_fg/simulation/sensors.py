@@ -12,7 +12,7 @@ from craternav_fg.dataset import ground_sun_direction
 from craternav_fg.ellipse import chart_covariance
 from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
-from craternav_fg.simulation.scenario_file import ImuSection, InitialErrorSection, MeasurementSection
+from craternav_fg.simulation.scenario_tables import ImuSection, InitialErrorSection, MeasurementSection
 from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.trajectory import InitialState
 from factors.kernels.sun import sun_tilt, wrap

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.simulation.scenario_file import TrajectorySection
+from craternav_fg.simulation.scenario_tables import TrajectorySection
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -19,12 +19,12 @@ from craternav_fg.errors import CraternavError
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
-from craternav_fg.simulation.scenario_file import (
+from craternav_fg.simulation.scenario_file import Scenario
+from craternav_fg.simulation.scenario_tables import (
     Crater,
     CraterFile,
     CraterList,
     RandomCraters,
-    Scenario,
     TrajectorySection,
 )
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions

@@ -23,13 +23,8 @@ from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.report.campaign_page import campaign_page
 from craternav_fg.report.page import write_page
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import (
-    CraterTrials,
-    ExpectedSection,
-    Scenario,
-    Spread,
-    load_scenario,
-)
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from craternav_fg.simulation.scenario_tables import CraterTrials, ExpectedSection, Spread
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
 from tests.cli.calls import call, craternav

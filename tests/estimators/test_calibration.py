@@ -13,7 +13,7 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.simulation.scenario_file import FaultsSection
+from craternav_fg.simulation.scenario_tables import FaultsSection
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 

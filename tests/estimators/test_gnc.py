@@ -27,7 +27,8 @@ from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import MeasurementSection, load_scenario
+from craternav_fg.simulation.scenario_file import load_scenario
+from craternav_fg.simulation.scenario_tables import MeasurementSection
 from craternav_fg.trajectory import Trajectory
 
 LIMIT2 = float(chi2.ppf(0.999, 5))

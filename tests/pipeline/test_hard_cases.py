@@ -13,7 +13,8 @@ from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.runs.read import read_residuals
 from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import FaultsSection, built_in_scenarios, load_scenario
+from craternav_fg.simulation.scenario_file import built_in_scenarios, load_scenario
+from craternav_fg.simulation.scenario_tables import FaultsSection
 
 CASES = [name for name in built_in_scenarios() if load_scenario(name).expected]
 

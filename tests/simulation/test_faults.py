@@ -13,7 +13,8 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.simulation.faults import perturb_map, perturb_mounting, swap_matches
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import FaultsSection, Scenario
+from craternav_fg.simulation.scenario_file import Scenario
+from craternav_fg.simulation.scenario_tables import FaultsSection
 from tests.descents import scenario
 
 MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))

@@ -13,7 +13,8 @@ from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.imu import ImuLog
 from craternav_fg.simulation import sensors
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import CraterFile, load_scenario
+from craternav_fg.simulation.scenario_file import load_scenario
+from craternav_fg.simulation.scenario_tables import CraterFile
 
 CASE3 = load_scenario("paper_case3")
 

@@ -1,0 +1,363 @@
+"""Tables of a scenario file and their keys."""
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AliasChoices, Field, model_validator
+
+from craternav_fg.camera import Camera
+from craternav_fg.config import Positive, Section, Vector
+from craternav_fg.frames import pose, rotation_exp
+from craternav_fg.imu import ImuNoise
+
+# Standard acceleration of gravity (CGPM 1901): the unit of accelerometers' data sheets.
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class CameraSection(Section):
+    """Camera with square pixels and its principal point in the image's centre."""
+
+    width_px: Annotated[int, Field(ge=16, le=16384)]
+    height_px: Annotated[int, Field(ge=16, le=16384)]
+    field_of_view_deg: Annotated[float, Field(gt=0.0, lt=170.0)]
+    """Across the image's width, before distortion."""
+    rotation_vector_deg: Vector
+    """Camera-IMU extrinsics: rotation from the camera to b."""
+    lever_arm_m: Vector
+    """Camera-IMU extrinsics: position of the camera in b."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Radial-tangential distortion of the lens: k1, k2, p1, p2, k3 as in OpenCV."""
+
+    @model_validator(mode="after")
+    def _does_not_fold(self) -> "CameraSection":
+        self.camera()
+        return self
+
+    def camera(self) -> Camera:
+        """Give the camera described."""
+        focal_px = 0.5 * self.width_px / math.tan(0.5 * math.radians(self.field_of_view_deg))
+        bTc = pose(rotation_exp(np.radians(self.rotation_vector_deg)), np.array(self.lever_arm_m))
+        return Camera(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            fx_px=focal_px,
+            fy_px=focal_px,
+            cx_px=0.5 * (self.width_px - 1),
+            cy_px=0.5 * (self.height_px - 1),
+            bTc=bTc,
+            distortion=self.distortion,
+        )
+
+
+class ImuSection(Section):
+    """IMU at the origin of b, in the units of data sheets."""
+
+    rate_hz: Annotated[float, Field(ge=10.0, le=10000.0)]
+    gyro_arw_deg_sqrt_h: Positive
+    """Angular random walk."""
+    gyro_bias_deg_h: Positive
+    """Standard deviation of the turn-on bias, per axis."""
+    gyro_bias_walk_deg_h_sqrt_h: Positive
+    """Standard deviation of the bias random walk after an hour."""
+    accelerometer_noise_ug_sqrt_hz: Positive
+    """Spectral density of the white noise."""
+    accelerometer_bias_ug: Positive
+    """Standard deviation of the turn-on bias, per axis."""
+    accelerometer_bias_walk_ug_sqrt_h: Positive
+    """Standard deviation of the bias random walk after an hour."""
+
+    def noise(self) -> ImuNoise:
+        """Give the densities in SI units."""
+        micro_g = 1e-6 * STANDARD_GRAVITY_M_S2
+        return ImuNoise(
+            gyro_density=math.radians(self.gyro_arw_deg_sqrt_h) / 60.0,
+            accelerometer_density=self.accelerometer_noise_ug_sqrt_hz * micro_g,
+            gyro_walk=math.radians(self.gyro_bias_walk_deg_h_sqrt_h) / 3600.0 / 60.0,
+            accelerometer_walk=self.accelerometer_bias_walk_ug_sqrt_h * micro_g / 60.0,
+        )
+
+    @property
+    def gyro_bias_rad_s(self) -> float:
+        """Turn-on bias, rad/s."""
+        return math.radians(self.gyro_bias_deg_h) / 3600.0
+
+    @property
+    def accelerometer_bias_m_s2(self) -> float:
+        """Turn-on bias, m/s^2."""
+        return self.accelerometer_bias_ug * 1e-6 * STANDARD_GRAVITY_M_S2
+
+
+class Boundary(Section):
+    """State at one end of the descent."""
+
+    altitude_m: Positive
+    downrange_m: float
+    """Along the ground from the landing site, positive beyond it."""
+    vertical_speed_m_s: float
+    """Positive upwards."""
+    ground_speed_m_s: float
+    """Of the sub-lander point, along the heading."""
+    vertical_acceleration_m_s2: float
+    """Second derivative of the altitude."""
+    ground_acceleration_m_s2: float
+    """Derivative of the ground speed."""
+
+
+class AttitudeSection(Section):
+    """Attitude relative to the local level frame (x forward, y right, z down)."""
+
+    start_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
+    """From nadir, positive when z points ahead."""
+    end_pitch_deg: Annotated[float, Field(gt=-60.0, lt=60.0)]
+    oscillation_deg: Vector
+    """Amplitudes about x, y and z."""
+    oscillation_period_s: tuple[Positive, Positive, Positive]
+
+
+class TrajectorySection(Section):
+    """A descent along a great circle to the landing site."""
+
+    site_latitude_deg: Annotated[float, Field(gt=-89.0, lt=89.0)]
+    site_longitude_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    heading_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    """At the site, from north towards east."""
+    duration_s: Positive
+    frame_interval_s: Positive
+    start: Boundary
+    end: Boundary
+    attitude: AttitudeSection
+
+    @model_validator(mode="after")
+    def _has_frames(self) -> "TrajectorySection":
+        if not 1e-3 <= self.frame_interval_s <= self.duration_s:
+            raise ValueError(
+                f"frame_interval_s {self.frame_interval_s} must be at least 0.001 and at most duration_s"
+            )
+        return self
+
+
+class SunSection(Section):
+    """Direction towards the sun at the landing site at the start of the descent."""
+
+    elevation_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    azimuth_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    """From north towards east."""
+
+
+class InitialErrorSection(Section):
+    """Standard deviations of the initial state's error, per axis."""
+
+    attitude_deg: Positive
+    position_m: Positive
+    velocity_m_s: Positive
+    angular_velocity_deg_s: Positive
+
+
+class RandomCraters(Section):
+    """Craters drawn along the ground track."""
+
+    source: Literal["random"]
+    density: Positive
+    """k of the size distribution: k r^-2 craters larger than r on a unit of area."""
+    size_frequency: tuple[tuple[Positive, Positive], ...] = ()
+    """In place of density: diameters, km, and numbers of larger craters per km^2. Interpolated and
+    extrapolated
+    by power laws."""
+    min_apparent_px: Positive
+    """Smallest semi-minor axis, seen from the lowest altitude at which the crater is in view."""
+    max_apparent_px: Positive
+    """Largest semi-major axis, seen from the highest altitude at which the crater is in view."""
+    reach: Positive
+    """Half-width of the corridor along the ground track, in altitudes."""
+    separation: NotNegative
+    """Smallest distance of centres over the sum of their semi-major axes; below 1 craters overlap."""
+    min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
+    """Axis ratios b/a are uniform from here to 1."""
+    clutter_px: tuple[Positive, Positive]
+    """Smallest and largest apparent size of the craters that only the terrain has, not the catalogue."""
+
+    @model_validator(mode="after")
+    def _sizes_rise(self) -> "RandomCraters":
+        for name, (small, large) in (
+            ("apparent", (self.min_apparent_px, self.max_apparent_px)),
+            ("clutter", self.clutter_px),
+        ):
+            if not small < large:
+                raise ValueError(f"{name} sizes must rise, found {small} to {large}")
+        table = np.array(self.size_frequency).reshape(-1, 2)
+        if len(table) == 1 or np.any(np.diff(table[:, 0]) <= 0.0) or np.any(np.diff(table[:, 1]) >= 0.0):
+            raise ValueError("size_frequency needs two rows or more, rising diameters and falling numbers")
+        return self
+
+
+class CraterFile(Section):
+    """Craters of a catalogue file with Robbins' column names."""
+
+    source: Literal["file"]
+    path: Annotated[str, Field(min_length=1)]
+    """Relative to the scenario file."""
+
+
+class Crater(Section):
+    """One crater, positioned relative to the landing site."""
+
+    east_m: float
+    north_m: float
+    semi_major_m: Positive
+    semi_minor_m: Positive
+    angle_deg: float
+    """Of the major axis, from local east towards north."""
+    height_m: float = 0.0
+    """Of the rim above the reference sphere."""
+
+    @model_validator(mode="after")
+    def _axes_in_order(self) -> "Crater":
+        if self.semi_minor_m > self.semi_major_m:
+            raise ValueError(f"semi_minor_m {self.semi_minor_m} exceeds semi_major_m {self.semi_major_m}")
+        return self
+
+
+class CraterTrials(Section):
+    """Variation of the listed craters from trial to trial of a Monte Carlo campaign."""
+
+    place_sigma_m: NotNegative
+    """Standard deviation of the positions, east and north."""
+    semi_axes_m: tuple[Positive, Positive]
+    """Both semi-axes are uniform between these, the orientation between 0 and 180 deg."""
+
+    @model_validator(mode="after")
+    def _axes_in_order(self) -> "CraterTrials":
+        if not self.semi_axes_m[0] <= self.semi_axes_m[1]:
+            raise ValueError(f"semi_axes_m must rise, found {self.semi_axes_m[0]} to {self.semi_axes_m[1]}")
+        return self
+
+
+class CraterList(Section):
+    """Craters listed one by one."""
+
+    source: Literal["list"]
+    crater: Annotated[tuple[Crater, ...], Field(min_length=1)]
+    trials: CraterTrials | None = None
+    """If given, each trial draws its own craters; a simulation that is not a trial has the listed ones."""
+
+
+class TerrainSection(Section):
+    """Terrain between and inside the craters."""
+
+    slope: NotNegative
+    """RMS slope that the octave of 100 m contributes along one axis."""
+    hurst: Annotated[float, Field(gt=0.0, le=1.0)]
+    """Hurst exponent: heights grow with the length to this power."""
+    coarsest_m: Positive
+    """Longest wavelength, rounded down to a power of two."""
+    depth_scatter: Annotated[float, Field(ge=0.0, lt=1.0)]
+    """Largest share of the depth by which floors are raised at random."""
+    irregularity: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    """RMS deviation of the rims from their ellipses, as a share of the radius."""
+    degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Largest degradation, drawn at random: crests are rounded and floors filled; 1 leaves half of the
+    depth."""
+    dem: Annotated[str, Field(min_length=1)] | None = None
+    """Elevation model, a GeoTIFF relative to the scenario file: heights above the reference sphere."""
+    dem_unit_m: Positive = 1.0
+    """Metres per unit of its values."""
+    peaks_from_m: Positive | None = None
+    """Diameter from which craters have a central peak."""
+
+
+class HapkeSection(Section):
+    """Hapke's law; see `craternav_fg.simulation.render.Hapke`."""
+
+    single_scattering_albedo: Annotated[float, Field(gt=0.0, lt=1.0)]
+    asymmetry: Annotated[float, Field(gt=-1.0, lt=1.0)]
+    """Of the Henyey-Greenstein function: below 0 the grains scatter backwards."""
+    opposition_amplitude: NotNegative
+    opposition_width: Positive
+
+
+class RenderSection(Section):
+    """Illumination, optics and image sensor."""
+
+    samples: Annotated[int, Field(ge=1, le=8)]
+    """Rays along each side of a pixel."""
+    lunar_lambert: Annotated[float, Field(ge=0.0, le=1.0)]
+    """Share of the Lommel-Seeliger law; the rest is Lambert's."""
+    sun_radius_deg: Positive
+    """Half the angle under which the sun appears."""
+    flat_level: Annotated[float, Field(gt=0.0, lt=1.0)]
+    """Brightness of locally flat terrain at the site, as a share of full scale."""
+    psf_sigma_px: NotNegative
+    """Gaussian blur of the optics."""
+    full_well_e: NotNegative
+    """Electrons at full scale: fewer give more shot noise; 0 for no noise."""
+    read_noise_e: NotNegative
+    """Standard deviation of the read-out noise, electrons."""
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
+    """Of the grey levels; more than 8 bits are stored in images of 16."""
+    vignetting: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the light that is lost in the image's corners."""
+    exposure_s: NotNegative = 0.0
+    """Exposure time: motion blurs the image; its stamp is the middle of the exposure."""
+    hapke: HapkeSection | None = None
+    """If given, the reflectance law in place of lunar_lambert."""
+
+
+class MeasurementSection(Section):
+    """Simulated measurements of rims and sun tilts in place of images."""
+
+    edge_sigma_px: Positive
+    """Of each edge point, across the edge."""
+    points_per_rim: Annotated[int, Field(ge=6)]
+    min_semi_minor_px: Positive
+    """Smaller rims are not measured."""
+    sun_tilt_sigma_deg: Positive
+
+
+class FaultsSection(Section):
+    """Faults that the data set does not state."""
+
+    wrong_matches: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of the measured rims that are matched with another crater; not with images."""
+    map_place: NotNegative = 0.0
+    """Standard deviation of the catalogue's positions, east and north, over the semi-major axis."""
+    map_size: NotNegative = 0.0
+    """Standard deviation of the catalogue's semi-axes, relative."""
+    map_height: NotNegative = 0.0
+    """Standard deviation of the catalogue's rim heights, over the semi-major axis."""
+    mounting_deg: NotNegative = 0.0
+    """Angle by which the camera is rotated from its mounting in the data set, about a random axis."""
+    time_offset_s: Annotated[
+        float, Field(validation_alias=AliasChoices("time_offset_s", "image_delay_s"))
+    ] = 0.0
+    """Camera-IMU time offset: an image is exposed this much after its stamp; formerly `image_delay_s`."""
+    outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
+    """Beginnings and ends of intervals without images; the first image is always there."""
+    craterless_s: tuple[tuple[NotNegative, Positive], ...] = ()
+    """Beginnings and ends of intervals without catalogued craters in the images; not with images."""
+    without_sun: bool = False
+    """No sun tilt is measured; not with images."""
+
+    @model_validator(mode="after")
+    def _outages_last(self) -> "FaultsSection":
+        for name in ("outages_s", "craterless_s"):
+            for begin, end in getattr(self, name):
+                if not begin < end:
+                    raise ValueError(f"{name}: expected ends after beginnings, found {begin} to {end}")
+        return self
+
+
+class Spread(Section):
+    """Mean and standard deviation of a figure over trials."""
+
+    mean: NotNegative
+    sd: Positive
+
+
+class ExpectedSection(Section):
+    """Figures of an estimator over many trials, as measured when the scenario was written."""
+
+    position_rms_m: Spread | None = None
+    anees: Spread | None = None
