@@ -5,18 +5,47 @@ import warnings
 from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
 
 import craternav_fg
 from craternav_fg.cli.terminal import err, say
 from craternav_fg.errors import CraternavError
 
+# Order of the commands in the help: that of a user's first steps. Others follow.
+_ORDER = (
+    "demo",
+    "simulate",
+    "reconstruct",
+    "compare",
+    "report",
+    "montecarlo",
+    "catalog",
+    "detect",
+    "identify",
+    "pose",
+)
+
+
+class _InOrder(TyperGroup):
+    """A group whose help lists the commands of `_ORDER` first."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
+        """Give the names of the commands."""
+        names = list(self.commands)
+        return sorted(names, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+
+
 app = typer.Typer(
+    cls=_InOrder,
     help="Reconstruct a planetary landing from crater rims and an IMU.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+catalog_commands = typer.Typer(help="Crater catalogues: import, summarise, list, draw.", no_args_is_help=True)
+app.add_typer(catalog_commands, name="catalog")
 
 
 def example(arguments: str) -> str:

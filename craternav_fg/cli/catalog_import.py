@@ -20,10 +20,9 @@ from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
-from craternav_fg.cli.app import example
+from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import assumed_body, body_of_radius, skipped_lines
 from craternav_fg.cli.catalog_summary import MAX_LISTED, show, summarise
-from craternav_fg.cli.catalogs import commands
 from craternav_fg.cli.options import JsonOption, require_kept, require_suffix
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.errors import InputError
@@ -48,7 +47,7 @@ class _Table:
     report: ImportReport
 
 
-@commands.command(
+@catalog_commands.command(
     "import", epilog=example("catalog import robbins.csv -o craters.parquet --dem gld100.tif --dem-unit-m 1")
 )
 def import_(

@@ -9,7 +9,7 @@ import typer
 
 from craternav_fg.catalogs.checks import overlaps, write_pairs
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.cli.app import app, example
+from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.catalog_summary import show, summarise
 from craternav_fg.cli.options import FIGURE_SUFFIXES, CatalogBodyOption, JsonOption, require_suffix
@@ -18,9 +18,6 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.plots.catalogs import draw_globe, draw_region
 
-commands = typer.Typer(help="Crater catalogues: import, summarise, list, draw.", no_args_is_help=True)
-app.add_typer(commands, name="catalog")
-
 CatalogArgument = Annotated[
     Path, typer.Argument(help="Crater catalogue: imported (.parquet), or any table that can be imported.")
 ]
@@ -28,7 +25,7 @@ CatalogArgument = Annotated[
 _FIGURE_DPI = 130
 
 
-@commands.command(epilog=example("catalog info craters.parquet --pairs pairs.csv"))
+@catalog_commands.command(epilog=example("catalog info craters.parquet --pairs pairs.csv"))
 def info(
     catalog: CatalogArgument,
     pairs: Annotated[
@@ -53,7 +50,7 @@ def info(
 
 
 # A negative latitude is no option.
-@commands.command(
+@catalog_commands.command(
     context_settings={"ignore_unknown_options": True},
     epilog=example("catalog near craters.parquet -30.5 170 --distance-km 20"),
 )
@@ -96,7 +93,7 @@ def near(
     say(f"{len(rows)} craters within {distance_km:g} km" + (f", {count} shown" if len(rows) > count else ""))
 
 
-@commands.command(
+@catalog_commands.command(
     epilog=example("catalog plot craters.parquet --latitude-deg -30 --longitude-deg 170 -o region.png")
 )
 def plot(
