@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.linalg import squared_distance
 from factors import validation
 from factors.errors import FactorError
 
@@ -131,7 +130,9 @@ class RimSet:
             Predicted charts, in normalised image coordinates.
         """
         off = self.chart[:, 2:] - charts[:, 2:]
-        near = squared_distance(off, self.covariance[:, 2:, 2:]) < EXPECTED_SIGMAS**2
+        # Two logarithms and a ratio are of like size: no scaling is needed.
+        solved = np.linalg.solve(self.covariance[:, 2:, 2:], off[..., None])[..., 0]
+        near = np.sum(off * solved, axis=1) < EXPECTED_SIGMAS**2
         T = np.zeros((len(self), 5, 5))
         T[:] = np.eye(5)
         first = np.exp(off[near, 0])
