@@ -12,7 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import axes_of_chart, mean_radius, points_on, semi_minor, whitened_points
+from craternav_fg.ellipse import (
+    axes_of_chart,
+    mean_radius,
+    points_on,
+    semi_minor,
+    unwhitened_points,
+    whitened_points,
+)
 from craternav_fg.errors import EstimationError
 from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.candidates import (
@@ -51,8 +58,10 @@ CONTRAST_FACTOR = 1.3
 # Candidates, the best ones, whose median gives the slope contrast of the image.
 _CONTRAST_CANDIDATES = 20
 # Rings of flat terrain around a crater, in radii, and the points on each.
-_GROUND_RING_RADII = np.array([1.5, 1.75, 2.0])[:, None, None]
-_RING_POINTS = 32
+_GROUND_RING_RADII, _RING_POINTS = (1.5, 1.75, 2.0), 32
+_GROUND_RINGS = np.concatenate(
+    [radius * points_on(np.zeros(5), _RING_POINTS) for radius in _GROUND_RING_RADII]
+)
 # Half lengths of the normals along which a rim is traced, first and second: px, share of the radius.
 _NORMAL_REACHES = ((2.0, 0.35), (1.5, 0.14))
 # Relative standard deviation of the reference brightness of a rim. Fitted by
@@ -427,9 +436,7 @@ def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:
     float
         0 where the image has none of the rings.
     """
-    centre = chart_px[:2]
-    rings = centre + _GROUND_RING_RADII * (points_on(chart_px, _RING_POINTS) - centre)
-    columns, rows = np.rint(rings).astype(np.int64).reshape(-1, 2).T
+    columns, rows = np.rint(unwhitened_points(_GROUND_RINGS, chart_px)).astype(np.int64).T
     inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
     values = image[rows[inside], columns[inside]]
     values = np.sort(values[np.isfinite(values)])

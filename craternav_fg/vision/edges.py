@@ -115,7 +115,7 @@ def find_edge_points(
     EdgePoints
         Possibly none.
     """
-    count = int(np.clip(_NORMALS_PER_PX * radius_px, _MIN_NORMALS, _MAX_NORMALS))
+    count = int(min(max(_NORMALS_PER_PX * radius_px, _MIN_NORMALS), _MAX_NORMALS))
     # The difference of two pixels has twice the variance of one.
     noise_step = options.step_sigmas * np.sqrt(2.0) * noise / reference
     points, ratio, motion, tried, _ = edge_kernel.trace_rim(
