@@ -1,6 +1,6 @@
 """Poses from which a crater has no image, and what every kernel writes there.
 
-| a pose that puts the crater | shape, implicit, rim points | line of sight | centre |
+| a pose that puts the crater | shape, implicit (whole or beside (11)), rim points | line of sight | centre |
 |---|---|---|---|
 | behind the camera or in its plane (p_z <= 0) | unseen | unseen | unseen |
 | above the camera, seen from below (t_z <= 0) | unseen | unseen | seen: a centre has no plane |

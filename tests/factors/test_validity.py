@@ -13,11 +13,11 @@ from tests.factors.test_factors import FACTORS, values_at
 
 # Factors that give up at each kind of pose.
 UNSEEN = {
-    "behind": {"shape", "implicit", "los", "centre", "rim"},
+    "behind": {"shape", "implicit", "shape_beside_los", "los", "centre", "rim"},
     # Rounding decides on which side a centre in the plane lies: line of sight and centre need only be finite.
-    "in the camera's plane": {"shape", "implicit", "rim"},
-    "from below": {"shape", "implicit", "los", "rim"},
-    "hyperbola": {"shape", "implicit", "rim"},
+    "in the camera's plane": {"shape", "implicit", "shape_beside_los", "rim"},
+    "from below": {"shape", "implicit", "shape_beside_los", "los", "rim"},
+    "hyperbola": {"shape", "implicit", "shape_beside_los", "rim"},
 }
 
 
