@@ -1,24 +1,22 @@
-"""What an image can tell of the pose: information, Cramer-Rao bound, and the directions it leaves free."""
+"""Information of an image about the pose: Cramer-Rao bound, and the directions that stay undetermined."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.frames import rotate_position_block
 from craternav_fg.resection.problem import ResectionProblem
-from craternav_fg.resection.solve_kernel import invert, normal_equations
+from craternav_fg.resection.solve_kernel import covariance_and_log_det, normal_equations
 
 FloatArray = npt.NDArray[np.float64]
 
-# A direction of the pose with a larger standard deviation, in radians or parts of the range to the craters,
-# is free: no linearisation reaches so far.
+# A direction of the pose with a larger standard deviation, rad or share of the range to the craters, counts
+# as undetermined: beyond about half a radian the linearisation says nothing.
 MAX_SIGMA = 0.5
-# Part of a named motion that must lie in the free directions to give them its name.
+# Share of a named motion that must lie in the undetermined directions for them to be called by its name, and
+# share that must be independent of the motions named before.
 _NAMED_SHARE = 0.98
-_EMPTY = np.empty((0, 0))
-_NO_SUN = np.empty(0)
+_NEW_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -28,15 +26,15 @@ class Observability:
     Attributes
     ----------
     rank : int
-        Directions, of 6 (of 3 with the attitude known exactly), with a standard deviation below
+        Number of directions, of 6 (of 3 with an exactly known attitude), with a standard deviation below
         `MAX_SIGMA`.
     free : ndarray, shape (k, 6)
-        The other directions: orthonormal right twists [w, rho], rho in units of the range.
+        The other directions: orthonormal right twists [w, rho] in b, rho in units of the range.
     words : tuple of str, length k
-        The same in words.
-    sigmas : ndarray
-        Standard deviations along the principal directions, rad or parts of the range, the largest
-        first; inf where nothing is known.
+        Descriptions of the other directions.
+    sigmas : ndarray, shape (6,) or (3,)
+        Standard deviations along the principal directions of the twist, rad or share of the range, the
+        largest first; inf where nothing is known.
     """
 
     rank: int
@@ -52,7 +50,7 @@ class Bound:
     Attributes
     ----------
     covariance : ndarray, shape (6, 6)
-        For the right twist [w, rho], rad and m in body axes; NaN when a direction is free.
+        For the right twist [w, rho], rad and m in b; NaN when a direction is undetermined.
     observability : Observability
     """
 
@@ -61,58 +59,79 @@ class Bound:
 
     @property
     def position_rms_m(self) -> float:
-        """Least root mean square of the position's error, m."""
+        """Lower bound of the root mean square of the position's error."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
 
     @property
     def attitude_rms_rad(self) -> float:
-        """Least root mean square of the attitude's error, rad."""
+        """Lower bound of the root mean square of the attitude's error."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
 
 def cramer_rao(problem: ResectionProblem, gTb: FloatArray) -> Bound:
-    """Bound of any unbiased estimate at a true pose.
+    """Compute the Cramer-Rao bound of unbiased estimates at a true pose.
 
     Parameters
     ----------
     problem : ResectionProblem
-        Its charts' covariances should be those at the true pose; the measured charts and the measured
-        tilt do not matter.
+        The charts' covariances should be those at the true pose; the measured charts and the measured tilt
+        are not used.
     gTb : ndarray, shape (4, 4)
-        True pose; the bound of a prior is that of one about this pose.
+        True pose. A prior is taken to be centred on it.
+
+    Returns
+    -------
+    Bound
     """
     N = information(problem, gTb)
     seen = observability(problem, gTb, N)
-    return Bound(covariance_of(N, problem) if not len(seen.free) else np.full((6, 6), np.nan), seen)
+    if len(seen.free):
+        return Bound(np.full((6, 6), np.nan), seen)
+    covariance = np.empty((6, 6))
+    covariance_and_log_det(N, problem.first_free, covariance)
+    return Bound(covariance, seen)
 
 
 def information(problem: ResectionProblem, gTb: FloatArray) -> FloatArray:
-    """Information (6, 6) for the right twist at a pose; of an exactly known attitude, as if it were not."""
+    """Compute the information about the pose.
+
+    Parameters
+    ----------
+    problem : ResectionProblem
+    gTb : ndarray, shape (4, 4)
+        Pose at which to linearise.
+
+    Returns
+    -------
+    ndarray, shape (6, 6)
+        For the right twist [w, rho], rad and m in b. An exactly known attitude is not included.
+    """
     N = np.empty((6, 6))
-    prior, weight = prior_arrays(problem)
+    prior, weight = problem.prior_arrays()
     normal_equations(
         np.ascontiguousarray(gTb, dtype=np.float64), problem.bTc, problem.rims.packed(problem.bTc), prior,
-        weight, sun_array(problem), 1.0, np.empty((7, 5 * len(problem.rims))), N, np.empty(6),
+        weight, problem.sun_array(), 1.0, np.empty((7, 5 * len(problem.rims))), N, np.empty(6),
     )  # fmt: skip
     return N
 
 
-def first_free(problem: ResectionProblem) -> int:
-    """First of the six coordinates that is estimated: 3 when the attitude is exact, or 0."""
-    return 3 if problem.attitude is not None and problem.attitude.sigma_rad == 0.0 else 0
-
-
-def covariance_of(N: FloatArray, problem: ResectionProblem) -> FloatArray:
-    """Covariance (6, 6) of an information that determines the pose; NaN where it does not."""
-    out = np.empty((6, 6))
-    invert(np.ascontiguousarray(N), first_free(problem), out)
-    return out
-
-
 def observability(problem: ResectionProblem, gTb: FloatArray, N: FloatArray) -> Observability:
-    """Judge which directions an information N (6, 6) at a pose determines."""
-    first = first_free(problem)
-    range_m = range_to(problem, gTb)
+    """Find the directions that an information matrix determines.
+
+    Parameters
+    ----------
+    problem : ResectionProblem
+    gTb : ndarray, shape (4, 4)
+        Pose of the linearisation.
+    N : ndarray, shape (6, 6)
+        Information, see `information`.
+
+    Returns
+    -------
+    Observability
+    """
+    first = problem.first_free
+    range_m = problem.range_m(gTb)
     scale = np.array([1.0, 1.0, 1.0, range_m, range_m, range_m])[first:]
     values, vectors = np.linalg.eigh(N[first:, first:] * np.outer(scale, scale))
     with np.errstate(divide="ignore"):
@@ -125,34 +144,8 @@ def observability(problem: ResectionProblem, gTb: FloatArray, N: FloatArray) -> 
     )
 
 
-def range_to(problem: ResectionProblem, gTb: FloatArray) -> float:
-    """Distance from the camera to the craters' middle, m."""
-    middle = np.add.reduce(problem.rims.centres) / len(problem.rims)
-    return float(math.dist(gTb[:3, :3] @ problem.bTc[:3, 3] + gTb[:3, 3], middle))
-
-
-def prior_arrays(problem: ResectionProblem) -> tuple[FloatArray, FloatArray]:
-    """Give pose (4, 4) and weight (6, 6) of what is known before, as the kernels take them; or (0, 0)."""
-    if problem.prior is not None:
-        covariance = rotate_position_block(problem.prior.covariance, problem.prior.gTb[:3, :3])
-        return problem.prior.gTb, np.asarray(np.linalg.inv(covariance))
-    if problem.attitude is not None and problem.attitude.sigma_rad > 0.0:
-        expected = np.eye(4)
-        expected[:3, :3] = problem.attitude.gRb
-        return expected, np.diag([problem.attitude.sigma_rad**-2] * 3 + [0.0] * 3)
-    return np.eye(4), _EMPTY
-
-
-def sun_array(problem: ResectionProblem) -> FloatArray:
-    """Sun's tilt as the kernels take it, shape (7,), or (0,) without."""
-    sun = problem.sun
-    if sun is None:
-        return _NO_SUN
-    return np.array([*sun.direction, *sun.point, sun.tilt_rad, sun.sigma_rad], dtype=np.float64)
-
-
 def _words(problem: ResectionProblem, gTb: FloatArray, free: FloatArray, range_m: float) -> tuple[str, ...]:
-    """Name the free directions: by the first independent ones of some motions that lie in them."""
+    """Describe the undetermined directions by named motions where such lie in them, else by numbers."""
     out: list[str] = []
     left = free
     for name, twist in _motions(problem, gTb):
@@ -161,22 +154,22 @@ def _words(problem: ResectionProblem, gTb: FloatArray, free: FloatArray, range_m
         within = free.T @ (free @ v)
         if np.linalg.norm(within) < _NAMED_SHARE:
             continue
-        # What is new in it.
         part = left @ v
-        if np.linalg.norm(part) < 0.5:
+        if np.linalg.norm(part) < _NEW_SHARE:
             continue
         out.append(name)
+        # Remove this motion from the directions that have no name yet.
         direction = part / np.linalg.norm(part)
         basis, _, _ = np.linalg.svd(np.eye(len(left)) - np.outer(direction, direction))
         left = basis[:, : len(left) - 1].T @ left
         if not len(left):
             return tuple(out)
     whose = f"crater {problem.rims.identifiers[0]!r}" if len(problem.rims) == 1 else "all craters"
-    return (*out, *(f"a motion that leaves the image of {whose} as it is: {_plainly(v)}" for v in left))
+    return (*out, *(f"a motion that does not change the image of {whose}: {_numbers(v)}" for v in left))
 
 
 def _motions(problem: ResectionProblem, gTb: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Motions that have a name, as right twists [w, rho], rad and m."""
+    """Motions that have a name, as right twists [w, rho] in b, rad and m."""
     gRb = gTb[:3, :3]
     gPc = gRb @ problem.bTc[:3, 3] + gTb[:3, 3]
     gRc = gRb @ problem.bTc[:3, :3]
@@ -196,8 +189,8 @@ def _motions(problem: ResectionProblem, gTb: FloatArray) -> list[tuple[str, Floa
         for axis, letter in ((np.cross(across, sight), "x"), (across, "y")):
             out.append(
                 (
-                    f"swing round the centre of crater {name!r} about the image's {letter} axis, with the "
-                    "view held on it",
+                    f"rotation of the camera around the centre of crater {name!r} about the image's {letter} "
+                    "axis, still pointing at it",
                     about(axis, centre),
                 )
             )
@@ -208,7 +201,7 @@ def _motions(problem: ResectionProblem, gTb: FloatArray) -> list[tuple[str, Floa
             )
         )
     for axis, letter in zip(gRc.T, "xyz", strict=True):
-        out.append((f"rotation of the camera about its {letter} axis, in place", about(axis, gPc)))
+        out.append((f"rotation of the camera about its {letter} axis", about(axis, gPc)))
     for axis, letter in zip(gRc.T, "xyz", strict=True):
         out.append(
             (f"translation along the camera's {letter} axis", np.concatenate([np.zeros(3), gRb.T @ axis]))
@@ -216,6 +209,7 @@ def _motions(problem: ResectionProblem, gTb: FloatArray) -> list[tuple[str, Floa
     return out
 
 
-def _plainly(v: FloatArray) -> str:
+def _numbers(v: FloatArray) -> str:
+    """Twist (6,) as text."""
     w, rho = (", ".join(f"{x:.2f}" for x in part) for part in (v[:3], v[3:]))
     return f"rotation ({w}) rad with translation ({rho}) of the range, in body axes"

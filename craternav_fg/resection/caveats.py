@@ -1,4 +1,4 @@
-"""What to know before a pose is believed, beside its status."""
+"""Warnings about solutions that are formally valid."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from craternav_fg.resection import bounds
 from craternav_fg.resection.problem import PoseSolution, ResectionProblem
 from craternav_fg.resection.solve_kernel import normal_equations
 from factors.kernels.gauss_newton import screw
@@ -14,42 +13,63 @@ from factors.kernels.packed import CRATER, HEADER
 
 FloatArray = npt.NDArray[np.float64]
 
-# Of the squared norm from its parabola: half of the 1 by which a standard deviation is defined.
-_LARGEST_DEPARTURE = 0.5
+# Fewest rims that show a wrong match: with fewer, some pose explains the wrong match as well.
+_CHECKED_RIMS, _CHECKED_RIMS_WITH_ATTITUDE = 3, 2
+# Largest difference of the cost from its parabola: half of the 1 that defines a standard deviation.
+_MAX_DEPARTURE = 0.5
+# Where the cost is compared with the parabola, in standard deviations along the weakest direction.
 _STEPS = np.array([-2.0, -1.0, 1.0, 2.0])
+# Power iterations for the weakest direction.
 _POWERS = 20
 
 
 def caveats(problem: ResectionProblem, poses: Sequence[PoseSolution]) -> tuple[str, ...]:
-    """Say what is weak about the poses of a problem, one line each.
+    """Warn about weaknesses of the poses of a problem.
 
     Parameters
     ----------
     problem : ResectionProblem
     poses : sequence of PoseSolution
         With their covariances.
+
+    Returns
+    -------
+    tuple of str
+        One line each.
     """
     out = []
     count = len(problem.rims)
-    enough = 3 if problem.attitude is None else 2
+    enough = _CHECKED_RIMS if problem.attitude is None else _CHECKED_RIMS_WITH_ATTITUDE
     if count < enough:
-        which = "1 rim checks its match" if count == 1 else f"{count} rims check their matches"
-        out.append(f"{which} hardly: a wrong one can pass unnoticed, {enough} rims would show it")
-    if any(departure(problem, pose) > _LARGEST_DEPARTURE for pose in poses):
+        rims = "1 rim" if count == 1 else f"{count} rims"
+        out.append(f"{rims} cannot reveal a wrong match: {enough} or more rims would check each other")
+    if any(departure(problem, pose) > _MAX_DEPARTURE for pose in poses):
         out.append(
-            "the covariance may not describe the errors: within two standard deviations along the weakest "
-            "direction the squared norm is no parabola"
+            "the covariance may not describe the errors: the cost is not quadratic within two standard "
+            "deviations along the weakest direction"
         )
     return tuple(out)
 
 
 def departure(problem: ResectionProblem, pose: PoseSolution) -> float:
-    """Largest difference of the squared norm from its parabola, one and two weakest sigmas away."""
-    prior, weight = bounds.prior_arrays(problem)
+    """Compute the largest difference of the cost from its parabola along the weakest direction.
+
+    Parameters
+    ----------
+    problem : ResectionProblem
+    pose : PoseSolution
+        With its covariance.
+
+    Returns
+    -------
+    float
+        One or two standard deviations away.
+    """
+    prior, weight = problem.prior_arrays()
     return _departure(
         np.ascontiguousarray(pose.gTb), problem.bTc, problem.rims.packed(problem.bTc), prior, weight,
-        bounds.sun_array(problem), np.ascontiguousarray(pose.covariance), bounds.range_to(problem, pose.gTb),
-        pose.cost, _STEPS,
+        problem.sun_array(), np.ascontiguousarray(pose.covariance), problem.range_m(pose.gTb), pose.cost,
+        _STEPS,
     )  # fmt: skip
 
 
@@ -58,7 +78,7 @@ def _departure(
     gTb: FloatArray, bTc: FloatArray, data: FloatArray, prior: FloatArray, prior_weight: FloatArray,
     sun: FloatArray, covariance: FloatArray, range_m: float, cost: float, steps: FloatArray,
 ) -> float:  # fmt: skip
-    """Evaluate `departure`; the weakest direction, by parts of the range, comes by power iteration."""
+    """Evaluate `departure`; the weakest direction, with translations over the range, by power iteration."""
     v, w = np.ones(6), np.empty(6)
     scale = np.ones(6)
     for i in range(3, 6):

@@ -1,7 +1,7 @@
-"""Ellipses through edge points of known noise, and the covariance that such points give.
+"""Maximum-likelihood ellipses of edge points with known noise, and their covariances.
 
-For images, `vision.ellipse_fit` fits robustly and judges the points' noise by their scatter. Here the noise
-is known and Gaussian along the rim's normal: simulated edges, and ellipses that somebody else fitted.
+In images, `vision.ellipse_fit` fits robustly and estimates the noise from the scatter of the points. Here the
+noise is known, and Gaussian along the rim's normal: for simulated edges, and for ellipses fitted elsewhere.
 """
 
 import cv2
@@ -19,37 +19,43 @@ from craternav_fg.ellipse import (
     whiten_kernel,
     whitened_points,
 )
-from factors.kernels.gauss_newton import solve
+from factors.kernels.gauss_newton import invert, solve
 from factors.kernels.rim import rim_distance
 
 FloatArray = npt.NDArray[np.float64]
 
-_ITERATIONS = 20
-# Gauss-Hermite quadrature of a standard normal variable.
+# Steps of the Levenberg-Marquardt fit.
+_MAX_ITERATIONS = 20
+# Its initial damping, and the least after a rejected step.
+_INITIAL_DAMPING, _MIN_DAMPING = 1e-4, 1e-6
+# A relative increase of the cost that is only rounding, and decreases, relative and absolute in px^2, that
+# end the fit.
+_ROUNDING, _RELATIVE_END, _ABSOLUTE_END_PX2 = 1e-14, 1e-10, 1e-20
+# Five-point Gauss-Hermite quadrature for a standard normal variable: nodes and weights.
 _NODES = np.array([-2.8569700138728056, -1.355626179974266, 0.0, 1.355626179974266, 2.8569700138728056])
 _WEIGHTS = np.array(
     [0.011257411327720688, 0.2220759220056126, 0.5333333333333333, 0.2220759220056126, 0.011257411327720688]
 )
-# Step of a difference in the chart's units: px or 1.
+# Step of a central difference in the units of a chart in pixels, px or 1.
 _STEP = 1e-4
 
 
 def fit_edges(points_px: FloatArray, camera: Camera, sigma_px: float) -> tuple[FloatArray, FloatArray] | None:
-    """Maximum-likelihood ellipse of edge points.
+    """Fit an ellipse to edge points by maximum likelihood.
 
     Parameters
     ----------
     points_px : ndarray, shape (n, 2)
-        Six or more, spread over the rim.
+        Six or more points, spread over the rim, in the pixels of `camera.pinhole`.
     camera : Camera
     sigma_px : float
-        Standard deviation along the rim's normal.
+        Standard deviation of a point along the rim's normal.
 
     Returns
     -------
-    tuple of ndarray or None
-        Chart (5,) in normalised coordinates and its covariance (5, 5), see `fit_covariance`; None when the
-        points determine no ellipse.
+    tuple of ndarray, shapes (5,) and (5, 5), or None
+        Chart in normalised image coordinates and its covariance, see `fit_covariance`; None when the points
+        determine no ellipse.
     """
     points = np.ascontiguousarray(points_px, dtype=np.float64)
     (cx, cy), (d1, d2), angle_deg = cv2.fitEllipseAMS(points.astype(np.float32))
@@ -66,17 +72,27 @@ def fit_edges(points_px: FloatArray, camera: Camera, sigma_px: float) -> tuple[F
 
 
 def fit_covariance(chart: FloatArray, camera: Camera, sigma_px: float, count: int) -> FloatArray:
-    """Covariance (5, 5) of a chart that was fitted to edge points all round.
+    """Compute the covariance of a chart that was fitted to edge points all round the rim.
 
-    Where the noise is no small part of the semi-minor axis a fit scatters more than its bound: the normals
-    turn, and the distances bend, with each point's own noise. The covariance is that of an M-estimate,
-    A^-1 B A^-1 with the mean slope A and the covariance B of its score under the points' noise.
+    On small rims a fit scatters more than its Cramer-Rao bound: where the noise is a considerable share of
+    the semi-minor axis, the distances are not linear in it. The covariance is that of an M-estimate,
+    A^-1 B A^-T with the mean derivative A and the covariance B of its score under the points' noise.
 
     Parameters
     ----------
-    chart, camera, sigma_px, count
-        As in `chart_covariance`, which this approaches for large rims, and which it is where the noise is
-        so large that the estimate has no covariance.
+    chart : ndarray, shape (5,)
+        In normalised image coordinates.
+    camera : Camera
+    sigma_px : float
+        Standard deviation of an edge point along the rim's normal.
+    count : int
+        Edge points, equally spaced in the ellipse's parameter.
+
+    Returns
+    -------
+    ndarray, shape (5, 5)
+        Covariance in the units of the chart. It approaches `ellipse.chart_covariance`, the bound, for large
+        rims, and is the bound where the noise is so large that the estimate has no covariance.
     """
     y = pixel_chart(chart, camera)
     points = points_on(y, count)
@@ -111,36 +127,25 @@ def _normal_matrix(points: FloatArray, y: FloatArray, N: FloatArray, g: FloatArr
 
 
 @njit(cache=True, error_model="numpy")
-def _inverse(N: FloatArray) -> FloatArray:
-    out = np.empty((5, 5))
-    unit = np.zeros(5)
-    for a in range(5):
-        unit[:] = 0.0
-        unit[a] = 1.0
-        solve(N, unit, out[a])
-    return out
-
-
-@njit(cache=True, error_model="numpy")
 def _fit(points: FloatArray, start: FloatArray) -> tuple[bool, FloatArray, FloatArray]:
-    """Levenberg-Marquardt: whether it converged, chart, covariance for points of unit variance."""
+    """Fit by Levenberg-Marquardt; return convergence, chart, and covariance for points of unit variance."""
     y, candidate = start.copy(), np.empty(5)
     N, trial = np.empty((5, 5)), np.empty((5, 5))
     g, trial_g, step = np.empty(5), np.empty(5), np.empty(5)
     cost = _normal_matrix(points, y, N, g)
-    damping = 1e-4
+    damping = _INITIAL_DAMPING
     converged = False
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         damped = N.copy()
         for a in range(5):
             damped[a, a] *= 1.0 + damping
         solve(damped, g, step)
         for a in range(5):
             candidate[a] = y[a] - step[a]
-        # Not above, and false for NaN.
+        # Also false for NaN.
         new = _normal_matrix(points, candidate, trial, trial_g)
-        if new <= cost * (1.0 + 1e-14):
-            converged = cost - new <= 1e-10 * cost + 1e-20
+        if new <= cost * (1.0 + _ROUNDING):
+            converged = cost - new <= _RELATIVE_END * cost + _ABSOLUTE_END_PX2
             for a in range(5):
                 y[a], g[a] = candidate[a], trial_g[a]
                 for b in range(5):
@@ -150,8 +155,9 @@ def _fit(points: FloatArray, start: FloatArray) -> tuple[bool, FloatArray, Float
             if converged:
                 break
         else:
-            damping = max(damping, 1e-6) * 10.0
-    covariance = _inverse(N)
+            damping = max(damping, _MIN_DAMPING) * 10.0
+    covariance = np.empty((5, 5))
+    invert(N, covariance)
     for a in range(5):
         converged = converged and covariance[a, a] > 0.0 and np.isfinite(covariance[a, a])
     return converged, y, covariance
@@ -159,7 +165,7 @@ def _fit(points: FloatArray, start: FloatArray) -> tuple[bool, FloatArray, Float
 
 @njit(cache=True, error_model="numpy")
 def _scatter(points: FloatArray, y: FloatArray, sigma: float, covariance: FloatArray) -> bool:
-    """Write the covariance (5, 5) of the fit to noisy points of a rim; false when there is none."""
+    """Write the covariance (5, 5) of a fit to noisy points around a rim; false when there is none."""
     A, B = np.zeros((5, 5)), np.zeros((5, 5))
     ea, es = np.exp(y[2]), np.exp(y[4])
     D, mean, moved = np.empty(5), np.empty(5), y.copy()
@@ -186,7 +192,8 @@ def _scatter(points: FloatArray, y: FloatArray, sigma: float, covariance: FloatA
         for a in range(5):
             for b in range(5):
                 B[a, b] -= mean[a] * mean[b]
-    inverse = _inverse(A)
+    inverse = np.empty((5, 5))
+    invert(A, inverse)
     for a in range(5):
         for b in range(5):
             covariance[a, b] = 0.0

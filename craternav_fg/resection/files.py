@@ -1,4 +1,4 @@
-"""A static problem from files, and its answer as plain data: what the command line reads and prints."""
+"""Resection problems from files, and results as plain data: what the command line reads and prints."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,14 +30,14 @@ from craternav_fg.resection.problem import (
 
 FloatArray = npt.NDArray[np.float64]
 
-# Of an angle's standard deviation.
+# Standard deviations of angles that are accepted.
 _SIGMA_RANGE_DEG = (1e-6, 360.0)
 
 
 def read_rims(
     path: Path, camera: Camera, catalog_path: Path, body: Body | None, *, sigma_px: float, edge_points: int
 ) -> tuple[MatchedRims, Catalog, ImportReport]:
-    """Read fitted ellipses with the craters they are matched to.
+    """Read fitted ellipses with their craters.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ def read_rims(
         CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
         ellipseRotation(deg) (of the major axis, from the image's x axis towards its y axis), CRATER_ID,
         and optionally sigma_px, the standard deviation of the rim's edge points along the rim's normal.
-        Further columns are not read.
+        Further columns are ignored.
     camera : Camera
     catalog_path : Path
-        Catalogue of any origin.
+        Any catalogue that can be imported.
     body : Body or None
-        Which it must be of; None for the one that it tells.
+        Body of the catalogue; None for the one that the catalogue states.
     sigma_px : float
-        For files without that column.
+        Standard deviation of edge points for files without the column sigma_px.
     edge_points : int
-        Points all round the rim that an ellipse is taken to rest on.
+        Number of edge points, all round the rim, to which each ellipse is taken to be fitted.
 
     Returns
     -------
@@ -62,13 +62,13 @@ def read_rims(
     catalog : Catalog
         The craters of the rims, in their order.
     report : ImportReport
-        What was left out of the whole catalogue, or taken for granted.
+        What was skipped in the catalogue, or assumed about it.
 
     Raises
     ------
     InputError
-        Naming file, line and column: no rows, a value out of range, a rim outside the image, a crater
-        twice or not in the catalogue.
+        When there are no rows, a value is out of range, a rim is outside the image, or a crater is given
+        twice or is not in the catalogue; names file, line and column.
     """
     matched = read_matched_ellipses(path, camera)
     catalog, report = _craters(matched, catalog_path, body)
@@ -88,24 +88,31 @@ def resection_problem(
     rims: MatchedRims, catalog: Catalog, camera: Camera, *, attitude_wxyz: Sequence[float] | None,
     attitude_sigma_deg: float, sun: Sequence[float] | None,
 ) -> ResectionProblem:  # fmt: skip
-    """Put together what a command was given.
+    """Make a resection problem of a command's options.
 
     Parameters
     ----------
-    rims, catalog
-        From `read_rims`.
+    rims : MatchedRims
+    catalog : Catalog
+        The craters of the rims, in their order.
     camera : Camera
     attitude_wxyz : sequence of float or None
-        Quaternion of gRb; its length does not matter.
+        Quaternion of gRb, scalar first, of any length but zero.
     attitude_sigma_deg : float
+        Standard deviation of the attitude about each axis; 0 takes it as exact.
     sun : sequence of float or None
-        Tilt of the light on the ground amid the rims and its standard deviation, deg; direction to the
-        sun in g.
+        Angle of the sunward direction along the ground, from the image's x axis towards its y axis, and its
+        standard deviation, deg, at the mean of the rims; then the direction towards the sun in g, three
+        numbers.
+
+    Returns
+    -------
+    ResectionProblem
 
     Raises
     ------
     ResectionError
-        For a quaternion or a direction of no length, and a standard deviation out of range.
+        When a quaternion or a direction is zero, or a standard deviation is out of range.
     """
     least, most = _SIGMA_RANGE_DEG
     for name, sigma in (("attitude", attitude_sigma_deg or least), ("sun", sun[1] if sun else least)):
@@ -128,20 +135,30 @@ def resection_problem(
 
 
 def _direction(expected: str, values: Sequence[float]) -> FloatArray:
-    """Give the unit vector along `values`, of whatever length."""
+    """Give the unit vector along `values`."""
     v = np.array(values)
     largest = np.abs(v).max()
     if not largest > 0.0:
         raise ResectionError(f"{expected}, found zero")
-    # First to about one: the squares of large and small numbers overflow.
+    # Scaled first: squares of very large numbers overflow, those of very small ones vanish.
     v /= largest
     return np.asarray(v / np.linalg.norm(v))
 
 
 def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body) -> dict[str, Any]:
-    """Give a result as lists, numbers and texts: what JSON can carry.
+    """Turn a result into lists, numbers and texts for JSON.
 
-    Poses are those to be used: none of a problem that is not determined, whatever samples there are.
+    Parameters
+    ----------
+    problem : ResectionProblem
+    result : ResectionResult
+    body : Body
+        For altitudes.
+
+    Returns
+    -------
+    dict
+        Without poses unless the status is solved or ambiguous.
     """
     usable = result.status in (Status.SOLVED, Status.AMBIGUOUS)
     return {
@@ -155,6 +172,7 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body
 
 
 def _pose(problem: ResectionProblem, pose: PoseSolution, body: Body) -> dict[str, Any]:
+    """One solution as plain data."""
     gP = pose.gTb[:3, 3]
     latitude, longitude = frames.latitude_longitude(gP)
     return {
@@ -173,7 +191,7 @@ def _pose(problem: ResectionProblem, pose: PoseSolution, body: Body) -> dict[str
 
 
 def _craters(matched: MatchedEllipses, path: Path, body: Body | None) -> tuple[Catalog, ImportReport]:
-    """Look up the craters of the rims."""
+    """Find the craters of the rims in the catalogue."""
     catalog, report = import_catalog(path, body)
     known = {identifier: row for row, identifier in enumerate(catalog.identifiers)}
     reasons = {row.identifier: f"line {row.line}: {row.reason}" for row in report.skipped}

@@ -1,10 +1,6 @@
-"""What a static solver is given, and what it answers: the same for every solver.
+"""Resection problem and result, the same for every solver."""
 
-Perturbations are GTSAM's: right twist [w, rho] of the body's pose gTb, its local coordinates. Errors of
-several degrees belong to its exponential, a screw about the ground ahead, along which weakly determined
-poses lie; measured as (R exp(w), t + R rho) they look many standard deviations large.
-"""
-
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.errors import CraternavError
+from craternav_fg.errors import EstimationError
+from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import KnownAttitude, RimSet, SunTilt
 from factors import validation
 from factors.errors import FactorError
@@ -23,15 +20,19 @@ from factors.kernels.robust import NONE
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+_NO_WEIGHT = np.empty((0, 0))
+_NO_SUN = np.empty(0)
 
 
-class ResectionError(CraternavError):
-    """A static problem is posed wrongly: a value is not what it must be; the text says which."""
+class ResectionError(EstimationError):
+    """A resection problem with an invalid value; the text names the field."""
 
 
 @contextmanager
-def _as_static_error() -> Iterator[None]:
-    """Turn a factor's complaint about a field into one of this package's."""
+def _as_resection_error() -> Iterator[None]:
+    """Turn a factor's error about a field into one of this package's."""
     try:
         yield
     except FactorError as error:
@@ -51,11 +52,16 @@ class MatchedRims:
     axes : ndarray, shape (n, 2, 3)
         Semi-axes a l1 and b l2 in g, m; l1 x l2 is outward.
     chart : ndarray, shape (n, 5)
-        Measured ellipse charts, normalised image coordinates (see `RimSet`).
+        Measured ellipse charts in normalised image coordinates (see `RimSet`).
     covariance : ndarray, shape (n, 5, 5)
         Of the charts.
     whitening : ndarray, shape (n, 5, 5)
-        Lower triangular W with W S W' = 1; made here.
+        Lower triangular W with W S W' = 1, S the covariance; computed here.
+
+    Raises
+    ------
+    ResectionError
+        When a crater is matched twice or an array is invalid.
     """
 
     identifiers: tuple[str, ...]
@@ -71,7 +77,7 @@ class MatchedRims:
         if repeated:
             raise ResectionError(f"crater {repeated[0]!r} is matched to more than one rim")
         shapes = {"centres": (n, 3), "chart": (n, 5), "covariance": (n, 5, 5)}
-        with _as_static_error():
+        with _as_resection_error():
             for name, shape in shapes.items():
                 object.__setattr__(self, name, validation.array(name, getattr(self, name), shape))
             object.__setattr__(self, "axes", validation.rim_axes("axes", self.axes, n))
@@ -82,7 +88,17 @@ class MatchedRims:
 
     @classmethod
     def of(cls, rims: RimSet, catalog: Catalog) -> "MatchedRims":
-        """Take the measured rims of a frame with their craters from the catalogue."""
+        """Combine the measured rims of a frame with their craters from the catalogue.
+
+        Parameters
+        ----------
+        rims : RimSet
+        catalog : Catalog
+
+        Returns
+        -------
+        MatchedRims
+        """
         rows = rims.craters
         return cls(
             tuple(catalog.identifiers[row] for row in rows),
@@ -92,8 +108,18 @@ class MatchedRims:
             rims.covariance,
         )
 
-    def take(self, rows: npt.NDArray[np.bool_] | IntArray | Sequence[int]) -> "MatchedRims":
-        """Return the rims of some rows (a mask or indices)."""
+    def take(self, rows: BoolArray | IntArray | Sequence[int]) -> "MatchedRims":
+        """Select some rims.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), or of int, shape (k,)
+            A mask or indices.
+
+        Returns
+        -------
+        MatchedRims
+        """
         index = np.arange(len(self))[rows if len(rows) else slice(0)]
         return MatchedRims(
             tuple(self.identifiers[k] for k in index),
@@ -105,16 +131,39 @@ class MatchedRims:
 
     @property
     def normals(self) -> FloatArray:
-        """Outward unit normals (n, 3) of the rims' planes in g."""
+        """Outward unit normals of the rims' planes in g, shape (n, 3)."""
         n = np.cross(self.axes[:, 0], self.axes[:, 1])
         return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
 
     def packed(self, bTc: FloatArray) -> FloatArray:
-        """Return the rims as the kernels take them, for a mounting bTc (4, 4) of the camera."""
+        """Pack the rims for the kernels.
+
+        Parameters
+        ----------
+        bTc : ndarray, shape (4, 4)
+            Mounting of the camera.
+
+        Returns
+        -------
+        ndarray, shape (packed,)
+            Numbers as `factors.kernels.packed.pack` arranges them.
+        """
         return packed.pack(bTc, self.centres, self.axes, self.chart, self.whitening, NONE, 1.0)
 
     def residuals(self, gTb: FloatArray, bTc: FloatArray) -> FloatArray:
-        """Whitened chart residuals (n, 5), predicted less measured, at a pose; large where unseen."""
+        """Compute whitened chart residuals at a pose.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+        bTc : ndarray, shape (4, 4)
+            Mounting of the camera.
+
+        Returns
+        -------
+        ndarray, shape (n, 5)
+            Predicted less measured, whitened; very large where a rim is not visible.
+        """
         out = np.empty((7, 5 * len(self)))
         packed.shape_residuals(np.ascontiguousarray(gTb), self.packed(bTc), False, out)
         return np.ascontiguousarray(out[6].reshape(-1, 5))
@@ -122,21 +171,26 @@ class MatchedRims:
 
 @dataclass(frozen=True)
 class PosePrior:
-    """What is known of the pose beside the image.
+    """Prior knowledge of the pose.
 
     Attributes
     ----------
     gTb : ndarray, shape (4, 4)
         Expected pose of the body.
     covariance : ndarray, shape (6, 6)
-        For the right twist [w, rho], rad and m in body axes.
+        For the right twist [w, rho], rad and m in b.
+
+    Raises
+    ------
+    ResectionError
+        When an array is invalid.
     """
 
     gTb: FloatArray
     covariance: FloatArray
 
     def __post_init__(self) -> None:
-        with _as_static_error():
+        with _as_resection_error():
             object.__setattr__(self, "gTb", validation.pose("prior.gTb", self.gTb))
             covariance = validation.array("prior.covariance", self.covariance, (6, 6))
             validation.whitening("prior.covariance", covariance[None], 1, 6)
@@ -145,7 +199,7 @@ class PosePrior:
 
 @dataclass(frozen=True)
 class ResectionProblem:
-    """One image's rims and what is known beside them.
+    """The matched rims of one image, and what else is known about the pose.
 
     Attributes
     ----------
@@ -156,6 +210,11 @@ class ResectionProblem:
     attitude : KnownAttitude or None
         Not together with a prior.
     sun : SunTilt or None
+
+    Raises
+    ------
+    ResectionError
+        When a value is invalid, or a prior and a known attitude are given together.
     """
 
     rims: MatchedRims
@@ -165,7 +224,7 @@ class ResectionProblem:
     sun: SunTilt | None = None
 
     def __post_init__(self) -> None:
-        with _as_static_error():
+        with _as_resection_error():
             object.__setattr__(self, "bTc", validation.pose("bTc", self.bTc))
         if self.prior is not None and self.attitude is not None:
             raise ResectionError("expected a prior or a known attitude, found both")
@@ -178,13 +237,64 @@ class ResectionProblem:
         ):
             raise ResectionError("sun: expected finite numbers, a positive sigma and a direction")
 
+    @property
+    def first_free(self) -> int:
+        """First of the six coordinates of the twist that is estimated: 3 with an exact attitude, else 0."""
+        return 3 if self.attitude is not None and self.attitude.sigma_rad == 0.0 else 0
+
+    def prior_arrays(self) -> tuple[FloatArray, FloatArray]:
+        """Give prior or inexact attitude as the kernels take them.
+
+        Returns
+        -------
+        gTb : ndarray, shape (4, 4)
+        weight : ndarray, shape (6, 6) or (0, 0)
+            Inverse covariance of the errors of attitude (rotation vector in b, rad) and position (in g, m);
+            empty without a prior.
+        """
+        if self.prior is not None:
+            covariance = rotate_position_block(self.prior.covariance, self.prior.gTb[:3, :3])
+            return self.prior.gTb, np.asarray(np.linalg.inv(covariance))
+        if self.attitude is not None and self.attitude.sigma_rad > 0.0:
+            expected = np.eye(4)
+            expected[:3, :3] = self.attitude.gRb
+            return expected, np.diag([self.attitude.sigma_rad**-2] * 3 + [0.0] * 3)
+        return np.eye(4), _NO_WEIGHT
+
+    def sun_array(self) -> FloatArray:
+        """Give the sun's tilt as the kernels take it.
+
+        Returns
+        -------
+        ndarray, shape (7,) or (0,)
+            Direction in g, image point, tilt and its standard deviation in rad; empty without the sun.
+        """
+        sun = self.sun
+        if sun is None:
+            return _NO_SUN
+        return np.array([*sun.direction, *sun.point, sun.tilt_rad, sun.sigma_rad], dtype=np.float64)
+
+    def range_m(self, gTb: FloatArray) -> float:
+        """Compute the distance from the camera to the mean of the craters' centres.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+
+        Returns
+        -------
+        float
+        """
+        middle = np.add.reduce(self.rims.centres) / len(self.rims)
+        return float(math.dist(gTb[:3, :3] @ self.bTc[:3, 3] + gTb[:3, 3], middle))
+
 
 class Status(Enum):
-    """How a solution ended; `ResectionResult.reason` says the particulars."""
+    """Outcome of a resection; `ResectionResult.reason` gives the details."""
 
     SOLVED = "solved"
     AMBIGUOUS = "several poses explain the image"
-    UNDETERMINED = "the image leaves a direction of the pose free"
+    UNDETERMINED = "the image does not determine the whole pose"
     TOO_FEW_RIMS = "too few rims"
     NO_POSE = "no pose explains the rims"
     NOT_CONVERGED = "the optimiser did not converge"
@@ -198,11 +308,11 @@ class PoseSolution:
     ----------
     gTb : ndarray, shape (4, 4)
     covariance : ndarray, shape (6, 6)
-        For the right twist [w, rho], rad and m in body axes. NaN when the pose is undetermined.
+        For the right twist [w, rho], rad and m in b; NaN when the pose is undetermined.
     residuals : ndarray, shape (n, 5)
         Whitened chart residuals of all rims, predicted less measured.
     cost : float
-        Squared norm of all whitened residuals that the pose rests on, prior and sun included.
+        Squared norm of all whitened residuals that were minimised, those of prior and sun included.
     probability : float
         Of this pose among those found.
     """
@@ -215,28 +325,27 @@ class PoseSolution:
 
     @property
     def position_covariance(self) -> FloatArray:
-        """Covariance (3, 3) of the position in g, m^2."""
+        """Covariance of the position in g, m^2, shape (3, 3)."""
         R = self.gTb[:3, :3]
         return np.asarray(R @ self.covariance[3:, 3:] @ R.T)
 
 
 @dataclass(frozen=True)
 class ResectionResult:
-    """Answer of a static solver.
+    """Result of a resection.
 
     Attributes
     ----------
     status : Status
     reason : str
-        One line that says why, when the status is not `SOLVED`.
+        Details, in one line; empty when the status is `SOLVED`.
     poses : tuple of PoseSolution
-        All distinct ones, the most probable first; of `UNDETERMINED`, samples of a continuum. Empty
+        All distinct solutions, the most probable first; samples of a continuum when `UNDETERMINED`; empty
         when there is none.
     wrong : tuple of str
-        Identifiers of the rims that were found to be wrongly matched.
+        Identifiers of the craters whose rims were found to be wrongly matched.
     warnings : tuple of str
-        What to know before a pose is believed, one line each: that nothing checks the matches, that the
-        covariance is no description of the errors.
+        One line each: that nothing checks the matches, or that the covariance may not describe the errors.
     """
 
     status: Status
@@ -247,12 +356,12 @@ class ResectionResult:
 
     @property
     def solved(self) -> bool:
-        """Whether there is one pose; what it is worth, `warnings` say."""
+        """Whether there is exactly one pose; see `warnings` before it is used."""
         return self.status is Status.SOLVED
 
     @property
     def pose(self) -> PoseSolution:
-        """The pose.
+        """The only solution.
 
         Raises
         ------

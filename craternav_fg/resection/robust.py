@@ -1,4 +1,4 @@
-"""Robust solver: rims that are matched to the wrong crater are found, named and left out."""
+"""Robust resection: rims that are matched to the wrong crater are found, named and left out."""
 
 import itertools
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.resection import bounds
+from craternav_fg.resection.bounds import information
 from craternav_fg.resection.efficient import SolveOptions, solve
 from craternav_fg.resection.problem import PoseSolution, ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.robust_kernel import consensus, distances2
@@ -14,7 +14,7 @@ from craternav_fg.resection.robust_kernel import consensus, distances2
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
-# Rounds in which rims may come back.
+# Rounds in which a rim that was left out may come back.
 _ROUNDS = 5
 
 
@@ -25,12 +25,13 @@ class RobustOptions:
     Attributes
     ----------
     gate : float
-        Squared Mahalanobis distance, 5 degrees of freedom, above which a rim does not agree with a pose.
+        Squared Mahalanobis distance, five degrees of freedom, above which a rim does not agree with a pose.
     least_rims : int
-        Rims that must agree, one less with a prior, the sun or a known attitude: fewer agree on some pose
-        whatever they are matched to. With a known attitude a single rim is taken as it is.
+        Number of rims that must agree; one less with a prior, the sun or a known attitude. Fewer rims agree
+        on some pose whatever they are matched to. With a known attitude a single rim is taken as it is.
     minimal_sets : int
-        Pairs of rims (single ones with a known attitude) that are tried at most, the best measured first.
+        Largest number of minimal sets that are tried, those with the best measured rims first: pairs of rims,
+        or single rims with a known attitude.
     solve : SolveOptions
         Of the solution from the rims that agree.
     """
@@ -42,7 +43,7 @@ class RobustOptions:
 
 
 def solve_robustly(problem: ResectionProblem, options: RobustOptions = RobustOptions()) -> ResectionResult:
-    """Pose of an image some of whose rims may be matched to the wrong crater.
+    """Estimate the pose of an image some of whose rims may be matched to the wrong crater.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def solve_robustly(problem: ResectionProblem, options: RobustOptions = RobustOpt
     Returns
     -------
     ResectionResult
-        Its `wrong` names the rims that were left out; the residuals are of all rims.
+        Its `wrong` names the craters of the rims that were left out; its residuals are of all rims.
     """
     least = _least(problem, options)
     rims = problem.rims
@@ -60,31 +61,30 @@ def solve_robustly(problem: ResectionProblem, options: RobustOptions = RobustOpt
         return ResectionResult(
             Status.TOO_FEW_RIMS, f"found {len(rims)} rims, expected {least} or more to check each other", ()
         )
-    prior, weight = bounds.prior_arrays(problem)
+    prior, weight = problem.prior_arrays()
     attitude = np.empty((0, 0)) if problem.attitude is None else problem.attitude.gRb
     members, _ = consensus(
         problem.bTc, rims.centres, rims.axes, rims.chart, rims.whitening, prior, weight,
-        bounds.sun_array(problem), attitude, bounds.first_free(problem), _seeds(problem, options),
-        options.gate,
+        problem.sun_array(), attitude, problem.first_free, _seeds(problem, options), options.gate,
     )  # fmt: skip
-    result, kept = _settle(problem, members, least, options)
+    result, kept = _solve_consistently(problem, members, least, options)
     wrong = tuple(name for name, agrees in zip(rims.identifiers, kept, strict=True) if not agrees)
     poses = tuple(_of_all(problem, pose) for pose in result.poses)
     return replace(result, poses=poses, wrong=wrong if poses else ())
 
 
 def _least(problem: ResectionProblem, options: RobustOptions) -> int:
-    """Rims that must agree."""
+    """Give the number of rims that must agree."""
     if problem.attitude is not None:
-        # One of several that agrees with none of the others proves nothing.
+        # One of several rims that agrees with none of the others proves nothing.
         return 1 if len(problem.rims) == 1 else max(options.least_rims - 1, 2)
     return max(options.least_rims - (problem.prior is not None or problem.sun is not None), 1)
 
 
-def _settle(
+def _solve_consistently(
     problem: ResectionProblem, members: BoolArray, least: int, options: RobustOptions
 ) -> tuple[ResectionResult, BoolArray]:
-    """Solve from the rims that agree, until they are those that agree with the solution."""
+    """Solve from the rims that agree until they are those that agree with the solution."""
     rims = problem.rims
     for turn in itertools.count():
         if members.sum() < least:
@@ -95,12 +95,9 @@ def _settle(
         if not result.poses or result.status is Status.UNDETERMINED:
             break
         gTb = result.poses[0].gTb
-        d2 = distances2(
-            gTb, bounds.information(part, gTb), bounds.first_free(problem), members,
-            rims.packed(problem.bTc),
-        )  # fmt: skip
+        d2 = distances2(gTb, information(part, gTb), problem.first_free, members, rims.packed(problem.bTc))
         agree = d2 < options.gate
-        # A rim at the gate could come and go for ever.
+        # A rim near the gate could come and go for ever.
         if turn >= _ROUNDS:
             agree &= members
         if (agree == members).all():
@@ -110,11 +107,12 @@ def _settle(
 
 
 def _of_all(problem: ResectionProblem, pose: PoseSolution) -> PoseSolution:
+    """Pose with the residuals of all rims."""
     return replace(pose, residuals=problem.rims.residuals(pose.gTb, problem.bTc))
 
 
 def _seeds(problem: ResectionProblem, options: RobustOptions) -> IntArray:
-    """Minimal sets (m, 2), the best measured rims first."""
+    """Minimal sets (m, 2) of rims, those with the best measured first."""
     rims = problem.rims
     order = np.argsort(rims.covariance[:, 2, 2] + rims.covariance[:, 4, 4])
     n = len(order)

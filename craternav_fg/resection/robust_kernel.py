@@ -1,4 +1,4 @@
-"""Sets of rims that agree on a pose, from minimal sets."""
+"""Kernels of the robust solver: rims that agree on a pose, found from minimal sets (RANSAC)."""
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,10 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+# Rounds of fit and selection per minimal set, and linearisations of a fit.
 _ROUNDS = 4
 _ITERATIONS = 8
+# Logarithm of the probability to have missed the right minimal set, at which the search ends.
 _LOG_MISS = np.log(1e-9)
 
 
@@ -23,10 +25,26 @@ _LOG_MISS = np.log(1e-9)
 def distances2(
     gTb: FloatArray, N: FloatArray, first: int, members: BoolArray, data: FloatArray
 ) -> FloatArray:  # fmt: skip
-    """Squared Mahalanobis distances (n,) of rims from a pose that rests on `members`, a mask (n,).
+    """Compute squared Mahalanobis distances of rims from a pose that was fitted to some of them.
 
-    A member's is that of its residual, another's allows for the pose's own uncertainty, of information
-    N (6, 6) from the coordinate `first` on. `data` holds the rims, from `packed.pack`.
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        The pose.
+    N : ndarray, shape (6, 6)
+        Its information, rad and m in b.
+    first : int
+        First of its coordinates that was estimated.
+    members : ndarray of bool, shape (n,)
+        Rims to which it was fitted: theirs is the squared norm of the residual; that of others includes the
+        pose's uncertainty.
+    data : ndarray, shape (packed,)
+        The rims, from `packed.pack`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Numbers of five degrees of freedom; inf where they are undefined.
     """
     n = (data.shape[0] - HEADER) // CRATER
     free = 6 - first
@@ -55,7 +73,7 @@ def distances2(
         solve(S, r, y)
         for a in range(5):
             out[k] += r[a] * y[a]
-        # A pose that its members don't determine says nothing of the others.
+        # A pose that its members do not determine tells nothing about the others.
         if not np.isfinite(out[k]):
             out[k] = np.inf
     return out
@@ -63,7 +81,7 @@ def distances2(
 
 @njit(cache=True, error_model="numpy")
 def _subset(data: FloatArray, members: BoolArray) -> FloatArray:
-    """Packed data of some rims, a mask (n,)."""
+    """Select the packed data of some rims, a mask (n,)."""
     out = np.empty(data.shape[0])
     for k in range(HEADER):
         out[k] = data[k]
@@ -86,17 +104,30 @@ def consensus(
 
     Parameters
     ----------
-    bTc, ..., first
-        As in `solve_kernel.solutions`.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes, charts : ndarray, shapes (n, 3), (n, 2, 3), (n, 5)
+        See `MatchedRims`.
+    W : ndarray, shape (n, 5, 5)
+        Whitening of the charts, see `MatchedRims`.
+    prior, prior_weight : ndarray, shapes (4, 4), (6, 6) or (0, 0)
+        As in `solve_kernel.normal_equations`.
+    sun : ndarray, shape (7,) or (0,)
+        As in `solve_kernel.normal_equations`.
+    attitude : ndarray, shape (3, 3) or (0, 0)
+        Known rotation gRb; empty when it is unknown.
+    first : int
+        As in `solve_kernel.minimise`.
     seeds : ndarray of int, shape (m, 2)
-        Minimal sets: the rim whose plane is taken, and the one whose centre goes with it. With a known
-        attitude the first suffices.
+        Minimal sets: the rim whose plane is used, and the rim whose centre is. With a known attitude the
+        first rim is enough.
     gate : float
         Squared distance above which a rim does not agree.
 
     Returns
     -------
     members : ndarray of bool, shape (n,)
+        The rims that agree.
     score : float
         Sum of the squared distances, each at most the gate.
     """
@@ -107,7 +138,7 @@ def consensus(
     least, share, agreeing = np.inf, 0.0, 0
     N = np.empty((6, 6))
     data = pack(bTc, centres, axes, charts, W, NONE, 1.0)
-    # A variable: of a constant numba would compile `minimise` once more.
+    # Not a constant: numba would compile `minimise` once more for it.
     iterations = min(_ITERATIONS, 1 + seeds.shape[0] * _ITERATIONS)
     for s in range(seeds.shape[0]):
         i = seeds[s, 0]
@@ -142,7 +173,7 @@ def consensus(
                 share = agreeing / n
                 for k in range(n):
                     best[k] = members[k]
-        # The chance that no pair so far was of true matches only, if as many are true as agree.
+        # The probability that no set so far had true matches only, if as many are true as agree.
         if share == 1.0 or (s + 1) * np.log(1.0 - share * share) < _LOG_MISS:
             break
     return best, least

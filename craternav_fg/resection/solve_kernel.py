@@ -1,7 +1,7 @@
-"""Maximum-likelihood poses of one image: rims in the ellipse chart, prior, sun's tilt.
+"""Kernels of the maximum-likelihood solver: rims in the ellipse chart, prior, sun's tilt.
 
-Levenberg-Marquardt from many starts, on the normal equations: six unknowns, and three with the attitude
-known. Distances between poses are measured in standard deviations, by the information at the better one.
+Levenberg-Marquardt on the normal equations, from many initial poses, for six unknowns, or three with an exact
+attitude. Distances between poses are measured in standard deviations, by the information at the better one.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from craternav_fg.resection.start_kernel import start_at_attitude, start_pair, starts_of_one
-from factors.kernels.gauss_newton import prior_terms, screw, screw_between, solve
+from factors.kernels.gauss_newton import prior_terms, screw, screw_between, solve, substitute
 from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
 from factors.kernels.robust import NONE
 from factors.kernels.sun import sun_tilt, wrap
@@ -18,14 +18,21 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-# Noise, in units of its size, at which a poor prior's problem is solved first, in turn.
-NOISE_STEPS = np.array([300.0, 30.0, 3.0])
+# Factors on the noise with which the problem is solved in turn, before the noise itself, from a prior's pose:
+# with so much noise the prior prevails, and the minimum is near it.
+_NOISE_FACTORS = np.array([300.0, 30.0, 3.0])
 
-# A step that promises less than this of the squared norm is the last: 1e-4 of a standard deviation.
-_GAIN = 1e-8
-# Poses closer than this squared distance are one.
-_SAME = 0.04
-_FEW_ITERATIONS = 8
+# A step that is predicted to lower the cost by less is the last: it is below 1e-4 standard deviations.
+_MIN_GAIN = 1e-8
+# Relative increase of the cost that is only rounding.
+_ROUNDING = 1e-14
+# Damping of Levenberg-Marquardt: initial, least and most value.
+_INITIAL_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-4, 1e-9, 1e8
+# Squared distance, in standard deviations, within which two poses are one: 0.2 standard deviations.
+_SAME_DISTANCE2 = 0.04
+# Iterations after which a minimisation is judged promising or not.
+_FIRST_ITERATIONS = 8
+# Iterations by which poses are moved onto the curve that a single rim leaves.
 _CURVE_ITERATIONS = 4
 
 
@@ -34,21 +41,33 @@ def normal_equations(
     gTb: FloatArray, bTc: FloatArray, data: FloatArray, prior: FloatArray, prior_weight: FloatArray,
     sun: FloatArray, noise: float, out: FloatArray, N: FloatArray, g: FloatArray,
 ) -> float:  # fmt: skip
-    """Write N (6, 6) and gradient g (6,) of all that is known, for the body's right twist; return the cost.
+    """Compute the normal equations of rims, prior and sun for the body's right twist [w, rho].
 
     Parameters
     ----------
     gTb, bTc : ndarray, shape (4, 4)
-    data : ndarray
+        Poses.
+    data : ndarray, shape (packed,)
         The rims, from `packed.pack`, without a loss.
-    prior, prior_weight : ndarray, shapes (4, 4), (6, 6)
-        As `prior_terms` takes them; a weight of shape (0, 0) is no prior.
+    prior : ndarray, shape (4, 4)
+        Pose gTb of the prior.
+    prior_weight : ndarray, shape (6, 6) or (0, 0)
+        See `ResectionProblem.prior_arrays`.
     sun : ndarray, shape (7,) or (0,)
-        Direction in g, u, v, tilt, standard deviation; or nothing.
+        See `ResectionProblem.sun_array`.
     noise : float
         Factor on the standard deviations of rims and sun.
     out : ndarray, shape (7, 5 n)
-        Written: as `packed.shape_residuals` does, without `noise`.
+        Written: Jacobian and residuals as by `packed.shape_residuals`, without `noise`.
+    N : ndarray, shape (6, 6)
+        Written: information, rad and m in b.
+    g : ndarray, shape (6,)
+        Written: gradient of half the cost, per rad and m in b.
+
+    Returns
+    -------
+    float
+        Cost: squared norm of all whitened residuals.
     """
     cost = 0.0
     if prior_weight.shape[0]:
@@ -91,7 +110,7 @@ def normal_equations(
 
 @njit(cache=True, error_model="numpy")
 def _copy(a: FloatArray, b: FloatArray) -> None:
-    """Write a into b; numba takes seconds to compile a slice's assignment."""
+    """Copy a matrix a into b; numba takes seconds to compile a slice's assignment."""
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             b[i, j] = a[i, j]
@@ -102,18 +121,28 @@ def minimise(
     gTb: FloatArray, bTc: FloatArray, data: FloatArray, prior: FloatArray, prior_weight: FloatArray,
     sun: FloatArray, noise: float, first: int, iterations: int, N: FloatArray,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Levenberg-Marquardt from gTb, which is moved in place.
+    """Minimise the cost by Levenberg-Marquardt.
 
     Parameters
     ----------
-    gTb, ..., noise
+    gTb : ndarray, shape (4, 4)
+        Initial pose; moved in place.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    data : ndarray, shape (packed,)
+        As in `normal_equations`.
+    prior, prior_weight : ndarray, shapes (4, 4), (6, 6) or (0, 0)
+        As in `normal_equations`.
+    sun : ndarray, shape (7,) or (0,)
+        As in `normal_equations`.
+    noise : float
         As in `normal_equations`.
     first : int
-        0, or 3 to leave the attitude as it is.
+        First coordinate that moves: 0, or 3 to keep the attitude.
     iterations : int
-        Linearisations at most.
+        Largest number of linearisations.
     N : ndarray, shape (6, 6)
-        Written: information at the pose.
+        Written: information at the pose, rad and m in b.
 
     Returns
     -------
@@ -126,7 +155,7 @@ def minimise(
     damped = np.empty((6 - first, 6 - first))
     trial = np.empty((4, 4))
     cost = normal_equations(gTb, bTc, data, prior, prior_weight, sun, noise, out, N, g)
-    damping = 1e-4
+    damping = _INITIAL_DAMPING
     for _ in range(iterations):
         for i in range(first, 6):
             for j in range(first, 6):
@@ -140,38 +169,51 @@ def minimise(
         _copy(gTb, trial)
         screw(trial, step)
         new = normal_equations(trial, bTc, data, prior, prior_weight, sun, noise, out, trial_N, trial_g)
-        # False for NaN, too.
-        if new <= cost * (1.0 + 1e-14):
+        # Also false for NaN.
+        if new <= cost * (1.0 + _ROUNDING):
             _copy(trial, gTb)
             _copy(trial_N, N)
             for i in range(6):
                 g[i] = trial_g[i]
             cost = new
-            damping = max(0.1 * damping, 1e-9)
-            if gain < _GAIN:
+            damping = max(0.1 * damping, _MIN_DAMPING)
+            if gain < _MIN_GAIN:
                 return cost, True
         else:
-            # Rounding decides whether so short a step goes down.
-            if gain < _GAIN:
+            # Of so short a step, rounding decides whether it goes down.
+            if gain < _MIN_GAIN:
                 return cost, True
             damping *= 10.0
-            if damping > 1e8:
+            if damping > _MAX_DAMPING:
                 break
     return cost, False
 
 
 @njit(cache=True, error_model="numpy")
-def invert(N: FloatArray, first: int, covariance: FloatArray) -> float:
-    """Write the inverse of N (6, 6) from the coordinate `first` on, zero before; return ln det N there.
+def covariance_and_log_det(N: FloatArray, first: int, covariance: FloatArray) -> float:
+    """Invert an information matrix.
 
-    NaN when N is not positive definite.
+    Parameters
+    ----------
+    N : ndarray, shape (6, 6)
+        Information, rad and m in b.
+    first : int
+        First coordinate that is estimated; the others are exact.
+    covariance : ndarray, shape (6, 6)
+        Written: the inverse of the estimated part, zero in the other rows and columns.
+
+    Returns
+    -------
+    float
+        Natural logarithm of the determinant of the estimated part; NaN, as the covariance, when it is not
+        positive definite.
     """
     n = 6 - first
     L = np.zeros((n, n))
     log = 0.0
     for i in range(n):
         for j in range(i + 1):
-            # Scaled to a unit diagonal: radians and metres differ by six orders of magnitude.
+            # Scaled to a unit diagonal: radians and metres differ by orders of magnitude.
             total = N[first + i, first + j] / np.sqrt(N[first + i, first + i] * N[first + j, first + j])
             for k in range(j):
                 total -= L[i, k] * L[j, k]
@@ -181,22 +223,27 @@ def invert(N: FloatArray, first: int, covariance: FloatArray) -> float:
     for c in range(n):
         x = covariance[first + c, first:]
         x[c] = 1.0
-        for i in range(c, n):
-            for k in range(c, i):
-                x[i] -= L[i, k] * x[k]
-            x[i] /= L[i, i]
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                x[i] -= L[k, i] * x[k]
-            x[i] /= L[i, i]
+        substitute(L, x)
         for i in range(n):
             x[i] /= np.sqrt(N[first + i, first + i] * N[first + c, first + c])
     return log
 
 
 @njit(cache=True, error_model="numpy")
-def distance2(a: FloatArray, b: FloatArray, N: FloatArray) -> float:
-    """Squared distance of two poses in the information N (6, 6) at a, for a's right twist."""
+def squared_distance(a: FloatArray, b: FloatArray, N: FloatArray) -> float:
+    """Compute the squared distance of two poses in standard deviations.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (4, 4)
+        Poses gTb.
+    N : ndarray, shape (6, 6)
+        Information at a for its right twist in b, rad and m.
+
+    Returns
+    -------
+    float
+    """
     delta = np.empty(6)
     screw_between(a, b, delta)
     total = 0.0
@@ -211,7 +258,24 @@ def all_starts(
     bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, attitude: FloatArray,
     reference: IntArray,
 ) -> FloatArray:  # fmt: skip
-    """Poses (k, 4, 4) in closed form: of a known attitude, or both planes of each of the `reference` rims."""
+    """Make initial poses in closed form from several rims.
+
+    Parameters
+    ----------
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes, charts : ndarray, shapes (n, 3), (n, 2, 3), (n, 5)
+        See `MatchedRims`.
+    attitude : ndarray, shape (3, 3) or (0, 0)
+        Known rotation gRb; empty when it is unknown.
+    reference : ndarray of int, shape (r,)
+        Rims from which poses are made: with a known attitude one each, else the two of each rim's plane.
+
+    Returns
+    -------
+    ndarray, shape (k, 4, 4)
+        Poses gTb.
+    """
     n = charts.shape[0]
     if attitude.shape[0]:
         out = np.empty((len(reference), 4, 4))
@@ -230,18 +294,41 @@ def starts_on_curve(
     bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, data: FloatArray,
     prior: FloatArray, prior_weight: FloatArray, sun: FloatArray, first: int, rolls: int,
 ) -> FloatArray:  # fmt: skip
-    """Poses (k, 4, 4) that show a single rim as it is, the best in this among their neighbours first of all.
+    """Make initial poses from a single rim, which determines a pose up to a curve.
 
-    They lie on a curve, narrow and bent, on which minimising all at once creeps: so the rim alone decides
-    first. Prior and sun then choose on the curve, and every eighth angle starts all the same, for minima
-    beside it that a vague prior leaves; without them every fourth is a sample of it.
+    The curve is narrow and bent: a minimisation that includes prior and sun would follow it in tiny steps. So
+    poses all along it are first fitted to the rim alone. With prior or sun, those are kept whose cost is
+    lower than their neighbours', and every eighth one for minima beside the curve. Without, every fourth is
+    kept as a sample of the curve.
+
+    Parameters
+    ----------
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes, charts : ndarray, shapes (1, 3), (1, 2, 3), (1, 5)
+        See `MatchedRims`.
+    data : ndarray, shape (packed,)
+        As in `normal_equations`.
+    prior, prior_weight : ndarray, shapes (4, 4), (6, 6) or (0, 0)
+        As in `normal_equations`.
+    sun : ndarray, shape (7,) or (0,)
+        As in `normal_equations`.
+    first : int
+        As in `minimise`.
+    rolls : int
+        Steps of the rotation about the rim's normal; two poses each.
+
+    Returns
+    -------
+    ndarray, shape (k, 4, 4)
+        Poses gTb.
     """
     poses = starts_of_one(rolls, bTc, centres[0], axes[0], charts[0])
     total = poses.shape[0]
     costs = np.empty(total)
     out, N, g = np.empty((7, 5)), np.empty((6, 6)), np.empty(6)
     nothing = np.empty((0, 0))
-    # A variable: of a constant numba would compile `minimise` once more.
+    # Not a constant: numba would compile `minimise` once more for it.
     iterations = min(_CURVE_ITERATIONS, total)
     for k in range(total):
         minimise(
@@ -252,7 +339,7 @@ def starts_on_curve(
     count = 0
     for k in range(total):
         if prior_weight.shape[0] + sun.shape[0]:
-            # The two planes take turns.
+            # Poses of the two planes alternate.
             best = costs[k] <= costs[(k + 2) % total] and costs[k] <= costs[(k - 2) % total]
             best = best or k % 16 < 2
         else:
@@ -269,33 +356,41 @@ def solutions(
     prior: FloatArray, prior_weight: FloatArray, sun: FloatArray, attitude: FloatArray, first: int,
     reference: IntArray, rolls: int, iterations: int, window: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    """All distinct local minima that the starts lead to, the cheapest first.
+    """Find the distinct local minima that the initial poses lead to.
 
     Parameters
     ----------
-    bTc, prior, prior_weight, sun
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes, charts : ndarray, shapes (n, 3), (n, 2, 3), (n, 5)
+        See `MatchedRims`.
+    W : ndarray, shape (n, 5, 5)
+        Whitening of the charts, see `MatchedRims`.
+    prior, prior_weight : ndarray, shapes (4, 4), (6, 6) or (0, 0)
         As in `normal_equations`.
-    centres, axes, charts, W : ndarray, shapes (n, 3), (n, 2, 3), (n, 5), (n, 5, 5)
-        As `MatchedRims` has them, W its whitening.
+    sun : ndarray, shape (7,) or (0,)
+        As in `normal_equations`.
     attitude : ndarray, shape (3, 3) or (0, 0)
-        gRb where it is known.
+        Known rotation gRb; empty when it is unknown.
     first : int
         As in `minimise`.
-    reference : ndarray of int
-        Rims whose planes starts are made of.
+    reference : ndarray of int, shape (r,)
+        Rims from which initial poses are made.
     rolls : int
-        Steps of the angle that a single rim leaves free.
+        Steps of the rotation about its normal that a single rim leaves free.
     iterations : int
-        Of each minimisation.
+        Largest number of linearisations of each minimisation.
     window : float
-        Minima whose cost exceeds the least by more are not finished.
+        Minima whose cost exceeds the least by more are not pursued.
 
     Returns
     -------
     gTb : ndarray, shape (k, 4, 4)
+        Poses, lowest cost first.
     cost : ndarray, shape (k,)
+        Squared norms of the whitened residuals.
     N : ndarray, shape (k, 6, 6)
-        Information.
+        Information, rad and m in b.
     converged : ndarray of bool, shape (k,)
     """
     data = pack(bTc, centres, axes, charts, W, NONE, 1.0)
@@ -314,12 +409,12 @@ def solutions(
     converged = np.zeros(total, dtype=np.bool_)
     if annealed:
         _copy(prior, poses[count])
-        for noise in NOISE_STEPS:
+        for noise in _NOISE_FACTORS:
             minimise(
                 poses[count], bTc, data, prior, prior_weight, sun, noise, first, iterations, N[count],
             )  # fmt: skip
-    few = min(_FEW_ITERATIONS, iterations)
-    # A first look at all of them tells which are worth finishing.
+    few = min(_FIRST_ITERATIONS, iterations)
+    # A few iterations of all of them show which ones to finish.
     for k in range(total):
         costs[k], converged[k] = minimise(
             poses[k], bTc, data, prior, prior_weight, sun, 1.0, first, few, N[k],
@@ -358,7 +453,7 @@ def solutions(
 
 @njit(cache=True, error_model="numpy")
 def _ascending(values: FloatArray, count: int) -> IntArray:
-    """Order of the first `count` values, by insertion: few, and numba takes seconds to compile a sort."""
+    """Sort the first `count` values and return their indices; numba takes seconds to compile a sort."""
     order = np.empty(count, dtype=np.int64)
     for i in range(count):
         j = i
@@ -371,8 +466,8 @@ def _ascending(values: FloatArray, count: int) -> IntArray:
 
 @njit(cache=True, error_model="numpy")
 def _known(poses: FloatArray, N: FloatArray, kept: IntArray, found: int, k: int) -> bool:
-    """Whether pose k is one of those that were found."""
+    """Whether pose k repeats one of the first `found` poses that were kept."""
     known = False
     for f in range(found):
-        known = known or distance2(poses[kept[f]], poses[k], N[kept[f]]) < _SAME
+        known = known or squared_distance(poses[kept[f]], poses[k], N[kept[f]]) < _SAME_DISTANCE2
     return known

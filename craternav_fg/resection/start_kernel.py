@@ -1,11 +1,15 @@
-"""Poses to start from, in closed form, without any prior.
+"""Initial poses in closed form, without a prior.
 
-Near its centre a rim's plane is seen through an affine map A = B / d: B is the upper left 2 x 2 of the
-rotation from the crater to a camera turned to look at the rim, d the depth. The rim's own image,
-S = A C A' with C = diag(a^2, b^2), gives A up to one angle, A = S^(1/2) U C^(-1/2) with U orthogonal; the
-direction to another crater's centre gives the angle, since straight lines through the line of sight stay
-straight. B'B = 1 - r r', r the first two elements of the rotation's third row: its eigenvalue 1 gives d, the
-other r but for the sign, so each A stands for two poses, mirror images of each other under a distant view.
+Turn the camera to a frame v that points at a rim. There the rim's plane is imaged, near the rim's centre, by
+an affine map A = B / d: B is the upper left 2 x 2 part of the rotation vRl, d the depth.
+
+- The rim's image S = A C A', C = diag(a^2, b^2), gives A up to one angle: A = S^(1/2) U C^(-1/2) with U
+  orthogonal.
+- The direction to another crater's centre gives that angle, because lines through the line of sight stay
+  straight.
+- B'B = I - r r', r the first two elements of the third row of vRl: its eigenvalue 1 gives d, the other one r
+  except for the sign. Each A thus stands for two poses, which are mirror images of each other in a distant
+  view.
 """
 
 import numpy as np
@@ -21,19 +25,21 @@ FloatArray = npt.NDArray[np.float64]
 
 @njit(cache=True, error_model="numpy")
 def looking(chart: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Camera v turned to look at an image ellipse's centre.
+    """Turn a camera to point at the centre of an image ellipse.
 
     Parameters
     ----------
     chart : ndarray, shape (5,)
+        Ellipse chart in normalised image coordinates of c.
 
     Returns
     -------
     vRc : ndarray, shape (3, 3)
+        Rotation from c to the turned frame v.
     m : ndarray, shape (2,)
-        Centre of the ellipse that v sees: near 0.
+        Centre of the ellipse in normalised image coordinates of v: near 0.
     root : ndarray, shape (2, 2)
-        Lower triangular square root of that ellipse's S.
+        Lower triangular square root of that ellipse's S, normalised image coordinates of v.
     """
     vRc = np.empty((3, 3))
     norm = np.sqrt(chart[0] * chart[0] + chart[1] * chart[1] + 1.0)
@@ -69,7 +75,20 @@ def looking(chart: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @njit(cache=True, error_model="numpy")
 def rim_frame(axes: FloatArray) -> tuple[FloatArray, float, float]:
-    """Rotation gRl (3, 3) and semi-axes a, b, m, of a rim's axes (2, 3)."""
+    """Split the semi-axes of a rim into rotation and lengths.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (2, 3)
+        Semi-axes a l1 and b l2 in g, m.
+
+    Returns
+    -------
+    gRl : ndarray, shape (3, 3)
+        Rotation from the crater's frame to g.
+    a, b : float
+        Lengths, m.
+    """
     gRl = np.empty((3, 3))
     a = np.sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
     b = np.sqrt(axes[1, 0] ** 2 + axes[1, 1] ** 2 + axes[1, 2] ** 2)
@@ -84,7 +103,21 @@ def rim_frame(axes: FloatArray) -> tuple[FloatArray, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def place(gRc: FloatArray, p: FloatArray, centre: FloatArray, bTc: FloatArray, gTb: FloatArray) -> None:
-    """Write the body's pose gTb (4, 4) for which a camera of attitude gRc sees `centre` (3,) at p (3,)."""
+    """Compute the body's pose for which the camera sees a point at a given place.
+
+    Parameters
+    ----------
+    gRc : ndarray, shape (3, 3)
+        Rotation of the camera.
+    p : ndarray, shape (3,)
+        The point in c, m.
+    centre : ndarray, shape (3,)
+        The point in g, m.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    gTb : ndarray, shape (4, 4)
+        Written: the pose.
+    """
     gTb[:] = 0.0
     gTb[3, 3] = 1.0
     for i in range(3):
@@ -103,7 +136,7 @@ def _roll(
     i: int, j: int, vRc: FloatArray, m: FloatArray, root: FloatArray, gRl: FloatArray, a: float, b: float,
     centres: FloatArray, charts: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
-    """Vector whose direction is the angle of U that takes crater j's centre to its image, seen from rim i."""
+    """Vector in the direction of the angle of U for which the centre of crater j is seen where it is."""
     x = y = 0.0
     for k in range(3):
         x += gRl[k, 0] * (centres[j, k] - centres[i, k])
@@ -123,9 +156,31 @@ def two_poses(
     angle: float, vRc: FloatArray, root: FloatArray, gRl: FloatArray, a: float, b: float,
     chart: FloatArray, centre: FloatArray, bTc: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the two poses (2, 4, 4) of one rim for one angle of U."""
+    """Compute the two poses of one rim for one angle of U; see the module's docstring.
+
+    Parameters
+    ----------
+    angle : float
+        Of U, rad.
+    vRc : ndarray, shape (3, 3)
+        Rotation from `looking`.
+    root : ndarray, shape (2, 2)
+        From `looking`.
+    gRl : ndarray, shape (3, 3)
+        Rotation from `rim_frame`.
+    a, b : float
+        Semi-axes, m.
+    chart : ndarray, shape (5,)
+        Of the rim, normalised image coordinates.
+    centre : ndarray, shape (3,)
+        Of the rim in g, m.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    out : ndarray, shape (2, 4, 4)
+        Written: poses gTb.
+    """
     c, s = np.cos(angle), np.sin(angle)
-    # U = Rot(angle) diag(1, -1): the normal points to the camera.
+    # U = Rot(angle) diag(1, -1): the outward normal points to the camera.
     A = np.empty((2, 2))
     A[0, 0], A[0, 1] = root[0, 0] * c / a, root[0, 0] * s / b
     A[1, 0] = (root[1, 0] * c + root[1, 1] * s) / a
@@ -166,7 +221,26 @@ def two_poses(
 def starts_of_one(
     rolls: int, bTc: FloatArray, centre: FloatArray, axes: FloatArray, chart: FloatArray
 ) -> FloatArray:
-    """Poses (2 rolls, 4, 4) of a single rim: both planes, at equal steps of the angle that it leaves free."""
+    """Sample the poses of a single rim: both planes, at equal steps of the angle that it leaves free.
+
+    Parameters
+    ----------
+    rolls : int
+        Number of steps.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centre : ndarray, shape (3,)
+        Of the rim in g, m.
+    axes : ndarray, shape (2, 3)
+        Semi-axes in g, m.
+    chart : ndarray, shape (5,)
+        Of the rim, normalised image coordinates.
+
+    Returns
+    -------
+    ndarray, shape (2 rolls, 4, 4)
+        Poses gTb; the two planes alternate.
+    """
     out = np.empty((2 * rolls, 4, 4))
     vRc, _, root = looking(chart)
     gRl, a, b = rim_frame(axes)
@@ -180,7 +254,21 @@ def start_pair(
     i: int, partners: npt.NDArray[np.int64], bTc: FloatArray, centres: FloatArray, axes: FloatArray,
     charts: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the two poses (2, 4, 4) that rim i and the centres of `partners` (other rims) give."""
+    """Compute the two poses that one rim and the centres of others give.
+
+    Parameters
+    ----------
+    i : int
+        The rim.
+    partners : ndarray of int, shape (m,)
+        The others; i itself is ignored.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes, charts : ndarray, shapes (n, 3), (n, 2, 3), (n, 5)
+        See `MatchedRims`.
+    out : ndarray, shape (2, 4, 4)
+        Written: poses gTb.
+    """
     vRc, m, root = looking(charts[i])
     gRl, a, b = rim_frame(axes[i])
     x = y = 0.0
@@ -197,7 +285,23 @@ def start_at_attitude(
     gRb: FloatArray, bTc: FloatArray, centre: FloatArray, axes: FloatArray, chart: FloatArray,
     gTb: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the pose gTb (4, 4) of known attitude gRb (3, 3) that a single rim gives."""
+    """Compute the pose that a single rim gives with a known attitude.
+
+    Parameters
+    ----------
+    gRb : ndarray, shape (3, 3)
+        Known rotation of the body.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centre : ndarray, shape (3,)
+        Of the rim in g, m.
+    axes : ndarray, shape (2, 3)
+        Semi-axes in g, m.
+    chart : ndarray, shape (5,)
+        Of the rim, normalised image coordinates.
+    gTb : ndarray, shape (4, 4)
+        Written: the pose.
+    """
     vRc, _, root = looking(chart)
     gRl, a, b = rim_frame(axes)
     gRc = np.zeros((3, 3))

@@ -77,6 +77,24 @@ def _rotation_log(M: FloatArray, w: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def invert(N: FloatArray, out: FloatArray) -> None:
+    """Invert a positive definite matrix by Cholesky decomposition, scaled to a unit diagonal.
+
+    Parameters
+    ----------
+    N : ndarray, shape (n, n)
+        Such as an information matrix; its unknowns may have different units.
+    out : ndarray, shape (n, n)
+        Written: the inverse, such as a covariance; not finite when N is not positive definite.
+    """
+    unit = np.empty(N.shape[0])
+    for a in range(N.shape[0]):
+        unit[:] = 0.0
+        unit[a] = 1.0
+        solve(N, unit, out[a])
+
+
+@njit(cache=True, error_model="numpy")
 def prior_terms(prior: FloatArray, W: FloatArray, pose: FloatArray, N: FloatArray, g: FloatArray) -> float:
     """Write normal matrix and gradient of a prior on a pose.
 

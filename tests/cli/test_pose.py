@@ -100,7 +100,7 @@ def test_one_rim_with_an_attitude(files: Files, run: Run) -> None:
     values = json.loads(done.out)
     check_pose(values["poses"][0], files.gTb)
     (warning,) = values["warnings"]
-    assert warning.startswith("1 rim checks its match hardly")
+    assert warning.startswith("1 rim cannot reveal a wrong match")
     assert done.err == f"craternav: warning: {warning}\n"
 
 
@@ -124,7 +124,7 @@ def test_one_rim_alone_is_refused_but_shown_as_json(files: Files, run: Run) -> N
     done = run("--json", rims=files.rims(files.rows[0]))
     assert done.code == 2
     assert done.err.count("\n") == 1
-    assert done.err.startswith("craternav: the image leaves a direction of the pose free: rank 5")
+    assert done.err.startswith("craternav: the image does not determine the whole pose: rank 5")
     values = json.loads(done.out)
     assert values["status"] == "undetermined"
     assert values["poses"] == []

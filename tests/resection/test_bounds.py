@@ -95,14 +95,15 @@ def test_the_rank_of_one_rim(off_nadir_deg: float, size: tuple[float, float], ra
 def test_free_directions_in_words() -> None:
     turn = "rotation about the normal of crater 'A' through its centre"
     swings = tuple(
-        f"swing round the centre of crater 'A' about the image's {axis} axis, with the view held on it"
+        f"rotation of the camera around the centre of crater 'A' about the image's {axis} axis, still "
+        "pointing at it"
         for axis in "xy"
     )
     tilt, nadir = tilted(35.0), tilted(0.0)
     assert cramer_rao(problem_at(tilt, [(2e3, 2e3)]), tilt).observability.words == (turn,)
     assert cramer_rao(problem_at(nadir, [(2e3, 2e3)]), nadir).observability.words == (turn, *swings)
     (words,) = cramer_rao(problem_at(tilt, [(2e3, 1.2e3)]), tilt).observability.words
-    assert words.startswith("a motion that leaves the image of crater 'A' as it is")
+    assert words.startswith("a motion that does not change the image of crater 'A'")
 
 
 def test_what_is_known_beside_the_image_counts() -> None:

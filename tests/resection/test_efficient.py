@@ -212,7 +212,7 @@ def test_one_rim_alone_is_undetermined() -> None:
     scene = make_scene(np.random.default_rng(2), 50e3, 1, off_nadir_deg=(20.0, 30.0))
     result = solve(scene.measured)
     assert result.status is Status.UNDETERMINED
-    assert "leaves the image of crater 'c0' as it is" in result.reason
+    assert "does not change the image of crater 'c0'" in result.reason
     assert len(result.poses) > 4
     for pose in result.poses:
         assert np.isnan(pose.covariance).all()
@@ -298,7 +298,7 @@ def test_matches_that_nothing_checks_are_warned_of(count: int, attitude: bool, w
         problem = replace(problem, attitude=KnownAttitude(scene.gTb[:3, :3]))
     result = solve(problem)
     assert result.solved
-    assert any("hardly: a wrong one can pass unnoticed" in text for text in result.warnings) is warned
+    assert any("cannot reveal a wrong match" in text for text in result.warnings) is warned
 
 
 def test_an_attitude_that_looks_away_is_no_pose() -> None:

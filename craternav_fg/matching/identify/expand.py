@@ -25,10 +25,10 @@ from craternav_fg.matching.identify.pose_fit import (
     centre_freedom_taken,
     chart_errors,
     fit_pose,
-    invert,
     pack_rims,
 )
 from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, CENTRE_SIGMA_SHARE, View
+from factors.kernels.gauss_newton import invert
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

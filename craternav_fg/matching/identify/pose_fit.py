@@ -161,24 +161,6 @@ def fit_pose(gTc: FloatArray, data: FloatArray, prior: FloatArray, weight: Float
 
 
 @njit(cache=True, error_model="numpy")
-def invert(N: FloatArray, covariance: FloatArray) -> None:
-    """Invert an information matrix.
-
-    Parameters
-    ----------
-    N : ndarray, shape (6, 6)
-        Information, rad and m.
-    covariance : ndarray, shape (6, 6)
-        Written; NaN or infinite when N is singular.
-    """
-    unit = np.empty(6)
-    for a in range(6):
-        unit[:] = 0.0
-        unit[a] = 1.0
-        solve(N, unit, covariance[a])
-
-
-@njit(cache=True, error_model="numpy")
 def centre_freedom_taken(gTc: FloatArray, data: FloatArray, covariance: FloatArray) -> float:
     """Degrees of freedom that the fit of the pose takes from the residuals of the rims' centres.
 

@@ -1,8 +1,12 @@
-"""The paper's static methods: one image's rims in, the pose nearest a start out.
+"""Solver for the paper's resection methods: the pose near a start from one image's rims.
 
-Sums of squares without weights, as published; only the sign of eq. (11) is put right. The covariance is that
-of an unweighted estimate, (J'J)^-1 J' N J (J'J)^-1 with N from the charts' noise, to first order; it knows
-nothing of a bias, of which the centres of the image ellipses, eq. (10), have one.
+Sums of squares without weights are minimised, as published; only the sign of eq. (11) is corrected. The
+covariance is that of an unweighted estimate, (J'J)^-1 J' N J (J'J)^-1 with N from the charts' noise, to first
+order. It does not include the bias of eq. (10), which takes image centres for images of centres.
+
+References
+----------
+Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966; docs/equations.md.
 """
 
 from dataclasses import replace
@@ -39,12 +43,13 @@ from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
 
-# Squared distance from the prior, in its standard deviations, beyond which one crater's pose is not believed.
+# Squared distance from the prior beyond which the pose from a single crater is rejected: the quantile
+# 1 - 1e-4 of the chi-square distribution of six degrees of freedom.
 _PRIOR_GATE = float(chi2.isf(1e-4, 6))
 
 
 class Method(Enum):
-    """A static method of the paper, by its equation."""
+    """A resection method of the paper, by its equation."""
 
     IMAGE_CENTRES = "(10)"
     EDGES = "(13)"
@@ -53,8 +58,8 @@ class Method(Enum):
     CRATER_AND_SUN = "(25)"
 
 
-# Fewest rims, and fewest when the attitude is known.
-_LEAST = {
+# Fewest rims with an unknown and with a known attitude.
+_MIN_RIMS = {
     Method.IMAGE_CENTRES: (3, 3),
     Method.EDGES: (3, 2),
     Method.TWO_CRATERS: (2, 2),
@@ -66,37 +71,39 @@ _LEAST = {
 def solve_paper(
     problem: ResectionProblem, method: Method, start: FloatArray | None = None
 ) -> ResectionResult:
-    """Solve for the pose with a method of the paper.
+    """Estimate the pose by a method of the paper.
 
     Parameters
     ----------
     problem : ResectionProblem
-        Its prior is a start only, and for one crater a gate on the solution. A known attitude is taken as
-        exact. The sun is used by `CRATER_AND_SUN` alone, in perspective and with atan2.
+        Its prior only gives the start and, for a single crater, a gate on the solution. A known attitude is
+        taken as exact. Only `CRATER_AND_SUN` uses the sun, in perspective and with atan2.
     method : Method
-        `IMAGE_CENTRES` takes the image ellipses' centres for the craters', as the paper's baseline does.
+        `IMAGE_CENTRES` takes the centres of image ellipses for the images of the craters' centres, as the
+        paper's baseline does.
     start : ndarray, shape (4, 4), optional
-        Pose of the body gTb to start from; the prior's if not given. The equations have several solutions,
-        and the one near the start is found.
+        Initial pose gTb; by default the prior's. The equations have several solutions; the one near the start
+        is found.
 
     Returns
     -------
     ResectionResult
-        With one pose, or none and the reason. There is none, either, when the rims contradict each other:
-        when no pose near the solution explains their charts, whatever the method makes of them.
+        With one pose, or with none and the reason. There is also none when the rims contradict each other,
+        that is when no pose near the solution explains their charts.
 
     Raises
     ------
     ResectionError
-        Without a start and without a prior; for `CRATER_AND_SUN` without the sun or with more craters.
+        When there is neither a start nor a prior; for `CRATER_AND_SUN`, when there is no sun or more than one
+        crater.
     """
     if start is None:
         if problem.prior is None:
-            raise ResectionError(f"eq. {method.value} needs a start or a prior")
+            raise ResectionError(f"eq. {method.value}: expected a start or a prior, found neither")
         start = problem.prior.gTb
-    least = _LEAST[method][problem.attitude is not None]
+    least = _MIN_RIMS[method][problem.attitude is not None]
     if len(problem.rims) < least:
-        reason = f"eq. {method.value} needs {least} rims, found {len(problem.rims)}"
+        reason = f"eq. {method.value}: expected {least} rims or more, found {len(problem.rims)}"
         return ResectionResult(Status.TOO_FEW_RIMS, reason, ())
     free = EVERYTHING
     if problem.attitude is not None:
@@ -118,6 +125,7 @@ def solve_paper(
 
 
 def _system(problem: ResectionProblem, method: Method, seen: PaperRims) -> PoseEquations:
+    """Equations of a method that is minimised over the whole pose."""
     if method is Method.EDGES:
         return partial(equations.edges, seen)
     if method is Method.TWO_CRATERS:
@@ -125,13 +133,14 @@ def _system(problem: ResectionProblem, method: Method, seen: PaperRims) -> PoseE
     if method is Method.SHAPES:
         return partial(equations.conic_shapes, seen)
     if problem.sun is None:
-        raise ResectionError("eq. (25) needs the sun's tilt")
+        raise ResectionError("eq. (25): expected the sun's tilt, found none")
     if len(problem.rims) > 1:
-        raise ResectionError(f"eq. (25) is of one crater, found {len(problem.rims)}")
+        raise ResectionError(f"eq. (25): expected one crater, found {len(problem.rims)}")
     return partial(equations.with_sun, problem.sun, seen)
 
 
 def _noise(problem: ResectionProblem, method: Method, seen: PaperRims, gTc: FloatArray) -> FloatArray:
+    """Covariance (m, m) of the residual of those equations."""
     if method is Method.EDGES:
         return equations.edges_noise(seen, gTc)
     if method is Method.TWO_CRATERS:
@@ -145,6 +154,7 @@ def _noise(problem: ResectionProblem, method: Method, seen: PaperRims, gTc: Floa
 def _result(
     problem: ResectionProblem, method: Method, gTc: FloatArray, converged: bool, covariance: FloatArray | None
 ) -> ResectionResult:
+    """Check a solution, and turn it into a result for the body."""
     name = f"eq. {method.value}"
     if not converged:
         return ResectionResult(Status.NOT_CONVERGED, f"{name} did not converge", ())
@@ -154,43 +164,35 @@ def _result(
     if not visible.all():
         hidden = rims.identifiers[int(np.argmin(visible))]
         return ResectionResult(
-            Status.NO_POSE, f"from the solution of {name} the rim of {hidden} is not to be seen", ()
+            Status.NO_POSE, f"at the solution of {name} the rim of crater {hidden!r} is not visible", ()
         )
-    # The equations' own residuals are biased, or leave shapes out; the charts that the likeliest pose near
-    # by leaves unexplained judge every method alike.
-    likeliest = refine(_as_the_paper(problem, method, gTb), gTb)
-    if likeliest.status is Status.NO_POSE:
-        return likeliest
+    # The equations' own residuals are biased or ignore shapes. The same test for every method is whether the
+    # maximum-likelihood pose nearby explains the charts.
+    nearby = refine(_as_the_paper(problem, method, gTb), gTb)
+    if nearby.status is Status.NO_POSE:
+        return nearby
     residuals = rims.residuals(gTb, problem.bTc)
-    turn = _adjoint(problem.bTc)
+    turn = frames.adjoint(problem.bTc)
     S = np.full((6, 6), np.nan) if covariance is None else turn @ covariance @ turn.T
     pose = PoseSolution(gTb, S, residuals, float(np.sum(residuals**2)))
     if covariance is None:
-        return ResectionResult(Status.UNDETERMINED, f"{name} leaves a direction of the pose free", (pose,))
+        return ResectionResult(Status.UNDETERMINED, f"{name} does not determine the whole pose", (pose,))
     if method is Method.CRATER_AND_SUN:
         if problem.prior is None:
-            reason = "one crater and the sun's tilt have several poses: this is the one near the start"
+            reason = "one crater and the sun's tilt allow several poses; this is the one near the start"
             return ResectionResult(Status.AMBIGUOUS, reason, (pose,))
         distance = _distance(problem.prior, gTb)
         if distance > _PRIOR_GATE:
-            reason = f"the solution of {name} lies {np.sqrt(distance):.0f} standard deviations off the prior"
+            reason = f"the solution of {name} is {np.sqrt(distance):.0f} standard deviations from the prior"
             return ResectionResult(Status.NO_POSE, reason, ())
     return ResectionResult(Status.SOLVED, "", (pose,))
 
 
 def _as_the_paper(problem: ResectionProblem, method: Method, gTb: FloatArray) -> ResectionProblem:
-    """Keep of the problem what a method uses: no prior, the attitude exact, the sun for one method."""
+    """Reduce a problem to what a method uses: no prior, an exact attitude, the sun for one method only."""
     attitude = None if problem.attitude is None else KnownAttitude(gTb[:3, :3])
     sun = problem.sun if method is Method.CRATER_AND_SUN else None
     return replace(problem, prior=None, attitude=attitude, sun=sun)
-
-
-def _adjoint(T: FloatArray) -> FloatArray:
-    """Matrix (6, 6) that turns the right twist of gTc into that of gTb = gTc T^-1, for T = bTc."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = T[:3, :3]
-    out[3:, :3] = equations.cross(T[None, :3, 3])[0] @ T[:3, :3]
-    return out
 
 
 def _distance(prior: PosePrior, gTb: FloatArray) -> float:
