@@ -51,6 +51,8 @@ class Ground:
         Smallest and largest tilt of the camera from nadir.
     size_px : int
         Side of the image; the field of view is 44 deg.
+    lunar_lambert : float
+        Law of reflection, see `RenderOptions`.
     """
 
     density: float = 0.005
@@ -59,6 +61,7 @@ class Ground:
     irregularity: float = 0.0
     tilt_deg: tuple[float, float] = (0.0, 30.0)
     size_px: int = 1024
+    lunar_lambert: float = RenderOptions.lunar_lambert
 
 
 # Outlines 3 % off their ellipses (RMS).
@@ -154,7 +157,8 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     gRc = gRc @ frames.rotation_exp(np.array([0.0, 0.0, heading]))
     gTb = frames.pose(gRc, foot - gRc[:, 2] * ALTITUDE_M / np.cos(tilt))
     options = TerrainOptions(irregularity=ground.irregularity)
-    renderer = Renderer(camera, Terrain(catalog, relief, options, clutter), RenderOptions())
+    light = RenderOptions(lunar_lambert=ground.lunar_lambert)
+    renderer = Renderer(camera, Terrain(catalog, relief, options, clutter), light)
     return photograph(renderer, gTb, sun_direction(site, elevation, azimuth), rng)
 
 

@@ -47,7 +47,7 @@ _SAME_CENTRE_SHARE = 0.5
 # Votes for the direction towards the sun: half width of a vote, largest number of voters, and exponent of the
 # correlation in their weight.
 _VOTE_WIDTH_RAD = float(np.deg2rad(30.0))
-_MAX_VOTERS = 300
+MAX_VOTERS = 300
 _VOTE_EXPONENT = 4
 
 
@@ -148,7 +148,7 @@ def common_sun_angle(candidates: Candidates) -> tuple[float, float]:
         Share of all votes for it.
     """
     weight = candidates.correlation**_VOTE_EXPONENT
-    voters = np.argsort(-weight, kind="stable")[:_MAX_VOTERS]
+    voters = np.argsort(-weight, kind="stable")[:MAX_VOTERS]
     angle, weight = candidates.sun_angle_rad[voters], weight[voters]
     off = _wrapped(angle[:, None] - angle[None])
     support = np.maximum(1.0 - np.abs(off) / _VOTE_WIDTH_RAD, 0.0) @ weight

@@ -56,7 +56,7 @@ _SUN_REACH_SHARE = 0.25
 # by `craternav_fg.calibration.blind_detection`.
 CONTRAST_FACTOR = 1.3
 # Candidates, the best ones, whose median gives the slope contrast of the image.
-_CONTRAST_CANDIDATES = 20
+CONTRAST_CANDIDATES = 20
 # Rings of flat terrain around a crater, in radii, and the points on each.
 _GROUND_RING_RADII, _RING_POINTS = (1.5, 1.75, 2.0), 32
 _GROUND_RINGS = np.concatenate(
@@ -293,7 +293,7 @@ def fit_candidates(
     if len(candidates) == 0:
         return []
     sun_angles = local_sun_angles(candidates, _SUN_REACH_SHARE * max(pixels.shape))
-    contrast = CONTRAST_FACTOR * float(np.median(candidates.slope_contrast[:_CONTRAST_CANDIDATES]))
+    contrast = CONTRAST_FACTOR * float(np.median(candidates.slope_contrast[:CONTRAST_CANDIDATES]))
     height, width = pixels.shape
     camera = Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=options.psf_px)
     every = (

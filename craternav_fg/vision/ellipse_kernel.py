@@ -17,7 +17,7 @@ from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 FloatArray = npt.NDArray[np.float64]
 
 # Cut-off of Tukey's biweight in standard deviations: 95 % efficiency under Gaussian errors.
-_TUKEY_SIGMAS = 4.685
+TUKEY_SIGMAS = 4.685
 # Iterations under Cauchy's weights, which only down-weight; up to which the scale follows the residuals; up
 # to which the weights do; and in all. Numerics: enough for convergence, few enough against cycles.
 _CAUCHY_ITERATIONS = 5
@@ -34,9 +34,9 @@ _MAX_SHEAR = 20.0
 _MIN_KEPT = 8
 _MIN_PSI_SLOPE = 0.3
 # Var[psi'] / E[psi']^2 of Tukey's psi for a Gaussian error, by numerical integration.
-_PSI_SLOPE_VARIANCE = 0.1597
+PSI_SLOPE_VARIANCE = 0.1597
 # Relative variance of the estimated scatter, times the number of points: 2 for least squares.
-_SCALE_VARIANCE = 2.33
+SCALE_VARIANCE = 2.33
 # Largest relative standard deviation, squared, of an axis at which the second-order bias is subtracted: a
 # hardly determined ellipse has no second-order expansion.
 _MAX_EXPANDED_VARIANCE = 0.06
@@ -171,7 +171,7 @@ def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: 
     count, m = rows.shape
     jump, power = np.empty(count - 1), 0.0
     for i in range(count):
-        power += min(abs(r[i]), _TUKEY_SIGMAS * sigma) ** 2
+        power += min(abs(r[i]), TUKEY_SIGMAS * sigma) ** 2
         if i > 0:
             jump[i - 1] = abs(r[i] - r[i - 1])
     own = 0.5 * (MAD_TO_SIGMA * ordered(jump)[(count - 1) // 2]) ** 2
@@ -271,7 +271,7 @@ def fit(
         if iteration < _SCALE_ITERATIONS:
             sigma = max(MAD_TO_SIGMA * ordered(np.abs(r))[count // 2], min_scatter)
         for i in range(count):
-            t = r[i] / (_TUKEY_SIGMAS * sigma)
+            t = r[i] / (TUKEY_SIGMAS * sigma)
             # The first weights are never zero: a poor start must not reject good points. The last iterations
             # leave the weights as they are.
             if iteration < _CAUCHY_ITERATIONS:
@@ -320,7 +320,7 @@ def fit(
         for j in range(_OUTLINE, size_all):
             d[i] += rows[i, j] * nuisance[j]
         r[i] = d[i] * np.sqrt(base[i])
-        t = r[i] / (_TUKEY_SIGMAS * sigma)
+        t = r[i] / (TUKEY_SIGMAS * sigma)
         weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
         if weight[i] > 0.0:
             kept += 1
@@ -340,7 +340,7 @@ def fit(
         fitted += max(0.0, 1.0 - sigma2 * solved(L, unit)[j] / prior[j])
     white2 = sigma2 * count / (count - fitted) / PSI_VARIANCE
     # Huber's correction for few points; unbiased in its inverse, as the variance is itself an estimate.
-    sigma2 *= count / (count - fitted - _SCALE_VARIANCE) * (1.0 + fitted * _PSI_SLOPE_VARIANCE / count) ** 2
+    sigma2 *= count / (count - fitted - SCALE_VARIANCE) * (1.0 + fitted * PSI_SLOPE_VARIANCE / count) ** 2
     sigma2 = max(sigma2 * _correlation_factor(r, weight), min_scatter * min_scatter)
     N, _ = _normal_equations(rows, size_all, d, base, np.ones(count))
     prior[_SLOPE_ALONG] = prior[_SLOPE_ACROSS]

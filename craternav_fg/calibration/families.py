@@ -1,0 +1,29 @@
+"""The families of fitted constants, by name."""
+
+from collections.abc import Callable, Mapping
+
+from craternav_fg.calibration.arcs import arcs
+from craternav_fg.calibration.blind_detection import blind_quality, candidates
+from craternav_fg.calibration.correlated_errors import correlated_errors, outline_brightness
+from craternav_fg.calibration.pooling import pooling
+from craternav_fg.calibration.reference_brightness import reference_brightness
+from craternav_fg.calibration.regenerated import Regenerated
+from craternav_fg.calibration.rim_floor import rim_floor
+from craternav_fg.calibration.robust_moments import robust_moments
+from craternav_fg.calibration.sun_tilt import sun_tilt
+from craternav_fg.calibration.variance_inflation import variance_inflation
+
+# Those that share what they render stand together.
+FAMILIES: Mapping[str, Callable[[], list[Regenerated]]] = {
+    "robust_moments": robust_moments,
+    "blind_quality": blind_quality,
+    "candidates": candidates,
+    "reference_brightness": reference_brightness,
+    "sun_tilt": sun_tilt,
+    "rim_floor": rim_floor,
+    "correlated_errors": correlated_errors,
+    "outline_brightness": outline_brightness,
+    "arcs": arcs,
+    "pooling": pooling,
+    "variance_inflation": variance_inflation,
+}
