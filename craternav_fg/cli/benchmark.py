@@ -23,7 +23,7 @@ def bench(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the cost of our graphs against graphs of the same size of GTSAM's own C++ factors."""
+    """Measure speed against graphs of the same size of GTSAM's own C++ factors."""
     require_suffix(output, FIGURE_SUFFIXES)
     with progress_bars() as report:
         result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)

@@ -54,7 +54,7 @@ def montecarlo(
     retry: Annotated[bool, typer.Option("--retry", help="Repeat the trials that failed.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run trials of a scenario with every estimator. In the folder of a campaign, run the missing ones."""
+    """Run trials of a scenario with every estimator, or the missing trials of a campaign."""
     _check_one_of(workers, scheduler)
     options = CampaignOptions(
         trials=trials,

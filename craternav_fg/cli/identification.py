@@ -69,7 +69,7 @@ def identify(
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Identify the craters of an image, and the lander's pose, without a prior (lost in space)."""
+    """Identify the craters of an image, and the lander's pose, without any prior."""
     path = index_path(catalog) if index is None else index
     require_suffix(path, [".npz"])
     if output is not None:

@@ -46,7 +46,7 @@ def reproduce(
     workers: Annotated[int, typer.Option(help="Processes.")] = 2,
     as_json: JsonOption = False,
 ) -> None:
-    """Reproduce figures and tables of Tian et al. (2019), and compare each number with the printed one."""
+    """Reproduce figures and tables of Tian et al. (2019), with a verdict on each number."""
     names = reproduction.chosen(figures)
     options = ReproduceOptions(
         craters=craters, altitudes_km=altitudes, semi_axes_m=semi_axes, noise_px=noise, arc=arc,
