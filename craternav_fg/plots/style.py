@@ -29,17 +29,28 @@ COLOURS = {
 OTHER_COLOUR = "#8C510A"
 # These lines often coincide with that of the EKF or the smoother: dashed and on top, both remain visible.
 _DASHED = frozenset({"online", "gnc_smoother"})
+# Ends of the names of estimators with another measurement: the colour of the one without, in another dash.
+_VARIANTS = {"_eq19": "-.", "_los": ":"}
 
 
 def colour(name: str) -> str:
-    """Colour of an estimator, the same in all figures."""
-    return COLOURS.get(name, OTHER_COLOUR)
+    """Colour of an estimator, the same in all figures; variants of an estimator share it."""
+    base, _ = _base_and_dash(name)
+    return COLOURS.get(base, OTHER_COLOUR)
 
 
 def line_style(name: str) -> dict[str, Any]:
     """Colour, dash and drawing order of an estimator's line, the same in all figures."""
-    dashed = name in _DASHED
-    return {"color": colour(name), "ls": "--" if dashed else "-", "zorder": 3 if dashed else 2}
+    _, dash = _base_and_dash(name)
+    return {"color": colour(name), "ls": dash, "zorder": 2 if dash == "-" else 3}
+
+
+def _base_and_dash(name: str) -> tuple[str, str]:
+    """Name of the estimator that gives the colour, and the dash of the line."""
+    for end, dash in _VARIANTS.items():
+        if name.endswith(end):
+            return name.removesuffix(end), dash
+    return name, "--" if name in _DASHED else "-"
 
 
 def finish(axes: Axes) -> None:

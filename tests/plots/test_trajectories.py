@@ -29,9 +29,14 @@ def straight_down(frames_count: int, off: float = 0.0) -> Trajectory:
     return Trajectory(stamps, gTb, V, np.zeros((frames_count, 6)), S, S[:, :3, :3], S)
 
 
-def test_each_estimator_has_a_colour_of_its_own() -> None:
-    colours = [style.line_style(name)["color"] for name in (*ESTIMATORS, "somebody_else_s")]
-    assert len(set(colours)) == len(colours)
+def test_each_estimator_has_a_line_of_its_own() -> None:
+    lines = [style.line_style(name) for name in (*ESTIMATORS, "somebody_else_s")]
+    assert len({(line["color"], line["ls"]) for line in lines}) == len(lines)
+
+
+def test_variants_of_an_estimator_share_its_colour() -> None:
+    assert style.colour("ekf_los") == style.colour("ekf") != style.OTHER_COLOUR
+    assert style.line_style("ekf_los")["ls"] != style.line_style("ekf")["ls"]
 
 
 @pytest.mark.parametrize("frames_count", [1, 2, 9])
