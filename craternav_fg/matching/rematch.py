@@ -1,7 +1,8 @@
-"""Another crater for a rim whose match was found wrong: where the pose is known, its image tells which.
+"""Re-association of rims whose match was rejected.
 
-A rim with a wrong name is still a rim. From poses that the right ones determine to metres, the catalogue's
-craters are predicted far more closely than they lie apart, so its image picks out the crater it is of.
+A rim with a wrong match is still a measured rim. Where the other rims determine the pose to metres, the
+catalogue's craters are predicted far more accurately than they lie apart, and the rim's image shows which
+crater it is.
 """
 
 import numpy as np
@@ -14,48 +15,52 @@ from craternav_fg.measurements import RimSet
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
-# Craters down to this part of the smallest rim's size, and this far beyond the image's border, are compared.
-SMALLER = 0.5
-BEYOND_PX = 5.0
+# Craters are compared down to this share of the smallest rejected rim's semi-minor axis, and up to this far
+# beyond the image's border.
+MIN_SIZE_SHARE = 0.5
+BEYOND_BORDER_PX = 5.0
 NO_CRATER = -1
 
 
 def rematched(
     rims: RimSet,
-    used: npt.NDArray[np.bool_],
+    used: BoolArray,
     gTb: FloatArray,
     camera: Camera,
     catalog: Catalog,
     limit2: float,
 ) -> IntArray:
-    """Craters that the rims of a frame are of, as seen from a pose.
+    """Associate the rejected rims of a frame with craters, at a known pose.
 
     Parameters
     ----------
     rims : RimSet
         n rims.
     used : ndarray of bool, shape (n,)
-        Rims whose match is right; the crater of one is no other's.
+        Rims whose match is right; their craters are not given to others.
     gTb : ndarray, shape (4, 4)
-        Pose of the body in g, far better known than a rim alone tells it.
+        Pose of the body, known far better than from a single rim.
     camera : Camera
     catalog : Catalog
     limit2 : float
-        Squared whitened norm, 5 degrees of freedom, beyond which a rim is not of a crater.
+        Largest squared Mahalanobis distance, five degrees of freedom, of a rim from its crater.
 
     Returns
     -------
     ndarray of int, shape (n,)
-        Rows of the catalogue; `NO_CRATER` for a rim that agrees with no crater that is free, with two of
-        them, or with one that another rim agrees with, too.
+        Rows of the catalogue; `NO_CRATER` for a rim that agrees with no available crater, with two of them,
+        or with one that another rejected rim agrees with, too.
     """
     out = np.where(used, rims.craters, NO_CRATER)
     rejected = np.flatnonzero(~used)
     if not len(rejected):
         return out
     smallest_px = float(semi_minor(rims.chart[rejected]).min()) * min(camera.fx_px, camera.fy_px)
-    rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=SMALLER * smallest_px, margin_px=-BEYOND_PX)
+    rows, charts = catalog.visible(
+        camera, gTb, min_semi_minor_px=MIN_SIZE_SHARE * smallest_px, margin_px=-BEYOND_BORDER_PX
+    )
     free = ~np.isin(rows, rims.craters[used])
     rows, charts = rows[free], charts[free]
     off = rims.chart[rejected, None] - charts[None]

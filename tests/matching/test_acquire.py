@@ -8,7 +8,7 @@ from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import pixel_chart
-from craternav_fg.matching.acquire.candidates import detect_rims
+from craternav_fg.matching.acquire.detected_rims import detect_rims
 from craternav_fg.matching.acquire.search import AcquireOptions, acquire, image_spread_px
 from craternav_fg.photometry import level_ground
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters

@@ -1,7 +1,8 @@
-"""Poses from rims that are not yet matched to craters: hypotheses, and how they grow.
+"""Hypotheses of the pose from single rims taken for single craters, and their expansion by further rims.
 
-One rim taken for one crater gives, with the sun's direction and a prior position, the whole pose to a
-few degrees: the line of sight to the crater fixes two angles, the sun the third, the ellipse the rest.
+A rim taken for a crater gives the whole pose to a few degrees, with the position of the prior and the
+direction of the shading: the line of sight to the crater gives two angles, the shading the third, the ellipse
+the range.
 """
 
 from dataclasses import dataclass
@@ -15,21 +16,26 @@ from factors.kernels import rim_poses
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
-# Rims that are let in as a pose grows.
-_GROWTH = (2, 3, 5, 1000, 1000, 1000)
+# Numbers of rims, those that agree best, by which a pose is estimated in the rounds of its expansion: few
+# while the pose is uncertain, then all.
+_EXPANSION_SIZES = (2, 3, 5, 1000, 1000, 1000)
+# Gate on the range by a rim's size: in standard deviations of the prior's position, and an addition to the
+# logarithm for the rim's own error.
+_RANGE_SIGMAS, _LOG_RANGE_ERROR = 3.5, 0.15
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A pose and its covariance.
+    """Predicted pose of the body.
 
     Attributes
     ----------
     gTb : ndarray, shape (4, 4)
-        Of the lander.
+        Pose.
     covariance : ndarray, shape (6, 6)
-        Attitude error (rotation vector in b, rad), position error in g, m.
+        Of the attitude error (rotation vector in b, rad) and the position error in g, m.
     """
 
     gTb: FloatArray
@@ -42,8 +48,12 @@ class Craters:
 
     Attributes
     ----------
-    centres, axes, normals : ndarray, shapes (n, 3), (n, 2, 3), (n, 3)
-        As in the catalogue, in g.
+    centres : ndarray, shape (n, 3)
+        Rim centres in g, m.
+    axes : ndarray, shape (n, 2, 3)
+        Semi-axes in g, m.
+    normals : ndarray, shape (n, 3)
+        Outward unit normals in g.
     contrasts : ndarray, shape (n, 3)
         Slope contrasts in g (see `photometry`): the walls are darkest in this direction.
     """
@@ -60,12 +70,16 @@ class Rims:
 
     Attributes
     ----------
-    charts, covariance, weights : ndarray, shapes (n, 5), (n, 5, 5), (n, 5, 5)
-        Ellipse charts in normalised coordinates, their covariances and inverses of these.
+    charts : ndarray, shape (n, 5)
+        Ellipse charts in normalised image coordinates.
+    covariance : ndarray, shape (n, 5, 5)
+        Of the charts.
+    weights : ndarray, shape (n, 5, 5)
+        Inverses of the covariances.
     sunward_rad : ndarray, shape (n,)
         Direction in the image in which a crater's wall is darkest.
     sunward_sigma_rad : float
-        Standard deviation of all of them in common.
+        Standard deviation of each of these directions, whatever the number of rims: a common error.
     """
 
     charts: FloatArray
@@ -77,15 +91,16 @@ class Rims:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Poses, each with what it rests on.
+    """Hypothetical poses.
 
     Attributes
     ----------
     gTb : ndarray, shape (h, 4, 4)
+        Poses.
     covariance : ndarray, shape (h, 6, 6)
-        For the right twist [w, rho]: R exp(w), t + R rho.
+        For the right twist [w, rho], rad and m in b, with the pose R exp(w), t + R rho.
     cost : ndarray, shape (h,)
-        Squared Mahalanobis norm of prior, rim and sun together.
+        Squared Mahalanobis norms of correction, rim and shading together: numbers without unit.
     """
 
     gTb: FloatArray
@@ -95,15 +110,11 @@ class Hypotheses:
     def __len__(self) -> int:
         return len(self.gTb)
 
-    def take(self, keep: npt.NDArray[np.bool_]) -> "Hypotheses":
-        """Return some of them."""
-        return Hypotheses(self.gTb[keep], self.covariance[keep], self.cost[keep])
 
-
-def single_poses(
+def poses_of_single_rims(
     prior: Prior, bTc: FloatArray, craters: Craters, rims: Rims, seeds: int, gate: float
 ) -> Hypotheses:
-    """Poses that take one of the first `seeds` rims for one crater and agree with the prior.
+    """Compute the poses of the largest rims, each taken for each crater, that agree with the prior.
 
     Parameters
     ----------
@@ -112,55 +123,70 @@ def single_poses(
         Mounting of the camera.
     craters : Craters
     rims : Rims
+        The largest first.
     seeds : int
+        Number of rims that are used.
     gate : float
         Largest cost.
+
+    Returns
+    -------
+    Hypotheses
     """
     gTc = prior.gTb @ bTc
     position = prior.covariance[3:, 3:]
-    line = craters.centres - gTc[:3, 3]
-    range_m = np.linalg.norm(line, axis=-1)
-    line /= range_m[:, None]
-    along2 = np.einsum("ni,ij,nj->n", line, position, line) / range_m**2
+    sight = craters.centres - gTc[:3, 3]
+    range_m = np.linalg.norm(sight, axis=-1)
+    sight /= range_m[:, None]
+    # Variances of the position over the squared range, along and across the line of sight.
+    along2 = np.einsum("ni,ij,nj->n", sight, position, sight) / range_m**2
     aside2 = 0.5 * (np.trace(position) / range_m**2 - along2)
     charts = rims.charts[:seeds]
     ray = np.concatenate([charts[:, :2], np.ones((len(charts), 1))], axis=-1)
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     tilt = rims.sunward_rad[: len(charts)]
     sunward = np.stack([np.cos(tilt), np.sin(tilt), np.zeros_like(tilt)], axis=-1)
-    # Attitudes (crater, rim) that put the crater on the rim's line of sight and the sun where it shows.
-    gRc = triads(line, craters.contrasts)[:, None] @ np.swapaxes(triads(ray, sunward), 1, 2)
+    # Attitudes (crater, rim) that put the crater on the rim's line of sight, with the shading as it is seen.
+    gRc = triads(sight, craters.contrasts)[:, None] @ np.swapaxes(triads(ray, sunward), 1, 2)
     gRb = gRc @ bTc[:3, :3].T
     turn = frames.rotation_log((prior.gTb[:3, :3].T @ gRb).reshape(-1, 3, 3)).reshape(*gRb.shape[:2], 3)
     slack = (aside2 + rims.sunward_sigma_rad**2)[:, None, None] * np.eye(3)
     weight = np.linalg.inv(prior.covariance[:3, :3] + slack)
     far = np.einsum("nmi,nij,nmj->nm", turn, weight, turn) > gate
-    # An ellipse's area shows the range, foreshortened by the slant.
+    # The solid angle of a rim is its foreshortened area over the squared range.
     area = 2.0 * np.log(range_m) - np.log(
-        np.abs(np.sum(line * craters.normals, axis=-1)) * np.linalg.norm(craters.axes, axis=-1).prod(axis=-1)
+        np.abs(np.sum(sight * craters.normals, axis=-1)) * np.linalg.norm(craters.axes, axis=-1).prod(axis=-1)
     )
     measured = charts[:, 2] + charts[:, 4] + 3.0 * np.log(ray[:, 2])
     off = np.abs(0.5 * (area[:, None] + measured))
-    misfit = off > 3.5 * (np.sqrt(along2) + np.sqrt(aside2))[:, None] + 0.15
+    misfit = off > _RANGE_SIGMAS * (np.sqrt(along2) + np.sqrt(aside2))[:, None] + _LOG_RANGE_ERROR
     crater, rim = np.nonzero(~(far | misfit))
     start = np.tile(np.eye(4), (len(crater), 1, 1))
     start[:, :3, :3] = gRb[crater, rim]
     start[:, :3, 3] = gTc[:3, 3] - start[:, :3, :3] @ bTc[:3, 3]
-    pose, information, cost = rim_poses.map_poses(
-        prior.gTb, scaled_inverse(prior.covariance), start, bTc, craters.centres, craters.axes,
-        craters.contrasts, rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0,
-        crater[:, None], rim[:, None],
-    )  # fmt: skip
-    found = Hypotheses(pose, information, cost).take(cost < gate)
-    return Hypotheses(found.gTb, scaled_inverse(found.covariance), found.cost)
+    gTb, information, cost = _map_poses(prior, start, bTc, craters, rims, crater[:, None], rim[:, None])
+    keep = cost < gate
+    return Hypotheses(gTb[keep], scaled_inverse(information[keep]), cost[keep])
 
 
-def support(
+def count_explained(
     hypotheses: Hypotheses, bTc: FloatArray, craters: Craters, rims: Rims, reach: FloatArray
 ) -> IntArray:
-    """Count the rims (h,) that each hypothesis can explain.
+    """Count the rims that each hypothesis explains.
 
-    Craters further than `reach` (2,), normalised coordinates, from the optical axis are not looked at.
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    craters : Craters
+    rims : Rims
+    reach : ndarray, shape (2,)
+        Largest |u| and |v|, normalised, of craters that are considered.
+
+    Returns
+    -------
+    ndarray of int, shape (h,)
     """
     return rim_poses.support(
         hypotheses.gTb, hypotheses.covariance, bTc, craters.centres, craters.axes, rims.charts,
@@ -172,20 +198,33 @@ def expand_inliers(
     prior: Prior, hypotheses: Hypotheses, k: int, bTc: FloatArray, craters: Craters, rims: Rims,
     reach: FloatArray,
 ) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
-    """Refine hypothesis `k` with the rims that agree with it: the surest first, then more and more.
+    """Estimate a hypothesis anew from the rims that agree with it, with more rims in each round.
+
+    Parameters
+    ----------
+    prior : Prior
+    hypotheses : Hypotheses
+    k : int
+        The hypothesis.
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    craters : Craters
+    rims : Rims
+    reach : ndarray, shape (2,)
+        Largest |u| and |v|, normalised, of craters that are considered.
 
     Returns
     -------
     gTb : ndarray, shape (4, 4)
+        Pose.
     covariance : ndarray, shape (6, 6)
-        For the right twist.
+        For the right twist [w, rho], rad and m in b.
     crater : ndarray of int, shape (n,)
-        Crater of each rim, or -1.
+        Row of each rim's crater, or -1.
     """
     pose, covariance = hypotheses.gTb[k : k + 1], hypotheses.covariance[k : k + 1]
-    information = scaled_inverse(prior.covariance)
     crater = np.full(len(rims.charts), -1, dtype=np.int64)
-    for size in _GROWTH:
+    for size in _EXPANSION_SIZES:
         crater, distance2 = rim_poses.nearest(
             pose[0], covariance[0], bTc, craters.centres, craters.axes, rims.charts, rims.covariance, reach
         )
@@ -193,9 +232,18 @@ def expand_inliers(
         rim = rim[crater[rim] >= 0]
         if len(rim) < 2:
             break
-        pose, found, _ = rim_poses.map_poses(
-            prior.gTb, information, pose, bTc, craters.centres, craters.axes, craters.contrasts, rims.charts,
-            rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater[rim][None], rim[None],
-        )  # fmt: skip
+        pose, found, _ = _map_poses(prior, pose, bTc, craters, rims, crater[rim][None], rim[None])
         covariance = scaled_inverse(found)
     return pose[0], covariance[0], crater
+
+
+def _map_poses(
+    prior: Prior, starts: FloatArray, bTc: FloatArray, craters: Craters, rims: Rims, crater: IntArray,
+    rim: IntArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Maximum a posteriori poses (h, 4, 4) of pairs (h, k), information for the right twist, and costs."""
+    return rim_poses.map_poses(
+        prior.gTb, scaled_inverse(prior.covariance), starts, bTc, craters.centres, craters.axes,
+        craters.contrasts, rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater,
+        rim,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Crater rims in an image of which hardly anything is known, as `acquire` needs them: see `detect`."""
+"""Rims of an image without a prediction, as acquisition uses them; see `vision.detect`."""
 
 from dataclasses import dataclass
 
@@ -13,21 +13,23 @@ from craternav_fg.vision.grey import GreyArray
 
 FloatArray = npt.NDArray[np.float64]
 
-
-# Rims count as much less certain than for navigation: here a wrong one must not outweigh a right one.
+# Detection for acquisition: larger standard deviations than for navigation, so that a wrong rim cannot
+# outweigh right ones, and craters of up to about a third of the image across.
 COARSE = BlindOptions(max_radius_share=0.16, fit=FitOptions(floor_px=0.5, floor_share=0.02))
 
 
 @dataclass(frozen=True)
-class Detections:
-    """Rims found in an image, largest first.
+class DetectedRims:
+    """Rims found in an image, the largest first.
 
     Attributes
     ----------
     charts_px : ndarray, shape (n, 5)
         Ellipse charts in pixels.
-    charts, covariance : ndarray, shape (n, 5) and (n, 5, 5)
-        The same in normalised coordinates, and what they may be wrong by.
+    charts : ndarray, shape (n, 5)
+        The same in normalised image coordinates.
+    covariance : ndarray, shape (n, 5, 5)
+        Of `charts`.
     sunward_rad : ndarray, shape (n,)
         Direction in the image, from x towards y, in which each crater's wall is darkest.
     """
@@ -41,8 +43,8 @@ class Detections:
         return len(self.charts)
 
 
-def detect_rims(image: GreyArray, camera: Camera, options: BlindOptions = COARSE) -> Detections:
-    """Find rims without a prediction.
+def detect_rims(image: GreyArray, camera: Camera, options: BlindOptions = COARSE) -> DetectedRims:
+    """Detect rims without a prediction.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ def detect_rims(image: GreyArray, camera: Camera, options: BlindOptions = COARSE
 
     Returns
     -------
-    Detections
+    DetectedRims
         Possibly none.
     """
     found = find_rims(image, options=options)
@@ -62,4 +64,4 @@ def detect_rims(image: GreyArray, camera: Camera, options: BlindOptions = COARSE
     charts_px = found.charts_px[order]
     charts, scale = normalised_chart(charts_px, camera)
     covariance = found.covariance_px[order] * np.outer(scale, scale)
-    return Detections(charts_px, charts, covariance, found.local_sun_angles_rad[order])
+    return DetectedRims(charts_px, charts, covariance, found.local_sun_angles_rad[order])

@@ -1,0 +1,428 @@
+"""Search for poses near a prediction that explain many rims at once; see `gate`.
+
+1. Pairs of the largest rims are taken for pairs of craters that the prediction allows; each pair gives an
+   initial pose.
+2. The maximum a posteriori pose of each pair is computed, and the other rims that it explains are counted.
+3. The best poses are expanded: rims and craters are assigned globally under the gate of the pose, the pose is
+   estimated anew from them, and so on until the assignment no longer changes.
+4. How many wrong poses would explain as many rims by chance is estimated; the search ends when that is small.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+from scipy.special import comb
+from scipy.stats import chi2
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import mean_radius, relative_covariance
+from craternav_fg.linalg import bisecting_triads, scaled_inverse, squared_distance
+from factors.kernels import conic, rim_poses
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+# Elements of an ellipse chart.
+COMPONENTS = 5
+# Errors of a hypothesis' geometry beside noise and prior: an ellipse's centre is not the image of the
+# crater's (rad), and its area follows from the crater's only for a small crater (logarithm).
+_CENTRE_ERROR_RAD, _LOG_AREA_ERROR = 0.01, 0.15
+# Factor on what a wrong position changes in the logarithm of an area: areas fall with the squared range.
+_AREA_PER_RANGE = 2.0
+# Craters farther than this times the range at which they would be as large as the smallest rim are ignored.
+_REACH_FACTOR = 3.0
+# Margin on the image's bounds in normalised coordinates.
+_BORDER_FACTOR = 1.05
+# Least separation of two rims, rad, that counts for the accuracy of the roll that they give.
+_MIN_SEPARATION_RAD = 0.05
+# Rounds in which an expanded pose is estimated anew.
+_MAX_EXPANSIONS = 4
+# Rounds of line of sight and range: each depends on the other when the prediction is poor.
+_START_ROUNDS = 3
+# Hypotheses that are computed together.
+_CHUNK = 1000
+# Share of craters of about a rim's size whose size and shape agree with the rim by chance.
+_SHAPE_CHANCE = 0.15
+# Share of the allowed pairs of rims and craters that agree with each other by chance. Used where the number
+# of such pairs that were found is too small to tell.
+_PAIR_CHANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class GateOptions:
+    """Extent of the search, and when matches are accepted.
+
+    Attributes
+    ----------
+    probability : float
+        Probability that a true match passes each gate, and that a set of true matches passes the joint one.
+    ambiguity : float
+        Squared Mahalanobis distance by which a second candidate for a rim or a crater must be worse than the
+        first; otherwise the rim is not matched. The same for a second pose with other matches.
+    chance : float
+        Largest expected number of wrong poses, among those tried, that explain as many rims by chance.
+    floor_share : float
+        Standard deviation of a rim's centre and axes in addition to its covariance, over the rim's size. It
+        allows for irregular outlines and illumination, which the scatter of edge points does not show.
+    seeds : int
+        Number of rims, the largest first, of which pairs give hypotheses.
+    hypotheses : int
+        Largest number of hypotheses, those nearest to the prediction first.
+    expanded : int
+        Number of poses, those that explain most rims first, that are expanded per thousand hypotheses.
+    """
+
+    probability: float = 0.9999
+    ambiguity: float = 9.0
+    chance: float = 1e-3
+    floor_share: float = 0.005
+    seeds: int = 8
+    hypotheses: int = 40_000
+    expanded: int = 6
+
+
+@dataclass(frozen=True)
+class ExpandedPose:
+    """A pose with the rims that it explains.
+
+    Attributes
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body.
+    covariance : ndarray, shape (6, 6)
+        For the right twist [w, rho], rad and m in b.
+    distances2 : ndarray, shape (n, m)
+        Squared Mahalanobis distances of all rims from all craters; inf far beyond the gate.
+    rims, craters : ndarray of int, shape (k,)
+        Rows of the matched rims, and of their craters among those of the search.
+    score : float
+        Sum over the matches of the gate less the squared distance.
+    """
+
+    gTb: FloatArray
+    covariance: FloatArray
+    distances2: FloatArray
+    rims: IntArray
+    craters: IntArray
+    score: float
+
+
+class GateSearch:
+    """Search of one image.
+
+    Attributes
+    ----------
+    options : GateOptions
+    prior : ndarray, shape (4, 4)
+        Predicted pose gTb.
+    covariance : ndarray, shape (6, 6)
+        Of the prediction: attitude (rotation vector in b, rad), position in g, m.
+    charts : ndarray, shape (n, 5)
+        Of the rims, normalised image coordinates.
+    rows : ndarray of int, shape (m,)
+        Rows of the catalogue of the craters that the image may show.
+    gate : float
+        Largest squared distance of a match.
+    """
+
+    def __init__(
+        self, charts: FloatArray, covariances: FloatArray, camera: Camera, catalog: Catalog, gTb: FloatArray,
+        pose_covariance: FloatArray, options: GateOptions,
+    ) -> None:  # fmt: skip
+        self.options = options
+        self.prior = np.ascontiguousarray(gTb, dtype=np.float64)
+        self.covariance = pose_covariance
+        self.charts = np.ascontiguousarray(charts, dtype=np.float64)
+        self.gate = float(chi2.ppf(options.probability, COMPONENTS))
+        self._tried = self._allowed_pairs = np.empty((0, 4), dtype=np.int64)
+        self._possible = len(charts)
+        self._information = scaled_inverse(pose_covariance)
+        self._bTc = camera.bTc
+        self._noise = covariances + relative_covariance(self.charts, options.floor_share)
+        self._weights = np.ascontiguousarray(scaled_inverse(self._noise))
+        self._sigmas = float(np.sqrt(chi2.ppf(options.probability, 2)))
+        corner = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
+        self._bounds = _BORDER_FACTOR * np.abs(camera.normalised(corner)).max(axis=0)
+        self._gTc = _raised_above_ground(camera.gTc(self.prior), pose_covariance, catalog.body)
+        self.rows, self._turn_rad, self._position_m = self._craters_in_reach(catalog)
+        part = catalog.take(self.rows)
+        self._centres, self._axes = np.ascontiguousarray(part.centres), part.axes
+        sight = self._centres - self._gTc[:3, 3]
+        self._range_m = np.linalg.norm(sight, axis=1)
+        self._sight = sight / self._range_m[:, None]
+        # Solid angles, over pi, of the craters and of the rims: foreshortened area over squared range.
+        self._normals, self._area_m2 = part.normals, part.semi_major_m * part.semi_minor_m
+        slant = np.abs(np.sum(self._sight * self._normals, axis=1))
+        self._log_solid_of_craters = np.log(slant * self._area_m2) - 2.0 * np.log(self._range_m)
+        ray = np.column_stack([self.charts[:, :2], np.ones(len(charts))])
+        self._ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        self._log_solid = self.charts[:, 2] + self.charts[:, 4] + 3.0 * np.log(self._ray[:, 2])
+
+    def _craters_in_reach(self, catalog: Catalog) -> tuple[IntArray, float, float]:
+        """Rows that the image may show; largest errors of attitude, rad, and position, m."""
+        gPc, axis = self._gTc[:3, 3], self._gTc[:3, 2]
+        turn_rad = self._sigmas * float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+        position_m = self._sigmas * float(np.sqrt(np.linalg.eigvalsh(self.covariance[3:, 3:])[-1]))
+        altitude_m = max(float(catalog.body.altitude_m(gPc)), 1.0)
+        field = float(np.arctan(np.linalg.norm(self._bounds))) + turn_rad + position_m / altitude_m
+        smallest = float(mean_radius(self.charts).min())
+        reach = _REACH_FACTOR * (1.0 + min(position_m / altitude_m, 1.0)) / smallest
+        rows = catalog.index.in_view(gPc, axis, float(np.cos(min(field, np.pi))), reach)
+        return np.sort(rows), turn_rad, position_m
+
+    def run(self) -> list[ExpandedPose]:
+        """Find poses that explain rims, the best first."""
+        pairs, starts = self._hypotheses()
+        self._allowed_pairs = pairs
+        limit = chi2.ppf(self.options.probability, 2 * COMPONENTS)
+        found: list[ExpandedPose] = []
+        for begin in range(0, len(pairs), _CHUNK):
+            some = pairs[begin : begin + _CHUNK]
+            gTb, information, cost = self._solve(starts[begin : begin + _CHUNK], some[:, 1::2], some[:, ::2])
+            # Far from the solution, the first call may not converge.
+            on = np.flatnonzero(np.isfinite(cost) & (cost >= limit))
+            gTb[on], information[on], cost[on] = self._solve(gTb[on], some[on, 1::2], some[on, ::2])
+            keep = np.flatnonzero(cost < limit)
+            if not len(keep):
+                continue
+            self._tried = np.concatenate([self._tried, some[keep]])
+            gTb, covariance = gTb[keep], np.ascontiguousarray(scaled_inverse(information[keep]))
+            explained = rim_poses.support(
+                gTb, covariance, self._bTc, self._centres, self._axes, self.charts, self._noise, self._bounds
+            )
+            for k in np.lexsort((cost[keep], -explained))[: self.options.expanded]:
+                expanded = self._expand(gTb[k], covariance[k])
+                if expanded is not None:
+                    found.append(expanded)
+            found.sort(key=lambda one: -one.score)
+            if found and self.by_chance(found[0]) <= self.options.chance:
+                break
+        return found
+
+    def _hypotheses(self) -> tuple[IntArray, FloatArray]:
+        """Pairs (h, 4) of rim and crater, twice, that the prediction allows, and initial poses gTb (h, 4, 4).
+
+        A single rim is paired with itself.
+        """
+        off = np.abs(self._log_solid[:, None] - self._log_solid_of_craters)
+        off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m / np.maximum(self._range_m, 1.0))
+        toward = self._ray @ self._gTc[:3, :3].T
+        chord = np.linalg.norm(toward[:, None] - self._sight, axis=2)
+        aside = self._turn_rad + self._position_m / self._range_m + _CENTRE_ERROR_RAD
+        allowed = (off < off_limit) & (2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) < aside)
+        self._possible = int(np.count_nonzero(allowed.any(axis=1)))
+        seeds = np.argsort(-(self.charts[:, 2] + self.charts[:, 4]), kind="stable")
+        seeds = seeds[allowed[seeds].any(axis=1)][: self.options.seeds]
+        pairs, attitudes, costs = [], [], []
+        for a, i in enumerate(seeds):
+            for j in seeds[a + 1 :] if len(seeds) > 1 else seeds:
+                first, second = np.flatnonzero(allowed[i]), np.flatnonzero(allowed[j])
+                some, gRc, cost = self._pair_attitudes(int(i), int(j), first, second)
+                pairs.append(some)
+                attitudes.append(gRc)
+                costs.append(cost)
+        if not pairs:
+            return np.empty((0, 4), dtype=np.int64), np.empty((0, 4, 4))
+        pair, gRc, cost = np.concatenate(pairs), np.concatenate(attitudes), np.concatenate(costs)
+        order = np.argsort(cost, kind="stable")[: self.options.hypotheses]
+        return pair[order], self._starts(pair[order], gRc[order])
+
+    def _starts(self, pairs: IntArray, gRc: FloatArray) -> FloatArray:
+        """Compute initial poses gTb (h, 4, 4) from camera attitudes (h, 3, 3); sizes give the ranges."""
+        rims, craters = pairs[:, ::2], pairs[:, 1::2]
+        centres, toward = self._centres[craters], self._ray[rims]
+        gPc = np.tile(self._gTc[:3, 3], (len(pairs), 1))
+        for _ in range(_START_ROUNDS):
+            sight = centres - gPc[:, None]
+            sight /= np.linalg.norm(sight, axis=2, keepdims=True)
+            if len(pairs) and pairs[0, 0] != pairs[0, 2]:
+                gRc = bisecting_triads(sight[:, 0], sight[:, 1]) @ np.swapaxes(
+                    bisecting_triads(toward[:, 0], toward[:, 1]), 1, 2
+                )
+            slant = np.abs(np.sum(sight * self._normals[craters], axis=2))
+            range_m = np.sqrt(slant * self._area_m2[craters] / np.exp(self._log_solid[rims]))
+            gPc = np.mean(centres - range_m[:, :, None] * np.einsum("hij,hkj->hki", gRc, toward), axis=1)
+        start = np.tile(np.eye(4), (len(pairs), 1, 1))
+        start[:, :3, :3] = gRc @ self._bTc[:3, :3].T
+        start[:, :3, 3] = gPc - start[:, :3, :3] @ self._bTc[:3, 3]
+        return start
+
+    def _pair_attitudes(
+        self, i: int, j: int, first: IntArray, second: IntArray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Pairs (h, 4) of two rims with craters, the camera's attitudes (h, 3, 3), and their costs (h,).
+
+        The cost is the squared distance from the predicted attitude; pairs beyond its gate are left out.
+        """
+        position2 = (self._position_m / self._sigmas) ** 2
+        if i == j:
+            m, k = first, first
+            gRc = np.tile(self._gTc[:3, :3], (len(m), 1, 1))
+        else:
+            m, k = self._agreeing_pairs(i, j, first, second)
+            gRc = (
+                bisecting_triads(self._sight[m], self._sight[k])
+                @ bisecting_triads(self._ray[i][None], self._ray[j][None])[0].T
+            )
+        gRb = gRc @ self._bTc[:3, :3].T
+        turn = frames.rotation_log(self.prior[:3, :3].T @ gRb).reshape(-1, 3)
+        slack = position2 / np.minimum(self._range_m[m], self._range_m[k]) ** 2 + _CENTRE_ERROR_RAD**2
+        if i != j:
+            # Two rims close together determine the roll poorly.
+            slack = slack / max(float(np.linalg.norm(self._ray[i] - self._ray[j])), _MIN_SEPARATION_RAD) ** 2
+        spread = self.covariance[:3, :3] + slack[:, None, None] * np.eye(3)
+        cost = squared_distance(turn, spread)
+        near = cost < chi2.ppf(self.options.probability, 3)
+        pairs = np.column_stack([np.full(len(m), i), m, np.full(len(m), j), k])
+        return pairs[near], gRc[near], cost[near]
+
+    def _agreeing_pairs(self, i: int, j: int, first: IntArray, second: IntArray) -> tuple[IntArray, IntArray]:
+        """Craters for two rims whose angular separation and ratio of sizes agree with those of the rims."""
+        m, k = (grid.ravel() for grid in np.meshgrid(first, second, indexing="ij"))
+        between = np.linalg.norm(self._sight[m] - self._sight[k], axis=1)
+        seen = float(np.linalg.norm(self._ray[i] - self._ray[j]))
+        # A wrong position changes the separation by the difference of the parallaxes, and the ratio of the
+        # sizes likewise.
+        parallax = np.linalg.norm(
+            self._sight[m] / self._range_m[m, None] - self._sight[k] / self._range_m[k, None], axis=1
+        )
+        limit = self._position_m * (parallax + between / np.minimum(self._range_m[m], self._range_m[k]))
+        off = self._log_solid[i] - self._log_solid[j]
+        off = off - (self._log_solid_of_craters[m] - self._log_solid_of_craters[k])
+        off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m * parallax)
+        keep = (
+            (m != k) & (np.abs(between - seen) < limit + 2.0 * _CENTRE_ERROR_RAD) & (np.abs(off) < off_limit)
+        )
+        return m[keep], k[keep]
+
+    def _solve(
+        self, starts: FloatArray, craters: IntArray, rims: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Maximum a posteriori poses, information for the right twist, and costs."""
+        if rims.shape[1] == 2 and len(rims) and rims[0, 0] == rims[0, 1]:
+            rims, craters = rims[:, :1], craters[:, :1]
+        # Without shading: contrasts of zero, and a weight of zero.
+        gTb, information, cost = rim_poses.map_poses(
+            self.prior, self._information, np.ascontiguousarray(starts), self._bTc, self._centres, self._axes,
+            np.zeros_like(self._centres), self.charts, self._weights, np.zeros(len(self.charts)), 0.0,
+            np.ascontiguousarray(craters), np.ascontiguousarray(rims),
+        )  # fmt: skip
+        return gTb, information, cost
+
+    def solve_one(
+        self, gTb: FloatArray, craters: IntArray, rims: IntArray
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Compute the maximum a posteriori pose of matched rims.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Initial pose.
+        craters, rims : ndarray of int, shape (k,)
+            Rows among the craters of the search, and of the rims.
+
+        Returns
+        -------
+        gTb : ndarray, shape (4, 4)
+        covariance : ndarray, shape (6, 6)
+            For the right twist [w, rho], rad and m in b.
+        cost : float
+            Squared Mahalanobis norm of residuals and correction; inf when a rim is not visible.
+        """
+        poses, information, costs = self._solve(gTb[None], craters[None], rims[None])
+        return poses[0], np.ascontiguousarray(scaled_inverse(information[0])), float(costs[0])
+
+    def distances2(self, gTb: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Compute squared Mahalanobis distances of all rims from all craters at a pose.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose.
+        covariance : ndarray, shape (6, 6)
+            For its right twist [w, rho], rad and m in b.
+
+        Returns
+        -------
+        ndarray, shape (n, m)
+            Numbers of five degrees of freedom; inf far beyond the gate.
+        """
+        return np.asarray(
+            rim_poses.distances2(
+                gTb, covariance, self._bTc, self._centres, self._axes, self.charts, self._noise,
+                self.gate + self.options.ambiguity, self._bounds,
+            )
+        )  # fmt: skip
+
+    def _expand(self, gTb: FloatArray, covariance: FloatArray) -> ExpandedPose | None:
+        """Assign rims to craters and estimate the pose anew, in turn, until the assignment stays."""
+        rims, craters = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        for _ in range(_MAX_EXPANSIONS):
+            distances2 = self.distances2(gTb, covariance)
+            found, chosen = _assigned(distances2, self.gate)
+            if not len(found):
+                return None
+            if np.array_equal(found, rims) and np.array_equal(chosen, craters):
+                break
+            rims, craters = found, chosen
+            gTb, covariance, cost = self.solve_one(gTb, craters, rims)
+            if not np.isfinite(cost):
+                return None
+        score = float(np.sum(self.gate - distances2[rims, craters]))
+        return ExpandedPose(gTb, covariance, distances2, rims, craters, score)
+
+    def by_chance(self, best: ExpandedPose) -> float:
+        """Estimate how many of the other poses tried would explain as many rims by chance.
+
+        Parameters
+        ----------
+        best : ExpandedPose
+
+        Returns
+        -------
+        float
+            Expected number.
+        """
+        crater_of = np.full(len(self.charts), -1)
+        crater_of[best.rims] = best.craters
+
+        def others(pairs: IntArray) -> int:
+            return int(np.count_nonzero(~(crater_of[pairs[:, ::2]] == pairs[:, 1::2]).all(axis=1)))
+
+        rivals = max(others(self._tried), _PAIR_CHANCE * others(self._allowed_pairs))
+        charts, H, seen = conic.chart_jacobian(best.gTb, self._bTc, self._centres, self._axes)
+        seen[seen] = (np.abs(charts[seen, :2]) < self._bounds).all(axis=1)
+        H = H[seen, :2]
+        spread = H @ best.covariance @ np.swapaxes(H, 1, 2) + np.median(self._noise[:, :2, :2], axis=0)
+        areas = np.pi * self.gate * np.sqrt(np.linalg.det(spread))
+        share = min(1.0, _SHAPE_CHANCE * float(np.sum(areas)) / (4.0 * float(np.prod(self._bounds))))
+        # The first two rims made the pose.
+        confirming = len(best.rims) - 2
+        if confirming < 1:
+            return float(rivals)
+        # Only rims that some crater in reach could be can confirm a pose.
+        ways = comb(max(self._possible - 2, confirming), confirming)
+        return float(rivals * ways * share**confirming)
+
+
+def _raised_above_ground(gTc: FloatArray, pose_covariance: FloatArray, body: Body) -> FloatArray:
+    """Raise the camera when its predicted altitude is below the standard deviation of the altitude."""
+    up = gTc[:3, 3] / np.linalg.norm(gTc[:3, 3])
+    sigma_m = float(np.sqrt(up @ pose_covariance[3:, 3:] @ up))
+    raised = gTc.copy()
+    raised[:3, 3] += max(sigma_m - float(body.altitude_m(gTc[:3, 3])), 0.0) * up
+    return raised
+
+
+def _assigned(distances2: FloatArray, gate: float) -> tuple[IntArray, IntArray]:
+    """Rims and craters that a global assignment pairs within a gate, each being the other's nearest."""
+    cost = np.minimum(distances2, gate)
+    rims, craters = linear_sum_assignment(cost)
+    own = distances2[rims, craters]
+    keep = (own < gate) & (own <= distances2[rims].min(axis=1)) & (own <= distances2[:, craters].min(axis=0))
+    return rims[keep], craters[keep]
