@@ -179,6 +179,7 @@ def _layout(counts: IntArray) -> tuple[Int32Array, Int32Array]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _directions(latitude_rad: FloatArray, longitude_rad: FloatArray) -> FloatArray:
+    """Unit vectors (n, 3); a compiled loop is several times as fast as NumPy here."""
     out = np.empty((latitude_rad.shape[0], 3))
     for i in range(latitude_rad.shape[0]):
         c = np.cos(latitude_rad[i])
@@ -314,6 +315,7 @@ def within(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _near(index: SphereIndex, direction: FloatArray, angle: float, least: float) -> IntArray:
+    """Evaluate `SphereIndex.near`; places in the index' order."""
     found = np.empty(1024, dtype=np.int64)
     count = 0
     chord2 = 4.0 * np.sin(0.5 * angle) ** 2 if angle < np.pi else np.inf
@@ -341,6 +343,7 @@ def _near(index: SphereIndex, direction: FloatArray, angle: float, least: float)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _in_view(index: SphereIndex, P: FloatArray, axis: FloatArray, cos_field: float, reach: float) -> IntArray:
+    """Evaluate `SphereIndex.in_view`; places in the index' order."""
     found = np.empty(1024, dtype=np.int64)
     count = 0
     D2 = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
@@ -389,6 +392,7 @@ def _in_view(index: SphereIndex, P: FloatArray, axis: FloatArray, cos_field: flo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _overlaps(index: SphereIndex, same: float) -> tuple[IntArray, IntArray]:
+    """Evaluate `SphereIndex.overlaps`; places in the index' order."""
     size, range_m = index.semi_major_m, index.range_m
     crossings, duplicates = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
     crossed = count = 0

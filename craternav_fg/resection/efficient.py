@@ -265,6 +265,7 @@ def _poses(
     problem: ResectionProblem, gTb: FloatArray, covariances: FloatArray, costs: FloatArray,
     shares: FloatArray,
 ) -> tuple[PoseSolution, ...]:  # fmt: skip
+    """Make solutions of poses, their covariances, costs and probabilities."""
     return tuple(
         PoseSolution(T, covariance, problem.rims.residuals(T, problem.bTc), float(cost), float(share))
         for T, covariance, cost, share in zip(gTb, covariances, costs, shares, strict=True)

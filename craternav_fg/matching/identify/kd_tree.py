@@ -66,6 +66,7 @@ def build(points: Points, codes: Codes, weights: FloatArray) -> Tree:
 
 @njit(cache=True, error_model="numpy")
 def _swap(points: Points, codes: Codes, i: int, j: int) -> None:
+    """Swap two rows."""
     for d in range(DIMENSIONS):
         points[i, d], points[j, d] = points[j, d], points[i, d]
     codes[i], codes[j] = codes[j], codes[i]

@@ -152,6 +152,7 @@ class _Search:
         return expanded
 
     def _expand_from(self, gTc: FloatArray, match: IntArray, noise: float) -> _Expanded | None:
+        """Expand a pose with some pairs (changed in place), and compute the evidence; None if it fails."""
         craters, index = self.index.craters, self.index.catalog.index
         N, sigma = np.empty((6, 6)), np.empty(3)
         pairs = expand_inliers(

@@ -95,6 +95,7 @@ def project_all_to_sphere(view: View, down: FloatArray, height_m: float, radius_
 def _project_all(
     view: View, down: FloatArray, range_m: float, radius_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Evaluate `project_all_to_sphere`: positions, sizes and scales."""
     n = view.directions.shape[0]
     X = np.full((n, 3), np.nan)
     log_size = np.full(n, np.nan)
