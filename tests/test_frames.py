@@ -1,10 +1,13 @@
 """Conversions between frames."""
 
+import gtsam
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from craternav_fg.frames import (
+    adjoint,
+    cross_matrix,
     east_north_up,
     from_quaternion_wxyz,
     inverse,
@@ -17,6 +20,23 @@ from craternav_fg.frames import (
     to_quaternion_wxyz,
     up,
 )
+
+
+def test_cross_matrices_multiply_like_cross_products() -> None:
+    v, u = np.random.default_rng(4).normal(size=(2, 5, 3))
+    assert_allclose(np.einsum("nij,nj->ni", cross_matrix(v), u), np.cross(v, u), atol=1e-14)
+    assert_allclose(cross_matrix(v[0]) @ u[0], np.cross(v[0], u[0]), atol=1e-14)
+
+
+def test_adjoint_takes_a_twist_to_the_other_frame() -> None:
+    aTb = pose(rotation_exp(np.array([0.4, -1.1, 0.7])), np.array([3.0, -2.0, 5.0]))
+    w_b = np.array([0.2, -0.1, 0.3, 1.0, 2.0, -1.0])
+    gTa = gtsam.Pose3(pose(rotation_exp(np.array([-0.3, 0.2, 0.9])), np.array([1.0, 1.0, 1.0])))
+    gTb = gTa * gtsam.Pose3(aTb)
+    # The same motion, as a right twist of either pose.
+    by_b = gTb * gtsam.Pose3.Expmap(w_b)
+    by_a = gTa * gtsam.Pose3.Expmap(adjoint(aTb) @ w_b) * gtsam.Pose3(aTb)
+    assert by_a.equals(by_b, 1e-9)
 
 
 def test_position_part_of_a_pose_covariance_is_turned_and_back() -> None:

@@ -130,7 +130,7 @@ def test_another_catalogue_has_no_answer(synthetic) -> None:
         assert identify(scene.ellipses_px, scene.camera, synthetic).status is Status.NO_ANSWER
 
 
-def test_the_covariance_of_the_pose_is_honest(synthetic) -> None:
+def test_the_covariance_of_the_pose_is_consistent(synthetic) -> None:
     """Normalised squared errors about the chi-square's interval, each noise estimated from its image."""
     rng = np.random.default_rng(8)
     nees, delta = [], np.empty(6)
@@ -145,7 +145,9 @@ def test_the_covariance_of_the_pose_is_honest(synthetic) -> None:
 
 
 @pytest.mark.parametrize(("true_rims", "sigma_px", "known"), [((9, 14), 6.0, False), ((3, 5), 1.0, True)])
-def test_the_covariance_is_honest_of_few_rims_and_much_noise(synthetic, true_rims, sigma_px, known) -> None:
+def test_the_covariance_is_consistent_of_few_rims_and_much_noise(
+    synthetic, true_rims, sigma_px, known
+) -> None:
     """Neither the noise nor how it grows with a rim is known; the tail is longer than a chi-square's."""
     nees, delta = [], np.empty(6)
     for scene, answer in answers(synthetic, np.random.default_rng(13), 40, true_rims, sigma_px, known=known):

@@ -1,4 +1,4 @@
-"""The paper's static methods: exact without noise, honest covariances, clear refusals."""
+"""The paper's resection methods: exact without noise, consistent covariances, clear refusals."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -78,7 +78,7 @@ def test_image_centres_are_off_by_the_tilt_and_not_when_looking_straight_down() 
 
 @pytest.mark.parametrize("method", [*UNBIASED, Method.IMAGE_CENTRES])
 @pytest.mark.parametrize("known", [False, True])
-def test_covariances_are_honest(method: Method, known: bool) -> None:
+def test_covariances_are_consistent(method: Method, known: bool) -> None:
     view = make_view(2)
     attitude = KnownAttitude(view.gTb[:3, :3]) if known else None
     rng = np.random.default_rng(5)
