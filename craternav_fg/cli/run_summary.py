@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from craternav_fg.cli.terminal import note, out, say, table_of_numbers, three_digits, warn
-from craternav_fg.runs.read import Run
+from craternav_fg.runs.read import Run, describe_frames
 from craternav_fg.runs.store import FIGURES, METRICS
 
 # Metrics of an estimator and their headings.
@@ -57,9 +57,8 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     for name, values in summary["estimators"].items():
         if "calibrated" in values:
             say(f"{name} estimated {calibration_line(values['calibrated'])}")
-    counts = summary["craters_per_frame"]
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
-    say(f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each")
+    say(describe_frames(summary))
     say(f"wall time {summary['wall_s']:.0f} s ({seconds})")
     for path in sorted(folder.glob("*")):
         files = sorted(p.name for p in path.iterdir()) if path.name == FIGURES else []

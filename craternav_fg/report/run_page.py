@@ -19,7 +19,7 @@ from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section
 from craternav_fg.report.pictures import frame_pictures
 from craternav_fg.report.residuals import crater_table, draw_residuals
 from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
-from craternav_fg.runs.read import Run, read_residuals
+from craternav_fg.runs.read import Run, describe_frames, read_residuals
 from craternav_fg.runs.store import MARKER
 
 # The errors of one run are correlated from frame to frame: an ANEES between these is inconclusive.
@@ -97,13 +97,12 @@ def _summary(run: Run, missing: str) -> list[Block]:
             cells.append(number_cell(value, concern=concern))
         rows.append((name, [*cells, number_cell(seconds.get(name))]))
     headings = ["estimator", *(h for _, h in ERROR_HEADINGS if with_truth), "time, s"]
-    counts = run.metrics["craters_per_frame"]
     # Runs of version 0.1 hold their failures only.
     warnings = run.metrics.get("warnings", run.metrics["failures"].values())
     blocks: list[Block] = [Text(warning, warning=True) for warning in warnings]
     if not with_truth:
         blocks.append(Text("No ground truth: the errors are unknown."))
-    caption = f"{len(counts)} frames with {min(counts)} to {max(counts)} rims each."
+    caption = f"{describe_frames(run.metrics)}."
     if with_truth:
         low, high = INCONCLUSIVE_ANEES
         caption += f" The ANEES of a single run scatters: values from {low:g} to {high:g} are inconclusive."

@@ -131,6 +131,23 @@ def _rename(values: dict[str, Any], former: Mapping[str, str]) -> None:
             values[new] = values.pop(old)
 
 
+def describe_frames(metrics: Mapping[str, Any]) -> str:
+    """Say how many frames a run has, and how many rims were measured in each.
+
+    Parameters
+    ----------
+    metrics : mapping
+        Contents of metrics.json.
+
+    Returns
+    -------
+    str
+    """
+    counts = metrics["craters_per_frame"]
+    least, most = min(counts), max(counts)
+    return f"{len(counts)} frames with {least} {'' if least == most else f'to {most} '}rims each"
+
+
 def _trajectories(states: pa.Table) -> dict[str, Trajectory]:
     """Trajectories by estimator, in the order of the file, the truth among them."""
     names = states["estimator"].to_pylist()

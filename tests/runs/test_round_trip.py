@@ -18,7 +18,7 @@ from craternav_fg.estimators.base import Problem, Start
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline.result import Reconstruction
-from craternav_fg.runs.read import read_residuals, read_run
+from craternav_fg.runs.read import describe_frames, read_residuals, read_run
 from craternav_fg.runs.write import write_run
 from craternav_fg.trajectory import Calibrated, InitialState, Trajectory
 from factors.kernels.conic import project_rims
@@ -146,6 +146,13 @@ def test_residuals_are_at_the_calibrated_camera(tmp_path: Path) -> None:
         summary = write_run(tmp_path, turned, dataset="", truth=None, times_s={}, wall_s=0.0)
         shares[name] = summary["estimators"]["smoother"]["rim_outlier_share"]
     assert shares == {"with": 0.0, "without": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("counts", "text"), [([5, 5], "2 frames with 5 rims"), ([1, 18], "2 frames with 1 to 18 rims")]
+)
+def test_frames_are_described(counts: list[int], text: str) -> None:
+    assert describe_frames({"craters_per_frame": counts}) == f"{text} each"
 
 
 def test_runs_of_version_0_1_are_read(tmp_path: Path) -> None:
