@@ -179,7 +179,7 @@ def _layout(counts: IntArray) -> tuple[Int32Array, Int32Array]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _directions(latitude_rad: FloatArray, longitude_rad: FloatArray) -> FloatArray:
-    """Unit vectors (n, 3); a compiled loop is several times as fast as NumPy here."""
+    """Give unit vectors (n, 3); a compiled loop is several times as fast as NumPy here."""
     out = np.empty((latitude_rad.shape[0], 3))
     for i in range(latitude_rad.shape[0]):
         c = np.cos(latitude_rad[i])
