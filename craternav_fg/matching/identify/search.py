@@ -128,6 +128,25 @@ class _Search:
             return self.best_variation(expanded)
         return expanded
 
+    def expand_best(
+        self, best: FloatArray, count: int, min_score: float, noise: float
+    ) -> tuple[list[_Expanded], bool]:
+        """Expand the best hypotheses and make room for others, until one has enough evidence.
+
+        Give those that did not fail, the last one being that with enough evidence, and whether there is one.
+        """
+        out: list[_Expanded] = []
+        for row in np.argsort(-best[:, SCORE])[:count]:
+            if best[row, SCORE] == -np.inf or best[row, SCORE] < min_score:
+                break
+            expanded = self.expand(best[row], noise)
+            best[row, SCORE] = -np.inf
+            if expanded is not None:
+                out.append(expanded)
+                if expanded.log_ratio >= -self.options.log_chance:
+                    return out, True
+        return out, False
+
     def best_variation(self, expanded: _Expanded) -> _Expanded:
         """Expand anew from the pairs in each half of the image, and with each noise level; return the best.
 
@@ -251,7 +270,7 @@ def _once(ellipses: FloatArray) -> IntArray:
 
 def _by_triples(search: _Search) -> list[_Expanded]:
     """Expand hypotheses from triples until one has enough evidence; the best first."""
-    view, index, options = search.view, search.index, search.options
+    view, index = search.view, search.index
     radius = index.catalog.body.radius_m
     found: list[_Expanded] = []
     for model, count, noise, candidates in _stages(search):
@@ -265,17 +284,10 @@ def _by_triples(search: _Search) -> list[_Expanded]:
                 view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
                 triples[start : start + _LOOKED_UP], search.order, noise, candidates, search.limits, best,
             )  # fmt: skip
-            for row in np.argsort(-best[:, SCORE])[:_EXPANDED]:
-                if best[row, SCORE] < _MIN_SCORE:
-                    break
-                expanded = search.expand(best[row], noise)
-                # Makes room for others.
-                best[row, SCORE] = -np.inf
-                if expanded is None:
-                    continue
-                if expanded.log_ratio >= -options.log_chance:
-                    return [expanded]
-                found.append(expanded)
+            expanded, enough = search.expand_best(best, _EXPANDED, _MIN_SCORE, noise)
+            if enough:
+                return expanded[-1:]
+            found += expanded
     return sorted(found, key=lambda one: -one.log_ratio)
 
 
@@ -319,21 +331,15 @@ def _by_single_rims(search: _Search, found: list[_Expanded]) -> list[_Expanded]:
             # With few rims, all that was kept is expanded once no further rim is tried.
             last = start + 1 >= len(rims) or left < len(index.catalog)
             count = len(best) if last and search.n < _MANY_RIMS else _EXPANDED
-            for row in np.argsort(-best[:, SCORE])[:count]:
-                if best[row, SCORE] == -np.inf:
-                    break
-                expanded = search.expand(best[row], noise)
-                best[row, SCORE] = -np.inf
-                if expanded is None:
-                    continue
-                if expanded.log_ratio >= -options.log_chance:
-                    return [expanded]
-                found.append(expanded)
+            expanded, enough = search.expand_best(best, count, -np.inf, noise)
+            if enough:
+                return expanded[-1:]
+            found += expanded
             if last:
                 break
         found = _distinct(found)
-        enough = bool(found) and found[0].log_ratio >= -options.log_chance_attitude
-        if enough or left < len(index.catalog):
+        answered = bool(found) and found[0].log_ratio >= -options.log_chance_attitude
+        if answered or left < len(index.catalog):
             break
     return found
 
