@@ -25,7 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 ERROR_LETTER, ERROR_SIZE = "r", 5
 SHARED_KEY: int = gtsam.symbol("s", 0)
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
-# over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
+# over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ. Fitted
+# by `craternav_fg.calibration.variance_inflation`.
 VARIANCE_INFLATION = 5.0
 
 
@@ -37,7 +38,7 @@ class RimErrorOptions:
     ----------
     decay : float
         Change of a rim's image, see `ellipse.shape_change`, over which the correlation of its error falls to
-        1/e.
+        1/e. Fitted by `craternav_fg.calibration.correlated_errors`.
     step : float
         Change below which the error is the same variable; 0 makes one for every rim of every frame.
     """

@@ -24,8 +24,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 # Radii of the templates at the resolution of the correlation; each octave of radii has its own resolution.
 TEMPLATE_RADII_PX = 6.0 * 2.0 ** (np.arange(4) / 4.0)
-# Radius of a crater over that of the template that correlates best with it, on rendered ground. Fitted by
-# `craternav_fg.calibration.blind_detection`.
+# Radius of a crater over that of the template that correlates best with it, on rendered ground; why it is
+# kept: `craternav_fg.calibration.blind_detection`.
 TEMPLATE_SIZE_FACTOR = 1.07
 # Radius of a template's support, in radii of its crater.
 _TEMPLATE_REACH_RADII = 1.45

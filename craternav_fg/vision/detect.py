@@ -52,8 +52,8 @@ _MAX_SUN_ERROR_RAD = float(np.deg2rad(45.0))
 # Standard deviation, in the image's longer sides, of the neighbourhood that shares a direction towards the
 # sun.
 _SUN_REACH_SHARE = 0.25
-# Slope contrast of rendered craters over that of the canonical crater that correlates best with them. Fitted
-# by `craternav_fg.calibration.blind_detection`.
+# Slope contrast of rendered craters over that of the canonical crater that correlates best with them;
+# why it is kept: `craternav_fg.calibration.blind_detection`.
 CONTRAST_FACTOR = 1.3
 # Candidates, the best ones, whose median gives the slope contrast of the image.
 CONTRAST_CANDIDATES = 20
@@ -76,8 +76,8 @@ _MIN_MINOR_RADII, _MAX_SHIFT_RADII = 0.5, 0.6
 _SAME_CENTRE_SHARE, _SAME_LOG_RADIUS = 0.5, 0.4
 # Logistic regression of correct and wrong fits on rendered ground (smooth, irregular and textured), on rough
 # ground without craters and on noise: weights of the correlation, the share of normals that agree, the
-# scatter in radii and the share of the rim that is covered; and the constant. Fitted by
-# `craternav_fg.calibration.blind_detection`.
+# scatter in radii and the share of the rim that is covered; and the constant. Fitted, but
+# for the first, which is kept, by `craternav_fg.calibration.blind_detection`.
 QUALITY_WEIGHTS, QUALITY_OFFSET = np.array([32.0, 6.5, -50.0, 6.9]), -30.4
 # Least scatter in the regression, in radii: rendered rims are smoother than real ones.
 QUALITY_MIN_SCATTER_RADII = 0.02

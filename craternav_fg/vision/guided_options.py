@@ -21,7 +21,7 @@ class GuidedOptions:
         Least distance of a predicted rim from the image's border.
     brightness_sigma : float
         Relative standard deviation of the reference brightness at a single rim: regional slope, albedo. It is
-        estimated beside the ellipse. Fitted by `craternav_fg.calibration.reference_brightness`.
+        estimated beside the ellipse. Its lower bound: `craternav_fg.calibration.reference_brightness`.
     brightness_slope_per_px : float
         Relative standard deviation of its change per pixel: terrain that bends under a crater, large craters
         that distort the map of the reference brightness.

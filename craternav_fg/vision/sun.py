@@ -70,6 +70,7 @@ class SunOptions:
         proportion to the sine of the emission angle, added in quadrature.
     crater_floor_rad, crater_floor_oblique_rad : float
         The same of the direction from craters: seen obliquely, it depends on the ground's reflectance law.
+        All four are fitted by `craternav_fg.calibration.sun_tilt`.
     max_sigma_rad : float
         Largest standard deviation of a measurement.
     """
