@@ -25,8 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 ERROR_LETTER, ERROR_SIZE = "r", 5
 SHARED_KEY: int = gtsam.symbol("s", 0)
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
-# over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ. Fitted
-# by `craternav_fg.calibration.variance_inflation`.
+# over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
+# Fitted by `craternav_fg.calibration.variance_inflation`.
 VARIANCE_INFLATION = 5.0
 
 
