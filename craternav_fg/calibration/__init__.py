@@ -5,6 +5,9 @@ regenerated; slow tests (`tests/calibration`) check that they agree. The truth o
 alone. A family is the function of that name, in the module of that name or, of the first two, in
 `blind_detection`, and of `outline_brightness`, in `correlated_errors`.
 
+The data that the values were once fitted to are not kept; those of the scripts were chosen later, from what
+the sources and the history say of the first.
+
 Standard errors follow from the scatter between independent images, descents or trials. A value is
 reproduced ("fitted") within three of them. What follows from Gaussian errors alone is "exact" up to its
 rounding. "At least" is a bound on the safe side. "Kept" are values that the rendered data do not give: the
