@@ -1,8 +1,8 @@
 """Systematic floor of a fitted rim: what no number of edge points averages out.
 
-Fitted so that the covariances of single rims are as the errors of rendered rims, Moon and Bennu together. Each
-alone wants one of the two parts: elliptic rims 0.049 +- 0.004 px and next to none in radii, irregular ones
-0.0054 +- 0.0020 radii and none in pixels.
+Fitted so that the covariances of single rims are as the errors of rendered rims, Moon and Bennu together.
+Each alone wants one of the two parts: elliptic rims 0.049 +- 0.004 px and next to none in radii, irregular
+ones 0.0054 +- 0.0020 radii and none in pixels.
 """
 
 import numpy as np
