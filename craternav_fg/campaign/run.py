@@ -15,7 +15,7 @@ from craternav_fg.campaign.workers import Workers, cluster, processes
 from craternav_fg.campaign.write import CampaignFolder, identity
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT, estimator
-from craternav_fg.simulation.scenario_file import Scenario
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.scenario_tables import MeasurementSection
 
 # Called with the name of a step, the number of its parts that are done, and their total.
@@ -72,14 +72,18 @@ class CampaignOptions:
 
 
 def montecarlo(
-    scenario: Scenario, folder: Path, options: CampaignOptions, progress: Progress | None = None
+    scenario: Scenario | Path | str,
+    folder: Path | str,
+    options: CampaignOptions,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Run the trials of a campaign that its folder lacks, and summarise all of them.
 
     Parameters
     ----------
-    scenario : Scenario
-    folder : Path
+    scenario : Scenario, Path or str
+        A built-in one by its name, or a TOML file.
+    folder : Path or str
         New, empty, or of the same campaign, complete or not.
     options : CampaignOptions
     progress : callable, optional
@@ -97,6 +101,9 @@ def montecarlo(
         When the scenario has no images to render, or the scheduler cannot be reached or is lost. Finished
         trials stay, and the same call resumes the campaign.
     """
+    folder = Path(folder)
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
     case = as_measured(scenario, images=options.images)
     store = CampaignFolder(folder, identity(case, options.estimators))
     with ExitStack() as stack:

@@ -64,6 +64,8 @@ class GncOptions:
     graph: GraphOptions = field(default_factory=GraphOptions)
 
     def __post_init__(self) -> None:
+        if self.graph.rims not in RESIDUAL_SIZE:
+            raise EstimationError(f"graph.rims: expected chart or centre, found {self.graph.rims!r}")
         if not 0.0 < self.inlier_probability < 1.0:
             raise EstimationError(
                 f"inlier_probability: expected a number between 0 and 1, found {self.inlier_probability}"

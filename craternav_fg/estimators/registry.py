@@ -1,5 +1,6 @@
 """The estimators by name."""
 
+import difflib
 import math
 import warnings
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.linearisation import MeasurementModel
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.rim_models import RimModel
+from craternav_fg.sensors.plugins import plugins
 
 
 def _centre_smoother() -> Estimator:
@@ -63,6 +65,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "centre_smoother": _centre_smoother,
     "dead_reckoning": DeadReckoning,
 }
+GROUP = "craternav_fg.estimators"
 # Names of version 0.1, accepted until 0.3.
 FORMER_NAMES = {
     "calibrating_smoother": "self_calibrating_smoother",
@@ -92,13 +95,40 @@ RETROSPECTIVE = (
 )
 
 
+def estimators() -> dict[str, Callable[[], Estimator]]:
+    """Makers of all estimators by their names: those of this package, then those that others register.
+
+    A package registers an estimator by an entry point: a class or function that makes one without arguments::
+
+        [project.entry-points."craternav_fg.estimators"]
+        my_estimator = "my_package:MyEstimator"
+
+    Returns
+    -------
+    dict of str to callable
+
+    Raises
+    ------
+    CraternavError
+        When an entry point cannot be loaded, cannot be called, or takes a name that is taken.
+    """
+    found = dict(ESTIMATORS)
+    for plugin in plugins(GROUP):
+        if not callable(plugin.value):
+            raise plugin.refused("expected a class or function that makes an estimator")
+        if plugin.name in found:
+            raise plugin.refused("there is an estimator of this name already")
+        found[plugin.name] = plugin.value
+    return found
+
+
 def estimator(name: str) -> Estimator:
     """Make an estimator.
 
     Parameters
     ----------
     name : str
-        One of `ESTIMATORS`. A former name gives a `FutureWarning`, and the estimator under its present name.
+        One of `estimators`. A former name gives a `FutureWarning`, and the estimator under its present name.
 
     Returns
     -------
@@ -117,9 +147,12 @@ def estimator(name: str) -> Estimator:
             stacklevel=2,
         )
         name = present
-    if name not in ESTIMATORS:
-        raise EstimationError(f"unknown estimator {name!r}; expected one of {', '.join(ESTIMATORS)}")
-    return ESTIMATORS[name]()
+    known = estimators()
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        raise EstimationError(f"unknown estimator {name!r}{hint}; expected one of {', '.join(known)}")
+    return known[name]()
 
 
 def present_name(name: str) -> str:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +20,8 @@ from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.tracking import Segment, Tracker
+from craternav_fg.sensors.point_features import NAME as FEATURES
+from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -55,19 +58,26 @@ class _Measured:
 
 
 def reconstruct(
-    dataset: Dataset,
-    names: Sequence[str] = DEFAULT,
+    data: Dataset | Path | str,
+    estimators: Sequence[str | Estimator] = DEFAULT,
     *,
+    sensors: Sequence[str | Sensor] | None = None,
+    front_end: GuidedOptions | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Measure the frames of a data set and run estimators on them.
 
     Parameters
     ----------
-    dataset : Dataset
-        Its ground truth, if it has one, is not used.
-    names : sequence of str
-        Estimators, see `craternav_fg.estimators.registry`.
+    data : Dataset, Path or str
+        A data set or its folder. Its ground truth, if it has one, is not used.
+    estimators : sequence of str or Estimator
+        Names, see `craternav_fg.estimators.registry`, or anything with a `name` and `estimate(problem)`.
+    sensors : sequence of str or Sensor, optional
+        Which of the data set's sensors beside camera and IMU are used, by name; a sensor of one's own as it
+        is. All of the data set's by default. "features" are its tracked points.
+    front_end : GuidedOptions, optional
+        How rims are measured in images.
     progress : callable, optional
         Called with a step's name, how much of it is done, and how much there is.
 
@@ -80,14 +90,15 @@ def reconstruct(
     EstimationError
         When a name is unknown, or every estimator fails.
     InputError
-        When an image cannot be read.
+        When the data set is wrong, or an image cannot be read.
     """
-    chosen = [estimator(name) for name in names]
+    chosen = [estimator(one) if isinstance(one, str) else one for one in estimators]
+    dataset = _with_sensors(data if isinstance(data, Dataset) else Dataset.open(data), sensors)
     report = progress or _silent
     began = time.perf_counter()
     relocaliser = Relocaliser(dataset)
     initial = _initial_state(dataset, relocaliser, report)
-    measured = _measure(dataset, initial, relocaliser, report)
+    measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions())
     problems = _problems(Descent.of(dataset, initial), measured)
     times_s = {"front_end": time.perf_counter() - began}
     trajectories: dict[str, Trajectory] = {}
@@ -118,7 +129,28 @@ def reconstruct(
         index_note=relocaliser.index_note,
         expected_rims=_expected_rims(dataset, next(iter(trajectories.values())), measured.limits),
         predicted=measured.guides,
+        ignored=dataset.ignored,
     )
+
+
+def _with_sensors(dataset: Dataset, chosen: Sequence[str | Sensor] | None) -> Dataset:
+    """Keep the chosen sensors of a data set, and add those of one's own.
+
+    Raises
+    ------
+    EstimationError
+        When the data set has no sensor of a name.
+    """
+    if chosen is None:
+        return dataset
+    there: dict[str, Sensor] = {sensor.name: sensor for sensor in dataset.sensors}
+    names = [*there, *([] if dataset.features is None else [FEATURES])]
+    for one in chosen:
+        if isinstance(one, str) and one not in names:
+            has = ", ".join(names) if names else "none beside camera and IMU"
+            raise EstimationError(f"sensor {one!r}: the data set has {has}")
+    kept = tuple(there[one] if isinstance(one, str) else one for one in chosen if one != FEATURES)
+    return replace(dataset, sensors=kept, features=dataset.features if FEATURES in chosen else None)
 
 
 def _initial_state(dataset: Dataset, relocaliser: Relocaliser, report: Progress) -> InitialState:
@@ -132,7 +164,11 @@ def _initial_state(dataset: Dataset, relocaliser: Relocaliser, report: Progress)
 
 
 def _measure(
-    dataset: Dataset, initial: InitialState, relocaliser: Relocaliser, report: Progress
+    dataset: Dataset,
+    initial: InitialState,
+    relocaliser: Relocaliser,
+    report: Progress,
+    options: GuidedOptions,
 ) -> _Measured:
     """Take the data set's measurements, or measure its images.
 
@@ -143,7 +179,7 @@ def _measure(
     """
     if dataset.measurements is not None:
         return _Measured(dataset.measurements, (Segment(0, initial),))
-    front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
+    front_end = GuidedFrontEnd(dataset.camera, dataset.catalog, options)
     try:
         tracked = Tracker(dataset, Descent.of(dataset, initial), front_end, relocaliser).run(report)
     except NUMERICAL_ERRORS as error:

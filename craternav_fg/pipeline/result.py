@@ -53,6 +53,8 @@ class Reconstruction:
         trajectory's poses; None when no images were processed.
     predicted : ndarray, shape (k, 4, 4), or None
         Poses gTb of the body that guided the front end in each frame; None when no images were processed.
+    ignored : tuple of str
+        Folders below `mav0` of the data set that no sensor known here reads.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -66,6 +68,7 @@ class Reconstruction:
     index_note: str
     expected_rims: tuple[int, ...] | None
     predicted: FloatArray | None
+    ignored: tuple[str, ...] = ()
 
     @cached_property
     def innovations(self) -> Innovations | None:
@@ -99,6 +102,7 @@ class Reconstruction:
             *warnings.failed_estimators(self.failures),
             *warnings.inconsistent_trajectories(self.outlier_shares),
             *warnings.inconsistent_sensors(FILTER, self.innovations),
+            *warnings.unknown_sensors(self.ignored),
             *warnings.replaced_states(self.origin, self.reinitialised_at),
             *warnings.frames_without_rims([len(frame.rims) for frame in self.frames], self.expected_rims),
         )

@@ -93,6 +93,23 @@ def inconsistent_sensors(name: str, innovations: Innovations | None) -> list[str
     ]
 
 
+def unknown_sensors(ignored: Sequence[str]) -> list[str]:
+    """Warn of sensors' folders that were not read.
+
+    Parameters
+    ----------
+    ignored : sequence of str
+        Names of folders below `mav0`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not ignored:
+        return []
+    return [f"not used: mav0/{', mav0/'.join(ignored)}: no sensor of this name is known (craternav sensors)"]
+
+
 def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     """Warn of an initial state that was replaced, and of frames at which the track was re-initialised.
 

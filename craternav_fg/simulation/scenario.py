@@ -14,7 +14,7 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.simulation import faults, sensors
 from craternav_fg.simulation.other_sensors import simulate_sensors, simulate_tracks
-from craternav_fg.simulation.scenario_file import Scenario
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.trajectory import Descent
 from craternav_fg.simulation.world import World, make_world
 from craternav_fg.trajectory import Trajectory
@@ -24,8 +24,8 @@ Progress = Callable[[int, int], None]
 
 
 def simulate(
-    scenario: Scenario,
-    folder: Path,
+    scenario: Scenario | Path | str,
+    folder: Path | str,
     *,
     trial: int | None = None,
     with_initial: bool = True,
@@ -35,7 +35,8 @@ def simulate(
 
     Parameters
     ----------
-    scenario : Scenario
+    scenario : Scenario, Path or str
+        A built-in one by its name, or a TOML file.
     folder : Path
         Replaced when it is empty or a data set.
     trial : int, optional
@@ -58,6 +59,8 @@ def simulate(
     CraternavError
         When the trajectory leads into the ground.
     """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
     seed = np.random.SeedSequence(scenario.seed, spawn_key=() if trial is None else (trial,))
     # One stream per subject: a change in one leaves the others as they were.
     streams = (np.random.default_rng(s) for s in seed.spawn(6))
@@ -97,7 +100,7 @@ def simulate(
         sensors=tuple(others),
         features=features,
     )
-    return write_dataset(folder, recording, images)
+    return write_dataset(Path(folder), recording, images)
 
 
 def _imu(world: World, rng: np.random.Generator) -> tuple[ImuLog, FloatArray]:

@@ -1,0 +1,58 @@
+"""What other packages register by entry points: sensors, estimators."""
+
+import importlib.metadata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from craternav_fg.errors import CraternavError
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """Something that a package registers.
+
+    Attributes
+    ----------
+    name : str
+        Of the entry point.
+    package : str
+        Whose it is.
+    value : object
+        What it names.
+    """
+
+    name: str
+    package: str
+    value: Any
+
+    def refused(self, problem: str) -> CraternavError:
+        """Give the error that tells what is wrong with it."""
+        return CraternavError(f"{self.name} of the package {self.package}: {problem}")
+
+
+def plugins(group: str) -> Iterator[Plugin]:
+    """Load what packages registered in a group.
+
+    Parameters
+    ----------
+    group : str
+        Of entry points, such as "craternav_fg.sensors".
+
+    Yields
+    ------
+    Plugin
+
+    Raises
+    ------
+    CraternavError
+        When one cannot be loaded: names it and its package.
+    """
+    for entry in importlib.metadata.entry_points(group=group):
+        package = entry.dist.name if entry.dist is not None else entry.value
+        try:
+            value = entry.load()
+        except Exception as error:
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            raise CraternavError(f"{entry.name} of the package {package}: cannot be loaded: {said}") from None
+        yield Plugin(entry.name, package, value)
