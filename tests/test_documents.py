@@ -6,9 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-import typer
 
-from craternav_fg.cli.app import app
+from craternav_fg.cli.app import every_command
 from craternav_fg.estimators.registry import ESTIMATORS
 from craternav_fg.simulation.scenario_file import built_in_scenarios
 
@@ -85,9 +84,8 @@ def test_code_blocks_import_what_exists(text: str) -> None:
 
 
 def test_commands_and_targets(text: str) -> None:
-    group = typer.main.get_command(app)
     said = set(re.findall(r"(?:`|^ {4})craternav (\w+)", text, flags=re.MULTILINE))
-    assert said <= set(group.commands)
+    assert said <= set(every_command().commands)
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     assert set(re.findall(r"(?:`|^ {4})make ([a-z-]+)", text, flags=re.MULTILINE)) <= targets
 

@@ -1,51 +1,70 @@
-"""The application that all commands join."""
+"""The application that all commands join.
 
+A command's module is imported when the command is called: the help of all of them costs no import of GTSAM.
+"""
+
+import importlib
 import sys
 import warnings
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 import craternav_fg
+from craternav_fg.cli.commands import COMMANDS
 from craternav_fg.cli.terminal import err, say
 from craternav_fg.errors import CraternavError
 
-# Order of the commands in the help: that of a user's first steps. Others follow.
-_ORDER = (
-    "demo",
-    "simulate",
-    "reconstruct",
-    "compare",
-    "report",
-    "montecarlo",
-    "catalog",
-    "detect",
-    "identify",
-    "pose",
-)
 
+class _Lazy(TyperGroup):
+    """A group that knows its commands by name and help, and imports the one that is called."""
 
-class _InOrder(TyperGroup):
-    """A group whose help lists the commands of `_ORDER` first."""
-
-    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
-        """Give the names of the commands."""
-        names = list(self.commands)
-        return sorted(names, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Find the command that the arguments name, and import it."""
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, command if name is None else _loaded([name]).commands[name], rest
 
 
 app = typer.Typer(
-    cls=_InOrder,
+    cls=_Lazy,
     help="Reconstruct a planetary landing from crater rims and an IMU.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-catalog_commands = typer.Typer(help="Crater catalogues: import, summarise, list, draw.", no_args_is_help=True)
+catalog_commands = typer.Typer(help=COMMANDS["catalog"].help, no_args_is_help=True)
 app.add_typer(catalog_commands, name="catalog")
+
+
+def _not_imported() -> None:
+    """Stand for a command until its module is imported."""
+
+
+# In the order of the help; a module's own command takes the place of its name.
+for _name, _command in COMMANDS.items():
+    app.command(_name, help=_command.help)(_not_imported)
+
+
+def _loaded(names: Any) -> TyperGroup:
+    """Give the group of all commands, with those of the names imported."""
+    for name in names:
+        for module in COMMANDS[name].modules:
+            importlib.import_module(f"craternav_fg.cli.{module}")
+    group = typer.main.get_command(app)
+    assert isinstance(group, TyperGroup)
+    return group
+
+
+def every_command() -> TyperGroup:
+    """Import all commands, for documentation and tests.
+
+    Returns
+    -------
+    TyperGroup
+    """
+    return _loaded(COMMANDS)
 
 
 def example(arguments: str) -> str:

@@ -2,7 +2,8 @@
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,12 +15,18 @@ from craternav_fg.cli.run_summary import comparison, show_comparison, show_run
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
+from craternav_fg.estimators.base import Estimator
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.registry import DEFAULT, estimator
+from craternav_fg.estimators.rim_models import RIM_MODELS
 from craternav_fg.files import replacing_folder
+from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.pipeline.reconstruct import Progress
 from craternav_fg.runs.execute import execute_run
 from craternav_fg.runs.read import read_run
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
+from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
 from craternav_fg.simulation.scenario_file import load_scenario
 
@@ -74,9 +81,21 @@ def simulate(
 
 @app.command(epilog=example("reconstruct runs/data -o runs/first -e smoother -e ekf --overlay-every 10"))
 def reconstruct(
-    data: Annotated[Path, typer.Argument(help="Folder of the data set.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")],
+    data: Annotated[Path | None, typer.Argument(help="Folder of the data set.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder of the run.")] = None,
     estimators: EstimatorOption = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SENSOR", help="Leave out a sensor of the data set; may be repeated."),
+    ] = None,
+    rims: Annotated[
+        str | None,
+        typer.Option(help=f"How the smoothers measure rims: one of {', '.join(RIM_MODELS)}."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Options of front end and estimators (TOML).")] = None,
+    print_config: Annotated[
+        bool, typer.Option("--print-config", help="Print all options with their defaults, for --config.")
+    ] = False,
     overlays: Annotated[
         bool, typer.Option("--overlays", help="Draw the rims on every frame, into RUN/overlays.")
     ] = False,
@@ -87,15 +106,21 @@ def reconstruct(
 ) -> None:
     """Reconstruct the trajectory of a data set."""
     began_s = time.perf_counter()
-    names = tuple(dict.fromkeys(estimator(name).name for name in estimators or DEFAULT))
+    if print_config:
+        typer.echo(default_options(), nl=False)
+        return
+    if data is None or output is None:
+        raise InputError("reconstruct", "expected the folder of a data set and --output")
+    file = None if config is None else OptionsFile(config)
+    chosen = _estimators(estimators or DEFAULT, file, rims)
     _check_folders(data, output)
-    dataset = Dataset.open(data)
+    dataset = _left_out(Dataset.open(data), without or ())
     every = overlay_every or int(overlays)
     _check_overlays(data, dataset, every)
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
         summary = execute_run(
-            dataset, folder, names, label=str(data.resolve()), began_s=began_s, progress=report,
-            overlay_every=every,
+            dataset, folder, chosen, label=str(data.resolve()), began_s=began_s, progress=report,
+            overlay_every=every, front_end=None if file is None else file.front_end,
         )  # fmt: skip
     show_run(output, summary, as_json)
 
@@ -116,6 +141,32 @@ def compare(
 def _simulated(report: Progress) -> Callable[[int, int], None]:
     """Report the progress of a simulation."""
     return lambda done, total: report("simulated frames", done, total)
+
+
+def _estimators(names: Sequence[str], file: OptionsFile | None, rims: str | None) -> list[Estimator]:
+    """Make the named estimators, each once, with the options of a file and a measurement of rims."""
+    made = {name: estimator(name) if file is None else file.estimator(name) for name in names}
+    chosen = list({one.name: one for one in made.values()}.values())
+    if rims is None:
+        return chosen
+    if rims not in RIM_MODELS:
+        raise InputError("--rims", f"expected one of {', '.join(RIM_MODELS)}, found {rims!r}")
+    for one in chosen:
+        if isinstance(one, BatchSmoother | OnlineSmoother | FixedLagSmoother):
+            one.options = replace(one.options, rims=rims)
+    return chosen
+
+
+def _left_out(dataset: Dataset, without: Sequence[str]) -> Dataset:
+    """Take sensors out of a data set."""
+    there = [sensor.name for sensor in dataset.sensors]
+    there += [] if dataset.features is None else [FEATURES]
+    for name in without:
+        if name not in there:
+            has = ", ".join(there) if there else "none beside camera and IMU"
+            raise InputError("--without", f"the data set has no sensor {name!r}; it has {has}")
+    kept = tuple(sensor for sensor in dataset.sensors if sensor.name not in without)
+    return replace(dataset, sensors=kept, features=None if FEATURES in without else dataset.features)
 
 
 def _check_folders(data: Path, output: Path) -> None:

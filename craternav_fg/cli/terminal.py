@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -18,7 +19,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from craternav_fg.pipeline.reconstruct import Progress as Report
+if TYPE_CHECKING:
+    from craternav_fg.pipeline.reconstruct import Progress as Report
 
 err = Console(stderr=True)
 out = Console()
@@ -80,7 +82,7 @@ class _Rate(ProgressColumn):
 
 
 @contextmanager
-def progress_bars() -> Iterator[Report]:
+def progress_bars() -> "Iterator[Report]":
     """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
     columns = (
         TextColumn("{task.description:24}"),

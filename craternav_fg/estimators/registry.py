@@ -65,6 +65,25 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "centre_smoother": _centre_smoother,
     "dead_reckoning": DeadReckoning,
 }
+# What each is, for people who choose.
+DESCRIPTIONS = {
+    "smoother": "batch: all states from all data, Levenberg-Marquardt",
+    "gnc_smoother": "batch for many wrong matches: graduated non-convexity",
+    "self_calibrating_smoother": "batch, with the camera's mounting and time offset estimated along",
+    "map_refining_smoother": "batch, with the craters' errors on the map estimated along",
+    "smoother_eq19": "batch on eq. (19) of Tian et al. (2019)",
+    "smoother_los": "batch on lines of sight, eq. (11) of Tian et al. (2019)",
+    "online": "iSAM2: the estimate at a frame uses the data up to it",
+    "online_eq19": "iSAM2 on eq. (19)",
+    "online_los": "iSAM2 on lines of sight",
+    "fixed_lag": "iSAM2 over the last 30 s: bounded cost and memory",
+    "ekf": "extended Kalman filter, one sub-filter per crater, fused exactly",
+    "ekf_eq19": "extended Kalman filter on eq. (19), whitened",
+    "ekf_los": "extended Kalman filter on lines of sight",
+    "ekf_paper": "distributed EKF as published by Tian et al. (2019)",
+    "centre_smoother": "batch on the centres of image ellipses, taken for the craters'",
+    "dead_reckoning": "the IMU alone",
+}
 GROUP = "craternav_fg.estimators"
 # Names of version 0.1, accepted until 0.3.
 FORMER_NAMES = {

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.base import Estimator
 from craternav_fg.pipeline.reconstruct import Progress, reconstruct
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.plots.overlays import contact_sheet, write_overlays
@@ -23,6 +24,7 @@ from craternav_fg.plots.trajectories import (
 )
 from craternav_fg.runs import store
 from craternav_fg.runs.write import write_run
+from craternav_fg.vision.guided_options import GuidedOptions
 
 # Frames beside one another in the overview.
 OVERVIEW_FRAMES = 3
@@ -31,13 +33,14 @@ OVERVIEW_FRAMES = 3
 def execute_run(
     dataset: Dataset,
     folder: Path,
-    estimators: Sequence[str],
+    estimators: Sequence[str | Estimator],
     *,
     label: str,
     began_s: float,
     earlier_s: Mapping[str, float] | None = None,
     progress: Progress | None = None,
     overlay_every: int = 0,
+    front_end: GuidedOptions | None = None,
 ) -> dict[str, Any]:
     """Reconstruct a data set into an existing folder: results, metrics, figures.
 
@@ -46,8 +49,8 @@ def execute_run(
     dataset : Dataset
     folder : Path
         See `craternav_fg.runs.store` for what is written.
-    estimators : sequence of str
-        Names, the first of which the figures of a single trajectory show.
+    estimators : sequence of str or Estimator
+        Or their names, the first of which the figures of a single trajectory show.
     label : str
         Path of the data set that run.toml names, absolute or relative to `folder`.
     began_s : float
@@ -57,6 +60,8 @@ def execute_run(
     progress : callable, optional
     overlay_every : int
         Write an overlay of every Nth frame; 0 writes none.
+    front_end : GuidedOptions, optional
+        How rims are measured in images.
 
     Returns
     -------
@@ -70,7 +75,7 @@ def execute_run(
     InputError
         When an image cannot be read.
     """
-    result = reconstruct(dataset, estimators, progress=progress)
+    result = reconstruct(dataset, estimators, front_end=front_end, progress=progress)
     for name, figure in _figures(dataset, result).items():
         save(figure, folder / store.FIGURES / f"{name}.png")
     if overlay_every and dataset.measurements is None:

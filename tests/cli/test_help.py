@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-import typer
 
-from craternav_fg.cli.app import app
+from craternav_fg.cli import commands as table
+from craternav_fg.cli.app import every_command
 from tests.cli.calls import call
 
 
@@ -19,7 +19,8 @@ def commands(group: Any, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
             yield (*names, name), command
 
 
-COMMANDS = dict(commands(typer.main.get_command(app)))
+GROUP = every_command()
+COMMANDS = dict(commands(GROUP))
 
 
 @pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
@@ -38,3 +39,10 @@ def test_help_is_one_paragraph_and_says_what_every_option_means(names: tuple[str
     shown = call(*names, "--help")
     assert shown.code == 0
     assert "Example: craternav" in shown.out
+
+
+def test_the_table_of_commands_tells_what_their_help_tells() -> None:
+    assert list(GROUP.commands) == list(table.COMMANDS)
+    assert {name: command.help for name, command in GROUP.commands.items()} == {
+        name: command.help for name, command in table.COMMANDS.items()
+    }

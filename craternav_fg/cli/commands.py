@@ -1,0 +1,50 @@
+"""Which command is in which module, and what it does in a sentence, in the order of the help."""
+
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """A command that is not imported yet.
+
+    Attributes
+    ----------
+    help : str
+        Of the command.
+    modules : tuple of str
+        In `craternav_fg.cli`.
+    """
+
+    help: str
+    modules: tuple[str, ...]
+
+
+COMMANDS = {
+    "demo": Command(
+        "Simulate a descent, reconstruct it with every estimator, and compare them.", ("descents",)
+    ),
+    "simulate": Command("Simulate a scenario and write its data set (EuRoC/ASL layout).", ("descents",)),
+    "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
+    "compare": Command("Compare the estimators of one or more runs.", ("descents",)),
+    "report": Command("Write a report: one HTML page that needs no network.", ("report",)),
+    "montecarlo": Command(
+        "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)
+    ),
+    "catalog": Command("Crater catalogues: import, summarise, list, draw.", ("catalogs", "catalog_import")),
+    "detect": Command("Detect crater rims in an image without any prior.", ("detection",)),
+    "identify": Command(
+        "Identify the craters of an image, and the lander's pose, without any prior.", ("identification",)
+    ),
+    "pose": Command(
+        "Compute the lander's pose from the matched rims of one image, without an initial guess.", ("pose",)
+    ),
+    "estimators": Command("List the estimators, those of other packages too.", ("listing",)),
+    "sensors": Command("List the sensors, those of other packages too.", ("listing",)),
+    "scenarios": Command("List the built-in scenarios.", ("listing",)),
+    "reproduce": Command(
+        "Reproduce figures and tables of Tian et al. (2019), with a verdict on each number.",
+        ("reproduction",),
+    ),
+    "bench": Command(
+        "Measure speed against graphs of the same size of GTSAM's own C++ factors.", ("benchmark",)
+    ),
+}

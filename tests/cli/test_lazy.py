@@ -1,0 +1,76 @@
+"""What the command line and the package import before anything is computed."""
+
+import ast
+import os
+import subprocess
+import sys
+
+import pytest
+
+import craternav_fg
+
+HEAVY = ("numba", "gtsam", "cv2", "scipy", "matplotlib", "pyarrow", "pydantic", "numpy")
+
+
+def imported_by(program: str) -> list[str]:
+    """Heavy modules that a Python program has imported at its end."""
+    ending = f"\nimport sys\nprint([name for name in {HEAVY!r} if name in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", program + ending], capture_output=True, text=True, check=True
+    )
+    return list(ast.literal_eval(done.stdout.splitlines()[-1]))
+
+
+def cpu_s(program: str) -> float:
+    """Least CPU time of a Python program in three runs, s, with its start."""
+    spent = []
+    for _ in range(3):
+        before = os.times()
+        subprocess.run([sys.executable, "-c", program], stdout=subprocess.DEVNULL, check=True)
+        after = os.times()
+        spent.append(
+            after.children_user - before.children_user + after.children_system - before.children_system
+        )
+    return min(spent)
+
+
+def command_line(*arguments: str) -> str:
+    return (
+        f"import sys\nsys.argv = {['craternav', *arguments]!r}\n"
+        "from craternav_fg.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass"
+    )
+
+
+def test_the_package_imports_nothing_before_a_name_is_used() -> None:
+    program = "import craternav_fg as cn"
+    assert imported_by(program) == []
+    assert cpu_s(program) < 0.3
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ()])
+def test_the_overview_imports_no_command(arguments: tuple[str, ...]) -> None:
+    assert imported_by(command_line(*arguments)) == []
+    assert cpu_s(command_line(*arguments)) < 0.5
+
+
+def test_a_command_imports_its_own_module_only() -> None:
+    loaded = "\nprint(sorted(m for m in sys.modules if m.startswith('craternav_fg.cli.')))"
+    done = subprocess.run(
+        [sys.executable, "-c", command_line("catalog", "info", "--help") + loaded],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    names = {name.rsplit(".", 1)[1] for name in ast.literal_eval(done.stdout.splitlines()[-1])}
+    assert {"catalogs", "catalog_import"} <= names
+    assert not names & {"descents", "campaigns", "reproduction", "benchmark"}
+
+
+@pytest.mark.parametrize("name", craternav_fg.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(craternav_fg, name) is not None
+    assert name in dir(craternav_fg)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'reconstuct'"):
+        _ = craternav_fg.reconstuct

@@ -1,0 +1,177 @@
+"""A sensor and an estimator of another distribution, registered by entry points alone."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# A sun sensor in some sixty lines: the direction towards the sun in b, measured by two angles.
+SENSOR = '''
+"""A sun sensor: the direction towards the sun in the sensor's axes."""
+
+from typing import Literal
+
+import numpy as np
+
+from craternav_fg.sensors.protocol import ATTITUDE, STATE_SIZE, Linearisation, Sensor, SensorSettings
+from craternav_fg.tables import Column
+
+SUN = np.array([0.6, 0.0, 0.8])
+
+
+class SunSensorSettings(SensorSettings):
+    """`mav0/sun_sensor0/sensor.yaml`."""
+
+    sensor_type: Literal["sun_sensor"] = "sun_sensor"
+    sigma_rad: float = 1e-3
+
+
+class SunSensor(Sensor):
+    """Unit vectors towards the sun."""
+
+    name = "sun_sensor"
+    Settings = SunSensorSettings
+    rows = 3
+
+    @classmethod
+    def columns(cls, settings):
+        return tuple(Column(f"s_{axis}") for axis in "xyz")
+
+    def linearise(self, row, state, bias):
+        seen = state.gTb[:3, :3].T @ SUN
+        J = np.zeros((3, STATE_SIZE))
+        x, y, z = seen
+        J[:, ATTITUDE] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) / self.settings.sigma_rad
+        return Linearisation((seen - self.values[row]) / self.settings.sigma_rad, J, np.zeros((3, 0)))
+
+    def draw(self, state, bias, rng):
+        return state.gTb[:3, :3].T @ SUN + self.settings.sigma_rad * rng.standard_normal(3)
+'''
+
+ESTIMATOR = '''
+"""An estimator: dead reckoning under another name."""
+
+from craternav_fg.estimators.dead_reckoning import DeadReckoning
+
+
+class Carried:
+    """The prior, carried on by the IMU."""
+
+    name = "carried"
+
+    def estimate(self, problem):
+        return DeadReckoning().estimate(problem)
+'''
+
+SCENARIO = """
+base = "measured_descent"
+[trajectory]
+duration_s = 24.0
+site_latitude_deg = 0.67
+site_longitude_deg = 23.47
+heading_deg = 270.0
+frame_interval_s = 4.0
+[trajectory.start]
+altitude_m = 12000.0
+downrange_m = -3000.0
+vertical_speed_m_s = -60.0
+ground_speed_m_s = 150.0
+vertical_acceleration_m_s2 = 0.0
+ground_acceleration_m_s2 = -3.2
+[trajectory.end]
+altitude_m = 10500.0
+downrange_m = 0.0
+vertical_speed_m_s = -60.0
+ground_speed_m_s = 100.0
+vertical_acceleration_m_s2 = 0.0
+ground_acceleration_m_s2 = -3.2
+[trajectory.attitude]
+start_pitch_deg = 20.0
+end_pitch_deg = 20.0
+oscillation_deg = [2.0, 1.5, 3.0]
+oscillation_period_s = [60.0, 75.0, 110.0]
+[sensors.sun_sensor]
+rate_hz = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of packages as pip makes it: two modules and the metadata of their distribution."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "other_sensor.py").write_text(SENSOR)
+    (folder / "other_estimator.py").write_text(ESTIMATOR)
+    about = folder / "other_lander-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: other-lander\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[craternav_fg.sensors]\nsun_sensor = other_sensor:SunSensor\n"
+        "[craternav_fg.estimators]\ncarried = other_estimator:Carried\n"
+    )
+    (folder / "short.toml").write_text(SCENARIO)
+    return folder
+
+
+def craternav(site: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    path = f"{ROOT}:{site}"
+    return subprocess.run(
+        [sys.executable, "-m", "craternav_fg", *map(str, arguments)],
+        capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+
+
+def test_the_command_line_lists_them(site: Path) -> None:
+    sensors = json.loads(craternav(site, "sensors", "--json").stdout)
+    assert "Unit vectors towards the sun (mav0/sun_sensor0; other_sensor)" in sensors["sun_sensor"]
+    estimators = json.loads(craternav(site, "estimators", "--json").stdout)
+    assert "The prior, carried on by the IMU" in estimators["carried"]
+
+
+def test_they_take_part_in_a_run_and_its_report(site: Path, tmp_path: Path) -> None:
+    data, run = tmp_path / "data", tmp_path / "run"
+    done = craternav(site, "simulate", site / "short.toml", "-o", data)
+    assert done.returncode == 0, done.stderr
+    assert (data / "mav0/sun_sensor0/data.csv").is_file()
+    names = ["smoother", "ekf", "carried"]
+    done = craternav(site, "reconstruct", data, "-o", run, *(w for n in names for w in ("-e", n)), "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert list(found["estimators"]) == names
+    nis = found["innovations"]["nis"]["sun_sensor"]
+    assert nis["low"] < nis["mean"] < nis["high"]
+    # A direction to 1 mrad holds the attitude better than rims and IMU do alone.
+    without = craternav(
+        site, "reconstruct", data, "-o", tmp_path / "w", "-e", "smoother", "--without", "sun_sensor", "--json"
+    )
+    rms = [json.loads(one.stdout)["estimators"]["smoother"]["attitude_rms_deg"] for one in (done, without)]
+    assert rms[0] != rms[1]
+    done = craternav(site, "report", run)
+    assert done.returncode == 0, done.stderr
+    page = (run / "report.html").read_text()
+    assert "sun_sensor" in page
+    assert "carried" in page
+
+
+def test_without_the_package_the_folder_is_told_of(site: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    assert craternav(site, "simulate", site / "short.toml", "-o", data).returncode == 0
+    done = craternav(tmp_path, "reconstruct", data, "-o", tmp_path / "run", "-e", "smoother")
+    assert done.returncode == 0
+    assert "mav0/sun_sensor0" in done.stderr
+
+
+def test_a_package_that_cannot_be_loaded_is_named(site: Path, tmp_path: Path) -> None:
+    about = tmp_path / "broken-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[craternav_fg.sensors]\nlidar = not_there:Lidar\n")
+    done = craternav(tmp_path, "sensors")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "lidar" in done.stderr
+    assert "broken" in done.stderr
