@@ -11,10 +11,6 @@ Conics are (A, B, C, D, E, F) of eq. (3); their kernels are in `factors.kernels.
 
 Charts are in normalised image coordinates unless a name ends in `_px`; pixels are those of `camera.pinhole`,
 because a lens that distorts does not image an ellipse as an ellipse.
-
-References
-----------
-Tian, Yu, Yao, Huang (2019), J. Navigation 72, 648, DOI 10.1017/S0373463318000966: eq. (3).
 """
 
 from typing import Any
@@ -358,8 +354,8 @@ def unwhitened_points(points: FloatArray, chart: FloatArray) -> FloatArray:
     return np.asarray(points @ L.T + chart[:2])
 
 
-def conics_of_charts(charts: FloatArray) -> FloatArray:
-    """Compute the conics of ellipses.
+def conics_of_charts(charts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the conics of ellipses, and their derivatives.
 
     Parameters
     ----------
@@ -368,30 +364,17 @@ def conics_of_charts(charts: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (n, 6)
+    conics : ndarray, shape (n, 6)
         (A, B, C, D, E, F) of eq. (3), of unit norm.
+    jacobians : ndarray, shape (n, 6, 5)
+        Of the conics in the charts.
 
     References
     ----------
     Tian et al. (2019), DOI 10.1017/S0373463318000966, eq. (3).
     """
-    return np.array([conic.chart_to_conic(y) for y in charts]).reshape(-1, 6)
-
-
-def conic_jacobians(charts: FloatArray) -> FloatArray:
-    """Differentiate `conics_of_charts`.
-
-    Parameters
-    ----------
-    charts : ndarray, shape (n, 5)
-        In any unit.
-
-    Returns
-    -------
-    ndarray, shape (n, 6, 5)
-        Of the unit-norm conics in the charts.
-    """
-    return np.array([conic.chart_to_conic_jacobian(y) for y in charts]).reshape(-1, 6, 5)
+    conics = np.array([conic.chart_to_conic(y) for y in charts]).reshape(-1, 6)
+    return conics, np.array([conic.chart_to_conic_jacobian(y) for y in charts]).reshape(-1, 6, 5)
 
 
 def shape_change(before: FloatArray, after: FloatArray) -> FloatArray:

@@ -33,8 +33,10 @@ def lunar_lambert_share(phase_rad: FloatArray) -> FloatArray:
     return np.asarray(np.clip(1.0 - 0.019 * g + 2.42e-4 * g**2 - 1.46e-6 * g**3, 0.0, 1.0))
 
 
-def level_ground(normals: FloatArray, sun: FloatArray, view: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute the brightness of level ground and its slope contrast.
+def flat_terrain_brightness(
+    normals: FloatArray, sun: FloatArray, view: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Compute the brightness of locally flat terrain and its slope contrast.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ def level_ground(normals: FloatArray, sun: FloatArray, view: FloatArray) -> tupl
     Returns
     -------
     brightness : ndarray, shape (n,)
-        Of level ground, up to a common factor; 0 where the sun or the camera is below the horizon.
+        Of flat terrain, up to a common factor; 0 where the sun or the camera is below the horizon.
     slope_contrast : ndarray, shape (n, 3)
         Vectors G = (dI/dmu0 s + dI/dmu v) / I, tangent to the ground: a height gradient grad h changes the
         brightness by the share -G . grad h. Zero where the brightness is.

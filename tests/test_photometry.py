@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from craternav_fg.photometry import level_ground, lunar_lambert_share
+from craternav_fg.photometry import flat_terrain_brightness, lunar_lambert_share
 
 SUN = np.array([0.6, 0.0, 0.8])
 
@@ -18,16 +18,16 @@ def tilted(slope_x: float, slope_y: float) -> np.ndarray:
 @pytest.mark.parametrize("view", [[0.0, 0.0, 1.0], [0.48, 0.36, 0.8], [-0.6, 0.0, 0.8]])
 def test_slope_contrast_is_what_a_small_slope_changes(view: list[float]) -> None:
     towards = np.array([view])
-    level, contrast = level_ground(tilted(0.0, 0.0), SUN, towards)
+    level, contrast = flat_terrain_brightness(tilted(0.0, 0.0), SUN, towards)
     h = 1e-5
     for axis, (x, y) in enumerate([(h, 0.0), (0.0, h)]):
-        up, down = (level_ground(tilted(k * x, k * y), SUN, towards)[0] for k in (1.0, -1.0))
+        up, down = (flat_terrain_brightness(tilted(k * x, k * y), SUN, towards)[0] for k in (1.0, -1.0))
         assert_allclose(-contrast[0, axis], (up - down)[0] / (2.0 * h * level[0]), atol=1e-8)
     assert contrast[0, 2] == 0.0
 
 
 def test_ground_that_rises_towards_the_sun_is_darker() -> None:
-    _, contrast = level_ground(tilted(0.0, 0.0), SUN, np.array([[0.0, 0.0, 1.0]]))
+    _, contrast = flat_terrain_brightness(tilted(0.0, 0.0), SUN, np.array([[0.0, 0.0, 1.0]]))
     assert contrast[0, 0] > 0.5
     assert contrast[0, 1] == pytest.approx(0.0)
 
@@ -35,7 +35,7 @@ def test_ground_that_rises_towards_the_sun_is_darker() -> None:
 def test_ground_without_sun_or_camera_above_it_is_dark() -> None:
     normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     view = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0]])
-    brightness, contrast = level_ground(normals, SUN, view)
+    brightness, contrast = flat_terrain_brightness(normals, SUN, view)
     assert_allclose(brightness, 0.0)
     assert_allclose(contrast, 0.0)
 

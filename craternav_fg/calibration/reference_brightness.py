@@ -10,7 +10,7 @@ from craternav_fg.calibration.likelihood import Parameter, estimate
 from craternav_fg.calibration.regenerated import Regenerated, Relation
 from craternav_fg.calibration.rendered_scenes import GROUNDS, scenes, true_reference_brightness
 from craternav_fg.ellipse import chart_of_axes
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.scenes import Scene
 from craternav_fg.vision.detect import BRIGHTNESS_SIGMA, ring_brightness
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -52,7 +52,7 @@ def _errors(one: Scene) -> tuple[FloatArray, FloatArray]:
     rows, ellipses = one.craters[one.wanted], one.ellipses_px[one.wanted]
     view = one.gTb[:3, 3] - one.catalog.centres[rows]
     view /= np.linalg.norm(view, axis=1, keepdims=True)
-    law, _ = level_ground(one.catalog.normals[rows], one.sun_g, view)
+    law, _ = flat_terrain_brightness(one.catalog.normals[rows], one.sun_g, view)
     ratio = ReferenceBrightness(image, one.camera, one.catalog.body.radius_m, one.gTb, one.sun_g)
     mapped = law * ratio.ratio(one.camera.normalised(ellipses[:, :2]))
     rings = np.array([ring_brightness(image, chart) for chart in chart_of_axes(ellipses)])

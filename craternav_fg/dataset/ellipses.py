@@ -173,7 +173,7 @@ def detections_as_plain_data(
     quality : ndarray, shape (n,)
         From 0 to 1: how surely each is the rim of a crater.
     sun_angle_rad : float
-        Direction in the image, from x towards y, towards the light; NaN when unknown.
+        Direction in the image, from x towards y, towards the sun; NaN when unknown.
     """
     keys = ("center_x_px", "center_y_px", "semi_major_px", "semi_minor_px")
     rows = []
@@ -183,8 +183,8 @@ def detections_as_plain_data(
         row["quality"] = round(float(good), 4)
         row["center_sigma_px"] = round(float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))), 3)
         rows.append(row)
-    light_deg = None if np.isnan(sun_angle_rad) else round(float(np.rad2deg(sun_angle_rad)), 1)
-    return {"light_deg": light_deg, "rims": rows}
+    sun_angle_deg = None if np.isnan(sun_angle_rad) else round(float(np.rad2deg(sun_angle_rad)), 1)
+    return {"sun_angle_deg": sun_angle_deg, "rims": rows}
 
 
 def _write(

@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import X
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.ellipse import conic_jacobians, conics_of_charts
+from craternav_fg.ellipse import conics_of_charts
 from craternav_fg.estimators.rim_models import RimModel, rim_factors
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import ArcSet, RimSet, SunTilt
@@ -94,17 +94,16 @@ def linearise_rims(
         covariance = rims.covariance
         if noise == "fixed":
             # |q| = 1 makes the columns of dq/dy orthogonal to q: the pseudo-inverse is dy/dq.
-            inverse = np.asarray(np.linalg.pinv(_conic_jacobians(rims)), dtype=np.float64)
+            inverse = np.asarray(np.linalg.pinv(conics_of_charts(rims.chart)[1]), dtype=np.float64)
             covariance = inverse @ PAPER_NOISE @ np.swapaxes(inverse, 1, 2)
     else:
-        conics = conics_of_charts(rims.chart)
+        conics, J = conics_of_charts(rims.chart)
         semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
         h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
         innovation = -h
         if noise == "fixed":
             of_conic = np.broadcast_to(PAPER_NOISE, (n, 6, 6))
         else:
-            J = _conic_jacobians(rims)
             of_conic = J @ rims.covariance @ np.swapaxes(J, 1, 2)
         covariance = D @ of_conic @ np.swapaxes(D, 1, 2)
     A = np.zeros((n, 5, 6))
@@ -134,11 +133,6 @@ def _of_factors(
     usable = np.asarray(A.reshape(n, -1).any(axis=1))
     A[:, :, 3:] = A[:, :, 3:] @ gTb[:3, :3].T
     return A, residual, usable
-
-
-def _conic_jacobians(rims: RimSet) -> FloatArray:
-    """Give the derivatives (n, 6, 5) of the conics with |q| = 1 in the charts."""
-    return conic_jacobians(rims.chart)
 
 
 def _whiten(H: FloatArray, innovation: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import axes_of_chart, chart_of_axes, half_sides, pixel_chart
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.flat_scenes import HALF_FIELD
 from craternav_fg.simulation.relief import Relief, ReliefOptions
@@ -207,7 +207,7 @@ def photograph(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.r
     normals = np.concatenate([catalog.normals[rows], middle / np.linalg.norm(middle)])
     points = np.concatenate([catalog.centres[rows], middle])
     view = gTb[:3, 3] - points
-    _, contrast = level_ground(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
+    _, contrast = flat_terrain_brightness(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
     along = contrast[-1] / np.linalg.norm(contrast[-1])
     ends = camera.project((middle + np.outer([0.0, _LIGHT_STEP_M], along) - gTb[:3, 3]) @ gTb[:3, :3])
     return Scene(

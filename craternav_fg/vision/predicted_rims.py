@@ -8,7 +8,7 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import pixel_chart, semi_minor_bound
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS, ReferenceBrightness
 from factors.kernels import conic
 
@@ -110,7 +110,7 @@ def predict_rims(
     gTc = camera.gTc(gTb)
     view = gTc[:3, 3] - centres
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    law, contrast = level_ground(catalog.normals[rows], sun_g, view)
+    law, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view)
     centres_c = (centres - gTc[:3, 3]) @ gTc[:3, :3]
     points = centres_c[:, :2] / centres_c[:, 2:]
     contrast_c = contrast @ gTc[:3, :3]

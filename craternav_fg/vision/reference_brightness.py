@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, noise_level
 from craternav_fg.vision.robust_scale import robust_sigma
 
@@ -70,7 +70,7 @@ class ReferenceBrightness:
         ground, hit = ground_points(gTc[:3, :3], gTc[:3, 3], points, radius_m)
         view = gTc[:3, 3] - ground
         view /= np.linalg.norm(view, axis=-1, keepdims=True)
-        law, _ = level_ground(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
+        law, _ = flat_terrain_brightness(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
         keep = hit & (law > _MIN_LAW) & (median < SATURATED_BRIGHTNESS)
         self._coefficients = np.zeros(6)
         ratio = median[keep] / law[keep]

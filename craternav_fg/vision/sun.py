@@ -21,7 +21,7 @@ from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SunTilt
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.grey import GreyArray
 from craternav_fg.vision.wall_shading import sun_azimuth_offset
 
@@ -235,7 +235,7 @@ def _block_gradients(
     view = gPc - ground
     range_m = np.linalg.norm(view, axis=-1)
     view /= range_m[:, None]
-    _, contrast = level_ground(normals, sun_g, view)
+    _, contrast = flat_terrain_brightness(normals, sun_g, view)
     strength = np.linalg.norm(contrast, axis=-1)
     relative = np.sqrt(J[:, 0] + J[:, 2]) / np.maximum(mean, 1.0)
     keep = (

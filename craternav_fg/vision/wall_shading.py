@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 from craternav_fg.vision.robust_scale import robust_sigma
 
@@ -69,7 +69,7 @@ def sun_azimuth_offset(
     view = gTc[:3, 3] - centres
     view /= np.linalg.norm(view, axis=1, keepdims=True)
     normals = gRl[:, :, 2]
-    _, contrast = level_ground(normals, sun_g, view)
+    _, contrast = flat_terrain_brightness(normals, sun_g, view)
     # The wall that rises towards the sun is the dark one.
     along = -a * np.mean(value * np.tile(c, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 0]
     along -= b * np.mean(value * np.tile(s, len(_WALL_RING_RADII)), axis=1, keepdims=True) * gRl[:, :, 1]

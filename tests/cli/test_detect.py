@@ -46,7 +46,7 @@ def test_table_json_and_overlay_agree(one, tmp_path, method):
         assert -90.0 <= rim["rotation_deg"] <= 90.0
         assert 0.0 < rim["quality"] <= 1.0
         assert 0.0 < rim["center_sigma_px"] < 5.0
-    off_deg = (result["light_deg"] - np.rad2deg(one.sun_angle_rad) + 180.0) % 360.0 - 180.0
+    off_deg = (result["sun_angle_deg"] - np.rad2deg(one.sun_angle_rad) + 180.0) % 360.0 - 180.0
     assert abs(off_deg) < 12.0
     assert result["detect_ms"] > 0.0
     overlay = cv2.imread(result["overlay"])

@@ -83,12 +83,12 @@ def test_plain_data_of_detections_is_json() -> None:
     covariance = np.tile(np.diag([0.01, 0.03, 1e-4, 1e-4, 1e-4]), (3, 1, 1))
     plain = tables.detections_as_plain_data(ELLIPSES, covariance, np.array([0.9, 0.8, 0.7]), np.nan)
     read = json.loads(json.dumps(plain, allow_nan=False))
-    assert read["light_deg"] is None
+    assert read["sun_angle_deg"] is None
     assert read["rims"][0] == {
         "center_x_px": 20.0, "center_y_px": 30.0, "semi_major_px": 12.5, "semi_minor_px": 8.25,
         "rotation_deg": 28.648, "quality": 0.9, "center_sigma_px": 0.141,
     }  # fmt: skip
     assert (
-        tables.detections_as_plain_data(ELLIPSES[:0], covariance[:0], np.empty(0), np.pi)["light_deg"]
+        tables.detections_as_plain_data(ELLIPSES[:0], covariance[:0], np.empty(0), np.pi)["sun_angle_deg"]
         == 180.0
     )

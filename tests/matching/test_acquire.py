@@ -10,7 +10,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import pixel_chart
 from craternav_fg.matching.acquire.detected_rims import detect_rims
 from craternav_fg.matching.acquire.search import AcquireOptions, acquire, image_spread_px
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
@@ -172,7 +172,7 @@ def test_blind_rims_lie_on_the_true_ones(view):
     gTc = CAMERA.gTc(view.gTb)
     towards = gTc[:3, 3] - view.catalog.centres[rows]
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    _, gain = level_ground(view.catalog.normals[rows], view.sun_g, towards)
+    _, gain = flat_terrain_brightness(view.catalog.normals[rows], view.sun_g, towards)
     step = 100.0 * gain / np.linalg.norm(gain, axis=-1, keepdims=True)
     start = CAMERA.project((view.catalog.centres[rows] - gTc[:3, 3]) @ gTc[:3, :3])
     end = CAMERA.project((view.catalog.centres[rows] + step - gTc[:3, 3]) @ gTc[:3, :3])

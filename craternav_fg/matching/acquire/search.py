@@ -21,7 +21,7 @@ from craternav_fg.matching.acquire.hypotheses import (
     poses_of_single_rims,
 )
 from craternav_fg.matching.acquire.score import log10_improbability
-from craternav_fg.photometry import level_ground
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.detect import BlindOptions
 from craternav_fg.vision.grey import on_8_bit_scale, undistorted
 from factors.kernels import conic
@@ -210,7 +210,7 @@ def _craters_in_reach(
     view = gPc - catalog.centres[rows]
     range_m = np.linalg.norm(view, axis=-1)
     view /= range_m[:, None]
-    _, contrast = level_ground(catalog.normals[rows], sun_g, view)
+    _, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view)
     slack_m = _POSITION_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(prior.covariance[3:, 3:])[-1]))
     nearest_m = np.maximum(range_m - slack_m, _MIN_RANGE_SHARE * range_m)
     size_px = camera.focal_px * catalog.semi_major_m[rows] / nearest_m

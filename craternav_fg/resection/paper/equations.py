@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from craternav_fg.ellipse import conic_jacobians, conics_of_charts
+from craternav_fg.ellipse import conics_of_charts
 from craternav_fg.frames import cross_matrix
 from craternav_fg.measurements import SunTilt
 from craternav_fg.resection.problem import MatchedRims
@@ -52,12 +52,12 @@ class PaperRims:
         ----------
         Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (2); docs/equations.md.
         """
-        return conics_of_charts(self.rims.chart)
+        return conics_of_charts(self.rims.chart)[0]
 
     @cached_property
     def conic_slopes(self) -> FloatArray:
         """Derivatives of the conics in the charts, shape (n, 6, 5)."""
-        return conic_jacobians(self.rims.chart)
+        return conics_of_charts(self.rims.chart)[1]
 
     @cached_property
     def semi_axes(self) -> FloatArray:
