@@ -359,3 +359,63 @@ def state_factor(
         return e
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), every, run)
+
+
+def two_state_factor(
+    keys: Sequence[int],
+    rows: int,
+    evaluate: Callable[
+        [tuple[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
+        tuple[FloatArray, FloatArray, FloatArray],
+    ],
+) -> gtsam.CustomFactor:
+    """Build a factor of two states, each of pose, velocity and IMU bias.
+
+    Parameters
+    ----------
+    keys : sequence of int, length 6
+        Pose, velocity and bias of the first state, then those of the second.
+    rows : int
+        Length m of the residual, at least 1.
+    evaluate : callable
+        evaluate(first, second), each gTb, gV and the bias (gyro, accelerometer), gives the whitened residual
+        (m,) and the Jacobians (m, 15) in the two states: right twist [w, rho], velocity, accelerometer's
+        bias, gyro's bias.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        Its callback raises `FactorError` when something is not finite or of another shape.
+
+    Raises
+    ------
+    FactorError
+        When `rows` is not positive, or the keys are not six different ones.
+    """
+    _positive(rows)
+    if len(keys) != 6 or len(set(keys)) != 6:
+        raise FactorError(f"keys: expected six different keys, found {len(set(keys))} among {len(keys)}")
+    ends = ((0, 6), (6, 9), (9, 15))
+
+    def state(values: gtsam.Values, first: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        bias = values.atConstantBias(keys[first + 2])
+        return (
+            _matrix(_at_pose(values, keys[first])),
+            values.atVector(keys[first + 1]),
+            np.concatenate([bias.gyroscope(), bias.accelerometer()]),
+        )
+
+    def run(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
+        e, *jacobians = evaluate(state(values, 0), state(values, 3))
+        whole = np.hstack(jacobians)
+        if e.shape != (rows,) or whole.shape != (rows, 30):
+            raise _not_finite(keys[0])
+        if not (math.isfinite(e @ e) and np.isfinite(whole).all()):
+            raise _not_finite(keys[0])
+        if H is not None:
+            for side, J in enumerate(jacobians):
+                for k, (begin, end) in enumerate(ends):
+                    H[3 * side + k] = np.asfortranarray(J[:, begin:end])
+        return e
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), list(keys), run)

@@ -1,0 +1,44 @@
+"""Coasting: free fall in a gravity field; white noise of the acceleration stands for what the field lacks."""
+
+from craternav_fg.motion.gravity import GravityField
+from craternav_fg.motion.model import Motion
+from factors.kernels.motion import COAST
+
+
+def coast(
+    acceleration_density: float = 1e-5,
+    *,
+    gravity: GravityField | None = None,
+    rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rate_sigma_rad_s: float = 0.01,
+    rate_walk: float = 1e-5,
+) -> Motion:
+    """Make the model of a lander in free fall, without thrust.
+
+    Parameters
+    ----------
+    acceleration_density : float
+        White noise of the acceleration per axis, m/s^2/sqrt(Hz). Mass concentrations of the Moon, left out,
+        pull with some 1e-3 m/s^2 for some 100 s in an orbit of 100 km.
+    gravity : GravityField, optional
+        A point mass by default.
+    rate_rad_s : tuple of float
+        Prior mean of the inertial angular velocity in b, where there is no gyro.
+    rate_sigma_rad_s : float
+        Its standard deviation per axis.
+    rate_walk : float
+        White noise of the angular acceleration per axis, rad/s^2/sqrt(Hz).
+
+    Returns
+    -------
+    Motion
+    """
+    return Motion(
+        name="coast",
+        kind=COAST,
+        acceleration_density=acceleration_density,
+        rate_rad_s=rate_rad_s,
+        rate_sigma_rad_s=rate_sigma_rad_s,
+        rate_walk=rate_walk,
+        gravity=gravity or GravityField(),
+    )

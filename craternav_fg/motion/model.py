@@ -1,0 +1,200 @@
+"""The interface of motion models: propagation with derivative and noise, and interpolation between states.
+
+A model stands in for the accelerometer. Where there is a gyro it keeps the attitude; where there is none,
+the angular velocity is a state that random-walks. It takes the place of the gyro's bias: w = rate - bias,
+with the constant `rate_rad_s` of the model in place of a reading. So all estimators keep their states.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.motion.gravity import GravityField
+from factors.kernels import motion
+
+FloatArray = npt.NDArray[np.float64]
+
+# Random walk, m/s^3/sqrt(Hz), of an accelerometer bias that a model does not use: it only keeps the
+# covariance regular.
+UNUSED_WALK = 1e-6
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion model and its process noise, as continuous-time densities per axis.
+
+    Attributes
+    ----------
+    name : str
+        "coast", "white_acceleration" or "white_jerk".
+    kind : int
+        Of `factors.kernels.motion`.
+    acceleration_density : float
+        White noise of the acceleration, m/s^2/sqrt(Hz).
+    jerk_density : float
+        White noise of the jerk, m/s^3/sqrt(Hz).
+    rate_rad_s : tuple of float
+        Prior mean of the inertial angular velocity, in b; not used with a gyro.
+    rate_sigma_rad_s : float
+        Its standard deviation per axis.
+    rate_walk : float
+        White noise of the angular acceleration, rad/s^2/sqrt(Hz); not used with a gyro.
+    acceleration_sigma_m_s2 : float
+        Prior standard deviation per axis of the acceleration that is a state (`white_jerk`).
+    gravity : GravityField
+        In which `coast` falls.
+    """
+
+    name: str
+    kind: int
+    acceleration_density: float
+    jerk_density: float = UNUSED_WALK
+    rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rate_sigma_rad_s: float = 0.01
+    rate_walk: float = 1e-5
+    acceleration_sigma_m_s2: float = 1e-3
+    gravity: GravityField = field(default_factory=GravityField)
+
+    @property
+    def densities(self) -> FloatArray:
+        """Noise without a gyro, (4,): angular velocity, acceleration, rate walk, jerk; SI per sqrt(Hz)."""
+        return np.array([0.0, self.acceleration_density, self.rate_walk, self.jerk_density])
+
+    def densities_with(self, gyro_density: float, gyro_walk: float) -> FloatArray:
+        """Noise with a gyro, shape (4,), as `densities`.
+
+        Parameters
+        ----------
+        gyro_density : float
+            Angular random walk, rad/s/sqrt(Hz).
+        gyro_walk : float
+            Random walk of its bias, rad/s^2/sqrt(Hz).
+
+        Returns
+        -------
+        ndarray, shape (4,)
+        """
+        return np.array([gyro_density, self.acceleration_density, gyro_walk, self.jerk_density])
+
+    def transition(
+        self,
+        body: Body,
+        state: tuple[FloatArray, FloatArray, FloatArray],
+        rows: tuple[FloatArray, FloatArray],
+        densities: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Propagate a state.
+
+        Parameters
+        ----------
+        body : Body
+        state : (ndarray, ndarray, ndarray)
+            Pose gTb (4, 4), m; velocity gV (3,) relative to g, in g, m/s; bias (6,), gyro (rad/s) and
+            accelerometer (m/s^2), in b.
+        rows : (ndarray, ndarray)
+            Durations (m,), s, and angular velocities (m, 3) in b, rad/s, from which the bias is subtracted.
+        densities : ndarray, shape (4,)
+            From `densities` or `densities_with`.
+
+        Returns
+        -------
+        gTb : ndarray, shape (4, 4)
+            In g, m.
+        gV : ndarray, shape (3,)
+            In g, m/s.
+        F : ndarray, shape (15, 15)
+            Transition of the error state of `factors.kernels.motion`, rad, m, s.
+        Q : ndarray, shape (15, 15)
+            Covariance of the added noise, rad, m, s.
+        """
+        gTb, gV, bias = (np.ascontiguousarray(part, dtype=np.float64) for part in state)
+        dt_s, gyro = (np.ascontiguousarray(part, dtype=np.float64) for part in rows)
+        spin = np.array(body.spin_rad_s)
+        of = self.gravity
+        return motion.transition(
+            self.kind, gTb, gV, bias, dt_s, gyro, body.mu_m3_s2, spin, of.radius_m, of.C, of.S, densities
+        )
+
+    def free(
+        self, body: Body, state: tuple[FloatArray, FloatArray, FloatArray], seconds: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Propagate a state without a gyro, see `transition`.
+
+        Parameters
+        ----------
+        body : Body
+        state : (ndarray, ndarray, ndarray)
+            As in `transition`.
+        seconds : float
+            Duration; negative: backwards.
+
+        Returns
+        -------
+        gTb : ndarray, shape (4, 4)
+            In g, m.
+        gV : ndarray, shape (3,)
+            In g, m/s.
+        F : ndarray, shape (15, 15)
+            Transition, rad, m, s.
+        Q : ndarray, shape (15, 15)
+            Covariance of the added noise, rad, m, s; without a meaning backwards.
+        """
+        rows = np.array([seconds]), np.array([self.rate_rad_s])
+        return self.transition(body, state, rows, self.densities)
+
+    def interpolate(
+        self,
+        body: Body,
+        begin: tuple[FloatArray, FloatArray, FloatArray],
+        end: tuple[FloatArray, FloatArray, FloatArray],
+        duration_s: float,
+        at_s: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Interpolate between two states without a gyro: the mean of the Gaussian process given both.
+
+        Parameters
+        ----------
+        body : Body
+        begin, end : (ndarray, ndarray, ndarray)
+            States as in `transition`.
+        duration_s : float
+            Between them.
+        at_s : float
+            From the beginning, inside the interval.
+
+        Returns
+        -------
+        gTb : ndarray, shape (4, 4)
+            In g, m.
+        gV : ndarray, shape (3,)
+            In g, m/s.
+        bias : ndarray, shape (6,)
+            In b, rad/s and m/s^2.
+
+        References
+        ----------
+        Barfoot, T. D., Tong, C. H., Sarkka, S. (2014), Batch continuous-time trajectory estimation as exactly
+        sparse Gaussian process regression, Robotics: Science and Systems X.
+        """
+        there, there_gV, _, Q = self.free(body, begin, duration_s)
+        gTb, gV, _, q = self.free(body, begin, at_s)
+        bias = np.asarray(begin[2])
+        onward = self.free(body, (gTb, gV, bias), duration_s - at_s)[2]
+        r = np.concatenate(
+            [
+                frames.rotation_log(there[:3, :3].T @ end[0][:3, :3]),
+                end[0][:3, 3] - there[:3, 3],
+                end[1] - there_gV,
+                end[2] - bias,
+            ]
+        )
+        scale = np.sqrt(np.diag(Q))
+        solved = np.linalg.solve(Q / np.outer(scale, scale), r / scale) / scale
+        step = q @ onward.T @ solved
+        out = gTb.copy()
+        out[:3, :3] = gTb[:3, :3] @ frames.rotation_exp(step[:3])
+        out[:3, 3] += step[3:6]
+        return out, gV + step[6:9], bias + step[9:]

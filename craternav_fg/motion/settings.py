@@ -1,0 +1,84 @@
+"""The table `[motion]` of dataset.toml and of scenarios."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from craternav_fg.body import Body
+from craternav_fg.config import Positive, Section, Vector
+from craternav_fg.motion.coast import coast
+from craternav_fg.motion.gravity import MAX_DEGREE, GravityField, degree_two, read_gravity
+from craternav_fg.motion.model import Motion
+from craternav_fg.motion.white_acceleration import white_acceleration
+from craternav_fg.motion.white_jerk import white_jerk
+
+
+class _Rates(Section):
+    rate_rad_s: Vector = (0.0, 0.0, 0.0)
+    """Prior mean of the inertial angular velocity in b; not used with a gyro."""
+    rate_sigma_rad_s: Positive = 0.01
+    """Its standard deviation per axis."""
+    rate_walk: Positive = 1e-5
+    """White noise of the angular acceleration, rad/s^2/sqrt(Hz)."""
+
+    def _rates(self) -> dict[str, Any]:
+        return self.model_dump(include={"rate_rad_s", "rate_sigma_rad_s", "rate_walk"})
+
+
+class CoastSection(_Rates):
+    """Free fall."""
+
+    model: Literal["coast"]
+    acceleration_density: Positive = 1e-5
+    """White noise of the acceleration, m/s^2/sqrt(Hz)."""
+    j2: float = 0.0
+    c22: float = 0.0
+    """Unnormalised; the reference radius is the body's."""
+    gravity_field: Annotated[str, Field(min_length=1)] | None = None
+    """Spherical-harmonics coefficients (SHADR), relative to the file with this table, in place of the two."""
+    degree: Annotated[int, Field(ge=0, le=MAX_DEGREE)] = MAX_DEGREE
+    """Largest degree of the coefficients that is used."""
+
+    def motion(self, body: Body, folder: Path) -> Motion:
+        """Make the model; a gravity field is read from the folder."""
+        return coast(self.acceleration_density, gravity=self._gravity(body, folder), **self._rates())
+
+    def _gravity(self, body: Body, folder: Path) -> GravityField:
+        if self.gravity_field is None:
+            return degree_two(body.radius_m, self.j2, self.c22)
+        return read_gravity(folder / self.gravity_field, self.degree)
+
+
+class WhiteAccelerationSection(_Rates):
+    """Constant twist with white acceleration."""
+
+    model: Literal["white_acceleration"]
+    acceleration_density: Positive
+
+    def motion(self, body: Body, folder: Path) -> Motion:
+        """Make the model."""
+        del body, folder
+        return white_acceleration(self.acceleration_density, **self._rates())
+
+
+class WhiteJerkSection(_Rates):
+    """Constant acceleration in the body's frame with white jerk."""
+
+    model: Literal["white_jerk"]
+    jerk_density: Positive
+    """White noise of the jerk, m/s^3/sqrt(Hz)."""
+    acceleration_sigma_m_s2: Positive = 1.0
+    """Prior standard deviation of the acceleration."""
+
+    def motion(self, body: Body, folder: Path) -> Motion:
+        """Make the model."""
+        del body, folder
+        return white_jerk(
+            self.jerk_density, acceleration_sigma_m_s2=self.acceleration_sigma_m_s2, **self._rates()
+        )
+
+
+MotionSection = Annotated[
+    CoastSection | WhiteAccelerationSection | WhiteJerkSection, Field(discriminator="model")
+]

@@ -1,0 +1,52 @@
+"""White noise on jerk: a Gaussian-process prior on SE(3) whose body-fixed acceleration random-walks.
+
+The acceleration is a state and takes the place of the accelerometer's bias, with the opposite sign. The
+rotation is that of `white_acceleration`: its angular acceleration is white, as a state has none.
+"""
+
+from craternav_fg.motion.model import Motion
+from factors.kernels.motion import WHITE_JERK
+
+
+def white_jerk(
+    jerk_density: float,
+    *,
+    acceleration_sigma_m_s2: float = 1.0,
+    rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rate_sigma_rad_s: float = 0.01,
+    rate_walk: float = 1e-5,
+) -> Motion:
+    """Make the model.
+
+    Parameters
+    ----------
+    jerk_density : float
+        White noise of the jerk per axis, m/s^3/sqrt(Hz).
+    acceleration_sigma_m_s2 : float
+        Prior standard deviation per axis of the acceleration relative to a constant twist, whose mean is 0.
+    rate_rad_s : tuple of float
+        Prior mean of the inertial angular velocity in b, where there is no gyro.
+    rate_sigma_rad_s : float
+        Its standard deviation per axis.
+    rate_walk : float
+        White noise of the angular acceleration per axis, rad/s^2/sqrt(Hz).
+
+    Returns
+    -------
+    Motion
+
+    References
+    ----------
+    Tang, T. Y., Yoon, D. J., Barfoot, T. D. (2019), A white-noise-on-jerk motion prior for continuous-time
+    trajectory estimation on SE(3), IEEE RA-L 4 (2), 594-601.
+    """
+    return Motion(
+        name="white_jerk",
+        kind=WHITE_JERK,
+        acceleration_density=0.0,
+        jerk_density=jerk_density,
+        rate_rad_s=rate_rad_s,
+        rate_sigma_rad_s=rate_sigma_rad_s,
+        rate_walk=rate_walk,
+        acceleration_sigma_m_s2=acceleration_sigma_m_s2,
+    )
