@@ -3,7 +3,7 @@
 >>> import craternav_fg as cn
 >>> data = cn.Dataset.open("runs/data")
 >>> result = cn.reconstruct(data, estimators=["smoother", "ekf"])
->>> cn.plot(result, data).savefig("errors.png")
+>>> cn.plot(result, data, "bounds").savefig("errors.png")
 
 The names below are the public interface. A module is imported when one of its names is first used, so that
 `import craternav_fg` costs nothing.
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from craternav_fg.estimators.online import FixedLagSmoother as FixedLagSmoother
     from craternav_fg.estimators.online import OnlineSmoother as OnlineSmoother
     from craternav_fg.estimators.registry import ESTIMATORS as ESTIMATORS
+    from craternav_fg.evaluation.metrics import metrics as metrics
     from craternav_fg.matching.identify.search import identify as identify
     from craternav_fg.measurements import FrameMeasurement as FrameMeasurement
     from craternav_fg.measurements import RimSet as RimSet
@@ -75,6 +76,7 @@ _PUBLIC = {
     "compare": "runs.compare",
     "detect": "vision.detect:find_rims",
     "identify": "matching.identify.search",
+    "metrics": "evaluation.metrics",
     "montecarlo": "campaign.run",
     "plot": "plots.summary",
     "read_run": "runs.read",

@@ -1,7 +1,7 @@
 """The batch smoother: all states from all data."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -42,6 +42,8 @@ from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
+# Gives factors of one's own from the problem and the indices of the frames' states, on X, V and B of those.
+OwnFactors = Callable[[Problem, Sequence[int]], Iterable[gtsam.NonlinearFactor]]
 
 # Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
 MAX_OPTIMISATIONS = 5
@@ -66,11 +68,20 @@ class BatchSmoother:
         `rims="centre"` makes the centre-based baseline.
     name : str
         Name under which its results are stored.
+    own_factors : callable, optional
+        Called with the problem and the indices of the frames' states, gives further factors of the graph:
+        GTSAM's or one's own, on pose `X(k)`, velocity `V(k)` and biases `B(k)` of a state k.
     """
 
-    def __init__(self, options: GraphOptions = GraphOptions(), name: str = "smoother") -> None:
+    def __init__(
+        self,
+        options: GraphOptions = GraphOptions(),
+        name: str = "smoother",
+        own_factors: OwnFactors | None = None,
+    ) -> None:
         self.options = options
         self.name = name
+        self.own_factors = own_factors
 
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from all data, with marginal covariances.
@@ -109,8 +120,8 @@ class BatchSmoother:
     ) -> tuple[FactorGraph, gtsam.Values]:
         """Optimise roughly, then with the covariances evaluated at the rims that the result predicts."""
         if self.options.rims == "centre":
-            return optimum(problem, self.options, values)
-        graph = build_graph(problem, self.options, values)
+            return optimum(problem, self.options, values, own_factors=self.own_factors)
+        graph = build_graph(problem, self.options, values, own_factors=self.own_factors)
         values = levenberg_marquardt(graph, values, ROUGH_LM).values
         letter = Y if self.options.calibration.of_exposure else X
         poses = [values.atPose3(letter(index)).matrix() for index in state_indices]
@@ -118,7 +129,8 @@ class BatchSmoother:
             with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
         ]
-        return optimum(replace(problem, frames=frames), self.options, values, graph.intervals)
+        weighted = replace(problem, frames=frames)
+        return optimum(weighted, self.options, values, graph.intervals, self.own_factors)
 
 
 def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
@@ -129,7 +141,11 @@ def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
 
 
 def optimum(
-    problem: Problem, options: GraphOptions, values: gtsam.Values, intervals: Sequence[ImuInterval] = ()
+    problem: Problem,
+    options: GraphOptions,
+    values: gtsam.Values,
+    intervals: Sequence[ImuInterval] = (),
+    own_factors: OwnFactors | None = None,
 ) -> tuple[FactorGraph, gtsam.Values]:
     """Optimise a whole descent, and repeat it until the points at which gravity is evaluated no longer move.
 
@@ -141,6 +157,8 @@ def optimum(
         Initial values of all states: those of the frames, and those between.
     intervals : sequence of ImuInterval
         Of an earlier graph of these states, which is then no longer used.
+    own_factors : callable, optional
+        See `BatchSmoother`.
 
     Returns
     -------
@@ -153,7 +171,7 @@ def optimum(
     EstimationError
         When the optimisation does not converge.
     """
-    graph = build_graph(problem, options, values, intervals)
+    graph = build_graph(problem, options, values, intervals, own_factors)
     for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
         result = levenberg_marquardt(graph, values)
         if not result.converged:
@@ -187,7 +205,11 @@ def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values)
 
 
 def build_graph(
-    problem: Problem, options: GraphOptions, values: gtsam.Values, intervals: Sequence[ImuInterval] = ()
+    problem: Problem,
+    options: GraphOptions,
+    values: gtsam.Values,
+    intervals: Sequence[ImuInterval] = (),
+    own_factors: OwnFactors | None = None,
 ) -> FactorGraph:
     """Build the graph of a whole descent, gravity and biases linearised at given values.
 
@@ -200,6 +222,8 @@ def build_graph(
         errors of rims as zero.
     intervals : sequence of ImuInterval
         Of an earlier graph of these states, which is then no longer used. They need no preintegration.
+    own_factors : callable, optional
+        See `BatchSmoother`.
 
     Returns
     -------
@@ -234,7 +258,7 @@ def build_graph(
             )
 
     add_image(0, problem.frames[0])
-    index = 0
+    index, of_frames = 0, [0]
     for before, frame in itertools.pairwise(problem.frames):
         stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, options.keyframe_s)]
         for begin_ns, end_ns in itertools.pairwise(stamps):
@@ -247,6 +271,9 @@ def build_graph(
                 add_imu(graph, problem, index, int(begin_ns), int(end_ns), midpoint, bias)
             index += 1
         add_image(index, frame)
+        of_frames.append(index)
+    for factor in () if own_factors is None else own_factors(problem, of_frames):
+        graph.push_back(factor)
     for key in added.keys():  # noqa: SIM118 (Values is no mapping)
         if not values.exists(key):
             values.insert(key, added.atVector(key))

@@ -1,32 +1,81 @@
-"""One figure that sums up a reconstruction or a run."""
+"""The figures of a reconstruction or a run by what they show."""
+
+from collections.abc import Sequence
+from typing import Literal
 
 from matplotlib.figure import Figure
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
 from craternav_fg.pipeline.result import Reconstruction
-from craternav_fg.plots.trajectories import draw_errors, draw_sigmas
+from craternav_fg.plots.trajectories import (
+    draw_bounds,
+    draw_consistency,
+    draw_descent,
+    draw_errors,
+    draw_sigmas,
+)
 from craternav_fg.runs.read import Run
 
+Kind = Literal["errors", "bounds", "consistency", "sigmas", "descent"]
+_WITH_TRUTH = ("errors", "bounds", "consistency")
 
-def plot(result: Reconstruction | Run, dataset: Dataset | None = None) -> Figure:
-    """Draw every estimator's errors with 3 sigma against the truth; without a truth what each claims.
+
+def plot(
+    result: Reconstruction | Run,
+    dataset: Dataset | None = None,
+    kind: Kind | None = None,
+    *,
+    estimators: Sequence[str] = (),
+) -> Figure:
+    """Draw the trajectories of a reconstruction or a run.
 
     Parameters
     ----------
     result : Reconstruction or Run
         What `reconstruct` gave, or a run's folder read by `read_run`.
     dataset : Dataset, optional
-        Whose truth the errors are against; a run brings its own.
+        Its truth is what errors are against, and its craters are on the map. A run brings its own truth.
+    kind : str, optional
+        `"errors"`: norm of the errors over time; `"bounds"`: each component with its 3 sigma;
+        `"consistency"`: NEES of the pose; `"sigmas"`: claimed standard deviations; `"descent"`: altitude and
+        ground track of the first estimator. By default the errors, without a truth the sigmas.
+    estimators : sequence of str
+        Which are drawn, all by default.
 
     Returns
     -------
     matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        When errors are to be drawn without a truth, a map without a data set, or there is no such estimator.
     """
+    truth = None if dataset is None else dataset.truth
     if isinstance(result, Run):
         truth, rims = result.truth, result.metrics["craters_per_frame"]
     else:
-        truth = None if dataset is None else dataset.truth
         rims = [len(frame.rims) for frame in result.frames]
+    missing = [name for name in estimators if name not in result.trajectories]
+    if missing:
+        raise InputError(
+            "plot", f"expected estimators of {', '.join(result.trajectories)}, found {missing[0]!r}"
+        )
+    drawn = {name: result.trajectories[name] for name in estimators or result.trajectories}
+    shown = kind or ("sigmas" if truth is None else "errors")
+    if shown == "sigmas":
+        return draw_sigmas(drawn, rims)
+    if shown == "descent":
+        if dataset is None:
+            raise InputError("plot", "expected the data set, whose craters are on the map")
+        return draw_descent(next(iter(drawn.values())), truth, dataset.catalog, dataset.body)
+    if shown not in _WITH_TRUTH:
+        raise InputError(
+            "plot", f"expected one of {', '.join(_WITH_TRUTH)}, sigmas, descent, found {shown!r}"
+        )
     if truth is None:
-        return draw_sigmas(result.trajectories, rims)
-    return draw_errors(result.trajectories, truth, rims)
+        raise InputError("plot", f"expected a data set with a truth for {shown!r}")
+    if shown == "errors":
+        return draw_errors(drawn, truth, rims)
+    return draw_bounds(drawn, truth) if shown == "bounds" else draw_consistency(drawn, truth)

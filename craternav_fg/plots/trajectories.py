@@ -130,15 +130,15 @@ def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) 
     return figure
 
 
-def draw_bounds(name: str, trajectory: Trajectory, truth: Trajectory) -> Figure:
-    """Draw each component of an estimator's pose error with its 3-sigma bounds; position in east, north, up.
+def draw_bounds(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Figure:
+    """Draw each component of the pose errors with their 3-sigma bounds; position in east, north, up.
+
+    Estimators without covariances are left out.
 
     Parameters
     ----------
-    name : str
-        Of the estimator.
-    trajectory : Trajectory
-        With pose covariances.
+    trajectories : mapping of str to Trajectory
+        By estimator.
     truth : Trajectory
         Ground truth at the same stamps.
 
@@ -146,34 +146,49 @@ def draw_bounds(name: str, trajectory: Trajectory, truth: Trajectory) -> Figure:
     -------
     Figure
     """
-    e = errors(trajectory, truth)
-    assert trajectory.pose_covariance is not None
-    lat, lon = frames.latitude_longitude(truth.gP)
-    eRg = np.swapaxes(frames.east_north_up(lat, lon), 1, 2)
-    position = np.einsum("kij,kj->ki", eRg, e.position_m)
-    S = eRg @ trajectory.pose_covariance[:, 3:, 3:] @ np.swapaxes(eRg, 1, 2)
-    position_sigma = np.sqrt(np.einsum("kii->ki", S))
-    attitude = np.degrees(e.attitude_rad)
-    attitude_sigma = np.degrees(np.sqrt(np.einsum("kii->ki", trajectory.pose_covariance[:, :3, :3])))
     figure = Figure(figsize=(9, 6), layout="constrained")
     grid = figure.subplots(3, 2, sharex=True)
-    t = seconds_since_first(e.stamps_ns)
-    for i in range(3):
-        labels = (f"{('east', 'north', 'up')[i]}, m", f"{'xyz'[i]} in b, deg")
-        for axes, value, sigma, label in zip(
-            grid[i], (position, attitude), (position_sigma, attitude_sigma), labels, strict=True
-        ):
-            axes.fill_between(t, -3 * sigma[:, i], 3 * sigma[:, i], color=colour(name), alpha=0.2)
-            axes.plot(t, value[:, i], color=colour(name), lw=1.3)
-            limit = 1.15 * max(np.percentile(3 * sigma[:, i], 95), np.abs(value[:, i]).max())
-            axes.set_ylim(-limit, limit)
-            axes.set_ylabel(label)
-            finish(axes)
-    grid[0, 0].set_title(f"{name}: position error and 3 sigma")
+    drawn = {name: t for name, t in trajectories.items() if t.pose_covariance is not None}
+    largest = np.zeros((3, 2))
+    for name, trajectory in drawn.items():
+        t = seconds_since_first(trajectory.stamps_ns)
+        for column, (error, sigma) in enumerate(_components(trajectory, truth)):
+            for i, axes in enumerate(grid[:, column]):
+                bound = 3.0 * sigma[:, i]
+                axes.fill_between(t, -bound, bound, color=colour(name), alpha=0.2)
+                axes.plot(t, error[:, i], lw=1.3, **line_style(name), label=name)
+                limit = max(np.percentile(bound, 95), np.abs(error[:, i]).max())
+                largest[i, column] = max(largest[i, column], limit)
+                axes.set_ylim(-1.15 * largest[i, column], 1.15 * largest[i, column])
+    for i, (place, turn) in enumerate(grid):
+        place.set_ylabel(f"{('east', 'north', 'up')[i]}, m")
+        turn.set_ylabel(f"{'xyz'[i]} in b, deg")
+        finish(place)
+        finish(turn)
+    only = f"{next(iter(drawn))}: " if len(drawn) == 1 else ""
+    grid[0, 0].set_title(f"{only}position error and 3 sigma")
     grid[0, 1].set_title("attitude error and 3 sigma")
     for axes in grid[2]:
         axes.set_xlabel("time, s")
+    if len(drawn) > 1:
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, ncols=6, loc="outside upper center", fontsize=9)
     return figure
+
+
+def _components(
+    trajectory: Trajectory, truth: Trajectory
+) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """Errors and sigmas (k, 3): of the position in east, north, up, m; of the attitude in b, deg."""
+    e = errors(trajectory, truth)
+    S = trajectory.pose_covariance
+    assert S is not None
+    lat, lon = frames.latitude_longitude(truth.gP)
+    eRg = np.swapaxes(frames.east_north_up(lat, lon), 1, 2)
+    position = np.einsum("kij,kj->ki", eRg, e.position_m)
+    position_sigma = np.sqrt(np.einsum("kij,kjl,kil->ki", eRg, S[:, 3:, 3:], eRg))
+    attitude_sigma = np.degrees(np.sqrt(np.einsum("kii->ki", S[:, :3, :3])))
+    return (position, position_sigma), (np.degrees(e.attitude_rad), attitude_sigma)
 
 
 def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Catalog, body: Body) -> Figure:

@@ -153,7 +153,7 @@ def _bounds(run: Run) -> list[Block]:
     for name, trajectory in run.trajectories.items():
         if trajectory.pose_covariance is None:
             continue
-        figure = draw_bounds(name, trajectory, run.truth)
+        figure = draw_bounds({name: trajectory}, run.truth)
         for axes in figure.axes:
             # The tab and the axes say it.
             axes.set_title("")

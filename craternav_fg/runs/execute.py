@@ -100,7 +100,7 @@ def _figures(dataset: Dataset, result: Reconstruction) -> dict[str, Figure]:
     else:
         drawn["errors"] = draw_errors(result.trajectories, dataset.truth, rims)
         drawn["consistency"] = draw_consistency(result.trajectories, dataset.truth)
-        drawn[f"bounds_{first}"] = draw_bounds(first, trajectory, dataset.truth)
+        drawn[f"bounds_{first}"] = draw_bounds({first: trajectory}, dataset.truth)
     if dataset.measurements is None:
         rows = np.linspace(0, len(dataset) - 1, min(OVERVIEW_FRAMES, len(dataset))).astype(int)
         images = [(dataset.image(int(k)), result.frames[k]) for k in rows]

@@ -48,7 +48,7 @@ def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_
             trajectories.draw_errors({"smoother": t}, truth, [0] * frames_count),
             trajectories.draw_consistency({"smoother": t}, truth),
             trajectories.draw_sigmas({"smoother": t}, [0] * frames_count),
-            trajectories.draw_bounds("smoother", t, truth),
+            trajectories.draw_bounds({"smoother": t}, truth),
         )
     ):
         style.save(figure, tmp_path / f"{number}.png")
