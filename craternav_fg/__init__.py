@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from craternav_fg.pipeline.reconstruct import reconstruct as reconstruct
     from craternav_fg.pipeline.result import Reconstruction as Reconstruction
     from craternav_fg.plots.summary import plot as plot
-    from craternav_fg.report.write import report as report
+    from craternav_fg.reports.write import report as report
     from craternav_fg.resection.efficient import solve as solve_pose  # noqa: F401
     from craternav_fg.runs.compare import compare as compare
     from craternav_fg.runs.read import read_run as read_run
@@ -81,7 +81,7 @@ _PUBLIC = {
     "plot": "plots.summary",
     "read_run": "runs.read",
     "reconstruct": "pipeline.reconstruct",
-    "report": "report.write",
+    "report": "reports.write",
     "simulate": "simulation.scenario",
     "solve_pose": "resection.efficient:solve",
 }

@@ -12,10 +12,10 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
-from craternav_fg.report.campaign_page import campaign_page
-from craternav_fg.report.page import write_page
-from craternav_fg.report.recording import write_recording
-from craternav_fg.report.run_page import run_page
+from craternav_fg.reports.campaign_page import campaign_page
+from craternav_fg.reports.page import write_page
+from craternav_fg.reports.recording import write_recording
+from craternav_fg.reports.run_page import run_page
 from craternav_fg.runs.read import read_run
 
 _PAGE = "report.html"

@@ -20,8 +20,8 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.pipeline.result import Reconstruction
-from craternav_fg.report.campaign_page import campaign_page
-from craternav_fg.report.page import write_page
+from craternav_fg.reports.campaign_page import campaign_page
+from craternav_fg.reports.page import write_page
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.scenario_tables import CraterTrials, ExpectedSection, Spread

@@ -2,8 +2,10 @@
 
 import ast
 import os
+import pkgutil
 import subprocess
 import sys
+import types
 
 import pytest
 
@@ -67,8 +69,13 @@ def test_a_command_imports_its_own_module_only() -> None:
 
 @pytest.mark.parametrize("name", craternav_fg.__all__)
 def test_every_public_name_is_there(name: str) -> None:
-    assert getattr(craternav_fg, name) is not None
+    assert not isinstance(getattr(craternav_fg, name), types.ModuleType)
     assert name in dir(craternav_fg)
+
+
+def test_no_module_hides_a_public_name() -> None:
+    modules = {module.name for module in pkgutil.iter_modules(craternav_fg.__path__)}
+    assert not modules & set(craternav_fg.__all__)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -9,8 +9,8 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-from craternav_fg.report.page import write_page
-from craternav_fg.report.run_page import run_page
+from craternav_fg.reports.page import write_page
+from craternav_fg.reports.run_page import run_page
 from craternav_fg.runs.read import read_run
 
 CHROMIUM = shutil.which("chromium")

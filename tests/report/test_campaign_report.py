@@ -9,8 +9,8 @@ from craternav_fg.campaign import run
 from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import montecarlo
 from craternav_fg.errors import InputError
-from craternav_fg.report.campaign_page import campaign_page
-from craternav_fg.report.page import Table, write_page
+from craternav_fg.reports.campaign_page import campaign_page
+from craternav_fg.reports.page import Table, write_page
 from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
 from tests.cli.calls import call

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from craternav_fg.errors import CraternavError
-from craternav_fg.report.recording import write_recording
+from craternav_fg.reports.recording import write_recording
 from craternav_fg.runs.read import read_run
 
 

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 
 from craternav_fg.errors import InputError
 from craternav_fg.evaluation.consistency import mean_interval
-from craternav_fg.report.page import write_page
-from craternav_fg.report.residuals import crater_table
-from craternav_fg.report.run_page import run_page
-from craternav_fg.report.svg import inline_svg
+from craternav_fg.reports.page import write_page
+from craternav_fg.reports.residuals import crater_table
+from craternav_fg.reports.run_page import run_page
+from craternav_fg.reports.svg import inline_svg
 from craternav_fg.runs.read import read_run
 from tests.cli.calls import call
 

@@ -6,7 +6,7 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from craternav_fg.plots.style import colour
-from craternav_fg.report.page import Cell, Table
+from craternav_fg.reports.page import Cell, Table
 from craternav_fg.runs.columns import list_values
 
 # Components of a rim's chart, and their names.

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from craternav_fg.campaign import store as campaign_store
 from craternav_fg.campaign.read import read_campaign
-from craternav_fg.report.campaign_page import campaign_page
-from craternav_fg.report.page import write_page
-from craternav_fg.report.run_page import run_page
+from craternav_fg.reports.campaign_page import campaign_page
+from craternav_fg.reports.page import write_page
+from craternav_fg.reports.run_page import run_page
 from craternav_fg.runs.read import read_run
 
 REPORT = "report.html"

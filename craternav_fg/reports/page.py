@@ -50,7 +50,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing as inline SVG, see `craternav_fg.report.svg`."""
+    """A drawing as inline SVG, see `craternav_fg.reports.svg`."""
 
     kind: ClassVar[str] = "drawing"
     svg: Markup
@@ -118,7 +118,7 @@ def write_page(page: Page, path: Path) -> None:
         When `path` is a folder or cannot be written.
     """
     environment = Environment(
-        loader=PackageLoader("craternav_fg.report", "."),
+        loader=PackageLoader("craternav_fg.reports", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -15,10 +15,10 @@ from craternav_fg.plots.trajectories import (
     draw_errors,
     draw_sigmas,
 )
-from craternav_fg.report.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
-from craternav_fg.report.pictures import frame_pictures
-from craternav_fg.report.residuals import crater_table, draw_residuals
-from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
+from craternav_fg.reports.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
+from craternav_fg.reports.pictures import frame_pictures
+from craternav_fg.reports.residuals import crater_table, draw_residuals
+from craternav_fg.reports.svg import WIDTH_IN, inline_svg, mark
 from craternav_fg.runs.read import Run, describe_frames, read_residuals
 from craternav_fg.runs.store import MARKER
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from craternav_fg.errors import InputError
-from craternav_fg.report.page import Pictures
+from craternav_fg.reports.page import Pictures
 from craternav_fg.runs.store import FIGURES, OVERLAYS
 
 # Figures shown in place of overlays where there are none, the better one first.

@@ -15,8 +15,8 @@ from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
 from craternav_fg.plots.style import colour, line_style
-from craternav_fg.report.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
-from craternav_fg.report.svg import WIDTH_IN, inline_svg, mark
+from craternav_fg.reports.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
+from craternav_fg.reports.svg import WIDTH_IN, inline_svg, mark
 
 FloatArray = npt.NDArray[np.float64]
 
