@@ -16,7 +16,7 @@ DOCUMENTS = [
     "README.md",
     "CONTRIBUTING.md",
     "CHANGELOG.md",
-    *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+    *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")),
 ]
 PACKAGES = {path.parent.name for path in (ROOT / "craternav_fg").glob("*/__init__.py")}
 MODULES = {path.stem for path in (ROOT / "craternav_fg").glob("*.py")}
@@ -75,6 +75,23 @@ def test_files_of_the_project(text: str) -> None:
     assert not [path for path in paths if not (ROOT / path).exists()]
 
 
+def test_links_of_the_readme() -> None:
+    # Those between pages of the documentation are checked by `make docs`.
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if "://" not in link]
+    assert links
+    assert not [link for link in links if not (ROOT / link).exists()]
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_bytes()) <= 8192
+
+
+def test_python_blocks_compile(text: str) -> None:
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        compile(block, "block", "exec")
+
+
 def test_code_blocks_import_what_exists(text: str) -> None:
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         for node in ast.walk(ast.parse(block)):
@@ -84,17 +101,18 @@ def test_code_blocks_import_what_exists(text: str) -> None:
 
 
 def test_commands_and_targets(text: str) -> None:
-    said = set(re.findall(r"(?:`|^ {4})craternav (\w+)", text, flags=re.MULTILINE))
+    said = set(re.findall(r"(?:`|^ {4}|^\$ |^)craternav (\w+)", text, flags=re.MULTILINE))
     assert said <= set(every_command().commands)
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
-    assert set(re.findall(r"(?:`|^ {4})make ([a-z-]+)", text, flags=re.MULTILINE)) <= targets
+    assert set(re.findall(r"(?:`|^ {4}|^\$ )make ([a-z-]+)", text, flags=re.MULTILINE)) <= targets
 
 
 def test_estimators_and_scenarios() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = text.split("## Estimators")[1].split("\n\n")[0]
+    text = (ROOT / "docs/explanation/estimators.md").read_text(encoding="utf-8")
+    table = text.split("| name |")[1].split("\n\n")[0]
     first_cells = " ".join(re.findall(r"^\|([^|]*)\|", table, flags=re.MULTILINE))
     assert sorted(re.findall(r"`(\w+)`", first_cells)) == sorted(ESTIMATORS)
+    text = (ROOT / "docs/hard_cases.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(hard_\w+)`", text))
     assert named == {name for name in built_in_scenarios() if name.startswith("hard_")}
 

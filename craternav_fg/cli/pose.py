@@ -29,7 +29,10 @@ from craternav_fg.resection.robust import solve_robustly
 
 @app.command(epilog=example("pose matched.csv --camera sensor.yaml --catalog craters.parquet --robust"))
 def pose(
-    rims: Annotated[Path, typer.Argument(help="CSV of ellipses, each with its crater (see the README).")],
+    rims: Annotated[
+        Path,
+        typer.Argument(help="CSV of ellipses, each with its crater, as `craternav identify -o` writes it."),
+    ],
     camera: CameraOption,
     catalog: CatalogOption,
     attitude: Annotated[

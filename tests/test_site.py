@@ -1,0 +1,87 @@
+"""The generated pages of the documentation: every public name, command, option and key."""
+
+import importlib.util
+import re
+import types
+from pathlib import Path
+
+import pytest
+import typer
+import yaml
+
+import craternav_fg
+from craternav_fg.cli.app import every_command
+from craternav_fg.dataset import layout
+from craternav_fg.sensors.registry import sensors
+
+ROOT = Path(__file__).resolve().parents[1]
+pytest.importorskip("mkdocs", reason="needs the extra docs")
+
+
+@pytest.fixture(scope="module")
+def generate() -> types.ModuleType:
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs/_generate.py")
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    assert spec.loader is not None
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def pages(generate: types.ModuleType) -> dict[str, str]:
+    return generate.pages()
+
+
+def test_every_public_name_is_in_the_reference(pages: dict[str, str]) -> None:
+    named = re.findall(r"^::: craternav_fg\.(\w+)$", pages["reference/api.md"], flags=re.MULTILINE)
+    assert sorted(named) == sorted(set(craternav_fg.__all__) - {"__version__"})
+
+
+def test_every_command_is_in_the_reference(pages: dict[str, str]) -> None:
+    group = every_command()
+    for name in group.list_commands(typer.Context(group)):
+        assert f"## `craternav {name}`" in pages["reference/cli.md"]
+    assert "--overlay-every" in pages["reference/cli.md"]
+    assert "$ craternav demo -o runs/demo" in pages["reference/cli.md"]
+
+
+def test_keys_have_their_kind_limits_default_and_description(pages: dict[str, str]) -> None:
+    scenario = pages["reference/scenario.md"]
+    assert "| `seed` | integer ≥ 0 | required |" in scenario
+    assert "| `irregularity` | number ≥ 0, ≤ 0.1 | `0.0` | RMS deviation of the rims" in scenario
+    assert '## `[craters]`, source = "random"' in scenario
+    assert "## `[trajectory.start]`" in scenario
+
+
+def test_every_sensor_is_in_the_reference(pages: dict[str, str]) -> None:
+    for name in sensors():
+        assert f"## `mav0/{name}0`" in pages["reference/sensors.md"]
+    assert "`range [m]`" in pages["reference/sensors.md"]
+
+
+def test_every_column_of_a_data_set_is_described() -> None:
+    text = (ROOT / "docs/reference/dataset.md").read_text(encoding="utf-8")
+    columns = [
+        *layout.CAMERA_COLUMNS, *layout.IMU_COLUMNS, *layout.TRUTH_COLUMNS, *layout.SUN_COLUMNS,
+        *layout.TILT_COLUMNS,
+    ]  # fmt: skip
+    assert not [column.name for column in columns if f"`{column.name}`" not in text]
+    files = [layout.DESCRIPTION, layout.CRATERS, layout.LARGE_CRATERS, layout.SUN, layout.RIMS, layout.ARCS]
+    assert not [name for name in files if f"`{name}`" not in text]
+
+
+def test_every_page_is_in_the_navigation(pages: dict[str, str]) -> None:
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    found = set(leaves(nav))
+    written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    notebooks = {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert found == written | notebooks | set(pages)
+
+
+def leaves(nav: object) -> list[str]:
+    if isinstance(nav, dict):
+        return [leaf for part in nav.values() for leaf in leaves(part)]
+    if isinstance(nav, list):
+        return [leaf for part in nav for leaf in leaves(part)]
+    return [str(nav)]
