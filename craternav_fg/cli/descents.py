@@ -107,7 +107,7 @@ def reconstruct(
     """Reconstruct the trajectory of a data set."""
     began_s = time.perf_counter()
     if print_config:
-        typer.echo(default_options(), nl=False)
+        typer.echo(default_options(estimators or ()), nl=False)
         return
     if data is None or output is None:
         raise InputError("reconstruct", "expected the folder of a data set and --output")

@@ -4,28 +4,43 @@ A table `[front_end]` for the front end, a table `[estimators.NAME]` for an esti
 tables inside. What a file does not say keeps its default.
 """
 
+import difflib
 import inspect
+import json
+import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, get_args, get_type_hints
 
 import tomli_w
+from pydantic import TypeAdapter, ValidationError
 
 from craternav_fg.config import line_of, read_toml
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.estimators.base import Estimator
 from craternav_fg.estimators.registry import estimator, estimators
 from craternav_fg.vision.guided_options import GuidedOptions
+from factors.custom import Loss
+from factors.errors import FactorError
+from factors.kernels import robust
 
 FRONT_END, ESTIMATORS = "front_end", "estimators"
 # TOML has no null: this stands for a limit that is not set.
 NONE = "none"
 # Of a comment.
 WIDTH = 100
-_KINDS = {float: "a number", int: "a whole number", list: "a list", bool: "true or false", str: "a text"}
+# Fields that a file gives by name.
+_LOSSES = ("NONE", "HUBER", "CAUCHY", "GEMAN_MCCLURE", "TRUNCATED")
+_NAMED = {(Loss, "kind"): {name.lower(): getattr(robust, name) for name in _LOSSES}}
+
+
+@dataclass(frozen=True)
+class _NoOptions:
+    """Of an estimator that has settings of its own only."""
 
 
 class OptionsFile:
@@ -49,10 +64,14 @@ class OptionsFile:
                 self._fail([key], f"unknown table, expected {FRONT_END} or {ESTIMATORS}")
         self.front_end: GuidedOptions = self._changed(GuidedOptions(), data.get(FRONT_END, {}), [FRONT_END])
         self._tables: Mapping[str, Any] = data.get(ESTIMATORS, {})
+        if not isinstance(self._tables, dict):
+            self._fail([ESTIMATORS], f"expected a table, found {self._tables!r}")
         known = estimators()
-        for name in self._tables:
+        for name, table in self._tables.items():
             if name not in known:
-                self._fail([ESTIMATORS, name], f"expected one of {', '.join(known)}")
+                self._fail([ESTIMATORS, name], f"unknown estimator{_meant(name, known)}")
+            if not isinstance(table, dict):
+                self._fail([ESTIMATORS, name], f"expected a table, found {table!r}")
             self.estimator(name)
 
     def estimator(self, name: str) -> Estimator:
@@ -78,7 +97,7 @@ class OptionsFile:
         where = [ESTIMATORS, name]
         for key in own_settings(one):
             if key in table:
-                setattr(one, key, self._value(getattr(one, key), table[key], [*where, key]))
+                setattr(one, key, self._value(float, None, table[key], [*where, key]))
         rest = {key: value for key, value in table.items() if key not in own_settings(one)}
         if not hasattr(one, "options"):
             if rest:
@@ -94,45 +113,44 @@ class OptionsFile:
         """Give options with what a table says; `default` is a dataclass."""
         if not isinstance(table, dict):
             self._fail(where, f"expected a table, found {table!r}")
-        known = {field.name for field in fields(default)}
+        hints = _hints(type(default))
         new = {}
         for key, value in table.items():
-            if key not in known:
-                self._fail([*where, key], f"unknown key, expected one of {', '.join(sorted(known))}")
-            new[key] = self._value(getattr(default, key), value, [*where, key])
+            if key not in hints:
+                self._fail([*where, key], f"unknown key{_meant(key, hints)}")
+            named = _NAMED.get((type(default), key))
+            if named is not None:
+                if value not in named:
+                    self._fail([*where, key], f"expected one of {', '.join(named)}, found {value!r}")
+                new[key] = named[value]
+            else:
+                new[key] = self._value(hints[key], getattr(default, key), value, [*where, key])
         try:
             return replace(default, **new)
-        except (ValueError, CraternavError) as error:
-            key = str(error).split(":")[0]
-            self._fail([*where, key] if key in new else where, str(error).removeprefix(f"{key}: "))
+        except (ValueError, CraternavError, FactorError) as error:
+            key = str(error).split(":")[0].split(".")[-1]
+            self._fail([*where, key] if key in new else where, str(error).split(": ", 1)[-1])
 
-    def _value(self, default: Any, value: Any, where: list[str]) -> Any:
-        if is_dataclass(default):
-            return self._changed(default, value, where)
-        if value == NONE and not isinstance(default, str):
+    def _value(self, hint: Any, default: Any, value: Any, where: list[str]) -> Any:
+        """Check a value against the type of its field; what is a dataclass there is a table here."""
+        kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        if value == NONE and NoneType in kinds:
             return None
-        if isinstance(default, bool) or default is None:
-            kinds: tuple[type, ...] = (bool,) if isinstance(default, bool) else (int, float, str)
-        elif isinstance(default, float):
-            kinds = (int, float)
-        elif isinstance(default, tuple):
-            kinds = (list,)
-        else:
-            kinds = (type(default),)
-        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            names = {
-                float: "a number",
-                int: "a whole number",
-                list: "a list",
-                bool: "true or false",
-                str: "a text",
-            }
-            self._fail(where, f"expected {names[kinds[-1]]}, found {value!r}")
-        if isinstance(default, tuple):
-            if len(value) != len(default):
-                self._fail(where, f"expected {len(default)} values, found {len(value)}")
-            return tuple(self._value(d, v, where) for d, v in zip(default, value, strict=True))
-        return float(value) if isinstance(default, float) else value
+        table: Any = next((kind for kind in kinds if is_dataclass(kind)), None)
+        if table is not None:
+            return self._changed(table() if default is None else default, value, where)
+        try:
+            # By way of JSON: strict validation of Python objects refuses lists where a field has a tuple.
+            checked = TypeAdapter(hint).validate_json(json.dumps(value, default=str), strict=True)
+        except ValidationError as error:
+            message = (
+                error.errors()[0]["msg"].replace("Input should be", "expected").replace("Tuple", "a list")
+            )
+            self._fail(where, f"{message[:1].lower()}{message[1:]}, found {value!r}")
+        numbers = checked if isinstance(checked, tuple) else (checked,)
+        if any(isinstance(one, int | float) and not 0.0 <= one < math.inf for one in numbers):
+            self._fail(where, f"expected a number of 0 or more, found {value!r}")
+        return checked
 
     def _fail(self, where: list[str], problem: str) -> Any:
         raise InputError(self._path, problem, line=line_of(self._text, where), column=".".join(where))
@@ -155,46 +173,86 @@ def own_settings(one: Estimator) -> list[str]:
     ]
 
 
-def default_options() -> str:
+def default_options(names: Sequence[str] = ()) -> str:
     """Text of a file with every option at its default, each with a comment that says what it does.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Estimators whose options are written, all by default.
 
     Returns
     -------
     str
         TOML.
+
+    Raises
+    ------
+    EstimationError
+        When there is no estimator of a name.
     """
     lines = [
         "# Options of `craternav reconstruct --config FILE`. What is left out keeps its default.",
-        f'# "{NONE}" stands for a limit that is not set.',
+        f'# "{NONE}" stands for a limit that is not set, or a table that is left out.',
         "",
         *_table([FRONT_END], GuidedOptions()),
     ]
-    for name in estimators():
+    for name in names or estimators():
         one = estimator(name)
-        extra = {key: getattr(one, key) for key in own_settings(one)}
-        if hasattr(one, "options") or extra:
-            lines += ["", *_table([ESTIMATORS, name], getattr(one, "options", None), extra)]
+        own = own_settings(one)
+        if not hasattr(one, "options") and not own:
+            continue
+        said = _descriptions(type(one))
+        head, *rest = _table([ESTIMATORS, name], one.options if hasattr(one, "options") else _NoOptions())
+        lines += ["", head]
+        for key in own:
+            lines += [*_comment(said.get(key)), f"{key} = {_written(getattr(one, key))}"]
+        lines += rest
     return "\n".join(lines) + "\n"
 
 
-def _table(where: list[str], options: Any, extra: Mapping[str, Any] | None = None) -> Iterator[str]:
+def _table(where: list[str], options: Any) -> Iterator[str]:
     """Lines of a table and of those inside it."""
     yield f"[{'.'.join(where)}]"
-    for key, value in (extra or {}).items():
-        yield f"{key} = {_written(value)}"
-    inner = []
-    said = {} if options is None else _descriptions(type(options))
-    for field in fields(options) if options is not None else ():
+    yield from _values(options)
+    for field in fields(options):
         value = getattr(options, field.name)
         if is_dataclass(value):
-            inner.append((field.name, value))
+            yield ""
+            yield from _table([*where, field.name], value)
+
+
+def _values(options: Any) -> Iterator[str]:
+    """Lines of a dataclass's fields that are no tables, each below its comment."""
+    said, hints = _descriptions(type(options)), _hints(type(options))
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if is_dataclass(value):
             continue
-        if field.name in said:
-            yield from wrap(said[field.name], WIDTH, initial_indent="# ", subsequent_indent="# ")
-        yield f"{field.name} = {_written(value)}"
-    for name, value in inner:
-        yield ""
-        yield from _table([*where, name], value)
+        named = _NAMED.get((type(options), field.name), {})
+        choices = tuple(named) or (get_args(hints[field.name]) if isinstance(value, str) else ())
+        if not named:
+            yield from _comment(said.get(field.name))
+        if choices:
+            yield f"# One of {', '.join(choices)}."
+        shown = next((name for name, number in named.items() if number == value), value)
+        yield f"{field.name} = {_written(shown)}"
+
+
+def _comment(sentence: str | None) -> list[str]:
+    return wrap(sentence, WIDTH, initial_indent="# ", subsequent_indent="# ") if sentence else []
+
+
+def _hints(cls: type) -> dict[str, Any]:
+    """Types of a dataclass's fields."""
+    known = get_type_hints(cls)
+    return {field.name: known[field.name] for field in fields(cls)}
+
+
+def _meant(key: str, known: Iterable[str]) -> str:
+    """Tell what an unknown key was probably meant to be, or what there is."""
+    near = difflib.get_close_matches(key, known, 1)
+    return f" (did you mean {near[0]}?)" if near else f", expected one of {', '.join(sorted(known))}"
 
 
 def _written(value: Any) -> str:
@@ -204,12 +262,14 @@ def _written(value: Any) -> str:
 
 
 def _descriptions(cls: type) -> dict[str, str]:
-    """First sentences about a dataclass's fields, from the section Attributes of its docstring."""
-    text = inspect.getdoc(cls) or ""
-    section = text.split("Attributes\n----------\n", 1)[-1] if "Attributes\n----------\n" in text else ""
+    """First sentences about a class's fields or parameters, from its docstring."""
     out = {}
-    for match in re.finditer(r"^(\w[\w, ]*) : .*\n((?:[ ]{4}.*\n?)+)", section, re.MULTILINE):
-        sentence = " ".join(match.group(2).split()).split(". ")[0].removesuffix(".")
+    for match in re.finditer(
+        r"^(\w[\w, ]*) : .*\n((?:[ ]{4}.*\n?)+)", inspect.getdoc(cls) or "", re.MULTILINE
+    ):
+        # A sentence ends before a capital letter or a mark, an abbreviation before anything else.
+        text = " ".join(match.group(2).split())
+        sentence = re.split(r"(?<!et al)\. (?=[A-Z\"`])", text)[0].removesuffix(".")
         for name in match.group(1).split(", "):
             out[name] = f"{sentence}."
     return out
