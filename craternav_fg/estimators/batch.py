@@ -254,8 +254,9 @@ def build_graph(
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), index, frame.stamp_ns)
         if features is not None:
             features.enter(
-                graph, added, index, frame.stamp_ns, lambda n: values.atPose3(X(n)).matrix(), values.exists
-            )
+                graph, added, index, frame.stamp_ns, lambda n: values.atPose3(X(n)).matrix(),
+                lambda key: values.atPoint3(key) if values.exists(key) else None,
+            )  # fmt: skip
 
     add_image(0, problem.frames[0])
     index, of_frames = 0, [0]

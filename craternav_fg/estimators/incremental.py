@@ -22,6 +22,8 @@ FloatArray = npt.NDArray[np.float64]
 # error is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's
 # measurement. An IMU factor of a second is linear in velocity and bias far beyond their priors.
 RELINEARISE_M = 5.0
+# Letter of tracked points.
+POINT = "l"
 # A sensor's bias has its length for a letter.
 SENSOR_BIASES = tuple("123456789")
 RELINEARISE_STEPS = {
@@ -31,14 +33,14 @@ RELINEARISE_STEPS = {
     "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),
-    "l": np.full(3, 20.0),
+    POINT: np.full(3, 20.0),
     **{letter: np.full(int(letter), 1e3) for letter in SENSOR_BIASES},
 }
 # Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
 STATE_LETTERS = ("x", "v", "b")
 # Letters of variables that several states share: time-correlated errors of one rim and of all rims, tracked
 # points, biases of sensors.
-SHARED_LETTERS = ("r", "s", "l", *SENSOR_BIASES)
+SHARED_LETTERS = ("r", "s", POINT, *SENSOR_BIASES)
 # Back-substitution continues into the past until no variable moves by more (in practice: 1 m). The newest
 # states are at the root and always exact; GTSAM's 1 mm would visit the whole past at every frame.
 WILDFIRE_STEP = 1.0
@@ -64,23 +66,25 @@ def parameters(position_m: float = RELINEARISE_M) -> gtsam.ISAM2Params:
 # minute of states at one a second.
 MAX_VARIABLES, OVERLAP_VARIABLES = 600, 180
 # A snapshot is taken when the newest attitude is known to this, as larger errors are not Gaussian. It is used
-# when the later estimate agrees with it to this chi-square (15 degrees of freedom).
+# when the later estimate agrees with it to this chi-square per degree of freedom.
 SNAPSHOT_ATTITUDE_RAD = 0.01
-SNAPSHOT_CHI2 = 50.0
+SNAPSHOT_CHI2_RATIO = 50.0 / 15.0
+# A tracked point goes on in the next tree when so many of its observations do.
+LEAST_OBSERVATIONS = 3
 
 
 @dataclass(frozen=True)
 class _Snapshot:
-    """What was known of a state when it was the newest.
+    """What was known of a state when it was the newest, and of the sensors' biases.
 
     Attributes
     ----------
     number : int
         Index of the state.
     size, slots : int
-        Number of variables and of factor slots of the tree at that time.
+        Number of variables, tracked points left out, and of factor slots of the tree at that time.
     prior : gtsam.LinearContainerFactor
-        Gaussian of the state, from all factors so far.
+        Gaussian of the state and of the biases, from all factors so far.
     """
 
     number: int
@@ -157,7 +161,7 @@ class Isam:
         """
         # Not between a state's update and its repetition: slots that are to be dropped would be void.
         if values.size():
-            self._bound()
+            self._bound(graph)
         factors = self.tree.getFactorsUnsafe()
         known = factors.size()
         point = self.tree.getLinearizationPoint()
@@ -191,17 +195,27 @@ class Isam:
         self._snapshot = None
         self._tree = gtsam.ISAM2(parameters(self.relinearise_m))
         self._hold = self._tree.getLinearizationPoint()
+        self._points = 0
         if graph.size():
             self._tree.update(graph, values)
+            self._points = _count_points(values)
 
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
         self._tree.update(graph, values, drop)
+        self._points += _count_points(values)
 
-    def _bound(self) -> None:
-        """Take a snapshot of the newest state in time, and replace a large tree by one that begins there."""
-        size = self._hold.size()
+    def _size(self) -> int:
+        """Count the variables but tracked points."""
+        return int(self._hold.size()) - self._points
+
+    def _bound(self, added: gtsam.NonlinearFactorGraph) -> None:
+        """Take a snapshot of the newest state in time, and replace a large tree by one that begins there.
+
+        Tracked points do not count: a tree with many of them would hold too few states.
+        """
+        size = self._size()
         if self._snapshot is None:
             if size > MAX_VARIABLES - OVERLAP_VARIABLES:
                 self._snapshot = self._photograph()
@@ -210,31 +224,25 @@ class Isam:
             return
         snapshot = self._snapshot
         now = self._tree.calculateBestEstimate()
-        if 2.0 * snapshot.prior.error(now) > SNAPSHOT_CHI2:
+        if 2.0 * snapshot.prior.error(now) > SNAPSHOT_CHI2_RATIO * snapshot.prior.dim():
             self._snapshot = self._photograph()
             return
-        self._past.insert_or_assign(now)
-        graph = gtsam.NonlinearFactorGraph()
-        graph.push_back(snapshot.prior)
-        factors = self._tree.getFactorsUnsafe()
-        for slot in range(snapshot.slots, factors.size()):
-            if factors.exists(slot):
-                factor = factors.at(slot)
-                keys = factor.keys()
-                if min(gtsam.Symbol(key).index() for key in keys) >= snapshot.number:
-                    graph.push_back(factor)
-        for key in self._past.keys():  # noqa: SIM118 (Values is no mapping)
-            if now.exists(key) and gtsam.Symbol(key).index() < snapshot.number:
-                now.erase(key)
-        self._new(graph, now)
+        self._past.insert_or_assign(_without_points(now))
+        graph, values = _since(snapshot, self._tree.getFactorsUnsafe(), now, added)
+        self._new(graph, values)
 
     def _photograph(self) -> _Snapshot | None:
-        """Take a snapshot of the newest state; None when it is uncertain or not all variables are states."""
+        """Take a snapshot of the newest state; None when it is uncertain or cannot be handed on."""
         symbols = [gtsam.Symbol(key) for key in self._hold.keys()]  # noqa: SIM118 (Values is no mapping)
-        if any(chr(symbol.chr()) not in STATE_LETTERS for symbol in symbols):
+        if any(chr(symbol.chr()) not in (*STATE_LETTERS, POINT, *SENSOR_BIASES) for symbol in symbols):
             return None
-        last = max(symbol.index() for symbol in symbols)
-        keys = [symbol.key() for symbol in symbols if symbol.index() == last]
+        last = max(symbol.index() for symbol in symbols if chr(symbol.chr()) in STATE_LETTERS)
+        keys = [
+            symbol.key()
+            for symbol in symbols
+            if chr(symbol.chr()) in SENSOR_BIASES
+            or (chr(symbol.chr()) in STATE_LETTERS and symbol.index() == last)
+        ]
         joint = self._tree.jointMarginalCovariance(keys)
         pose = gtsam.symbol("x", last)
         if pose in keys and not np.diag(joint.at(pose, pose))[:3].max() < SNAPSHOT_ATTITUDE_RAD**2:
@@ -251,7 +259,7 @@ class Isam:
                 point.erase(symbol.key())
         prior = gtsam.LinearContainerFactor(_jacobian_factor(keys, blocks), point)
         slots = self._tree.getFactorsUnsafe().size()
-        return _Snapshot(last, self._hold.size(), slots, prior)
+        return _Snapshot(last, self._size(), slots, prior)
 
     def _take_back(
         self, known: int, drop: Sequence[int], dropped: list[gtsam.NonlinearFactor], added: gtsam.Values
@@ -309,7 +317,7 @@ class FixedLagIsam(Isam):
         if graph.size():
             self._smoother.update(graph, values, {key: stamps_s[key] for key in values.keys()})  # noqa: SIM118
 
-    def _bound(self) -> None:
+    def _bound(self, added: gtsam.NonlinearFactorGraph) -> None:
         """Do nothing: the lag bounds the tree."""
 
     def _apply(
@@ -325,12 +333,76 @@ class FixedLagIsam(Isam):
         self._smoother.update(graph, values, stamps_s, drop)
 
 
+def _since(
+    snapshot: _Snapshot,
+    factors: gtsam.NonlinearFactorGraph,
+    now: gtsam.Values,
+    added: gtsam.NonlinearFactorGraph,
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Give the snapshot and the factors since, and the values of their variables.
+
+    Of tracked points the observations since count, without what earlier ones told of the point. Those that
+    factors are about to be added of are kept in any case.
+    """
+    needed = _keys(added)
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(snapshot.prior)
+    of_points: dict[int, list[gtsam.NonlinearFactor]] = {}
+    alone: dict[int, gtsam.NonlinearFactor] = {}
+    for slot in range(factors.size()):
+        if not factors.exists(slot):
+            continue
+        factor = factors.at(slot)
+        symbols = [gtsam.Symbol(key) for key in factor.keys()]  # noqa: SIM118 (KeyVector is no mapping)
+        states = [symbol.index() for symbol in symbols if chr(symbol.chr()) in STATE_LETTERS]
+        points = [symbol.key() for symbol in symbols if chr(symbol.chr()) == POINT]
+        if points and not states:
+            alone[points[0]] = factor
+        elif slot < snapshot.slots or min(states, default=snapshot.number) < snapshot.number:
+            continue
+        elif points:
+            of_points.setdefault(points[0], []).append(factor)
+        else:
+            graph.push_back(factor)
+    for point, prior in alone.items():
+        observations = of_points.get(point, [])
+        if point in needed or len(observations) >= LEAST_OBSERVATIONS:
+            for factor in (prior, *observations):
+                graph.push_back(factor)
+    kept = _keys(graph)
+    values = gtsam.Values(now)
+    for key in now.keys():  # noqa: SIM118 (Values is no mapping)
+        if key not in kept:
+            values.erase(key)
+    return graph, values
+
+
+def _keys(graph: gtsam.NonlinearFactorGraph) -> set[int]:
+    """Keys of a graph's variables."""
+    factors = [graph.at(number) for number in range(graph.size())]
+    return {key for factor in factors for key in factor.keys()}  # noqa: SIM118 (KeyVector is no mapping)
+
+
+def _count_points(values: gtsam.Values) -> int:
+    # The letter is a key's first byte; a `gtsam.Symbol` takes ten times as long.
+    return sum(key >> 56 == ord(POINT) for key in values.keys())  # noqa: SIM118 (Values is no mapping)
+
+
+def _without_points(values: gtsam.Values) -> gtsam.Values:
+    out = gtsam.Values(values)
+    for key in values.keys():  # noqa: SIM118 (Values is no mapping)
+        if chr(gtsam.Symbol(key).chr()) == POINT:
+            out.erase(key)
+    return out
+
+
 def _jacobian_factor(keys: list[int], blocks: list[FloatArray]) -> gtsam.JacobianFactor:
-    """Linear factor |sum A_i x_i|^2 of one to three variables, by blocks A_i of columns."""
+    """Linear factor |sum A_i x_i|^2 by blocks A_i of columns."""
     rows = len(blocks[0])
-    terms: list[Any] = [term for pair in zip(keys, blocks, strict=True) for term in pair]
+    terms: list[Any] = list(zip(keys, blocks, strict=True))
+    # The only constructor that takes any number of variables.
     unit = gtsam.noiseModel.Unit.Create(rows)
-    return gtsam.JacobianFactor(*terms, np.zeros(rows), unit)  # type: ignore[call-overload]
+    return gtsam.JacobianFactor(gtsam.GaussianConditional(terms, len(keys), np.zeros(rows), unit))
 
 
 def _first_line(error: Exception) -> str:

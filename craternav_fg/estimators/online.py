@@ -30,7 +30,7 @@ from craternav_fg.estimators.graph import (
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.point_features import FeatureStates
-from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
+from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovation_weights
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -138,7 +138,9 @@ class OnlineSession:
         gTb = start.gTb if start.frame == 0 else initial.gTb
         variables = RimVariables(values, self._errors)
         add_frame(graph, self._descent, self._options, X(0), frame, variables=variables, near=gTb)
-        add_sensors(graph, values, self._descent, self._bank.at(frame.stamp_ns), 0, frame.stamp_ns)
+        samples = self._bank.at(frame.stamp_ns)
+        weights = innovation_weights(samples, filter_state.prior(self._descent), frame.stamp_ns)
+        add_sensors(graph, values, self._descent, samples, 0, frame.stamp_ns, weights=weights)
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._add_features(graph, values, 0, frame.stamp_ns)
         self._update(graph, values, 0, frame.stamp_ns)
@@ -192,10 +194,11 @@ class OnlineSession:
         frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
         variables = RimVariables(values, self._errors, self._solver.tree.valueExists)
         add_frame(graph, self._descent, self._options, X(last), frame, variables=variables, near=state.gTb)
-        add_sensors(
-            graph, values, self._descent, self._bank.at(frame.stamp_ns), last, frame.stamp_ns,
-            self._solver.tree.valueExists,
-        )  # fmt: skip
+        samples = self._bank.at(frame.stamp_ns)
+        if samples:
+            weights = innovation_weights(samples, state, frame.stamp_ns)
+            holds = self._solver.tree.valueExists
+            add_sensors(graph, values, self._descent, samples, last, frame.stamp_ns, holds, weights)
         self._add_features(graph, values, last, frame.stamp_ns)
         self._update(graph, values, last, frame.stamp_ns)
 
@@ -211,7 +214,10 @@ class OnlineSession:
                 return np.asarray(values.atPose3(key).matrix())
             return np.asarray(tree.calculateEstimatePose3(key).matrix()) if tree.valueExists(key) else None
 
-        self._features.enter(graph, values, index, stamp_ns, pose, tree.valueExists)
+        def point(key: int) -> FloatArray | None:
+            return np.asarray(tree.calculateEstimatePoint3(key)) if tree.valueExists(key) else None
+
+        self._features.enter(graph, values, index, stamp_ns, pose, point)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
         predicted = position = values.atPose3(X(last)).translation()
@@ -239,7 +245,7 @@ class OnlineSession:
         self._frame_states.append(last)
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
-        """LinearMeasurement the solver; the graph begins with the factors of its intervals."""
+        """Update the solver; the graph begins with the factors of its intervals."""
         time_s = 1e-9 * (stamp_ns - self._descent.initial.stamp_ns)
         trees = self._solver.trees
         slots: list[int] = []
@@ -291,13 +297,29 @@ class OnlineSession:
         tree = self._solver.tree
         gTb = np.ascontiguousarray(tree.calculateEstimatePose3(X(n)).matrix())
         bias = bias_vector(tree.calculateEstimateConstantBias(B(n)))
-        joint = tree.jointMarginalCovariance([X(n), V(n), B(n)]).fullMatrix()
+        known = [one for one in self._bank.biases if tree.valueExists(one[1])]
+        keys = [X(n), V(n), B(n), *(key for _, key in known)]
+        joint = tree.jointMarginalCovariance(keys).fullMatrix()
         T = FROM_GTSAM.copy()
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
         row = int(np.searchsorted(self._descent.imu.stamps_ns, stamp_ns))
         rate = self._descent.imu.gyro[min(row, len(self._descent.imu.gyro) - 1)] - bias[:3]
         gV = tree.calculateEstimateVector(V(n))
-        return FilterState(gTb, gV, rate, bias, T @ joint @ T.T)
+        sigmas = self._bank.sigmas
+        if not len(sigmas):
+            return FilterState(gTb, gV, rate, bias, T @ joint @ T.T)
+        # A sensor that has not measured yet has the bias of its prior.
+        sensor_bias, measured = np.zeros(len(sigmas)), np.zeros(len(sigmas), dtype=np.bool_)
+        for part, key in known:
+            sensor_bias[part] = sigmas[part] * tree.calculateEstimateVector(key)
+            measured[part] = True
+        whole = np.zeros((strapdown.SIZE + len(sigmas), len(joint)))
+        whole[: strapdown.SIZE, :15] = T
+        whole[strapdown.SIZE + np.flatnonzero(measured), 15:] = np.diag(sigmas[measured])
+        covariance = whole @ joint @ whole.T
+        rest = strapdown.SIZE + np.flatnonzero(~measured)
+        covariance[rest, rest] = sigmas[~measured] ** 2
+        return FilterState(gTb, gV, rate, bias, covariance, sensor_bias)
 
     def filtered(self) -> Trajectory:
         """Estimates at every frame so far, each from the data up to its frame."""

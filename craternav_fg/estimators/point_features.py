@@ -75,6 +75,7 @@ class FeatureStates:
         # By track: observations (state's number, image point) that wait for parallax.
         self._waiting: dict[int, list[tuple[int, FloatArray]]] = {}
         self._variables: set[int] = set()
+        self._last_ns = dict(zip(tracks.tracks.tolist(), tracks.stamps_ns.tolist(), strict=True))
 
     def enter(
         self,
@@ -83,7 +84,7 @@ class FeatureStates:
         number: int,
         stamp_ns: int,
         pose: Callable[[int], FloatArray | None],
-        holds: Callable[[int], bool],
+        point: Callable[[int], FloatArray | None],
     ) -> None:
         """Add what a frame's observations say, and the variables that they complete.
 
@@ -97,18 +98,23 @@ class FeatureStates:
         stamp_ns : int
         pose : callable
             Estimate of a state's pose gTb (4, 4) by its number; None when it is no variable any more.
-        holds : callable
-            Whether a key is a variable already.
+        point : callable
+            Estimate of a ground point (3,) in g, m, by its key; None when it is no variable.
         """
         tracks, px = self._tracks.at(stamp_ns)
         for track, u in zip(tracks.tolist(), self._camera.normalised(px), strict=True):
             key = int(gtsam.symbol(LETTER, track))
-            if track in self._variables:
-                if values.exists(key) or holds(key):
-                    graph.push_back(self._factor(number, key, u))
-                continue
-            self._waiting.setdefault(track, []).append((number, u))
-            self._begin(graph, values, track, key, pose, holds)
+            known = values.atPoint3(key) if values.exists(key) else point(key)
+            if track in self._variables and known is not None:
+                graph.push_back(self._factor(number, key, u))
+            else:
+                # A point that the solver gave up begins anew.
+                self._variables.discard(track)
+                self._waiting.setdefault(track, []).append((number, u))
+                self._begin(graph, values, track, key, pose, known)
+            if self._last_ns[track] == stamp_ns:
+                self._variables.discard(track)
+                self._waiting.pop(track, None)
 
     def _begin(
         self,
@@ -117,25 +123,27 @@ class FeatureStates:
         track: int,
         key: int,
         pose: Callable[[int], FloatArray | None],
-        holds: Callable[[int], bool],
+        known: FloatArray | None,
     ) -> None:
-        """Make a variable of a track as soon as its observations allow it."""
+        """Make a variable of a track as soon as its observations allow it, or as soon as it is one."""
         seen = [(n, u, gTb) for n, u in self._waiting[track] if (gTb := pose(n)) is not None]
-        if len(seen) < LEAST_OBSERVATIONS:
-            return
         gTc = self._camera.gTc(np.array([gTb for _, _, gTb in seen]))
-        rays = np.array([[*u, 1.0] for _, u, _ in seen])
-        rays = np.einsum("nij,nj->ni", gTc[:, :3, :3], rays / np.linalg.norm(rays, axis=1, keepdims=True))
-        point = triangulated(gTc[:, :3, 3], rays, self._sigma)
-        if point is None:
-            return
+        place = known
+        if place is None:
+            if len(seen) < LEAST_OBSERVATIONS:
+                return
+            rays = np.array([[*u, 1.0] for _, u, _ in seen])
+            rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+            rays = np.einsum("nij,nj->ni", gTc[:, :3, :3], rays)
+            place = triangulated(gTc[:, :3, 3], rays, self._sigma)
+            if place is None:
+                return
+            values.insert(key, place)
         self._variables.add(track)
         del self._waiting[track]
-        if not holds(key):
-            values.insert(key, point)
-        range_m = float(np.linalg.norm(point - gTc[-1, :3, 3]))
+        range_m = float(np.linalg.norm(place - gTc[-1, :3, 3]))
         prior = gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SHARE * range_m)
-        graph.push_back(gtsam.PriorFactorPoint3(key, point, prior))
+        graph.push_back(gtsam.PriorFactorPoint3(key, place, prior))
         for n, u, _ in seen:
             graph.push_back(self._factor(n, key, u))
 

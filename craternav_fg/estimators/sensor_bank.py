@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.measurement_weighting import noise_inflation
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.sensors.protocol import Linearisation, Sensor, SensorState
@@ -23,6 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # Largest number of biases of a sensor: GTSAM's thresholds go by the letter of a key, each of one length.
 MOST_BIASES = 9
+# Sigmas of its innovation beyond which a sample is dropped.
+GATE_SIGMAS = 10.0
 LOSSES = {"none": robust.NONE, "huber": robust.HUBER, "cauchy": robust.CAUCHY}
 
 
@@ -97,11 +100,15 @@ class SensorBank:
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         self._samples: dict[int, list[Sample]] = {}
         self.sigmas = np.concatenate([np.empty(0), *(sensor.bias_sigmas for sensor in sensors)])
+        # Where each sensor's biases are among all, and their key in a graph.
+        self.biases: list[tuple[slice, int]] = []
         begin = 0
         for number, sensor in enumerate(sensors):
             part = slice(begin, begin + len(sensor.bias_sigmas))
             begin = part.stop
             key = bias_key(number, part.stop - part.start)
+            if key is not None:
+                self.biases.append((part, key))
             for row, stamp in enumerate(sensor.stamps_ns.tolist()):
                 self._samples.setdefault(stamp, []).append(Sample(sensor, row, part, key))
 
@@ -140,8 +147,12 @@ def add_sensors(
     number: int,
     stamp_ns: int,
     holds: Callable[[int], bool] | None = None,
+    weights: Sequence[float] | None = None,
 ) -> None:
     """Add the factors of sensors at a state; their biases become variables at their first sample.
+
+    The weight of a robust loss follows the linearisation point, which iSAM2 holds while an estimate moves by
+    many sigmas of a precise sensor. So the online smoother gives weights of its own, from the innovations.
 
     Parameters
     ----------
@@ -156,8 +167,13 @@ def add_sensors(
     stamp_ns : int
     holds : callable, optional
         Whether the solver has a variable already.
+    weights : sequence of float, optional
+        Of the samples, in place of their sensors' robust losses; a sample of weight 0 is left out.
     """
-    for sample in samples:
+    for number_of, sample in enumerate(samples):
+        root = 1.0 if weights is None else float(np.sqrt(weights[number_of]))
+        if root == 0.0:
+            continue
         sensor, settings = sample.sensor, sample.sensor.settings
         key = sample.key
         if key is not None and not values.exists(key) and not (holds is not None and holds(key)):
@@ -166,14 +182,19 @@ def add_sensors(
             graph.push_back(gtsam.PriorFactorVector(key, zero, gtsam.noiseModel.Unit.Create(len(zero))))
 
         def measure(
-            gTb: FloatArray, gV: FloatArray, rate: FloatArray, z: FloatArray, sample: Sample = sample
+            gTb: FloatArray,
+            gV: FloatArray,
+            rate: FloatArray,
+            z: FloatArray,
+            sample: Sample = sample,
+            root: float = root,
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
             sigmas = sample.sensor.bias_sigmas
             state = SensorState(stamp_ns, gTb, gV, rate)
             found = sample.sensor.linearise(sample.row, state, sigmas * z)
-            return found.error, found.jacobian, found.bias_jacobian * sigmas
+            return root * found.error, root * found.jacobian, root * found.bias_jacobian * sigmas
 
-        loss = Loss(LOSSES[settings.loss], settings.loss_sigmas)
+        loss = Loss() if weights is not None else Loss(LOSSES[settings.loss], settings.loss_sigmas)
         gyro = gyro_at(descent, stamp_ns)
         keys = (int(X(number)), int(V(number)), int(B(number)))
         graph.push_back(state_measurement_factor(keys, gyro, sensor.rows, measure, key, loss))
@@ -223,3 +244,52 @@ def linearise_sample(
     A[:, ATTITUDE] = A[:, ATTITUDE] @ right_jacobian(delta[ATTITUDE])
     A[:, SIZE + sample.bias.start : SIZE + sample.bias.stop] = found.bias_jacobian
     return A, -found.error + A @ delta
+
+
+def innovation_weight(
+    sample: Sample, A: FloatArray, residual: FloatArray, covariance: FloatArray, gate_sigmas: float
+) -> float:
+    """Weight of a sample by its innovation: 1 up to its sensor's limit, 0 beyond the gate.
+
+    Parameters
+    ----------
+    sample : Sample
+    A : ndarray, shape (m, 18 + b)
+        Whitened derivatives at the prediction, see `linearise_sample`.
+    residual : ndarray, shape (m,)
+        Whitened, measured less predicted.
+    covariance : ndarray, shape (18 + b, 18 + b)
+        Of the prediction, in the units of the error state.
+    gate_sigmas : float
+
+    Returns
+    -------
+    float
+        Factor on the sample's information.
+    """
+    settings = sample.sensor.settings
+    if settings.loss == "none":
+        return 1.0
+    sigmas, factors = noise_inflation(A[None], residual[None], covariance, settings.loss_sigmas)
+    return 0.0 if sigmas[0] > gate_sigmas else 1.0 / float(factors[0])
+
+
+def innovation_weights(samples: Sequence[Sample], predicted: FilterState, stamp_ns: int) -> list[float]:
+    """Weights of samples at a predicted state.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+    predicted : FilterState
+        With the biases of all sensors.
+    stamp_ns : int
+
+    Returns
+    -------
+    list of float
+    """
+    P, zero = predicted.covariance, np.zeros(len(predicted.covariance))
+    return [
+        innovation_weight(one, *linearise_sample(one, predicted, zero, stamp_ns), P, GATE_SIGMAS)
+        for one in samples
+    ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gtsam
@@ -226,6 +227,49 @@ def test_a_tree_that_grew_hands_on_what_it_knows(
     every, new = (session.smoothed_values() for session in (whole, handed_on))
     assert sorted(every.keys()) == sorted(new.keys())
     assert not handed_on._solver.tree.valueExists(X(0))
+
+
+def with_other_sensors(folder: Path, sensors: dict[str, Any]) -> Problem:
+    """Give a descent of 40 s with further sensors."""
+    return problem(folder, scenario(duration_s=40.0, sensors=sensors), 0)[0]
+
+
+def test_a_tree_that_grew_hands_on_the_biases_of_sensors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bias of a kilometre that the rims have told to a few metres is not asked for again."""
+    p = with_other_sensors(tmp_path, {"altimeter": {"rate_hz": 0.5, "bias_sigma_m": 500.0}})
+    whole = OnlineSmoother().run(p).filtered()
+    monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 45)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP_VARIABLES", 15)
+    session = OnlineSmoother().run(p)
+    assert session._solver.trees > 2
+    handed_on = session.filtered()
+    assert whole.pose_covariance is not None
+    assert handed_on.pose_covariance is not None
+    W = np.linalg.inv(np.linalg.cholesky(whole.pose_covariance[-1]))
+    assert_allclose(W @ handed_on.pose_covariance[-1] @ W.T, np.eye(6), atol=0.02)
+    sigma = np.sqrt(np.einsum("nii->ni", whole.pose_covariance)[:, 3:])
+    assert (np.abs(handed_on.gP - whole.gP) < 0.1 * sigma).all()
+
+
+def test_a_tree_that_grew_goes_on_with_tracked_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p = with_other_sensors(tmp_path, {"features": {"simulation": {"count": 30, "loss_share": 0.2}}})
+    whole = OnlineSmoother().run(p)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.MAX_VARIABLES", 60)
+    monkeypatch.setattr("craternav_fg.estimators.incremental.OVERLAP_VARIABLES", 24)
+    handed_on = OnlineSmoother().run(p)
+    assert handed_on._solver.trees > 2
+    points = [
+        [key for key in session._solver.tree.getLinearizationPoint().keys() if key >> 56 == ord("l")]  # noqa: SIM118
+        for session in (whole, handed_on)
+    ]
+    assert 0 < len(points[1]) < 0.7 * len(points[0])
+    sigmas = [np.sqrt(np.diag(session.state.covariance)[3:6]) for session in (whole, handed_on)]
+    assert (sigmas[1] < 1.2 * sigmas[0]).all()
+    assert (np.abs(handed_on.state.gTb[:3, 3] - whole.state.gTb[:3, 3]) < sigmas[0]).all()
 
 
 def test_a_lag_beyond_the_descent_is_the_online_smoother(trials: list[tuple[Problem, Trajectory]]) -> None:

@@ -22,7 +22,7 @@ from craternav_fg.estimators.linearisation import (
     linearise_sun,
 )
 from craternav_fg.estimators.measurement_weighting import noise_inflation, with_predicted_covariances
-from craternav_fg.estimators.sensor_bank import Sample, SensorBank, linearise_sample
+from craternav_fg.estimators.sensor_bank import SensorBank, innovation_weight, linearise_sample
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
@@ -180,7 +180,7 @@ class DistributedEkf:
         if options.noise == "measured":
             rims = with_predicted_covariances(frame, prior.gTb, problem.camera, problem.catalog).rims
         factors: FloatArray | None = None
-        trust: list[float] = []
+        weights: list[float] = []
         for _ in range(options.iterations):
             point = prior if not delta.any() else prior.corrected(delta, covariance)
             A, residual, usable = linearise_rims(
@@ -213,27 +213,22 @@ class DistributedEkf:
                 updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
             if samples:
                 rows = [linearise_sample(one, point, delta, frame.stamp_ns) for one in samples]
-                if not trust:
-                    trust = [self._trust(s, *row, prior) for s, row in zip(samples, rows, strict=True)]
+                if not weights:
+                    gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
+                    weights = [
+                        innovation_weight(one, *row, prior.covariance, gate)
+                        for one, row in zip(samples, rows, strict=True)
+                    ]
                 updates = [_widened(update, len(delta)) for update in updates]
                 updates += [
-                    LinearMeasurement(root * A, root * residual)
-                    for root, (A, residual) in zip(trust, rows, strict=True)
-                    if root > 0.0
+                    LinearMeasurement(np.sqrt(weight) * A, np.sqrt(weight) * residual)
+                    for weight, (A, residual) in zip(weights, rows, strict=True)
+                    if weight > 0.0
                 ]
             if not updates:
                 return point
             delta, covariance = fuse_updates(prior.covariance, updates, rule)
         return prior.corrected(delta, covariance)
-
-    def _trust(self, sample: Sample, A: FloatArray, residual: FloatArray, prior: FilterState) -> float:
-        """Give the root of a sample's weight: 1 inside its sensor's limit, 0 beyond the gate."""
-        if sample.sensor.settings.loss == "none":
-            return 1.0
-        limit = sample.sensor.settings.loss_sigmas
-        sigmas, factors = noise_inflation(A[None], residual[None], prior.covariance, limit)
-        gate = np.inf if self.options.gate_sigmas is None else self.options.gate_sigmas
-        return 0.0 if sigmas[0] > gate else float(factors[0]) ** -0.5
 
     def _weights(
         self,
