@@ -31,6 +31,25 @@ class ImuLog:
     gyro: FloatArray
     accelerometer: FloatArray
 
+    @classmethod
+    def constant(cls, begin_ns: int, end_ns: int, rate_rad_s: tuple[float, float, float]) -> "ImuLog":
+        """Make the log of a lander without an IMU: a constant angular velocity, and no force.
+
+        Parameters
+        ----------
+        begin_ns, end_ns : int
+            What it covers.
+        rate_rad_s : tuple of float
+            Angular velocity in b.
+
+        Returns
+        -------
+        ImuLog
+        """
+        half_ns = max((end_ns - begin_ns + 1) // 2, 1)
+        stamps = np.array([begin_ns + half_ns, begin_ns + 2 * half_ns], dtype=np.int64)
+        return cls(stamps, np.array([rate_rad_s, rate_rad_s], dtype=np.float64), np.zeros((2, 3)))
+
     def between(self, begin_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Cut the log to an interval. A row that extends beyond an end counts for its part inside.
 

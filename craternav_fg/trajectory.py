@@ -27,7 +27,10 @@ class InitialState:
     angular_velocity_sigma_rad_s : float
         Standard deviation per axis of the angular velocity, whose mean is the gyro's first measurement.
     gyro_bias_sigma_rad_s, accelerometer_bias_sigma_m_s2 : float
-        Standard deviations per axis of the turn-on biases, whose mean is zero.
+        Standard deviations per axis of the turn-on biases, whose mean is zero. Without an IMU those of the
+        angular velocity and of the acceleration that the motion model lacks.
+    angular_velocity_rad_s : tuple of float or None
+        Mean of the angular velocity in b, where there is no gyro; None for that of the motion model.
     """
 
     stamp_ns: int
@@ -39,6 +42,7 @@ class InitialState:
     angular_velocity_sigma_rad_s: float
     gyro_bias_sigma_rad_s: float
     accelerometer_bias_sigma_m_s2: float
+    angular_velocity_rad_s: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

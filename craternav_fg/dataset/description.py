@@ -1,4 +1,4 @@
-"""The file dataset.toml: format version, body, initial state."""
+"""The file dataset.toml: format version, body, initial state, motion model."""
 
 import tomllib
 from pathlib import Path
@@ -13,6 +13,8 @@ from craternav_fg.body import Body
 from craternav_fg.config import BodySection, Positive, Section, Vector, line_of, load_toml, read_text
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
+from craternav_fg.motion.model import Motion
+from craternav_fg.motion.settings import MotionSection, motion_table
 from craternav_fg.trajectory import InitialState
 
 # Largest deviation of a quaternion's length from 1, from numbers of seven digits.
@@ -32,11 +34,13 @@ class _Initial(Section):
     angular_velocity_sigma_rad_s: Positive
     gyro_bias_sigma_rad_s: Positive
     accelerometer_bias_sigma_m_s2: Positive
+    angular_velocity_rad_s: Vector | None = None
 
 
 class _Description(Section):
     format_version: int
     body: BodySection
+    motion: MotionSection | None = None
     initial: _Initial | None = None
 
 
@@ -82,16 +86,39 @@ def read_description(path: Path) -> tuple[Body, InitialState | None]:
         angular_velocity_sigma_rad_s=initial.angular_velocity_sigma_rad_s,
         gyro_bias_sigma_rad_s=initial.gyro_bias_sigma_rad_s,
         accelerometer_bias_sigma_m_s2=initial.accelerometer_bias_sigma_m_s2,
+        angular_velocity_rad_s=initial.angular_velocity_rad_s,
     )
 
 
-def description_toml(body: Body, initial: InitialState | None) -> str:
+def read_motion(path: Path) -> Motion | None:
+    """Read the motion model of dataset.toml; None without the table `motion`.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Motion or None
+
+    Raises
+    ------
+    InputError
+        When the file, or that of the gravity field beside it, is missing or wrong.
+    """
+    model = load_toml(path, _Description)
+    return None if model.motion is None else model.motion.motion(model.body.body(), path.parent)
+
+
+def description_toml(body: Body, initial: InitialState | None, motion: Motion | None = None) -> str:
     """Compose the text of dataset.toml.
 
     Parameters
     ----------
     body : Body
     initial : InitialState or None
+    motion : Motion, optional
+        A gravity field that is more than a point mass is named `layout.GRAVITY`.
 
     Returns
     -------
@@ -106,6 +133,9 @@ def description_toml(body: Body, initial: InitialState | None) -> str:
         f"mu_m3_s2 = {float(body.mu_m3_s2)!r}",
         f"spin_rad_s = {_list(body.spin_rad_s)}",
     ]
+    if motion is not None:
+        table = motion_table(motion, layout.GRAVITY)
+        lines += ["", tomli_w.dumps({"motion": table}).strip()]
     if initial is None:
         return "\n".join(lines) + "\n"
     q = frames.to_quaternion_wxyz(initial.gTb[:3, :3])
@@ -126,6 +156,8 @@ def description_toml(body: Body, initial: InitialState | None) -> str:
         "accelerometer_bias_sigma_m_s2",
     ):
         lines.append(f"{key} = {float(getattr(initial, key))!r}")
+    if initial.angular_velocity_rad_s is not None:
+        lines.append(f"angular_velocity_rad_s = {_list(initial.angular_velocity_rad_s)}")
     return "\n".join(lines) + "\n"
 
 

@@ -28,6 +28,19 @@ is known: the images must then show craters that can be identified::
     gyro_bias_sigma_rad_s = 4.8e-06
     accelerometer_bias_sigma_m_s2 = 0.00294
 
+The table [motion] says how the lander moves where there is no IMU, or no use of its accelerometer: `coast`,
+`white_acceleration` or `white_jerk`, see `craternav_fg.motion.settings`. The angular velocity is that of the
+gyro, or without an IMU random-walks from a prior. [initial] may then have angular_velocity_rad_s, its mean::
+
+    [motion]
+    model = "coast"
+    acceleration_density = 1e-05             # m/s^2/sqrt(Hz), of what the gravity field lacks
+    j2 = 0.0                                 # unnormalised; or gravity_field = "gravity.tab" (SHADR)
+    c22 = 0.0
+    rate_rad_s = [0.0, 0.0, 0.0]             # in b, inertial
+    rate_sigma_rad_s = 0.01
+    rate_walk = 1e-05                        # rad/s^2/sqrt(Hz)
+
 `craters.csv`: the catalogue, with the names of Robbins (2018), deg (longitude to the east, angle of the
 major axis from local east towards north) and km (diameters). RIM_HEIGHT_M, of the rim above the sphere,
 may be left out and is then 0. BODY and BODY_RADIUS_M, the same in all rows, may be there and must agree with
@@ -69,7 +82,8 @@ of 16 when bit_depth is more than 8, the lowest bits used::
     0,0.png
     4000000000,4000000000.png
 
-`mav0/imu0/sensor.yaml`: the IMU at the origin of b, continuous-time densities in SI units::
+`mav0/imu0/sensor.yaml`: the IMU at the origin of b, continuous-time densities in SI units. The folder may be
+missing when dataset.toml has a table [motion]::
 
     sensor_type: imu
     T_BS:
@@ -120,6 +134,7 @@ DESCRIPTION = "dataset.toml"
 CRATERS = "craters.csv"
 LARGE_CRATERS = "craters.parquet"
 SUN = "sun.csv"
+GRAVITY = "gravity.tab"
 RIMS = "rims.parquet"
 ARCS = "arcs.parquet"
 TILTS = "sun_tilts.csv"
@@ -133,7 +148,7 @@ TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 # Folder of the sensors, and those in it that every data set may have.
 SENSORS = "mav0"
 OWN_SENSORS = ("cam0", "imu0", "features0", "state_groundtruth_estimate0")
-CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, RIMS, ARCS, TILTS, SENSORS)
+CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, GRAVITY, RIMS, ARCS, TILTS, SENSORS)
 
 STAMP = "timestamp"
 _STAMP_NS = Column(STAMP, "integer", "ns")

@@ -12,7 +12,7 @@ from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
-from craternav_fg.dataset.description import read_description
+from craternav_fg.dataset.description import read_description, read_motion
 from craternav_fg.dataset.images import ImageArray, check_image, read_image
 from craternav_fg.dataset.measurements import read_measurements
 from craternav_fg.dataset.recording import Recording
@@ -80,7 +80,9 @@ class Dataset(Recording):
             raise InputError(folder, "expected a data set's folder")
         body, initial = read_description(folder / layout.DESCRIPTION)
         camera = read_camera(folder / layout.CAMERA_SENSOR)
-        imu_noise = read_imu_noise(folder / layout.IMU_SENSOR)
+        motion = read_motion(folder / layout.DESCRIPTION)
+        has_imu = _has_imu(folder, motion is not None)
+        imu_noise = read_imu_noise(folder / layout.IMU_SENSOR) if has_imu else None
         catalog = read_catalog(_catalog_path(folder), body)
         stamps, names = _read_frames(folder / layout.CAMERA_DATA)
         if initial is not None and initial.stamp_ns != stamps[0]:
@@ -90,7 +92,7 @@ class Dataset(Recording):
                 column="initial.stamp_ns",
             )
         sun = _read_sun(folder / layout.SUN, stamps)
-        imu = _read_imu(folder / layout.IMU_DATA, stamps)
+        imu = _read_imu(folder / layout.IMU_DATA, stamps) if has_imu else None
         truth = _read_truth(folder / layout.TRUTH, stamps)
         measurements = None
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
@@ -117,6 +119,7 @@ class Dataset(Recording):
             sensors=logs,
             ignored=ignored,
             features=read_features(folder, camera, stamps),
+            motion=motion,
         )
 
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
@@ -174,6 +177,19 @@ def _read_sensors(
         elif here.name not in layout.OWN_SENSORS:
             ignored.append(here.name)
     return tuple(found), tuple(ignored)
+
+
+def _has_imu(folder: Path, has_motion: bool) -> bool:
+    """Whether a data set has an IMU; without one, a motion model must stand in for it."""
+    if (folder / layout.IMU_SENSOR).parent.is_dir():
+        return True
+    if not has_motion:
+        raise InputError(
+            folder / layout.DESCRIPTION,
+            f"expected a table [motion], as there is no {Path(layout.IMU_SENSOR).parent}, found none",
+            column="motion",
+        )
+    return False
 
 
 def _catalog_path(folder: Path) -> Path:

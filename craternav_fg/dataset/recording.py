@@ -11,6 +11,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.motion.model import Motion
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -28,8 +29,10 @@ class Recording:
     camera : Camera
     catalog : Catalog
         Of the craters on the body.
-    imu : ImuLog
-    imu_noise : ImuNoise
+    imu : ImuLog or None
+        None when there is none; `motion` is then given.
+    imu_noise : ImuNoise or None
+        None without an IMU.
     initial : InitialState or None
         State at the stamp of the first frame; None when nothing is known before the first image.
     sun : SunVectors
@@ -44,13 +47,15 @@ class Recording:
         Logs of the sensors beside camera and IMU.
     features : FeatureTracks or None
         Points tracked from frame to frame.
+    motion : Motion or None
+        Motion model in place of the accelerometer; None when the IMU tells the motion.
     """
 
     body: Body
     camera: Camera
     catalog: Catalog
-    imu: ImuLog
-    imu_noise: ImuNoise
+    imu: ImuLog | None
+    imu_noise: ImuNoise | None
     initial: InitialState | None
     sun: SunVectors
     stamps_ns: IntArray
@@ -58,6 +63,7 @@ class Recording:
     measurements: tuple[FrameMeasurement, ...] | None = None
     sensors: tuple[Sensor, ...] = ()
     features: FeatureTracks | None = None
+    motion: Motion | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

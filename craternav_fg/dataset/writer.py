@@ -1,6 +1,6 @@
 """Writing of a data set, whole or not at all."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from craternav_fg.dataset.measurements import write_measurements
 from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml
 from craternav_fg.files import replacing_folder
+from craternav_fg.motion.gravity import gravity_text
 from craternav_fg.sensors.files import write_sensor
 from craternav_fg.sensors.point_features import write_features
 from craternav_fg.tables import write_table
@@ -26,7 +27,12 @@ IntArray = npt.NDArray[np.int64]
 _MAX_CSV_CRATERS = 100_000
 
 
-def write_dataset(folder: Path, recording: Recording, images: Iterable[ImageArray] | None = None) -> Path:
+def write_dataset(
+    folder: Path,
+    recording: Recording,
+    images: Iterable[ImageArray] | None = None,
+    names: Sequence[str] | None = None,
+) -> Path:
     """Write a data set that `Dataset.open` reads; numbers read back exactly.
 
     Parameters
@@ -37,6 +43,8 @@ def write_dataset(folder: Path, recording: Recording, images: Iterable[ImageArra
         Its `measurements` take the place of images.
     images : iterable of ndarray of uint8 or, above 8 bits, uint16, shape (height, width), optional
         Images of the frames, read one at a time.
+    names : sequence of str, optional
+        Names of their files, which end in .png; the stamps by default.
 
     Returns
     -------
@@ -54,13 +62,13 @@ def write_dataset(folder: Path, recording: Recording, images: Iterable[ImageArra
         raise ValueError("give either images or measurements")
     stamps = recording.stamps_ns
     with replacing_folder(folder, marker=layout.DESCRIPTION, ours=layout.CONTENTS) as temporary:
-        for name in (layout.IMAGES, layout.IMU_DATA):
+        for name in (layout.IMAGES, *([] if recording.imu is None else [layout.IMU_DATA])):
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
         if recording.measurements is not None:
             if len(recording.measurements) != len(stamps):
                 raise ValueError(f"{len(recording.measurements)} measurements for {len(stamps)} stamps")
             write_measurements(temporary, recording.measurements, recording.catalog)
-        names = [f"{stamp}.png" for stamp in stamps]
+        names = [f"{stamp}.png" for stamp in stamps] if names is None else list(names)
         if images is not None:
             (temporary / layout.IMAGES).mkdir()
             for name, image in zip(names, images, strict=True):
@@ -72,17 +80,21 @@ def write_dataset(folder: Path, recording: Recording, images: Iterable[ImageArra
         _write_logs(temporary, recording)
         if recording.truth is not None:
             _write_truth(temporary, recording.truth)
-        description = description_toml(recording.body, recording.initial)
+        description = description_toml(recording.body, recording.initial, recording.motion)
         (temporary / layout.DESCRIPTION).write_text(description, encoding="utf-8")
     return folder
 
 
 def _write_logs(folder: Path, recording: Recording) -> None:
     """Write IMU, sun and further sensors."""
-    imu, sun = recording.imu, recording.sun
-    (folder / layout.IMU_SENSOR).write_text(imu_yaml(recording.imu_noise, _rate_hz(imu.stamps_ns)))
-    rows = [imu.stamps_ns, *imu.gyro.T, *imu.accelerometer.T]
-    write_table(folder / layout.IMU_DATA, layout.IMU_COLUMNS, rows, comment=True)
+    imu, noise, sun, motion = recording.imu, recording.imu_noise, recording.sun, recording.motion
+    if imu is not None and noise is not None:
+        (folder / layout.IMU_SENSOR).write_text(imu_yaml(noise, _rate_hz(imu.stamps_ns)))
+        rows = [imu.stamps_ns, *imu.gyro.T, *imu.accelerometer.T]
+        write_table(folder / layout.IMU_DATA, layout.IMU_COLUMNS, rows, comment=True)
+    if motion is not None and len(motion.gravity.C) > 1:
+        text = gravity_text(motion.gravity, recording.body.mu_m3_s2)
+        (folder / layout.GRAVITY).write_text(text, encoding="ascii")
     write_table(folder / layout.SUN, layout.SUN_COLUMNS, [sun.stamps_ns, *sun.vectors.T], comment=True)
     for sensor in recording.sensors:
         write_sensor(folder, sensor)

@@ -1,7 +1,7 @@
 """The interface of all estimators: the problem they are given, and what they return."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.motion.model import Motion
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -50,13 +51,17 @@ class Descent:
     camera : Camera
     catalog : Catalog
     imu : ImuLog
+        Without an IMU, of the motion model's constant angular velocity.
     imu_noise : ImuNoise
+        With a motion model, its process noise in place of the accelerometer's.
     initial : InitialState
         The prior, before the first frame.
     sensors : tuple of Sensor
         Other than camera and IMU.
     features : FeatureTracks or None
         Points tracked from frame to frame.
+    motion : Motion or None
+        Model that is used in place of the accelerometer.
     """
 
     body: Body
@@ -67,6 +72,7 @@ class Descent:
     initial: InitialState
     sensors: tuple[Sensor, ...] = field(default=(), kw_only=True)
     features: FeatureTracks | None = field(default=None, kw_only=True)
+    motion: Motion | None = field(default=None, kw_only=True)
 
     @staticmethod
     def of(dataset: Dataset, initial: InitialState | None = None) -> "Descent":
@@ -90,10 +96,25 @@ class Descent:
         known = initial or dataset.initial
         if known is None:
             raise EstimationError("expected an initial state: the data set has none")
+        imu, noise = _log(dataset, known)
         return Descent(
-            dataset.body, dataset.camera, dataset.catalog, dataset.imu, dataset.imu_noise, known,
-            sensors=dataset.sensors, features=dataset.features,
+            dataset.body, dataset.camera, dataset.catalog, imu, noise, known,
+            sensors=dataset.sensors, features=dataset.features, motion=dataset.motion,
         )  # fmt: skip
+
+
+def _log(dataset: Dataset, initial: InitialState) -> tuple[ImuLog, ImuNoise]:
+    """Log and noise of the IMU; those of the motion model where it stands in for a part of it."""
+    imu, noise, motion = dataset.imu, dataset.imu_noise, dataset.motion
+    if motion is None:
+        if imu is None or noise is None:
+            raise EstimationError("expected an IMU or a motion model: the data set has neither")
+        return imu, noise
+    free = motion.noise
+    if imu is None or noise is None:
+        rate = initial.angular_velocity_rad_s or motion.rate_rad_s
+        return ImuLog.constant(int(dataset.stamps_ns[0]), int(dataset.stamps_ns[-1]), rate), free
+    return imu, replace(free, gyro_density=noise.gyro_density, gyro_walk=noise.gyro_walk)
 
 
 @dataclass(frozen=True)

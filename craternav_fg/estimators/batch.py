@@ -27,10 +27,12 @@ from craternav_fg.estimators.graph import (
     bias_covariance_ours,
     bias_vector,
     push_interval,
+    state_at,
     state_stamps,
 )
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
 from craternav_fg.estimators.point_features import FeatureStates
@@ -102,7 +104,8 @@ class BatchSmoother:
         found = []
         with suppress(EstimationError, np.linalg.LinAlgError):
             states = ekf().states(problem)[problem.start.frame :]
-            guess, state_indices = initial_values(problem, problem.start, states, self.options.keyframe_s)
+            longest_s = longest_interval_s(problem, self.options)
+            guess, state_indices = initial_values(problem, problem.start, states, longest_s)
             found.append(self._optimum(problem, guess, state_indices))
             if self.options.rims == "centre" or not _suspect(*found[0]):
                 return trajectory(problem, self.options, *found[0], state_indices)
@@ -194,7 +197,8 @@ def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values)
     stamp_ns = problem.frames[0].stamp_ns
     for frame in problem.frames:
         if frame.stamp_ns > stamp_ns:
-            index += len(state_stamps(stamp_ns, frame.stamp_ns, options.keyframe_s))
+            longest_s = longest_interval_s(problem, options)
+            index += len(state_stamps(stamp_ns, frame.stamp_ns, longest_s))
             stamp_ns = frame.stamp_ns
         rows = frame.rims.craters
         centres, axes = problem.catalog.centres[rows], problem.catalog.axes[rows]
@@ -260,12 +264,15 @@ def build_graph(
 
     add_image(0, problem.frames[0])
     index, of_frames = 0, [0]
+    longest_s = longest_interval_s(problem, options)
     for before, frame in itertools.pairwise(problem.frames):
-        stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, options.keyframe_s)]
+        stamps = [before.stamp_ns, *state_stamps(before.stamp_ns, frame.stamp_ns, longest_s)]
         for begin_ns, end_ns in itertools.pairwise(stamps):
             ends = [values.atPose3(X(i)).translation() for i in (index, index + 1)]
             midpoint = 0.5 * (ends[0] + ends[1])
-            if intervals:
+            if problem.motion is not None:
+                add_motion(graph, problem, index, int(begin_ns), int(end_ns), state_at(values, index))
+            elif intervals:
                 push_interval(graph, intervals[index].with_gravity_at(problem.body, midpoint))
             else:
                 bias = bias_vector(values.atConstantBias(B(index)))

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.motion.model import Motion
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
 from factors.kernels.strapdown import (
@@ -216,6 +217,8 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
         When the IMU log does not cover the interval.
     """
     rows = descent.imu.between(begin_ns, end_ns)
+    if descent.motion is not None:
+        return _moved(state, descent, descent.motion, rows[:2])
     body = descent.body.mu_m3_s2, np.array(descent.body.spin_rad_s)
     densities = descent.imu_noise.densities
     core = np.ascontiguousarray(state.covariance[:SIZE, :SIZE])
@@ -232,6 +235,26 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
         whole[:SIZE, SIZE:], whole[SIZE:, :SIZE] = cross, cross.T
         covariance = whole
     return FilterState(gTb, gV, rate, state.bias, covariance, state.sensor_bias)
+
+
+def _moved(
+    state: FilterState, descent: Descent, motion: Motion, rows: tuple[FloatArray, FloatArray]
+) -> FilterState:
+    """Propagate a state by a motion model; the angular velocity is that of the last row less the bias."""
+    of = state.gTb, state.gV, state.bias
+    gTb, gV, F, Q = motion.transition(descent.body, of, rows, descent.imu_noise)
+    whole = np.eye(len(state.covariance))
+    kept = strapdown.WITHOUT_RATE
+    whole[np.ix_(kept, kept)] = F
+    whole[RATE] = -whole[GYRO_BIAS]
+    covariance = whole @ state.covariance @ whole.T
+    added = np.zeros_like(covariance)
+    added[np.ix_(kept, kept)] = Q
+    added[RATE], added[:, RATE] = -added[GYRO_BIAS], -added[:, GYRO_BIAS]
+    added[RATE, RATE] = added[GYRO_BIAS, GYRO_BIAS]
+    covariance = covariance + added
+    rate = rows[1][-1] - state.bias[:3]
+    return FilterState(gTb, gV, rate, state.bias, 0.5 * (covariance + covariance.T), state.sensor_bias)
 
 
 def trajectory(stamps_ns: Sequence[int], states: Sequence[FilterState]) -> Trajectory:

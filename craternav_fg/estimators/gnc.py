@@ -23,6 +23,7 @@ from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.linearisation import linearise_arcs
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.motion import longest_interval_s
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.rematch import NO_CRATER, rematched
@@ -130,7 +131,8 @@ class GncSmoother:
         """
         options = self.options.graph
         track = robust_track(problem, self._limit2(RESIDUAL_SIZE["chart"]), options)
-        values, numbers = initial_values(problem, track.start, track.states, options.keyframe_s)
+        longest_s = longest_interval_s(problem, options)
+        values, numbers = initial_values(problem, track.start, track.states, longest_s)
         decided = self._decide(problem, track, values, numbers)
         frames, craters = [], []
         predicted = [track.states[0]] * track.start.frame + track.states

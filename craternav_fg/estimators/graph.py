@@ -304,6 +304,28 @@ def insert_state(values: gtsam.Values, index: int, state: gtsam.NavState, bias: 
     values.insert(B(index), gtsam.imuBias.ConstantBias(bias[3:], bias[:3]))
 
 
+def state_at(values: gtsam.Values, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Read a state.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    index : int
+        Of the state.
+
+    Returns
+    -------
+    gTb : ndarray, shape (4, 4)
+        In g, m.
+    gV : ndarray, shape (3,)
+        In g, m/s.
+    bias : ndarray, shape (6,)
+        Gyro (rad/s), then accelerometer (m/s^2), in b.
+    """
+    bias = bias_vector(values.atConstantBias(B(index)))
+    return values.atPose3(X(index)).matrix(), values.atVector(V(index)), bias
+
+
 def bias_vector(bias: gtsam.imuBias.ConstantBias) -> FloatArray:
     """Give a bias in our order, which is not GTSAM's.
 

@@ -13,7 +13,7 @@ from craternav_fg.estimators.graph import insert_state, state_stamps
 
 
 def initial_values(
-    problem: Problem, start: Start, states: Sequence[FilterState], keyframe_s: float
+    problem: Problem, start: Start, states: Sequence[FilterState], longest_s: float
 ) -> tuple[gtsam.Values, list[int]]:
     """Give all states of a graph the values of a filter's states.
 
@@ -24,7 +24,7 @@ def initial_values(
         Where the filter began.
     states : sequence of FilterState
         At the start's frame and those after it.
-    keyframe_s : float
+    longest_s : float
         Longest interval between two states.
 
     Returns
@@ -42,7 +42,7 @@ def initial_values(
         state_indices.append(last)
         if k + 1 < len(problem.frames):
             begin_ns = frame.stamp_ns
-            stamps = state_stamps(begin_ns, problem.frames[k + 1].stamp_ns, keyframe_s)
+            stamps = state_stamps(begin_ns, problem.frames[k + 1].stamp_ns, longest_s)
             for end_ns in stamps[:-1]:
                 state = filter_state.propagate(state, problem, begin_ns, int(end_ns))
                 last, begin_ns = last + 1, int(end_ns)

@@ -29,6 +29,7 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovation_weights
 from craternav_fg.measurements import FrameMeasurement
@@ -183,10 +184,15 @@ class OnlineSession:
         graph = FactorGraph()
         values = gtsam.Values()
         state, last = self.state, self._last
-        for end_ns in state_stamps(begin_ns, frame.stamp_ns, self._options.keyframe_s):
+        longest_s = longest_interval_s(self._descent, self._options)
+        for end_ns in state_stamps(begin_ns, frame.stamp_ns, longest_s):
             ahead = filter_state.propagate(state, self._descent, begin_ns, int(end_ns))
-            midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
-            add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias)
+            if self._descent.motion is not None:
+                here = state.gTb, state.gV, state.bias
+                add_motion(graph, self._descent, last, begin_ns, int(end_ns), here)
+            else:
+                midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
+                add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias)
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)

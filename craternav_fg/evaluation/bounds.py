@@ -17,6 +17,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.correlated_errors import ERROR_SIZE, VARIANCE_INFLATION, RimErrorOptions
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.motion import transition
 from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
 from craternav_fg.linalg import square_root, whitening
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
@@ -288,16 +289,8 @@ def _transition(
     descent: Descent, truth: Trajectory, k: int, sigmas: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Transition (15, 15) from frame k to the next, and the IMU noise (15, 15) that it adds."""
-    rows = descent.imu.between(int(truth.stamps_ns[k]), int(truth.stamps_ns[k + 1]))
-    F, Q = strapdown.transition(
-        truth.gTb[k],
-        truth.gV[k],
-        truth.bias[k],
-        *rows,
-        descent.body.mu_m3_s2,
-        np.array(descent.body.spin_rad_s),
-        descent.imu_noise.densities,
-    )
+    state = truth.gTb[k], truth.gV[k], truth.bias[k]
+    F, Q = transition(descent, state, int(truth.stamps_ns[k]), int(truth.stamps_ns[k + 1]))
     return F * sigmas / sigmas[:, None], Q / np.outer(sigmas, sigmas)
 
 

@@ -92,6 +92,7 @@ def read_gravity(path: Path, degree: int = MAX_DEGREE) -> GravityField:
     top = min(degree, MAX_DEGREE)
     C, S = np.zeros((top + 1, top + 1)), np.zeros((top + 1, top + 1))
     C[0, 0] = 1.0
+    found = 0
     for number, cells in rows[1:]:
         n, m, c, s = _numbers(path, number, cells, _COLUMNS)
         if not (n.is_integer() and m.is_integer() and 0 <= m <= n):
@@ -99,7 +100,31 @@ def read_gravity(path: Path, degree: int = MAX_DEGREE) -> GravityField:
         if 1 <= n <= top:
             scale = _normalisation(int(n), int(m))
             C[int(n), int(m)], S[int(n), int(m)] = scale * c, scale * s
-    return GravityField(1e3 * radius_km, C, S)
+            found = max(found, int(n))
+    kept = slice(found + 1)
+    return GravityField(1e3 * radius_km, C[kept, kept].copy(), S[kept, kept].copy())
+
+
+def gravity_text(gravity: GravityField, mu_m3_s2: float) -> str:
+    """Compose the table of a field, as `read_gravity` reads it.
+
+    Parameters
+    ----------
+    gravity : GravityField
+    mu_m3_s2 : float
+        For the reader of the file; not read back.
+
+    Returns
+    -------
+    str
+    """
+    top = len(gravity.C) - 1
+    lines = [f"{1e-3 * gravity.radius_m!r}, {1e-9 * mu_m3_s2!r}, 0.0, {top}, {top}, 1, 0.0, 0.0"]
+    for n in range(2, top + 1):
+        for m in range(n + 1):
+            c, s = (float(part[n, m]) / _normalisation(n, m) for part in (gravity.C, gravity.S))
+            lines.append(f"{n}, {m}, {c!r}, {s!r}")
+    return "\n".join(lines) + "\n"
 
 
 def _numbers(path: Path, line: int, cells: list[str], count: int) -> list[float]:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
+from craternav_fg.imu import ImuNoise
 from craternav_fg.motion.gravity import GravityField
 from factors.kernels import motion
 
@@ -20,6 +21,8 @@ FloatArray = npt.NDArray[np.float64]
 # Random walk, m/s^3/sqrt(Hz), of an accelerometer bias that a model does not use: it only keeps the
 # covariance regular.
 UNUSED_WALK = 1e-6
+# Density, rad/s/sqrt(Hz) or m/s^2/sqrt(Hz), of white noise that there is none of.
+UNUSED_DENSITY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -59,32 +62,21 @@ class Motion:
     gravity: GravityField = field(default_factory=GravityField)
 
     @property
-    def densities(self) -> FloatArray:
-        """Noise without a gyro, (4,): angular velocity, acceleration, rate walk, jerk; SI per sqrt(Hz)."""
-        return np.array([0.0, self.acceleration_density, self.rate_walk, self.jerk_density])
-
-    def densities_with(self, gyro_density: float, gyro_walk: float) -> FloatArray:
-        """Noise with a gyro, shape (4,), as `densities`.
-
-        Parameters
-        ----------
-        gyro_density : float
-            Angular random walk, rad/s/sqrt(Hz).
-        gyro_walk : float
-            Random walk of its bias, rad/s^2/sqrt(Hz).
-
-        Returns
-        -------
-        ndarray, shape (4,)
-        """
-        return np.array([gyro_density, self.acceleration_density, gyro_walk, self.jerk_density])
+    def noise(self) -> ImuNoise:
+        """Process noise without a gyro, as an IMU's: the random walks are of angular velocity and force."""
+        return ImuNoise(
+            gyro_density=UNUSED_DENSITY,
+            accelerometer_density=max(self.acceleration_density, UNUSED_DENSITY),
+            gyro_walk=self.rate_walk,
+            accelerometer_walk=self.jerk_density,
+        )
 
     def transition(
         self,
         body: Body,
         state: tuple[FloatArray, FloatArray, FloatArray],
         rows: tuple[FloatArray, FloatArray],
-        densities: FloatArray,
+        noise: ImuNoise,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Propagate a state.
 
@@ -96,8 +88,8 @@ class Motion:
             accelerometer (m/s^2), in b.
         rows : (ndarray, ndarray)
             Durations (m,), s, and angular velocities (m, 3) in b, rad/s, from which the bias is subtracted.
-        densities : ndarray, shape (4,)
-            From `densities` or `densities_with`.
+        noise : ImuNoise
+            Of the gyro and the process.
 
         Returns
         -------
@@ -115,7 +107,18 @@ class Motion:
         spin = np.array(body.spin_rad_s)
         of = self.gravity
         return motion.transition(
-            self.kind, gTb, gV, bias, dt_s, gyro, body.mu_m3_s2, spin, of.radius_m, of.C, of.S, densities
+            self.kind,
+            gTb,
+            gV,
+            bias,
+            dt_s,
+            gyro,
+            body.mu_m3_s2,
+            spin,
+            of.radius_m,
+            of.C,
+            of.S,
+            noise.densities,
         )
 
     def free(
@@ -143,7 +146,7 @@ class Motion:
             Covariance of the added noise, rad, m, s; without a meaning backwards.
         """
         rows = np.array([seconds]), np.array([self.rate_rad_s])
-        return self.transition(body, state, rows, self.densities)
+        return self.transition(body, state, rows, self.noise)
 
     def interpolate(
         self,

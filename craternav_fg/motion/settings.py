@@ -82,3 +82,30 @@ class WhiteJerkSection(_Rates):
 MotionSection = Annotated[
     CoastSection | WhiteAccelerationSection | WhiteJerkSection, Field(discriminator="model")
 ]
+
+
+def motion_table(motion: Motion, gravity_field: str) -> dict[str, Any]:
+    """Give the table that describes a motion model.
+
+    Parameters
+    ----------
+    motion : Motion
+    gravity_field : str
+        Name of the file with its gravity field, where that is more than a point mass.
+
+    Returns
+    -------
+    dict
+    """
+    table: dict[str, Any] = {"model": motion.name}
+    if motion.name == "white_jerk":
+        table["jerk_density"] = float(motion.jerk_density)
+        table["acceleration_sigma_m_s2"] = float(motion.acceleration_sigma_m_s2)
+    else:
+        table["acceleration_density"] = float(motion.acceleration_density)
+    if len(motion.gravity.C) > 1:
+        table["gravity_field"] = gravity_field
+    table["rate_rad_s"] = [float(rate) for rate in motion.rate_rad_s]
+    table["rate_sigma_rad_s"] = float(motion.rate_sigma_rad_s)
+    table["rate_walk"] = float(motion.rate_walk)
+    return table

@@ -1,8 +1,8 @@
-"""An initial state from images: two located frames and the IMU between them.
+"""An initial state from images: two located frames and the motion between them.
 
-The two poses and the IMU give the velocity, and so an initial state for a data set that has none. The
-estimators measure the same images themselves, so the state must not count as another measurement of them: its
-standard deviations are much larger than those of the poses.
+The two poses and the IMU, or the motion model, give the velocity, and so an initial state for a data set
+that has none. The estimators measure the same images themselves, so the state must not count as another
+measurement of them: its standard deviations are much larger than those of the poses.
 """
 
 from collections.abc import Callable
@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
@@ -25,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 # of what the estimators take from the same image.
 _SIGMA_FACTOR = 10.0
 # Standard deviations of what the poses do not determine: biases of a tactical-grade IMU (10 deg/h, 1 mg). The
-# angular velocity is measured by the gyro.
+# angular velocity is measured by the gyro; without one the poses give its mean.
 _GYRO_BIAS_SIGMA_RAD_S = 4.8e-5
 _ACCELEROMETER_BIAS_SIGMA_M_S2 = 1e-2
 _ANGULAR_VELOCITY_SIGMA_RAD_S = 0.01
@@ -73,6 +74,8 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     spread_m2 = first.pose_covariance[3:, 3:] + second.pose_covariance[3:, 3:]
     velocity_m_s = float(np.sqrt(np.trace(spread_m2) / 3.0)) / interval_s
     state = initial_from_fix(first_ns, first, np.zeros(3), velocity_m_s)
+    if dataset.motion is not None:
+        state = _with_motion(state, dataset, first, second, interval_s)
     descent = Descent.of(dataset, state)
     gV = np.zeros(3)
     for _ in range(_ITERATIONS):
@@ -81,6 +84,28 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     if first_ns == stamps[0]:
         return replace(state, gV=gV)
     return propagated_back(descent, replace(state, gV=gV), stamps[0])
+
+
+def _with_motion(
+    state: InitialState, dataset: Dataset, first: PoseFix, second: PoseFix, interval_s: float
+) -> InitialState:
+    """Give an initial state what a motion model has in place of IMU biases.
+
+    Without a gyro the mean angular velocity is that between the two poses.
+    """
+    motion = dataset.motion
+    assert motion is not None
+    state = replace(state, accelerometer_bias_sigma_m_s2=motion.acceleration_sigma_m_s2)
+    if dataset.imu is not None:
+        return state
+    spin = frames.rotation_exp(interval_s * np.array(dataset.body.spin_rad_s))
+    rate = frames.rotation_log(first.gTb[:3, :3].T @ spin @ second.gTb[:3, :3]) / interval_s
+    return replace(
+        state,
+        angular_velocity_rad_s=(float(rate[0]), float(rate[1]), float(rate[2])),
+        angular_velocity_sigma_rad_s=motion.rate_sigma_rad_s,
+        gyro_bias_sigma_rad_s=motion.rate_sigma_rad_s,
+    )
 
 
 def initial_from_fix(stamp_ns: int, fix: PoseFix, gV: FloatArray, velocity_sigma_m_s: float) -> InitialState:

@@ -242,6 +242,15 @@ class Tracker:
         slip_m_s = float(np.linalg.norm(step[3:])) / since_s if since_s > 0.0 and tracked else 0.0
         sigma_m_s = float(np.hypot(np.sqrt(variance), slip_m_s))
         state = initial_from_fix(frame.stamp_ns, fix, predicted.gV, sigma_m_s)
+        if self.dataset.motion is not None:
+            before = self.descent.initial
+            state = replace(
+                state,
+                angular_velocity_sigma_rad_s=before.angular_velocity_sigma_rad_s,
+                gyro_bias_sigma_rad_s=before.gyro_bias_sigma_rad_s,
+                accelerometer_bias_sigma_m_s2=before.accelerometer_bias_sigma_m_s2,
+                angular_velocity_rad_s=before.angular_velocity_rad_s,
+            )
         descent = replace(self.descent, initial=state)
         if tracked:
             self._segments.append(Segment(index, state))

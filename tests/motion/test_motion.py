@@ -1,5 +1,7 @@
 """Motion models against scipy's integrators, central differences and potentials in closed form."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -108,7 +110,7 @@ def test_noise_is_the_integral_of_the_transition(model):
     state = _state(np.random.default_rng(3))
     seconds = 20.0
     Q = model.free(MOON, state, seconds)[3]
-    L = np.repeat(model.densities**2, 3)
+    L = np.repeat(model.noise.densities**2, 3)
     root = np.concatenate([L[:3], np.zeros(3), L[3:6], L[6:9], L[9:12]])
     nodes, weights = np.polynomial.legendre.leggauss(12)
     total = np.zeros((15, 15))
@@ -205,7 +207,7 @@ def test_gyro_rows_turn_the_attitude():
     rates = np.random.default_rng(10).normal(scale=0.05, size=(50, 3))
     rows = np.full(50, 0.1), rates
     model = coast(1e-4)
-    T, _, _, Q = model.transition(MOON, begin, rows, model.densities_with(1e-4, 1e-7))
+    T, _, _, Q = model.transition(MOON, begin, rows, replace(model.noise, gyro_density=1e-4, gyro_walk=1e-7))
     R = begin[0][:3, :3]
     for w in rates:
         R = (
