@@ -22,6 +22,8 @@ _LARGER = np.array([21433.0, 14477.0, 10855.0, 7164.0, 5150.0, 2604.0, 1504.0, 6
 _FLATTENING, _FLATTENING_SPREAD, _MAX_FLATTENING = 0.0725, 0.79, 0.6
 # Sizes of false rims are those of true ones with this standard deviation of their logarithm.
 _FALSE_SIZE_SPREAD = 0.2
+# Largest ln(a / b) of false rims that are not like true ones.
+_FALSE_FLATTENING = 0.35
 # Answers that name this many craters right, and this share of what they name, are taken for right.
 _MIN_RIGHT, _MIN_RIGHT_SHARE = 3, 2.0 / 3.0
 
@@ -45,6 +47,9 @@ class ViewOptions:
         Share of the visible rims that are not found, and of the found rims that are false.
     least_px : float
         Smallest semi-minor axis that is found.
+    false_radius_px : tuple of float or None
+        Smallest and largest mean radius of the false rims, which then have any shape and direction, as
+        shadows and ridges do; None for sizes and shapes like those of the true rims.
     """
 
     altitudes_m: tuple[float, float] = (100e3, 600e3)
@@ -54,6 +59,7 @@ class ViewOptions:
     missing: float = 0.25
     false: float = 0.2
     least_px: float = 5.0
+    false_radius_px: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -163,7 +169,12 @@ def random_view(
     like = rng.integers(len(rows), size=wrong)
     false = ellipses[like]
     false[:, :2] = rng.uniform(0.0, SIDE_PX - 1.0, (wrong, 2))
-    false[:, 2:4] *= np.exp(rng.normal(0.0, _FALSE_SIZE_SPREAD, (wrong, 1)))
+    if options.false_radius_px is None:
+        false[:, 2:4] *= np.exp(rng.normal(0.0, _FALSE_SIZE_SPREAD, (wrong, 1)))
+    else:
+        flattening = 0.5 * rng.uniform(0.0, _FALSE_FLATTENING, (wrong, 1)) * [1.0, -1.0]
+        false[:, 2:4] = rng.uniform(*options.false_radius_px, (wrong, 1)) * np.exp(flattening)
+        false[:, 4] = rng.uniform(0.0, np.pi, wrong)
     ellipses = np.concatenate([ellipses, false])
     craters = np.concatenate([rows, np.full(wrong, -1)])
     ellipses[:, :2] += rng.normal(0.0, options.sigma_px, (len(ellipses), 2))

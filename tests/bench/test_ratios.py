@@ -40,6 +40,7 @@ PROMISED = {
     "detect_ms",
     "identify_ms_median",
     "identify_ms_p95",
+    "identify_large_false_ms",
     "identify_index_s",
     "rim_ms",
     "pipeline_ms",

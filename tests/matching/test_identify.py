@@ -101,6 +101,17 @@ def test_craters_are_named_from_nowhere(index, sigma_px, true_rims, share) -> No
     )
 
 
+@pytest.mark.parametrize(("false", "share"), [(0.3, 0.95), (0.5, 0.95), (0.7, 0.8)])
+def test_craters_are_named_among_large_false_rims(index, false, share) -> None:
+    """As detectors find them: most triples of the largest rims hold a false one."""
+    found = answers(
+        index, np.random.default_rng(18), 50, (6, 10_000), 1.0, false=false, false_radius_px=(20.0, 50.0)
+    )
+    good, wrong = shares(found)
+    assert good >= share
+    assert wrong == 0
+
+
 def test_three_to_five_craters_with_the_attitude_of_a_star_tracker(index) -> None:
     good, wrong = shares(answers(index, np.random.default_rng(4), 20, (3, 5), 1.0, known=True))
     assert good >= 0.8
@@ -239,7 +250,7 @@ def test_triples_that_the_index_has_come_first(synthetic) -> None:
         model = nadirs(view, np.arange(len(scene.craters)), np.array([0.08, 0.25]), 1)[0][0]
         down, height_m = model[:3].copy(), model[3] * MOON.radius_m
         projection = project_all_to_sphere(view, down, height_m, MOON.radius_m)
-        craters = scene.craters[image_triples(view, projection, 6, 3.0)]
+        craters = scene.craters[image_triples(view, projection, np.arange(len(view.charts)), 6, 3.0)]
         had = [row.min() >= 0 and set(row[1:]) <= set(neighbours[row[0]]) for row in craters]
         first.extend(had[:12])
         last.extend(had[-24:])
@@ -372,6 +383,18 @@ def test_shares_of_many_scenes(index, sigma_px, true_rims, share, known) -> None
     assert wrong == 0
     assert np.median([answer.seconds for _, answer in found]) < 0.04
     assert np.percentile([answer.seconds for _, answer in found], 95) < 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("false", "share"), [(0.3, 0.985), (0.5, 0.95), (0.7, 0.8)])
+def test_shares_among_large_false_rims_of_many_scenes(index, false, share) -> None:
+    found = answers(
+        index, np.random.default_rng(24), 500, (6, 10_000), 1.0, false=false, false_radius_px=(20.0, 50.0)
+    )
+    good, wrong = shares(found)
+    assert good >= share
+    assert wrong == 0
+    assert np.median([answer.seconds for _, answer in found]) < 0.03
 
 
 @pytest.mark.slow

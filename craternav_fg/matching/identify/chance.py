@@ -20,9 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 _LOG_2PI = float(np.log(2.0 * np.pi))
 # Exponent of the size distribution of rims: their number above a size falls with its square, as that of small
 # lunar craters does.
-_SIZE_EXPONENT = 2.0
+SIZE_EXPONENT = 2.0
 # The distribution of the logarithm of sizes begins this much below the image's smallest rim.
-_LOG_SIZE_MARGIN = 0.05
+LOG_SIZE_MARGIN = 0.05
 # Least variance of the two parameters of shape, ln(L22 / L11) and the shear: rounder than craters are.
 _MIN_SHAPE_VARIANCE = 0.05**2
 # Points per side of the image by which the share of it that shows the ground is measured.
@@ -49,8 +49,8 @@ def log_by_chance(view: View) -> tuple[FloatArray, FloatArray]:
     q = view.charts[:, 4] - view.charts[:, 2]
     shape2 = q**2 + (view.charts[:, 3] * np.exp(-q)) ** 2
     spread = 0.5 * shape2.mean() + _MIN_SHAPE_VARIANCE
-    above = log_size - log_size.min() + _LOG_SIZE_MARGIN
-    by_size = np.log(_SIZE_EXPONENT) - _SIZE_EXPONENT * above
+    above = log_size - log_size.min() + LOG_SIZE_MARGIN
+    by_size = np.log(SIZE_EXPONENT) - SIZE_EXPONENT * above
     by_shape = -_LOG_2PI - np.log(spread) - 0.5 * shape2 / spread - q
     return np.asarray(by_size + by_shape - np.log(area)), np.asarray(by_shape)
 

@@ -31,8 +31,10 @@ from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.refine import refine
 from craternav_fg.matching.identify.result import Identification, Status
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
+from craternav_fg.matching.identify.size_excess import plausible_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.matching.identify.triple_search import (
+    Projection,
     image_order,
     image_triples,
     project_all_to_sphere,
@@ -45,6 +47,7 @@ __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "iden
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+Int32Array = npt.NDArray[np.int32]
 
 _MIN_RIMS = 3
 # Ellipses closer than this in centre and axes, px, are one rim given twice.
@@ -113,7 +116,8 @@ class _Search:
             min_cos_turn = float(np.cos(_MAX_TURN_RAD + _ATTITUDE_SIGMAS * self.sigma_rad))
         self.limits = PoseLimits(attitude, min_cos_turn, *options.altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
-        self.order = image_order(view, _ORDERED_RIMS)
+        self.plausible = plausible_rims(view)
+        self.order = image_order(view, self.plausible, _ORDERED_RIMS)
 
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
         """Expand a hypothesis; if its evidence is promising but too low, try variations of it."""
@@ -277,7 +281,7 @@ def _by_triples(search: _Search) -> list[_Expanded]:
         projection = project_all_to_sphere(
             view, np.ascontiguousarray(model[:3]), float(model[3] * radius), radius
         )
-        triples = image_triples(view, projection, _PAIRED_NEIGHBOURS, noise)[:count]
+        triples = _triples(search, projection, noise)[:count]
         best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
         for start in range(0, len(triples), _LOOKED_UP):
             search_triples(
@@ -291,10 +295,24 @@ def _by_triples(search: _Search) -> list[_Expanded]:
     return sorted(found, key=lambda one: -one.log_ratio)
 
 
+def _triples(search: _Search, projection: Projection, noise: float) -> Int32Array:
+    """Triples of rims, the most promising first: those of plausible rims and those of all in turn."""
+    lists = [
+        image_triples(search.view, projection, rims, _PAIRED_NEIGHBOURS, noise)
+        for rims in ([search.plausible, np.arange(search.n)])[: 1 + (len(search.plausible) < search.n)]
+    ]
+    if len(lists) == 1:
+        return lists[0]
+    few = min(len(one) for one in lists)
+    both = np.stack([one[:few] for one in lists], axis=1).reshape(-1, 3)
+    return np.concatenate([both, *(one[few:] for one in lists)])
+
+
 def _stages(search: _Search) -> list[tuple[FloatArray, int, float, int]]:
     """Vertical and altitude (4,), number of triples, noise, and candidates per triple, in the order tried."""
     view, options = search.view, search.options
-    largest = np.argsort(-view.radius_px)[:_NADIR_RIMS]
+    plausible = search.plausible
+    largest = plausible[np.argsort(-view.radius_px[plausible])[:_NADIR_RIMS]]
     models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MANY_RIMS else 2)
     models = models[np.argsort(misfits)]
     tried = [(model, options.triples) for model in models]

@@ -115,26 +115,28 @@ def _project_all(
     return X, log_size, m_per_px
 
 
-def image_order(view: View, count: int) -> Int32Array:
+def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
     """Order the rims around each rim by their distance in the image.
 
     Parameters
     ----------
     view : View
+    rims : ndarray of int, shape (m,)
+        Rims among which neighbours are sought.
     count : int
-        Largest number of rims per rim, itself included.
+        Largest number of neighbours per rim.
 
     Returns
     -------
-    ndarray of int32, shape (n, m)
-        Each rim itself, then its neighbours, nearest first.
+    ndarray of int32, shape (n, l)
+        Neighbours of each of the view's rims, nearest first: itself if it is one of `rims`.
     """
     p = view.points_px
-    d2 = np.sum((p[:, None] - p[None]) ** 2, axis=-1)
-    return np.argsort(d2, axis=1)[:, :count].astype(np.int32)
+    d2 = np.sum((p[:, None] - p[None, rims]) ** 2, axis=-1)
+    return rims[np.argsort(d2, axis=1)[:, :count]].astype(np.int32)
 
 
-def image_triples(view: View, projection: Projection, count: int, sigma: float) -> Int32Array:
+def image_triples(view: View, projection: Projection, rims: IntArray, count: int, sigma: float) -> Int32Array:
     """Form triples of rims as the index forms triples of craters.
 
     Two things decide the order. The index holds a triple only when few craters are nearer to its first one;
@@ -145,6 +147,8 @@ def image_triples(view: View, projection: Projection, count: int, sigma: float) 
     ----------
     view : View
     projection : Projection
+    rims : ndarray of int, shape (r,)
+        Rims of which triples are formed.
     count : int
         Neighbours of a rim that are paired.
     sigma : float
@@ -155,9 +159,9 @@ def image_triples(view: View, projection: Projection, count: int, sigma: float) 
     ndarray of int32, shape (m, 3)
         Rows of rims, the most promising triple first.
     """
-    X, log_size, m_per_px = projection.X, projection.log_size, projection.m_per_px
+    X, log_size, m_per_px = projection.X[rims], projection.log_size[rims], projection.m_per_px[rims]
     n = len(X)
-    share = size_sigmas(view, sigma)
+    share = size_sigmas(view, sigma)[rims]
     d2 = np.sum((X[:, None] - X[None]) ** 2, axis=-1)
     large = log_size[None] >= (log_size + np.log(SMALLEST) - share)[:, None]
     d2[~large | np.eye(n, dtype=bool) | ~(d2 > 0.0)] = np.inf
@@ -171,18 +175,20 @@ def image_triples(view: View, projection: Projection, count: int, sigma: float) 
     side = np.hypot(sigma * m_per_px[i] / perimeter, 0.5 * SIDE_ERROR)
     doubt = np.log(side * side * share[i] * share[j] * share[k])
     reach_px = np.sqrt(np.take_along_axis(d2, near, axis=1)) / m_per_px[:, None]
-    shown = _shown(view, np.where(np.isfinite(reach_px), reach_px, 0.0))
+    shown = _shown(view, rims, np.where(np.isfinite(reach_px), reach_px, 0.0))
     nearer = (np.arange(1, near.shape[1] + 1) / shown)[:, second].ravel()[there]
-    return np.stack([i, j, k], axis=-1)[np.argsort(doubt + nearer, kind="stable")].astype(np.int32)
+    triples = np.stack([i, j, k], axis=-1)[np.argsort(doubt + nearer, kind="stable")]
+    return rims[triples].astype(np.int32)
 
 
-def _shown(view: View, reach_px: FloatArray) -> FloatArray:
-    """Share (n, m), at least `_MIN_SHOWN`, that the image shows of discs of radii (n, m) around the rims."""
+def _shown(view: View, rims: IntArray, reach_px: FloatArray) -> FloatArray:
+    """Share (r, m), at least `_MIN_SHOWN`, that the image shows of discs of radii (r, m) around some rims."""
     turn = 2.0 * np.pi * np.arange(_RING_POINTS) / _RING_POINTS
     # Two rings that stand for equal areas.
     ring = np.concatenate([np.sqrt(part) * np.exp(1j * turn) for part in (0.25, 0.75)])
     offset = reach_px[:, :, None] * ring
-    x, y = view.points_px[:, 0, None, None] + offset.real, view.points_px[:, 1, None, None] + offset.imag
+    at = view.points_px[rims, :, None, None]
+    x, y = at[:, 0] + offset.real, at[:, 1] + offset.imag
     left, top, right, bottom = view.bounds_px
     inside = (x > left) & (x < right) & (y > top) & (y < bottom)
     return np.maximum(inside.mean(axis=-1), _MIN_SHOWN)
