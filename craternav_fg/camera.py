@@ -33,17 +33,19 @@ class Camera:
     bTc : ndarray, shape (4, 4)
         Mounting (camera-IMU extrinsics): pose of the camera in b.
     distortion : tuple of float
-        Radial-tangential coefficients k1, k2, p1, p2, k3, see `lens`.
+        Coefficients of the lens, see `lens`: k1, k2, p1, p2, k3 unless `lens_model` says otherwise.
     psf_sigma_px : float
         Standard deviation of the point-spread function. The default is typical of optics whose resolution
         matches the pixels.
     bit_depth : int
         Bits of a grey level.
+    lens_model : str
+        "radial-tangential", "rational" or "fisheye".
 
     Raises
     ------
     ValueError
-        When the distortion folds inside the image, see `lens.reach_of`.
+        When the lens is wrong, or folds inside the image, see `lens.parameters` and `lens.reach_of`.
     """
 
     width_px: int
@@ -53,9 +55,10 @@ class Camera:
     cx_px: float
     cy_px: float
     bTc: FloatArray = field(default_factory=lambda: np.eye(4))
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     psf_sigma_px: float = 0.7
     bit_depth: int = 8
+    lens_model: str = lens.RADIAL_TANGENTIAL
 
     def __post_init__(self) -> None:
         # Computed here, so that a camera whose distortion folds is never made.
@@ -64,23 +67,25 @@ class Camera:
     @cached_property
     def pinhole(self) -> "Camera":
         """The same camera without distortion."""
-        return replace(self, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)) if self.distorts else self
+        if not self.distorts:
+            return self
+        return replace(self, distortion=(0.0,) * 5, lens_model=lens.RADIAL_TANGENTIAL)
 
     @property
     def distorts(self) -> bool:
         """Whether the lens distorts."""
-        return any(self.distortion)
+        return self.lens_model == lens.FISHEYE or any(self.distortion)
 
     @cached_property
     def lens(self) -> FloatArray:
-        """Parameters for kernels, shape (10,): fx, fy, cx, cy, px; k1, k2, p1, p2, k3 and reach of `lens`."""
-        reach = np.inf
+        """Parameters for kernels, shape (14,): fx, fy, cx, cy, px, and those of `lens`, its reach last."""
+        reach, own = np.inf, lens.parameters(self.lens_model, self.distortion)
         if self.distorts:
             # Half a pixel beyond the outermost centres: the whole of their pixels.
             border = self.border_px(_BORDER_POINTS, -0.5)
             border = (border - [self.cx_px, self.cy_px]) / [self.fx_px, self.fy_px]
-            reach = lens.reach_of(self.distortion, border)
-        return np.array([self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.distortion, reach])
+            reach = lens.reach_of(own, border)
+        return np.array([self.fx_px, self.fy_px, self.cx_px, self.cy_px, *own, reach])
 
     @property
     def full_scale(self) -> int:

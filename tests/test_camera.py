@@ -13,6 +13,13 @@ BARREL = (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0)
 PINCUSHION = (0.15, 0.05, -0.004, 0.006, 0.02)
 PINHOLE = Camera(752, 480, 458.654, 457.296, 367.215, 248.375)
 LENSES = [BARREL, PINCUSHION]
+# A rational lens as OpenCV calibrates wide ones, and a fisheye: TUM VI's cam0, scaled to this image.
+RATIONAL = (0.3, -0.05, 3e-4, -2e-4, 0.004, 0.45, -0.04, 0.006)
+FISHEYE = (0.0034, 0.0007, -0.002, 0.0002)
+WIDE = {
+    "rational": replace(PINHOLE, distortion=RATIONAL, lens_model="rational"),
+    "fisheye": replace(PINHOLE, fx_px=300.0, fy_px=301.0, distortion=FISHEYE, lens_model="fisheye"),
+}
 
 
 def corners(camera: Camera) -> np.ndarray:
@@ -35,6 +42,57 @@ def test_pixels_are_opencvs(distortion):
     assert np.abs(camera.pinhole.pixels(u) - px).max() > 20.0
 
 
+def theirs_px(camera: Camera, u: np.ndarray) -> np.ndarray:
+    """Project by OpenCV."""
+    k = np.array(camera.distortion)
+    if camera.lens_model == "fisheye":
+        return cv2.fisheye.distortPoints(u[:, None], camera.matrix, k)[:, 0]
+    points = np.column_stack([u, np.ones(len(u))])
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, k)[0][:, 0]
+
+
+@pytest.mark.parametrize("model", WIDE)
+def test_wide_lenses_are_opencvs(model):
+    camera = WIDE[model]
+    px = np.random.default_rng(4).uniform(-0.4, [751.4, 479.4], (300, 2))
+    u = camera.normalised(px)
+    np.testing.assert_allclose(theirs_px(camera, u), px, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(camera.pixels(u), px, rtol=0.0, atol=1e-8)
+    assert np.abs(camera.pinhole.pixels(u) - px).max() > 20.0
+
+
+@pytest.mark.parametrize("model", WIDE)
+@pytest.mark.parametrize("spread", [1e-5, 0.5, 6.0])
+def test_jacobian_of_wide_lenses(model, spread):
+    camera = WIDE[model]
+    u = np.random.default_rng(2).uniform(-spread, spread, (200, 2))
+    h = 1e-6
+    numeric = np.stack(
+        [(camera.pixels(u + h * e) - camera.pixels(u - h * e)) / (2.0 * h) for e in np.eye(2)], axis=-1
+    )
+    away = np.abs(np.linalg.norm(u, axis=1) - camera.lens[-1]) > 1e-5
+    np.testing.assert_allclose(camera.pixels_jacobian(u)[away], numeric[away], rtol=1e-5, atol=1e-4)
+
+
+def test_a_fisheye_sees_far_from_its_axis_but_not_behind_it():
+    camera = replace(PINHOLE, fx_px=300.0, fy_px=300.0, distortion=(0.0,) * 4, lens_model="fisheye")
+    corner = camera.normalised(np.array([-0.5, -0.5]))
+    assert np.degrees(np.arctan(np.linalg.norm(corner))) == pytest.approx(
+        np.degrees(np.hypot(367.715, 248.875) / 300.0), abs=1e-9
+    )
+    for factor in (1.05, 4.0, 100.0):
+        assert not camera.contains(camera.pixels(factor * corner), -0.4)
+    with pytest.raises(ValueError, match="90 deg from its axis"):
+        replace(camera, fx_px=200.0, fy_px=200.0)
+
+
+def test_a_lens_with_other_coefficients_is_refused():
+    with pytest.raises(ValueError, match="8 coefficients of a rational lens, found 5"):
+        replace(PINHOLE, lens_model="rational")
+    with pytest.raises(ValueError, match="found 'polynomial'"):
+        replace(PINHOLE, lens_model="polynomial")
+
+
 @pytest.mark.parametrize("distortion", LENSES)
 @pytest.mark.parametrize("spread", [0.5, 4.0])
 def test_jacobian(distortion, spread):
@@ -46,7 +104,7 @@ def test_jacobian(distortion, spread):
         [(camera.pixels(u + h * e) - camera.pixels(u - h * e)) / (2.0 * h) for e in np.eye(2)], axis=-1
     )
     # Its derivative jumps at the reach alone.
-    away = np.abs(np.linalg.norm(u, axis=1) - camera.lens[9]) > 1e-5
+    away = np.abs(np.linalg.norm(u, axis=1) - camera.lens[-1]) > 1e-5
     np.testing.assert_allclose(camera.pixels_jacobian(u)[away], numeric[away], rtol=1e-5, atol=1e-4)
 
 

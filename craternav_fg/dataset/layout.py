@@ -57,9 +57,10 @@ A large catalogue may be given as `craters.parquet` in its place, as `craternav 
     0,0.8,0.6,0.0
 
 `mav0/cam0/sensor.yaml`: the camera. T_BS is bTc, from camera axes (x right, y down, z along the optical
-axis) to b; pixel (0, 0) is the centre of the top-left pixel. The distortion is OpenCV's: k1, k2, p1, p2 and,
-if there is one, k3; it must not fold inside the image. The width of the point-spread function and the bits of
-the grey levels may be left out, and are then as here::
+axis) to b; pixel (0, 0) is the centre of the top-left pixel. The distortion is OpenCV's: radial-tangential
+with k1, k2, p1, p2 and, if there is one, k3; rational_polynomial with k1, k2, p1, p2, k3, k4, k5, k6; or
+equidistant (a fisheye) with k1, k2, k3, k4. It must not fold inside the image. The width of the point-spread
+function and the bits of the grey levels may be left out, and are then as here::
 
     sensor_type: camera
     T_BS:

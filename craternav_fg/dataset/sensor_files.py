@@ -6,15 +6,19 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from craternav_fg import lens
 from craternav_fg.camera import Camera
 from craternav_fg.config import Positive, Section, line_of, read_text, validate
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuNoise
 from craternav_fg.sensors.yaml_files import dump_yaml, matrix, mounting, parse_yaml
 
-# The distortion model's name in EuRoC, in Kalibr and in ROS.
-_RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
-
+# Names of the lens models here and in EuRoC, in Kalibr, in ROS and in OpenCV.
+LENS_NAMES = {
+    lens.RADIAL_TANGENTIAL: ("radial-tangential", "radtan", "plumb_bob"),
+    lens.RATIONAL: ("rational_polynomial", "rational"),
+    lens.FISHEYE: ("equidistant", "fisheye", "kannala-brandt"),
+}
 
 # Accepted focal lengths in image sizes: fields of view of 157 deg to 0.6 deg. Others are in another unit.
 _FOCAL_RANGE_IMAGES = (0.1, 100.0)
@@ -87,11 +91,11 @@ def read_camera(path: Path) -> Camera:
             column="intrinsics",
         )
     bTc = mounting(path, text, model.T_BS.data)
-    k1, k2, p1, p2, k3 = _distortion(path, text, model)
+    lens_model, coefficients = _lens(path, text, model)
     try:
         return Camera(
             width, height, fx, fy, cx, cy, bTc,
-            (k1, k2, p1, p2, k3), model.psf_sigma_px, model.bit_depth,
+            coefficients, model.psf_sigma_px, model.bit_depth, lens_model,
         )  # fmt: skip
     except ValueError as error:
         line = line_of(text, ["distortion_coefficients"])
@@ -144,7 +148,9 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
     -------
     str
     """
-    coefficients = camera.distortion if camera.distortion[4] else camera.distortion[:4]
+    coefficients = camera.distortion
+    if camera.lens_model == lens.RADIAL_TANGENTIAL and not any(coefficients[4:]):
+        coefficients = coefficients[:4]
     return dump_yaml(
         {
             "sensor_type": "camera",
@@ -154,7 +160,7 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
             "resolution": [camera.width_px, camera.height_px],
             "camera_model": "pinhole",
             "intrinsics": [float(v) for v in (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)],
-            "distortion_model": "radial-tangential",
+            "distortion_model": LENS_NAMES[camera.lens_model][0],
             "distortion_coefficients": [float(v) for v in coefficients],
             "psf_sigma_px": float(camera.psf_sigma_px),
             "bit_depth": camera.bit_depth,
@@ -189,18 +195,31 @@ def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
     )
 
 
-def _distortion(path: Path, text: str, model: _CameraFile) -> tuple[float, ...]:
-    """Coefficients k1, k2, p1, p2 and k3, which the file may leave out."""
-    found = model.distortion_coefficients
-    if model.distortion_model is None and not any(found):
-        return (0.0,) * 5
-    if model.distortion_model not in _RADIAL_TANGENTIAL:
-        # Even with zeros for coefficients: an equidistant lens without distortion is no pinhole.
-        name = "distortion_model"
-        problem = f"expected {_RADIAL_TANGENTIAL[0]}, found {model.distortion_model or 'none'}"
-    elif len(found) not in (4, 5):
-        name = "distortion_coefficients"
-        problem = f"expected 4 or 5 numbers (k1, k2, p1, p2, k3), found {len(found)}"
-    else:
-        return (*found, 0.0) if len(found) == 4 else found
-    raise InputError(path, problem, line=line_of(text, [name]), column=name)
+def lens_of(name: str) -> str | None:
+    """Give the lens model that a name means; None when it means none that is known.
+
+    Parameters
+    ----------
+    name : str
+        Of EuRoC, Kalibr, ROS or OpenCV.
+
+    Returns
+    -------
+    str or None
+    """
+    return next((model for model, names in LENS_NAMES.items() if name.lower() in names), None)
+
+
+def _lens(path: Path, text: str, file: _CameraFile) -> tuple[str, tuple[float, ...]]:
+    """Model and coefficients of the lens, k3 among those of a radial-tangential one."""
+    found = file.distortion_coefficients
+    if file.distortion_model is None and not any(found):
+        return lens.RADIAL_TANGENTIAL, (0.0,) * 5
+    model = lens_of(file.distortion_model or "")
+    if model is None:
+        known = ", ".join(names[0] for names in LENS_NAMES.values())
+        problem = f"expected one of {known}, found {file.distortion_model or 'none'}"
+        raise InputError(path, problem, line=line_of(text, ["distortion_model"]), column="distortion_model")
+    if model == lens.RADIAL_TANGENTIAL and len(found) == 4:
+        found = (*found, 0.0)
+    return model, found

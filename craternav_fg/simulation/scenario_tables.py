@@ -28,8 +28,10 @@ class CameraSection(Section):
     """Camera-IMU extrinsics: rotation from the camera to b."""
     lever_arm_m: Vector
     """Camera-IMU extrinsics: position of the camera in b."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """Radial-tangential distortion of the lens: k1, k2, p1, p2, k3 as in OpenCV."""
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Coefficients of the lens as in OpenCV: k1, k2, p1, p2, k3, unless `lens_model` says otherwise."""
+    lens_model: Literal["radial-tangential", "rational", "fisheye"] = "radial-tangential"
+    """A rational lens takes k4, k5, k6 as well, a fisheye (Kannala-Brandt) k1, k2, k3, k4."""
 
     @model_validator(mode="after")
     def _does_not_fold(self) -> "CameraSection":
@@ -49,6 +51,7 @@ class CameraSection(Section):
             cy_px=0.5 * (self.height_px - 1),
             bTc=bTc,
             distortion=self.distortion,
+            lens_model=self.lens_model,
         )
 
 

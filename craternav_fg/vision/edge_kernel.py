@@ -106,7 +106,7 @@ def trace_rim(
         Outward displacement of the crossing in radii, see `crater_profile.crossing_table`.
     table_blur, table_contrast : ndarray, shapes (m,), (k,)
         The regular grid on which it is given: blur in radii, and slope contrast across the rim.
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
 
     Returns

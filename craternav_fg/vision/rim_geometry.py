@@ -45,10 +45,10 @@ def distorts(lens: FloatArray) -> bool:
 
     Parameters
     ----------
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
     """
-    return bool(np.any(lens[4:9] != 0.0))
+    return bool(np.any(lens[4:13] != 0.0))
 
 
 @njit(cache=True, error_model="numpy")
@@ -59,7 +59,7 @@ def through_lens(q: FloatArray, lens: FloatArray) -> float:
     ----------
     q : ndarray, shape (6,)
         As `rim_point` writes it; overwritten.
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
@@ -93,7 +93,7 @@ def back_through_lens(point: FloatArray, move: FloatArray, lens: FloatArray) -> 
     ----------
     point, move : ndarray, shape (2,)
         Overwritten, px.
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
     """
     work = np.empty(6)

@@ -35,7 +35,7 @@ def shift_score(
         Shift, px of the camera without distortion.
     reach_share, reach_px : float
         The brightness step is taken reach_share radii, at least reach_px, to both sides of the rim.
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
@@ -90,7 +90,7 @@ def search_shift(
         Half width and step of the grid, px.
     reach_share, reach_px : float
         See `shift_score`.
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
 
     Returns

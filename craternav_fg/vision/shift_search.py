@@ -40,7 +40,7 @@ def common_shift(image: ImageArray, rims: PredictedRims, lens: FloatArray, radiu
         Brightness, 0 to 255.
     rims : PredictedRims
         At least one.
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
     radius_px : float
         Largest component of the shift.
@@ -88,7 +88,7 @@ def own_shifts(
     image : ndarray of float32, shape (H, W)
         Brightness, 0 to 255.
     rims : PredictedRims
-    lens : ndarray, shape (10,)
+    lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
     common : ndarray, shape (2,)
         Common shift, px.

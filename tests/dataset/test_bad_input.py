@@ -108,8 +108,8 @@ CASES = {
         [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "folds inside the image"],
     ),
     "distortion of another model": (
-        edit(layout.CAMERA_SENSOR, "radial-tangential", "equidistant"),
-        [f"{layout.CAMERA_SENSOR}:12", "distortion_model", "radial-tangential", "equidistant"],
+        edit(layout.CAMERA_SENSOR, "radial-tangential", "double-sphere"),
+        [f"{layout.CAMERA_SENSOR}:12", "distortion_model", "radial-tangential", "double-sphere"],
     ),
     "distortion of no model": (
         lambda folder: (
@@ -121,6 +121,13 @@ CASES = {
     "rational distortion": (
         edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[0.1, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]\n"),
         [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "4 or 5", "found 8"],
+    ),
+    "fisheye of five coefficients": (
+        lambda folder: (
+            edit(layout.CAMERA_SENSOR, "radial-tangential", "equidistant")(folder),
+            edit(layout.CAMERA_SENSOR, "[0.0, 0.0, 0.0, 0.0]\n", "[0.1, 0.0, 0.0, 0.0, 0.0]\n")(folder),
+        ),
+        [f"{layout.CAMERA_SENSOR}:13", "distortion_coefficients", "expected 4", "fisheye", "found 5"],
     ),
     "blur of a hundred pixels": (
         edit(layout.CAMERA_SENSOR, "psf_sigma_px: 0.7", "psf_sigma_px: 100.0"),

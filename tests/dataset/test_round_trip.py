@@ -70,6 +70,23 @@ def test_a_camera_that_distorts_reads_back_as_it_was(tmp_path):
             exact(data.image(i), image)
 
 
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("rational", (0.1, -0.02, 1e-3, 0.0, 0.0, 0.2, 0.01, 1.0 / 3.0)),
+        ("fisheye", (0.01, 0.0, 1.0 / 3.0, 0.0)),
+    ],
+)
+def test_a_wide_lens_reads_back_as_it_was(tmp_path, model, distortion):
+    rng = np.random.default_rng(8)
+    given = recording(rng)
+    camera = replace(given.camera, distortion=distortion, lens_model=model)
+    write_dataset(tmp_path / "data", replace(given, camera=camera), list(np.zeros((3, 48, 64), np.uint8)))
+    data = Dataset.open(tmp_path / "data")
+    assert (data.camera.lens_model, data.camera.distortion) == (model, distortion)
+    exact(data.camera.lens, camera.lens)
+
+
 def test_grey_levels_beyond_the_cameras_bits_are_refused(tmp_path):
     rng = np.random.default_rng(9)
     given = recording(rng)

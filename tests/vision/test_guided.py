@@ -284,11 +284,19 @@ def test_the_error_from_the_reference_brightness_is_in_part_shared():
     np.testing.assert_allclose(own @ np.swapaxes(own, 1, 2), systematic - 0.3 * of_brightness, atol=1e-13)
 
 
-# EuRoC's cam0, and a lens that bends the other way.
-@pytest.mark.parametrize("distortion", [(-0.283, 0.074, 2e-4, 2e-5, 0.0), (0.25, 0.1, -0.004, 0.006, 0.02)])
-def test_a_lens_that_distorts_costs_no_accuracy(distortion):
-    """Corners move by 20 and 45 px; the prediction is 30 px off besides."""
-    camera = replace(scene.camera(), distortion=distortion)
+# EuRoC's cam0, a lens that bends the other way, a rational lens and a fisheye.
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("radial-tangential", (-0.283, 0.074, 2e-4, 2e-5, 0.0)),
+        ("radial-tangential", (0.25, 0.1, -0.004, 0.006, 0.02)),
+        ("rational", (0.3, -0.05, 3e-4, -2e-4, 0.004, 0.45, -0.04, 0.006)),
+        ("fisheye", (0.0034, 0.0007, -0.002, 0.0002)),
+    ],
+)
+def test_a_lens_that_distorts_costs_no_accuracy(model, distortion):
+    """Corners move by 20 to 45 px; the prediction is 30 px off besides."""
+    camera = replace(scene.camera(), distortion=distortion, lens_model=model)
     rng = np.random.default_rng(11)
     catalog = scene.craters(rng)
     gTb, sun_g = scene.pose(0.8, 10.0), scene.sun(30.0, 100.0)
