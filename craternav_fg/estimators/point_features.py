@@ -56,6 +56,66 @@ def triangulated(centres: FloatArray, directions: FloatArray, sigma_rad: float) 
     return np.asarray(point) if good else None
 
 
+def linearise_points(
+    gL: FloatArray, gTb: FloatArray, u: FloatArray, camera: Camera, sigma: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Linearise reprojections of ground points, each in one pose.
+
+    Parameters
+    ----------
+    gL : ndarray, shape (n, 3)
+        Ground points in g, m.
+    gTb : ndarray, shape (n, 4, 4)
+        Poses of the body in g, m.
+    u : ndarray, shape (n, 2)
+        Observed normalised image coordinates.
+    camera : Camera
+    sigma : float
+        Standard deviation of a normalised coordinate.
+
+    Returns
+    -------
+    residual : ndarray, shape (n, 2)
+        Whitened, measured less predicted.
+    of_point : ndarray, shape (n, 2, 3)
+        Derivatives of the whitened prediction in the point, 1/m.
+    of_pose : ndarray, shape (n, 2, 6)
+        Derivatives in the pose's error: attitude (rotation vector in b, rad), position (in g, m).
+    """
+    bTc = camera.bTc
+    bRg = np.swapaxes(gTb[:, :3, :3], 1, 2)
+    in_b = np.einsum("nij,nj->ni", bRg, gL - gTb[:, :3, 3])
+    x, y, z = ((in_b - bTc[:3, 3]) @ bTc[:3, :3]).T
+    zero = np.zeros_like(z)
+    slope = np.stack([1.0 / z, zero, -x / z**2, zero, 1.0 / z, -y / z**2], axis=-1).reshape(-1, 2, 3)
+    slope = slope @ bTc[:3, :3].T / sigma
+    cross = np.zeros((len(z), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -in_b[:, 2], in_b[:, 1], -in_b[:, 0]
+    cross -= np.swapaxes(cross, 1, 2)
+    of_point = slope @ bRg
+    residual = (u - np.stack([x / z, y / z], axis=-1)) / sigma
+    return residual, of_point, np.concatenate([slope @ cross, -of_point], axis=2)
+
+
+def lines_of_sight(u: FloatArray, gTc: FloatArray) -> FloatArray:
+    """Directions in g in which points are seen.
+
+    Parameters
+    ----------
+    u : ndarray, shape (n, 2)
+        Normalised image coordinates.
+    gTc : ndarray, shape (n, 4, 4)
+        Poses of the camera in g, m.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Unit vectors.
+    """
+    rays = np.concatenate([u, np.ones((len(u), 1))], axis=1)
+    return np.einsum("nij,nj->ni", gTc[:, :3, :3], rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
 class FeatureStates:
     """Variables and factors of a descent's tracks, frame by frame.
 
@@ -132,9 +192,7 @@ class FeatureStates:
         if place is None:
             if len(seen) < LEAST_OBSERVATIONS:
                 return
-            rays = np.array([[*u, 1.0] for _, u, _ in seen])
-            rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-            rays = np.einsum("nij,nj->ni", gTc[:, :3, :3], rays)
+            rays = lines_of_sight(np.array([u for _, u, _ in seen]), gTc)
             place = triangulated(gTc[:, :3, 3], rays, self._sigma)
             if place is None:
                 return

@@ -1,7 +1,8 @@
 """Posterior Cramér-Rao bound (PCRB) of a descent, filtering and smoothing: what no estimator can beat.
 
-The information recursion at the truth: prior, IMU noise, rims and sun tilts linearised at the true states.
-Time-correlated errors of rims are further unknowns, as in the smoothers.
+The information recursion at the truth: prior, IMU noise, rims, sun tilts and samples of sensors linearised at
+the true states. Time-correlated errors of rims, biases of sensors and the ground points of tracks are further
+unknowns, as in the smoothers.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import transition
 from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
+from craternav_fg.evaluation.track_information import POINT_SIZE, TrackInformation
 from craternav_fg.linalg import square_root, whitening
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.sensors.protocol import SensorState
@@ -138,7 +140,8 @@ def posterior_bound(
     # In units of the prior's sigmas: radians, metres and biases differ by ten orders of magnitude.
     sigmas = np.sqrt(np.diag(prior))[strapdown.WITHOUT_RATE]
     bank = SensorBank(descent.sensors)
-    augmented = _AugmentedState(frames, rim_errors or RimErrorOptions(), len(bank.sigmas))
+    tracks = None if descent.features is None else TrackInformation(descent.features, descent, truth)
+    augmented = _AugmentedState(frames, rim_errors or RimErrorOptions(), len(bank.sigmas), tracks)
     gained, steps = [], []
     for k, frame in enumerate(frames):
         if k:
@@ -149,6 +152,8 @@ def posterior_bound(
         state = SensorState(frame.stamp_ns, truth.gTb[k], truth.gV[k], rate)
         for J in (_of_sample(sample, state, bank, sigmas, augmented) for sample in bank.at(frame.stamp_ns)):
             information = information + J.T @ J
+        if tracks is not None:
+            tracks.add(information, k, augmented.first_of_point, sigmas)
         gained.append(information)
 
     filtered = _filtered(steps, gained)
@@ -186,33 +191,44 @@ def _smoothed(
 
 
 class _AugmentedState:
-    """The state with further unknowns: errors that all rims share, sensors' biases, errors of the craters."""
+    """The state with further unknowns: errors all rims share, biases, errors of craters, tracked points."""
 
-    def __init__(self, frames: Sequence[FrameMeasurement], options: RimErrorOptions, biases: int) -> None:
+    def __init__(
+        self,
+        frames: Sequence[FrameMeasurement],
+        options: RimErrorOptions,
+        biases: int,
+        tracks: TrackInformation | None,
+    ) -> None:
         self._decay = options.decay
         self._seen = [_kept(frame) for frame in frames]
         self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
         self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0
         self._shared = self.of_rims + biases
         self._charts: dict[int, FloatArray] = {}
+        self._tracks = tracks
         self.first: dict[int, int] = {}
+        self.first_of_point: dict[int, int] = {}
         self._enter(0)
 
     @property
     def size(self) -> int:
         """Dimension of the state with the further unknowns."""
-        return _SIZE + self._shared + ERROR_SIZE * len(self.first)
+        return _SIZE + self._shared + ERROR_SIZE * len(self.first) + POINT_SIZE * len(self.first_of_point)
 
     def _enter(self, k: int) -> None:
-        """Begin with the craters of frame k, and keep those that will be seen again."""
+        """Begin with the craters and points of frame k, and keep those that will be seen again."""
         charts = {**self._charts, **self._seen[k]}
         self._charts = {crater: chart for crater, chart in charts.items() if self._last[crater] >= k}
         begin = _SIZE + self._shared
         self.first = {crater: begin + ERROR_SIZE * i for i, crater in enumerate(self._charts)}
+        begin += ERROR_SIZE * len(self.first)
+        alive = [] if self._tracks is None else self._tracks.alive(k)
+        self.first_of_point = {track: begin + POINT_SIZE * i for i, track in enumerate(alive)}
 
     def step(self, k: int, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Go on to frame k: extend the state's transition and noise to the further unknowns."""
-        columns, before, size = self.first, self._charts, self.size
+        columns, points, before, size = self.first, self.first_of_point, self._charts, self.size
         self._enter(k)
         whole, noise = np.zeros((self.size, size)), np.zeros((self.size, self.size))
         whole[:_SIZE, :_SIZE], noise[:_SIZE, :_SIZE] = F, Q
@@ -227,6 +243,12 @@ class _AugmentedState:
                 if crater in columns:
                     whole[row + j, columns[crater] + j] = correlation
                 noise[row + j, row + j] = 1.0 - correlation * correlation
+        for track, row in self.first_of_point.items():
+            for j in range(row, row + POINT_SIZE):
+                if track in points:
+                    whole[j, points[track] + j - row] = 1.0
+                else:
+                    noise[j, j] = 1.0
         return whole, noise
 
 

@@ -2,19 +2,24 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.registry import estimator
-from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel
+from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.trajectory import Trajectory
+from factors.custom import Loss
 from tests import descents
 
+NO_LOSS = Loss(scale=3.3)
 SAME: tuple[RimModel, ...] = ("eq19", "los+shape", "points")
 
 
@@ -71,14 +76,17 @@ def test_lines_of_sight_alone_know_less_the_fewer_craters_are_in_view(
     assert growth[0] > growth[1] > growth[2] > 1.0
 
 
+@pytest.mark.parametrize("with_sun", [True, False], ids=["sun", "alone"])
 @pytest.mark.parametrize("model", RIM_MODELS)
-def test_every_model_works_online_with_a_lag_and_in_the_filter(
-    descent: tuple[Problem, Trajectory], model: RimModel
+def test_every_model_works_in_batch_online_with_a_lag_and_in_the_filter(
+    descent: tuple[Problem, Trajectory], model: RimModel, with_sun: bool
 ) -> None:
     p, truth = descent
-    short = replace(p, frames=p.frames[:20])
+    frames = p.frames[:20] if with_sun else [replace(frame, sun=None) for frame in p.frames[:20]]
+    short = replace(p, frames=frames)
     of_filter = EkfOptions(measurement="implicit" if model == "eq19" else model)
     for one in (
+        BatchSmoother(GraphOptions(rims=model)),
         OnlineSmoother(GraphOptions(rims=model)),
         FixedLagSmoother(GraphOptions(rims=model)),
         DistributedEkf("ekf", of_filter),
@@ -87,6 +95,27 @@ def test_every_model_works_online_with_a_lag_and_in_the_filter(
         last = np.linalg.norm(found.gP[-1] - truth.gP[19])
         # Centres are off by what perspective moves them.
         assert last < (2000.0 if model == "centre" else 200.0), (model, one.name)
+
+
+# Dimension of a rim's residual. That of a centre is not zero at the truth: perspective moves it.
+DIMENSIONS = {"chart": 5, "eq19": 5, "los": 2, "los+shape": 5, "points": 5}
+
+
+@pytest.mark.parametrize("model", DIMENSIONS)
+def test_chi_square_at_the_truth_is_the_dimension(
+    descent: tuple[Problem, Trajectory], model: RimModel
+) -> None:
+    p, truth = descent
+    chi2, freedom = 0.0, 0
+    for frame, gTb in zip(p.frames, truth.gTb, strict=True):
+        values = gtsam.Values()
+        values.insert(X(0), gtsam.Pose3(gTb))
+        expected = with_predicted_covariances(frame, gTb, p.camera, p.catalog)
+        for factor in rim_factors(model, X(0), p.camera, p.catalog, expected.rims, gTb, NO_LOSS):
+            chi2 += 2.0 * factor.error(values)
+        freedom += DIMENSIONS[model] * len(frame.rims)
+    assert freedom > 400
+    assert abs(chi2 / freedom - 1.0) < 3.5 * np.sqrt(2.0 / freedom)
 
 
 @pytest.mark.parametrize("name", ["smoother_eq19", "online_eq19", "smoother_los", "online_los", "ekf_los"])

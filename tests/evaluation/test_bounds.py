@@ -12,9 +12,10 @@ from numpy.testing import assert_allclose
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.batch import BatchSmoother, build_graph
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import GraphOptions, insert_state, state_stamps
+from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.evaluation.bounds import attitude_rms_deg, position_rms_m, posterior_bound
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -113,6 +114,34 @@ def test_a_blind_stretch_is_bridged_by_the_imu(descent: tuple[Problem, Trajector
     bound, reference = posterior_bound(p, p.frames, truth), dense(p, truth)
     assert_allclose(correlation(bound.smoothed, reference), correlation(reference, reference), atol=2e-3)
     assert np.all(np.diff(position_rms_m(bound.filtered)[2:9]) > 0.0)
+
+
+def test_tracked_points_count(tmp_path: Path) -> None:
+    """As in the smoothers, which need a third observation and a parallax: they know a little less."""
+    tracked = {"features": {"simulation": {"count": 30}}}
+    p, truth = problem(tmp_path, scenario(duration_s=60.0, sensors=tracked), 0)
+    blind = [
+        frame if k < 5 or k > 25 else FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
+        for k, frame in enumerate(p.frames)
+    ]
+    # An IMU that needs help to bridge 40 s.
+    noise = dataclasses.replace(
+        p.imu_noise,
+        gyro_density=1000.0 * p.imu_noise.gyro_density,
+        accelerometer_density=1000.0 * p.imu_noise.accelerometer_density,
+    )
+    p = dataclasses.replace(p, frames=blind, imu_noise=noise)
+    bound = posterior_bound(p, p.frames, truth)
+    without = posterior_bound(dataclasses.replace(p, features=None), p.frames, truth)
+    for of_bound, of_less, one in (
+        (bound.smoothed, without.smoothed, BatchSmoother()),
+        (bound.filtered, without.filtered, OnlineSmoother()),
+    ):
+        claimed = one.estimate(p).pose_covariance
+        assert claimed is not None
+        ratio = position_rms_m(claimed) / position_rms_m(of_bound)
+        assert_allclose(ratio[8:], 1.0, atol=0.03)
+        assert (position_rms_m(of_bound) < 0.8 * position_rms_m(of_less))[15:26].all()
 
 
 def test_what_was_read_does_not_matter(descent: tuple[Problem, Trajectory]) -> None:

@@ -68,9 +68,9 @@ def test_all_sensors_tell_a_lander_its_place_and_velocity_at_30_m(run: Run, name
     assert rms(norms(every, name, "position_error_m")[:, -1]) < 0.5
     velocity = [rms(norms(one, name, "velocity_error_m_s")[:, -1]) for one in (every, camera)]
     assert velocity[0] < 0.01
-    # Rims tell the place at the end; over the descent, and for the velocity, the other sensors count.
-    assert velocity[0] < 0.5 * velocity[1]
-    assert rms(norms(every, name, "position_error_m")) < 0.5 * rms(norms(camera, name, "position_error_m"))
+    # Small craters tell the place at the end; over the descent the other sensors count.
+    assert velocity[0] < 0.9 * velocity[1]
+    assert rms(norms(every, name, "position_error_m")) < 0.7 * rms(norms(camera, name, "position_error_m"))
 
 
 @pytest.mark.slow
@@ -94,4 +94,6 @@ def test_tracked_points_bridge_two_minutes_without_craters(run: Run, name: str) 
         seconds = 1e-9 * of_estimator(campaign.table, name, "stamp_ns")[0]
         inside = (seconds >= begin_s) & (seconds < end_s)
         errors.append(rms(norms(campaign, name, "position_error_m")[:, inside]))
-    assert errors[0] < 0.5 * errors[1]
+    # Craters after the gap help the smoother, with points or without.
+    assert errors[0] < (0.85 if name == "smoother" else 0.5) * errors[1]
+    assert LEAST_OVER_BOUND < run(case).summary["estimators"][name]["rms_over_pcrb"] < 1.1

@@ -15,7 +15,12 @@ from craternav_fg.camera import Camera
 from craternav_fg.estimators.ekf.fusion import fuse_updates
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import LinearMeasurement
-from craternav_fg.estimators.point_features import LEAST_OBSERVATIONS, triangulated
+from craternav_fg.estimators.point_features import (
+    LEAST_OBSERVATIONS,
+    linearise_points,
+    lines_of_sight,
+    triangulated,
+)
 from craternav_fg.frames import rotation_exp
 from craternav_fg.sensors.point_features import FeatureTracks
 
@@ -147,15 +152,15 @@ class FeatureWindow:
         gTb = np.array([pose for pose, _, _ in seen])
         u = np.array([point for _, _, point in seen])
         gTc = self._camera.gTc(gTb)
-        rays = np.concatenate([u, np.ones((len(u), 1))], axis=1)
-        rays = np.einsum("nij,nj->ni", gTc[:, :3, :3], rays / np.linalg.norm(rays, axis=1, keepdims=True))
-        point = triangulated(gTc[:, :3, 3], rays, self._sigma)
+        point = triangulated(gTc[:, :3, 3], lines_of_sight(u, gTc), self._sigma)
         if point is None:
             return None
-        for _ in range(ITERATIONS):
-            residual, H_point, _ = self._linearised(point, gTb, u)
-            point = point + np.linalg.lstsq(H_point, residual, rcond=None)[0]
-        residual, H_point, H_poses = self._linearised(point, gTb, u)
+        for last in range(ITERATIONS, -1, -1):
+            places = np.broadcast_to(point, (len(u), 3))
+            found, of_point, H_poses = linearise_points(places, gTb, u, self._camera, self._sigma)
+            residual, H_point = found.ravel(), of_point.reshape(-1, 3)
+            if last:
+                point = point + np.linalg.lstsq(H_point, residual, rcond=None)[0]
         A = np.zeros((len(residual), len(state.covariance)))
         for k, (_, first, _) in enumerate(seen):
             A[2 * k : 2 * k + 2, first : first + 6] = H_poses[k]
@@ -165,21 +170,3 @@ class FeatureWindow:
         if residual @ np.linalg.solve(S, residual) > chi2.ppf(PROBABILITY, len(A)):
             return None
         return LinearMeasurement(A, residual)
-
-    def _linearised(
-        self, point: FloatArray, gTb: FloatArray, u: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Whitened residuals (2n,) of a point, and derivatives in it (2n, 3) and in each pose (n, 2, 6)."""
-        bTc = self._camera.bTc
-        gRb = gTb[:, :3, :3]
-        in_b = np.einsum("nji,nj->ni", gRb, point - gTb[:, :3, 3])
-        x, y, z = ((in_b - bTc[:3, 3]) @ bTc[:3, :3]).T
-        zero = np.zeros_like(z)
-        slope = np.stack([1.0 / z, zero, -x / z**2, zero, 1.0 / z, -y / z**2], axis=-1).reshape(-1, 2, 3)
-        slope = slope @ bTc[:3, :3].T / self._sigma
-        cross = np.zeros((len(z), 3, 3))
-        cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -in_b[:, 2], in_b[:, 1], -in_b[:, 0]
-        cross -= np.swapaxes(cross, 1, 2)
-        of_point = slope @ np.swapaxes(gRb, 1, 2)
-        residual = (u - np.stack([x / z, y / z], axis=-1)) / self._sigma
-        return residual.ravel(), of_point.reshape(-1, 3), np.concatenate([slope @ cross, -of_point], axis=2)
