@@ -36,6 +36,8 @@ app = typer.Typer(
 )
 catalog_commands = typer.Typer(help=COMMANDS["catalog"].help, no_args_is_help=True)
 app.add_typer(catalog_commands, name="catalog")
+import_commands = typer.Typer(help=COMMANDS["import"].help, no_args_is_help=True)
+app.add_typer(import_commands, name="import")
 
 
 def _not_imported() -> None:

@@ -30,6 +30,9 @@ COMMANDS = {
         "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)
     ),
     "catalog": Command("Crater catalogues: import, summarise, list, draw.", ("catalogs", "catalog_import")),
+    "import": Command(
+        "Import images as a data set: ISIS cubes, images with SPICE kernels or with times.", ("importing",)
+    ),
     "detect": Command("Detect crater rims in an image without any prior.", ("detection",)),
     "identify": Command(
         "Identify the craters of an image, and the lander's pose, without any prior.", ("identification",)

@@ -107,6 +107,13 @@ over all frames, in steps of at most 0.1 s::
 
     #timestamp,p_RS_R_x [m],...,q_RS_w [],...,v_RS_R_x [m s^-1],...,b_w_RS_S_x [rad s^-1],...
 
+`mav0/state_apriori0/data.csv` (optional): states that somebody else stated, such as an ephemeris, with the
+columns of the truth; for comparison only. `sensor.yaml` beside it has their standard deviations per axis::
+
+    sensor_type: apriori
+    position_sigma_m: 1000.0
+    attitude_sigma_rad: 0.002
+
 `rims.parquet` (optional): measured rims, one row per rim; when it is there, no image is read. Columns:
 `timestamp` (int64, a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance`
 (25 doubles, row by row), see `craternav_fg.measurements.RimSet`. Optional are the roots of the correlated
@@ -144,11 +151,13 @@ CAMERA_DATA = "mav0/cam0/data.csv"
 IMAGES = "mav0/cam0/data"
 IMU_SENSOR = "mav0/imu0/sensor.yaml"
 IMU_DATA = "mav0/imu0/data.csv"
+APRIORI_SENSOR = "mav0/state_apriori0/sensor.yaml"
+APRIORI = "mav0/state_apriori0/data.csv"
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 # Folder of the sensors, and those in it that every data set may have.
 SENSORS = "mav0"
-OWN_SENSORS = ("cam0", "imu0", "features0", "state_groundtruth_estimate0")
+OWN_SENSORS = ("cam0", "imu0", "features0", "state_apriori0", "state_groundtruth_estimate0")
 CONTENTS = (DESCRIPTION, CRATERS, LARGE_CRATERS, SUN, GRAVITY, RIMS, ARCS, TILTS, SENSORS)
 
 STAMP = "timestamp"

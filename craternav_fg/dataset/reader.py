@@ -12,6 +12,7 @@ from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
+from craternav_fg.dataset.apriori import AprioriStates, read_sigmas
 from craternav_fg.dataset.description import read_description, read_motion
 from craternav_fg.dataset.images import ImageArray, check_image, read_image
 from craternav_fg.dataset.measurements import read_measurements
@@ -120,6 +121,7 @@ class Dataset(Recording):
             ignored=ignored,
             features=read_features(folder, camera, stamps),
             motion=motion,
+            apriori=_read_apriori(folder, stamps),
         )
 
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
@@ -263,6 +265,11 @@ def _read_sun(path: Path, frames_ns: IntArray) -> SunVectors:
             f" found {stamps[0]} to {stamps[-1]} ns",
         )
     return SunVectors(stamps, vectors)
+
+
+def _read_apriori(folder: Path, frames_ns: IntArray) -> AprioriStates | None:
+    states = _read_truth(folder / layout.APRIORI, frames_ns)
+    return None if states is None else AprioriStates(states, *read_sigmas(folder / layout.APRIORI_SENSOR))
 
 
 def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset.apriori import AprioriStates
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement
@@ -49,6 +50,8 @@ class Recording:
         Points tracked from frame to frame.
     motion : Motion or None
         Motion model in place of the accelerometer; None when the IMU tells the motion.
+    apriori : AprioriStates or None
+        States that somebody else stated, for comparison.
     """
 
     body: Body
@@ -64,6 +67,7 @@ class Recording:
     sensors: tuple[Sensor, ...] = ()
     features: FeatureTracks | None = None
     motion: Motion | None = None
+    apriori: AprioriStates | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset import layout
+from craternav_fg.dataset.apriori import sigmas_yaml
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.images import ImageArray, write_image
 from craternav_fg.dataset.measurements import write_measurements
@@ -79,7 +80,10 @@ def write_dataset(
         write_catalog(temporary / (layout.LARGE_CRATERS if large else layout.CRATERS), recording.catalog)
         _write_logs(temporary, recording)
         if recording.truth is not None:
-            _write_truth(temporary, recording.truth)
+            _write_states(temporary / layout.TRUTH, recording.truth)
+        if recording.apriori is not None:
+            _write_states(temporary / layout.APRIORI, recording.apriori.states)
+            (temporary / layout.APRIORI_SENSOR).write_text(sigmas_yaml(recording.apriori))
         description = description_toml(recording.body, recording.initial, recording.motion)
         (temporary / layout.DESCRIPTION).write_text(description, encoding="utf-8")
     return folder
@@ -102,11 +106,11 @@ def _write_logs(folder: Path, recording: Recording) -> None:
         write_features(folder, recording.features)
 
 
-def _write_truth(folder: Path, truth: Trajectory) -> None:
-    (folder / layout.TRUTH).parent.mkdir()
-    q = frames.to_quaternion_wxyz(truth.gRb)
-    rows = [truth.stamps_ns, *truth.gP.T, *q.T, *truth.gV.T, *truth.bias.T]
-    write_table(folder / layout.TRUTH, layout.TRUTH_COLUMNS, rows, comment=True)
+def _write_states(path: Path, states: Trajectory) -> None:
+    path.parent.mkdir()
+    q = frames.to_quaternion_wxyz(states.gRb)
+    rows = [states.stamps_ns, *states.gP.T, *q.T, *states.gV.T, *states.bias.T]
+    write_table(path, layout.TRUTH_COLUMNS, rows, comment=True)
 
 
 def _rate_hz(stamps_ns: IntArray) -> float:

@@ -1,0 +1,166 @@
+"""Commands that import images of others as data sets."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from craternav_fg.body import Body
+from craternav_fg.cli.app import example, import_commands
+from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, numbers_of
+from craternav_fg.cli.terminal import out, say
+from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.sensor_files import read_camera
+from craternav_fg.errors import InputError
+from craternav_fg.importing.assemble import Imported, ImportedFrame, write_imported
+from craternav_fg.importing.bodies import with_gravity
+from craternav_fg.importing.cubes import of_cubes, of_photographs
+from craternav_fg.importing.images import grey_images, stamps_of
+from craternav_fg.importing.isis import read_cube
+from craternav_fg.importing.spice import SpiceQuery, camera_states
+from craternav_fg.motion.coast import coast
+
+OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")]
+TimesOption = Annotated[Path, typer.Option(help="CSV of the images' times: filename, utc (ISO 8601).")]
+MuOption = Annotated[
+    float | None,
+    typer.Option("--mu-m3-s2", min=0.0, help="Gravitational parameter.", show_default="the Moon's is known"),
+]
+AccelerationOption = Annotated[
+    float,
+    typer.Option(min=1e-12, help="White noise of the acceleration that the motion model lacks, m/s^2/√Hz."),
+]
+PositionSigmaOption = Annotated[
+    float, typer.Option(min=1e-3, help="Stated standard deviation per axis of the states' positions, m.")
+]
+AttitudeSigmaOption = Annotated[
+    float, typer.Option(min=1e-6, help="Stated standard deviation per axis of the states' attitudes, deg.")
+]
+
+
+@import_commands.command(epilog=example("import isis A.cub B.cub -o DATA --catalog craters.parquet"))
+def isis(
+    cubes: Annotated[list[Path], typer.Argument(help="ISIS cubes of one camera, after spiceinit.")],
+    output: OutputOption,
+    catalog: CatalogOption,
+    images: Annotated[
+        list[Path] | None,
+        typer.Option(help="Whole photographs in place of the cubes' pixels; may be repeated, with --times."),
+    ] = None,
+    times: Annotated[
+        Path | None, typer.Option(help="CSV of the images' times: filename, utc (ISO 8601).")
+    ] = None,
+    mu_m3_s2: MuOption = None,
+    acceleration_density: AccelerationOption = 1e-5,
+    position_sigma_m: PositionSigmaOption = 1000.0,
+    attitude_sigma_deg: AttitudeSigmaOption = 0.1,
+    as_json: JsonOption = False,
+) -> None:
+    """Import ISIS cubes: pixels, camera, states, sun."""
+    read = [read_cube(path) for path in cubes]
+    if (images is None) != (times is None):
+        raise InputError("--images, --times", "expected both, found one")
+    if images is None or times is None:
+        camera, frames, pixels = of_cubes(read)
+    else:
+        camera, frames, pixels = of_photographs(read, images, times)
+    body = with_gravity(read[0].body, mu_m3_s2)
+    craters, _ = read_any_catalog(catalog, body.radius_m)
+    given = Imported(
+        frames, camera, body, craters, coast(acceleration_density),
+        position_sigma_m, math.radians(attitude_sigma_deg),
+    )  # fmt: skip
+    _finish(write_imported(output, given, pixels), as_json)
+
+
+@import_commands.command(
+    epilog=example("import images *.png -o DATA --times times.csv --camera sensor.yaml --catalog C.parquet")
+)
+def images(
+    paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
+    output: OutputOption,
+    times: TimesOption,
+    camera: CameraOption,
+    catalog: CatalogOption,
+    sun: Annotated[str, typer.Option(help="Direction towards the sun in the body-fixed frame: x,y,z.")],
+    mu_m3_s2: MuOption = None,
+    acceleration_density: AccelerationOption = 1e-5,
+    as_json: JsonOption = False,
+) -> None:
+    """Import plain images with a table of their times."""
+    sensor = read_camera(camera)
+    frames = _frames(paths, times)
+    direction = numbers_of("--sun", sun, 3)
+    if direction is None or not np.any(direction):
+        raise InputError("--sun", "expected a direction, found zero")
+    craters, _ = read_any_catalog(catalog, None)
+    body = with_gravity(craters.body, mu_m3_s2)
+    given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=np.array(direction))
+    size = sensor.width_px, sensor.height_px
+    _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)
+
+
+@import_commands.command(
+    epilog=example(
+        "import spice *.png -o DATA --times times.csv --camera sensor.yaml --catalog C.parquet"
+        " --meta-kernel K.tm --spacecraft -915 --instrument-frame A15_METRIC --target MOON"
+        " --body-frame MOON_ME"
+    )
+)
+def spice(
+    paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
+    output: OutputOption,
+    times: TimesOption,
+    camera: CameraOption,
+    catalog: CatalogOption,
+    meta_kernel: Annotated[list[Path], typer.Option(help="Kernel or meta-kernel; may be repeated.")],
+    spacecraft: Annotated[str, typer.Option(help="Name or number of the spacecraft.")],
+    instrument_frame: Annotated[str, typer.Option(help="Frame of the camera: x right, y down, z forward.")],
+    target: Annotated[str, typer.Option(help="Body in the images.")] = "MOON",
+    body_frame: Annotated[str, typer.Option(help="Body-fixed frame of the catalogue.")] = "IAU_MOON",
+    mu_m3_s2: MuOption = None,
+    acceleration_density: AccelerationOption = 1e-5,
+    position_sigma_m: PositionSigmaOption = 1000.0,
+    attitude_sigma_deg: AttitudeSigmaOption = 0.1,
+    as_json: JsonOption = False,
+) -> None:
+    """Import plain images with states and sun from SPICE kernels."""
+    sensor = read_camera(camera)
+    frames = _frames(paths, times)
+    query = SpiceQuery(tuple(meta_kernel), spacecraft, instrument_frame, target, body_frame)
+    states, spin = camera_states(query, [frame.stamp_ns for frame in frames])
+    craters, _ = read_any_catalog(catalog, None)
+    known = Body(craters.body.name, craters.body.radius_m, 0.0, spin)
+    frames = [ImportedFrame(f.path, f.stamp_ns, s) for f, s in zip(frames, states, strict=True)]
+    given = Imported(
+        frames, sensor, with_gravity(known, mu_m3_s2), craters, coast(acceleration_density),
+        position_sigma_m, math.radians(attitude_sigma_deg),
+    )  # fmt: skip
+    size = sensor.width_px, sensor.height_px
+    _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)
+
+
+def _frames(paths: list[Path], times: Path) -> list[ImportedFrame]:
+    """Frames of plain images, in the order of time."""
+    frames = [ImportedFrame(path, stamp) for path, stamp in zip(paths, stamps_of(paths, times), strict=True)]
+    return sorted(frames, key=lambda frame: frame.stamp_ns)
+
+
+def _finish(folder: Path, as_json: bool) -> None:
+    """Open what was written, which checks it, and say what it holds."""
+    data = Dataset.open(folder)
+    if as_json:
+        out.print_json(
+            json.dumps({"dataset": str(folder), "frames": len(data), "craters": len(data.catalog)})
+        )
+        return
+    camera = data.camera
+    say(
+        f"{folder}: {len(data)} images of {camera.width_px} x {camera.height_px} px, focal length "
+        f"{camera.focal_px:.1f} px, {1e-9 * (data.stamps_ns[-1] - data.stamps_ns[0]):.1f} s"
+    )
+    say(f"next: craternav reconstruct {folder} -o RUN")

@@ -1,0 +1,212 @@
+"""A data set of imported images: frames in the order of time, a motion model, states that come along."""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import Recording, SunVectors, write_dataset
+from craternav_fg.dataset.apriori import AprioriStates
+from craternav_fg.dataset.images import ImageArray
+from craternav_fg.errors import InputError
+from craternav_fg.motion.coast import coast
+from craternav_fg.motion.model import Motion
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """State of a camera at an image, as somebody else has it.
+
+    Attributes
+    ----------
+    gTc : ndarray, shape (4, 4)
+        Pose of the camera in g, m.
+    gV : ndarray, shape (3,)
+        Velocity relative to g, in g, m/s.
+    rate : ndarray, shape (3,)
+        Inertial angular velocity in c, rad/s.
+    sun : ndarray, shape (3,)
+        Unit vector towards the sun in g.
+    """
+
+    gTc: FloatArray
+    gV: FloatArray
+    rate: FloatArray
+    sun: FloatArray
+
+
+@dataclass(frozen=True)
+class ImportedFrame:
+    """An image and when it was taken.
+
+    Attributes
+    ----------
+    path : Path
+        Where it comes from: its stem names the image in the data set.
+    stamp_ns : int
+    state : CameraState or None
+        None when nobody states it.
+    """
+
+    path: Path
+    stamp_ns: int
+    state: CameraState | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What a data set is made of, beside its images.
+
+    Attributes
+    ----------
+    frames : sequence of ImportedFrame
+        In any order.
+    camera : Camera
+    body : Body
+        With gravity and spin.
+    catalog : Catalog
+    motion : Motion
+    position_sigma_m, attitude_sigma_rad : float
+        Stated standard deviations per axis of the frames' states.
+    sun : ndarray, shape (3,), or None
+        Direction towards the sun in g, where the frames' states do not give it.
+    """
+
+    frames: Sequence[ImportedFrame]
+    camera: Camera
+    body: Body
+    catalog: Catalog
+    motion: Motion
+    position_sigma_m: float = 1000.0
+    attitude_sigma_rad: float = 2e-3
+    sun: FloatArray | None = None
+
+
+def in_order(frames: Sequence[ImportedFrame]) -> list[ImportedFrame]:
+    """Sort frames by time.
+
+    Parameters
+    ----------
+    frames : sequence of ImportedFrame
+
+    Returns
+    -------
+    list of ImportedFrame
+
+    Raises
+    ------
+    InputError
+        When there is none, two are of one time, or two have one name.
+    """
+    if not frames:
+        raise InputError("images", "expected at least one, found none")
+    ordered = sorted(frames, key=lambda frame: frame.stamp_ns)
+    for one, other in itertools.pairwise(ordered):
+        if one.stamp_ns == other.stamp_ns:
+            raise InputError(other.path, f"expected another time than that of {one.path}")
+    names = [frame.path.stem for frame in ordered]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise InputError(ordered[k].path, f"expected another name than {ordered[names.index(name)].path}")
+    return ordered
+
+
+def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) -> Path:
+    """Write a data set of imported images.
+
+    Parameters
+    ----------
+    folder : Path
+        Replaced when it is empty or a data set.
+    given : Imported
+    images : iterable of ndarray of uint8 or uint16, shape (height, width)
+        Grey levels, in the order of `in_order`.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        When the frames contradict each other, no sun is known, or the folder cannot be written.
+    """
+    frames = in_order(given.frames)
+    stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
+    catalog = replace(given.catalog, body=given.body)
+    states = states_at(frames, given.body)
+    recording = Recording(
+        body=given.body,
+        camera=given.camera,
+        catalog=catalog,
+        imu=None,
+        imu_noise=None,
+        initial=None,
+        sun=_sun(frames, stamps, given.sun),
+        stamps_ns=stamps,
+        motion=given.motion,
+        apriori=None
+        if states is None
+        else AprioriStates(states, given.position_sigma_m, given.attitude_sigma_rad),
+    )
+    return write_dataset(folder, recording, images, [f"{frame.path.stem}.png" for frame in frames])
+
+
+def states_at(frames: Sequence[ImportedFrame], body: Body) -> Trajectory | None:
+    """States at all frames: stated ones, else the nearest stated one in free fall.
+
+    Parameters
+    ----------
+    frames : sequence of ImportedFrame
+        In the order of time.
+    body : Body
+
+    Returns
+    -------
+    Trajectory or None
+        Of the camera; None when no frame has a state.
+    """
+    known = [k for k, frame in enumerate(frames) if frame.state is not None]
+    if not known:
+        return None
+    fall = coast()
+    gTb, gV, bias = np.empty((len(frames), 4, 4)), np.empty((len(frames), 3)), np.zeros((len(frames), 6))
+    for k, frame in enumerate(frames):
+        nearest = min(known, key=lambda j: abs(frames[j].stamp_ns - frame.stamp_ns))
+        state = frames[nearest].state
+        assert state is not None
+        bias[k, :3] = -state.rate
+        gTb[k], gV[k] = state.gTc, state.gV
+        if nearest != k:
+            seconds = 1e-9 * (frame.stamp_ns - frames[nearest].stamp_ns)
+            gTb[k], gV[k], _, _ = fall.free(body, (gTb[k], gV[k], bias[k]), seconds)
+    stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
+    return Trajectory(stamps, gTb, gV, bias)
+
+
+def _sun(
+    frames: Sequence[ImportedFrame], stamps: npt.NDArray[np.int64], given: FloatArray | None
+) -> SunVectors:
+    """Directions towards the sun: those of the states, else the given one."""
+    known = [k for k, frame in enumerate(frames) if frame.state is not None]
+    if not known:
+        if given is None:
+            raise InputError(frames[0].path, "expected the direction towards the sun, found none")
+        return SunVectors(stamps[:1], given[None] / np.linalg.norm(given))
+    vectors = []
+    for stamp in stamps:
+        nearest = min(known, key=lambda j: abs(int(stamps[j] - stamp)))
+        state = frames[nearest].state
+        assert state is not None
+        vectors.append(state.sun)
+    return SunVectors(stamps, np.array(vectors))

@@ -1,0 +1,82 @@
+"""Plain images with a table of times."""
+
+import cv2
+import numpy as np
+import pytest
+
+from craternav_fg.body import Body
+from craternav_fg.catalogs.files import write_catalog
+from craternav_fg.cli.app import app
+from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.sensor_files import camera_yaml
+from craternav_fg.errors import InputError
+from craternav_fg.importing.bodies import with_gravity
+from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamps_of
+from tests.dataset.samples import recording
+from tests.importing.moon import moon_catalog
+
+
+def _given(folder, sizes=((64, 48), (64, 48))):
+    rng = np.random.default_rng(1)
+    given = recording(rng)
+    (folder / "sensor.yaml").write_text(camera_yaml(given.camera, 1.0))
+    write_catalog(folder / "craters.csv", moon_catalog())
+    paths = []
+    for k, (width, height) in enumerate(sizes):
+        paths.append(folder / f"{k}.png")
+        cv2.imwrite(str(paths[-1]), rng.integers(0, 255, (height, width), dtype=np.uint8))
+    rows = [f"{k}.png,1969-07-20T20:17:{40 + k}.25" for k in range(len(sizes))]
+    (folder / "times.csv").write_text("filename,utc\n" + "\n".join(rows) + "\n")
+    return paths
+
+
+def _arguments(folder, paths):
+    options = {"-o": "data", "--times": "times.csv", "--camera": "sensor.yaml", "--catalog": "craters.csv"}
+    named = [part for name, value in options.items() for part in (name, str(folder / value))]
+    return ["import", "images", *map(str, paths), *named, "--sun", "0,3,4"]
+
+
+def test_images_become_a_data_set_in_the_order_of_time(tmp_path):
+    paths = _given(tmp_path)
+    app(_arguments(tmp_path, paths[::-1]), standalone_mode=False)
+    data = Dataset.open(tmp_path / "data")
+    assert [path.name for path in data.image_paths] == ["0.png", "1.png"]
+    assert np.diff(data.stamps_ns).tolist() == [1_000_000_000]
+    np.testing.assert_allclose(data.sun.at(0), [0.0, 0.6, 0.8])
+    np.testing.assert_array_equal(data.image(1), cv2.imread(str(paths[1]), cv2.IMREAD_GRAYSCALE))
+    assert data.motion.name == "coast"
+    assert data.apriori is None
+
+
+def test_wrong_images_and_times_are_refused(tmp_path):
+    paths = _given(tmp_path, ((64, 48), (60, 48)))
+    with pytest.raises(InputError, match=r"1.png: expected 64 x 48 px.*found 60 x 48"):
+        app(_arguments(tmp_path, paths), standalone_mode=False)
+    assert not (tmp_path / "data").exists()
+    with pytest.raises(InputError, match=r"1.png: expected 64 x 48 px, as .*0.png, found 60 x 48"):
+        list(grey_images(paths))
+    colour = tmp_path / "colour.png"
+    cv2.imwrite(str(colour), np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(InputError, match="expected a grey image of 8 or 16 bits, found 3 channels of uint8"):
+        list(grey_images([colour]))
+    with pytest.raises(InputError, match=r"times.csv: expected a row for colour.png, found 2 others"):
+        stamps_of([colour], tmp_path / "times.csv")
+    for line, problem in (
+        ("a.png,noon", r":2: utc: expected a time"),
+        ("a.png,2000-01-01\na.png,2000-01-02", ":3"),
+    ):
+        (tmp_path / "times.csv").write_text(f"filename,utc\n{line}\n")
+        with pytest.raises(InputError, match=problem):
+            read_times(tmp_path / "times.csv")
+
+
+def test_grey_levels_share_one_scale():
+    one, other = grey_levels([np.array([[0.0, 1.0]]), np.array([[np.nan, 4.0]])], 8)
+    assert one.tolist() == [[0, 64]]
+    assert other.tolist() == [[0, 255]]
+
+
+def test_gravity_is_known_of_the_moon_only():
+    assert with_gravity(Body("Moon", 1.7e6, 1.0, (0.0, 0.0, 0.0)), None).mu_m3_s2 == 4.902800118e12
+    with pytest.raises(InputError, match="--mu-m3-s2: expected it for Vesta"):
+        with_gravity(Body("Vesta", 2.6e5, 1.0, (0.0, 0.0, 0.0)), None)

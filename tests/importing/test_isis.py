@@ -1,0 +1,290 @@
+"""ISIS cubes: those of Apollo 15 against their decoded states, and cubes that the tests write."""
+
+import json
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from craternav_fg.catalogs.files import write_catalog
+from craternav_fg.cli.app import app
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
+from craternav_fg.importing.cubes import of_cubes, of_photographs
+from craternav_fg.importing.isis import read_cube
+from tests.importing.moon import moon_catalog
+from tests.shared_data import shared
+
+pytest.importorskip("pvl")
+
+FRAMES = (297, 298, 299, 300)
+
+
+def _truth():
+    return json.loads(shared("apollo15/spice_truth_297_300.json").read_text())
+
+
+def _cubes():
+    return [shared(f"apollo15/AS15-M-0{k}_crop.cub") for k in FRAMES]
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_apollo_cubes_give_the_decoded_states(frame):
+    cube = read_cube(shared(f"apollo15/AS15-M-0{frame}_crop.cub"))
+    known = _truth()["frames"][str(frame)]
+    state = cube.state
+    np.testing.assert_allclose(state.gTc[:3, 3], known["position_m"], atol=1e-6)
+    # The camera's axes here are OpenCV's: diag(-1, 1, -1) of ISIS's.
+    np.testing.assert_allclose(state.gTc[:3, :3].T, known["cRg"], atol=1e-12)
+    np.testing.assert_allclose(state.sun, known["sun_g"], atol=1e-12)
+    inertial = state.gV + np.cross(cube.body.spin_rad_s, state.gTc[:3, 3])
+    np.testing.assert_allclose(inertial, known["velocity_inertial_m_s"], atol=1e-9)
+    utc = np.datetime64(known["utc"]).astype("datetime64[ns]").astype(np.int64)
+    assert cube.stamp_ns == utc
+    assert cube.body.radius_m == 1737400.0
+    assert cube.body.spin_rad_s[2] == pytest.approx(2.6617e-6, rel=1e-4)
+
+
+def test_the_attitudes_of_the_cubes_turn_as_their_angular_velocities_say():
+    one, other = (read_cube(path) for path in _cubes()[1:3])
+    seconds = 1e-9 * (other.stamp_ns - one.stamp_ns)
+    spin = cv2.Rodrigues(seconds * np.array(one.body.spin_rad_s))[0]
+    turned = one.state.gTc[:3, :3].T @ spin @ other.state.gTc[:3, :3]
+    rate = cv2.Rodrigues(turned)[0].ravel() / seconds
+    np.testing.assert_allclose(rate, 0.5 * (one.state.rate + other.state.rate), atol=3e-4)
+    assert rate[1] == pytest.approx(9e-4, rel=0.2)
+
+
+def test_whole_photographs_scale_the_camera(tmp_path):
+    images = [shared(f"apollo15/AS15-M-0{k}_SML.png") for k in range(295, 301)]
+    camera, frames, pixels = of_photographs([read_cube(p) for p in _cubes()], images, _times(tmp_path))
+    np.testing.assert_allclose(camera.matrix, _truth()["camera"]["K"], atol=1e-9)
+    assert [frame.path.name for frame in frames] == [path.name for path in images]
+    assert [frame.state is not None for frame in frames] == [False, False, True, True, True, True]
+    assert pixels[0].shape == (1012, 1012)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_crops_lie_where_the_label_says_in_the_photographs(frame):
+    cube = read_cube(shared(f"apollo15/AS15-M-0{frame}_crop.cub"))
+    scan = cv2.imread(str(shared(f"apollo15/AS15-M-0{frame}_SML.png")), cv2.IMREAD_GRAYSCALE)
+    scale = 1012 / cube.parent.width_px
+    fx, cx = scale * cube.parent.fx_px, scale * (cube.parent.cx_px + 0.5) - 0.5
+    cy = scale * (cube.parent.cy_px + 0.5) - 0.5
+    # Pixels of the scan on the crop's grid, through the two cameras.
+    v, u = np.mgrid[: cube.camera.height_px, : cube.camera.width_px].astype(np.float32)
+    x = (u - cube.camera.cx_px) / cube.camera.fx_px * fx + cx
+    y = (v - cube.camera.cy_px) / cube.camera.fy_px * fx + cy
+    # The cubes are sharper than the scans.
+    crop = cv2.GaussianBlur(cube.pixels(), (0, 0), 0.8)
+    inside = np.isfinite(crop)
+
+    def correlation(dx, dy):
+        seen = cv2.remap(scan, (x + dx).astype(np.float32), (y + dy).astype(np.float32), cv2.INTER_LINEAR)
+        return np.corrcoef(seen[inside], crop[inside])[0, 1]
+
+    assert correlation(0.0, 0.0) > 0.99
+    # A pixel of the scan aside it is worse; each scan has a shift of its own of up to half a pixel.
+    shifted = [correlation(dx, dy) for dx, dy in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))]
+    assert correlation(0.0, 0.0) > max(shifted)
+
+
+def test_crops_of_other_places_are_no_data_set():
+    with pytest.raises(InputError, match=r"crop of another place than .*: give --images"):
+        of_cubes([read_cube(path) for path in _cubes()])
+
+
+def _times(folder: Path) -> Path:
+    utc = {295: "01:24:11.754", 296: "01:24:36.970", 297: "01:25:02.243"}
+    utc |= {298: "01:25:27.457", 299: "01:25:52.669", 300: "01:26:17.923"}
+    path = folder / "times.csv"
+    rows = [f"AS15-M-0{k}_SML.png,1971-07-31T{at}" for k, at in utc.items()]
+    path.write_text("filename,utc\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_the_command_imports_the_six_photographs(tmp_path):
+    catalog = tmp_path / "craters.csv"
+    write_catalog(catalog, moon_catalog())
+    arguments = [
+        "import",
+        "isis",
+        *map(str, _cubes()),
+        "-o",
+        str(tmp_path / "data"),
+        "--catalog",
+        str(catalog),
+    ]
+    for k in range(295, 301):
+        arguments += ["--images", str(shared(f"apollo15/AS15-M-0{k}_SML.png"))]
+    app([*arguments, "--times", str(_times(tmp_path))], standalone_mode=False)
+    data = Dataset.open(tmp_path / "data")
+    assert data.imu is None
+    assert data.motion.name == "coast"
+    assert len(data) == 6
+    assert data.image_paths[0].name == "AS15-M-0295_SML.png"
+    assert data.apriori.position_sigma_m == 1000.0
+    # 298 to 300 follow each other in free fall to some metres, so 295 and 296 lie on one orbit with them.
+    altitude = data.body.altitude_m(data.apriori.states.gP)
+    assert np.all(np.abs(altitude - 119.2e3) < 1e3)
+    known = _truth()["frames"]["299"]
+    np.testing.assert_allclose(data.apriori.states.gP[4], known["position_m"], atol=1e-6)
+    np.testing.assert_allclose(data.sun.at(int(data.stamps_ns[4])), known["sun_g"], atol=1e-12)
+
+
+# --- cubes of the tests' own ---
+
+LABEL = """Object = IsisCube
+  Object = Core
+    StartByte = 8193
+    Format = BandSequential
+    Group = Dimensions
+      Samples = {width}
+      Lines = {height}
+      Bands = 1
+    End_Group
+    Group = Pixels
+      Type = {kind}
+      ByteOrder = Lsb
+      Base = 0.0
+      Multiplier = 1.0
+    End_Group
+  End_Object
+  Group = Instrument
+    TargetName = Moon
+    StartTime = {start}
+  End_Group
+  Group = Kernels
+    NaifFrameCode = -1
+  End_Group
+End_Object
+Object = Label
+  Bytes = 8192
+End_Object
+{tables}Object = NaifKeywords
+  BODY301_RADII = (1737.4, 1737.4, 1737.4)
+  INS-1_FOCAL_LENGTH = 100.0
+  INS-1_ITRANSS = (0.0, 50.0, 0.0)
+  INS-1_ITRANSL = (0.0, 0.0, 50.0)
+  {extra}
+End_Object
+End
+"""
+ROWS = {
+    "InstrumentPointing": [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-3, 5.0],
+    "InstrumentPosition": [1900.0, 1.0, 2.0, 0.1, 1.6, 0.2, 5.0],
+    "BodyRotation": [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.7e-6, 5.0],
+    "SunPosition": [0.0, 1.5e8, 0.0, 0.0, 0.0, 0.0, 5.0],
+}
+TYPES = {"UnsignedByte": np.uint8, "SignedWord": np.int16, "Real": np.float32}
+
+
+def _cube(
+    path: Path,
+    *,
+    kind="Real",
+    size=(24, 20),
+    tables=tuple(ROWS),
+    extra="",
+    start="2000-01-01T12:00:00",
+    rows=1,
+) -> Path:
+    width, height = size
+    pixels = (np.arange(width * height).reshape(height, width) % 200).astype(TYPES[kind])
+    begin, text, data = 8192 + pixels.nbytes, "", b""
+    for name in tables:
+        values = np.array([[*ROWS[name][:-1], ROWS[name][-1] + 10.0 * k] for k in range(rows)])
+        fields = "".join(
+            f"  Group = Field\n    Name = F{k}\n    Type = Double\n    Size = 1\n  End_Group\n"
+            for k in range(values.shape[1])
+        )
+        text += (
+            f"Object = Table\n  Name = {name}\n  StartByte = {begin + len(data) + 1}\n"
+            f"  Bytes = {values.nbytes}\n  Records = {rows}\n  ByteOrder = Lsb\n{fields}End_Object\n"
+        )
+        data += b"".join(struct.pack("<d", value) for value in values.ravel())
+    label = LABEL.format(width=width, height=height, kind=kind, start=start, tables=text, extra=extra)
+    path.write_bytes(label.encode().ljust(8192, b"\0") + pixels.tobytes() + data)
+    return path
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_pixels_of_any_depth_are_read(tmp_path, kind):
+    cube = read_cube(_cube(tmp_path / "a.cub", kind=kind))
+    expected = (np.arange(480).reshape(20, 24) % 200).astype(float)
+    levels = cube.pixels()
+    # Some of the least values of a byte or a word are special pixels.
+    good = np.isfinite(levels)
+    assert good.sum() > 470
+    np.testing.assert_array_equal(levels[good], expected[good])
+
+
+def test_a_camera_without_axes_reversed_looks_along_z(tmp_path):
+    cube = read_cube(_cube(tmp_path / "a.cub"))
+    np.testing.assert_allclose(cube.state.gTc[:3, :3], np.eye(3), atol=1e-15)
+    assert cube.camera.fx_px == 5000.0
+    # The boresight at half the size in ISIS's pixels, which count from 1.
+    assert (cube.camera.cx_px, cube.camera.cy_px) == (11.0, 9.0)
+    np.testing.assert_allclose(cube.state.gTc[:3, 3], [1.9e6, 1e3, 2e3])
+    np.testing.assert_allclose(cube.state.rate, [0.0, 0.0, 1e-3])
+
+
+def test_cubes_of_one_camera_are_a_data_set(tmp_path):
+    paths = [_cube(tmp_path / f"{k}.cub", start=f"2000-01-01T12:00:{10 * k:02d}") for k in range(3)]
+    camera, frames, images = of_cubes([read_cube(path) for path in reversed(paths)])
+    assert [frame.path.stem for frame in frames] == ["0", "1", "2"]
+    assert camera.bit_depth == 12
+    assert images[0].dtype == np.uint16
+    assert images[0].max() == 4095
+
+
+def test_wrong_cubes_are_refused_by_one_line(tmp_path):
+    def refused(path: Path, problem: str) -> None:
+        with pytest.raises(InputError, match=problem) as found:
+            read_cube(path)
+        assert "\n" not in str(found.value)
+        assert str(path) in str(found.value)
+
+    refused(tmp_path / "none.cub", "file is missing")
+    text = tmp_path / "text.cub"
+    text.write_text("no cube at all\n")
+    refused(text, "expected an ISIS cube with an attached label")
+    refused(_cube(tmp_path / "a.cub", tables=()), "expected a table InstrumentPointing .*spiceinit.*no table")
+    missing = [name for name in ROWS if name != "SunPosition"]
+    refused(_cube(tmp_path / "b.cub", tables=tuple(missing)), "expected a table SunPosition")
+    whole = _cube(tmp_path / "c.cub").read_bytes()
+    for cut in (9000, len(whole) - 100):
+        short = tmp_path / f"short{cut}.cub"
+        short.write_bytes(whole[:cut])
+        refused(short, "is truncated: expected [0-9]+ bytes")
+    detached = tmp_path / "d.lbl"
+    detached.write_bytes(
+        whole[:8192]
+        .rstrip(b"\0")
+        .replace(b"    StartByte = 8193\n", b"    StartByte = 1\n    ^Core = d.img\n")
+    )
+    refused(detached, "found a detached label of d.img")
+    refused(_cube(tmp_path / "e.cub", rows=3), "found one over 20.0 s: a line scan")
+    refused(_cube(tmp_path / "f.cub", extra="INS-1_OD_K = (0.0, 1.0)"), "OD_K: expected a lens")
+    no_focal = tmp_path / "g.cub"
+    no_focal.write_bytes(whole.replace(b"INS-1_FOCAL_LENGTH", b"INS-1_FOCAL_WIDTHS"))
+    refused(no_focal, "INS-1_FOCAL_LENGTH: expected 1 numbers, found None")
+
+
+def test_cubes_of_other_sizes_are_refused(tmp_path):
+    one = _cube(tmp_path / "a.cub")
+    other = _cube(tmp_path / "b.cub", size=(20, 20), start="2000-01-01T12:00:10")
+    with pytest.raises(InputError, match=r"b.cub: expected 24 x 20 px, as .*a.cub, found 20 x 20"):
+        of_cubes([read_cube(one), read_cube(other)])
+
+
+def test_a_cube_without_a_photograph_of_its_time_is_refused(tmp_path):
+    cube = read_cube(_cube(tmp_path / "a.cub"))
+    image = tmp_path / "a.png"
+    cv2.imwrite(str(image), np.zeros((20, 24), np.uint8))
+    times = tmp_path / "times.csv"
+    times.write_text("filename,utc\na.png,2001-01-01T12:00:00\n")
+    with pytest.raises(InputError, match=r"a.cub: expected an image of its time among 1, found none"):
+        of_photographs([cube], [image], times)
