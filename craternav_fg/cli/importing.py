@@ -6,23 +6,28 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 from craternav_fg.body import Body
+from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, numbers_of
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import InputError
 from craternav_fg.importing.assemble import Imported, ImportedFrame, write_imported
 from craternav_fg.importing.bodies import with_gravity
 from craternav_fg.importing.cubes import of_cubes, of_photographs
 from craternav_fg.importing.images import grey_images, stamps_of
-from craternav_fg.importing.isis import read_cube
+from craternav_fg.importing.isis import Cube, read_cube
 from craternav_fg.importing.spice import SpiceQuery, camera_states
 from craternav_fg.motion.coast import coast
+
+FloatArray = npt.NDArray[np.float64]
 
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")]
 TimesOption = Annotated[Path, typer.Option(help="CSV of the images' times: filename, utc (ISO 8601).")]
@@ -62,12 +67,7 @@ def isis(
 ) -> None:
     """Import ISIS cubes: pixels, camera, states, sun."""
     read = [read_cube(path) for path in cubes]
-    if (images is None) != (times is None):
-        raise InputError("--images, --times", "expected both, found one")
-    if images is None or times is None:
-        camera, frames, pixels = of_cubes(read)
-    else:
-        camera, frames, pixels = of_photographs(read, images, times)
+    camera, frames, pixels = _pixels(read, images, times)
     body = with_gravity(read[0].body, mu_m3_s2)
     craters, _ = read_any_catalog(catalog, body.radius_m)
     given = Imported(
@@ -78,7 +78,9 @@ def isis(
 
 
 @import_commands.command(
-    epilog=example("import images *.png -o DATA --times times.csv --camera sensor.yaml --catalog C.parquet")
+    epilog=example(
+        "import images *.png -o DATA --times times.csv --camera sensor.yaml --catalog C.parquet --sun 0,3,4"
+    )
 )
 def images(
     paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
@@ -94,12 +96,10 @@ def images(
     """Import plain images with a table of their times."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
-    direction = numbers_of("--sun", sun, 3)
-    if direction is None or not np.any(direction):
-        raise InputError("--sun", "expected a direction, found zero")
+    direction = _direction(sun)
     craters, _ = read_any_catalog(catalog, None)
     body = with_gravity(craters.body, mu_m3_s2)
-    given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=np.array(direction))
+    given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)
     size = sensor.width_px, sensor.height_px
     _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)
 
@@ -142,6 +142,24 @@ def spice(
     )  # fmt: skip
     size = sensor.width_px, sensor.height_px
     _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)
+
+
+def _pixels(
+    cubes: list[Cube], images: list[Path] | None, times: Path | None
+) -> tuple[Camera, list[ImportedFrame], list[ImageArray]]:
+    """Camera, frames and grey levels: of the photographs if they are given, else of the cubes."""
+    if images is None and times is None:
+        return of_cubes(cubes)
+    if images is None or times is None:
+        raise InputError("--images, --times", "expected both, found one")
+    return of_photographs(cubes, images, times)
+
+
+def _direction(sun: str) -> FloatArray:
+    direction = numbers_of("--sun", sun, 3)
+    if direction is None or not np.any(direction):
+        raise InputError("--sun", "expected a direction, found zero")
+    return np.array(direction)
 
 
 def _frames(paths: list[Path], times: Path) -> list[ImportedFrame]:

@@ -138,7 +138,7 @@ def grey_levels(images: Sequence[FloatArray], bit_depth: int) -> list[ImageArray
     Parameters
     ----------
     images : sequence of ndarray, shape (height, width)
-        NaN where there is no value: becomes 0.
+        In any one unit; NaN where there is no value: becomes 0.
     bit_depth : int
         8, or up to 16.
 
