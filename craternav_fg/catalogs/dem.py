@@ -12,8 +12,10 @@ from scipy.ndimage import spline_filter1d
 
 from craternav_fg.catalogs.bodies import SAME_BODY
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.frames import latitude_longitude
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 Float32Array = npt.NDArray[np.float32]
 
 # Larger rasters take more than a gigabyte while they are read: crop them.
@@ -59,6 +61,29 @@ class Dem:
         out = np.empty(len(directions))
         _sample(np.ascontiguousarray(directions), self.coefficients, self.frame, out)
         return out
+
+    def covers(self, directions: FloatArray) -> BoolArray:
+        """Tell which places the raster covers.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (n, 3)
+            Unit vectors from the body's centre, in g.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        lon0, lat0, dlon, dlat, around = self.frame
+        rows, columns = self.coefficients.shape
+        latitude, longitude = latitude_longitude(directions)
+        row = (latitude - lat0) / dlat
+        middle = lon0 + 0.5 * (columns - 1) * dlon
+        off = np.remainder(longitude - middle + np.pi, 2.0 * np.pi) - np.pi
+        inside = (row >= 0.0) & (row <= rows - 1)
+        if around:
+            return np.asarray(inside)
+        return np.asarray(inside & (np.abs(off) <= 0.5 * (columns - 1) * abs(dlon)))
 
 
 def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> Dem:

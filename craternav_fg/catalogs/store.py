@@ -1,6 +1,7 @@
 """Store of a catalogue: a Parquet file that opens fast, as its rows are in the order of the spatial index."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ _ID = "crater_id"
 _NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
 
 
-def write_parquet(path: Path, catalog: Catalog) -> None:
+def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLike] | None = None) -> None:
     """Write a catalogue; numbers read back exactly.
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
@@ -35,20 +36,25 @@ def write_parquet(path: Path, catalog: Catalog) -> None:
     ----------
     path : Path
     catalog : Catalog
+    beside : mapping of str to array_like, shape (n,) or (n, k), optional
+        Further columns, in the order of the catalogue, which `read_parquet` does not read; a second axis
+        becomes a list in each row.
 
     Raises
     ------
     InputError
         When it cannot be written.
     """
-    ordered = catalog.take(catalog.index.order)
+    order = catalog.index.order
+    ordered = catalog.take(order)
     about = {"format": FORMAT, "body": ordered.body.name, "radius_m": float(ordered.body.radius_m)}
     arrays = [pa.array(ordered.identifiers, pa.string())]
     arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
-    schema = pa.schema(
-        [(_ID, pa.string()), *((name, pa.float64()) for name in _NUMBERS)],
-        metadata={_KEY: json.dumps(about).encode()},
-    )
+    more = {name: pa.array(np.asarray(column)[order].tolist()) for name, column in (beside or {}).items()}
+    fields = [(_ID, pa.string()), *((name, pa.float64()) for name in _NUMBERS)]
+    fields += [(name, column.type) for name, column in more.items()]
+    schema = pa.schema(fields, metadata={_KEY: json.dumps(about).encode()})
+    arrays += more.values()
     tables.write_parquet(path, pa.Table.from_arrays(arrays, schema=schema))
 
 

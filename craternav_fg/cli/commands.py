@@ -29,7 +29,10 @@ COMMANDS = {
     "montecarlo": Command(
         "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)
     ),
-    "catalog": Command("Crater catalogues: import, summarise, list, draw.", ("catalogs", "catalog_import")),
+    "catalog": Command(
+        "Crater catalogues: import, refine, summarise, list, draw.",
+        ("catalogs", "catalog_import", "catalog_refine"),
+    ),
     "import": Command(
         "Import images as a data set: ISIS cubes, images with SPICE kernels or with times.", ("importing",)
     ),

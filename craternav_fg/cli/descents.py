@@ -109,8 +109,7 @@ def reconstruct(
     if print_config:
         typer.echo(default_options(estimators or ()), nl=False)
         return
-    if data is None or output is None:
-        raise InputError("reconstruct", "expected the folder of a data set and --output")
+    data, output = _given(data, output)
     file = None if config is None else OptionsFile(config)
     chosen = _estimators(estimators or DEFAULT, file, rims)
     _check_folders(data, output)
@@ -141,6 +140,13 @@ def compare(
 def _simulated(report: Progress) -> Callable[[int, int], None]:
     """Report the progress of a simulation."""
     return lambda done, total: report("simulated frames", done, total)
+
+
+def _given(data: Path | None, output: Path | None) -> tuple[Path, Path]:
+    """Refuse a call without the folders, which only --print-config does not need."""
+    if data is None or output is None:
+        raise InputError("reconstruct", "expected the folder of a data set and --output")
+    return data, output
 
 
 def _estimators(names: Sequence[str], file: OptionsFile | None, rims: str | None) -> list[Estimator]:

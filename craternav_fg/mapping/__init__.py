@@ -1,0 +1,1 @@
+"""Crater catalogues made better: rims measured where the terrain shows them."""

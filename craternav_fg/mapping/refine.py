@@ -1,0 +1,370 @@
+"""Rims of a catalogue measured on an elevation model: ellipses in place of circles, with covariances.
+
+The crest is searched on rays around each crater, as a closed line (`crest_kernel`), and an ellipse is fitted
+to it robustly, as to the edge points of an image (`vision.ellipse_kernel`): outlines of real craters are not
+ellipses, and their deviation is part of the covariance. The ellipse found is the start of the next search, in
+a narrower ring. A rim that the model does not show keeps the catalogue's numbers, and the reason is told.
+
+The rim is a planar ellipse on local horizontal axes; its height is the mean of the crest's. The least-squares
+plane through the crest gives the tilt, and the deviation from it the scatter.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import partial
+from os import cpu_count
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.catalogs.dem import Dem
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import (
+    axes_covariance,
+    axes_of_chart,
+    chart_of_axes,
+    mean_radius,
+    points_on,
+    shape_change,
+)
+from craternav_fg.mapping.crest_kernel import closed_ridge, crest_score
+from craternav_fg.vision import ellipse_kernel
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+
+# Rays of a search.
+_RAYS = 72
+# Ring of each search, in radii of its start, prior deviation of the crest there, weight of its height.
+_SEARCHES = ((0.6, 1.5, 0.25, 0.5), (0.75, 1.3, 0.12, 0.25), (0.8, 1.25, 0.1, 0.0))
+# Samples per step of the model along a ray, and the least and most of a ray.
+_SAMPLES_PER_STEP = 2.0
+_RAY_SAMPLES = (24, 80)
+# Smoothing along a ray, in radii: narrower than a rim's crest, wider than its roughness.
+_SMOOTHING_RADII = 0.06
+# Largest gap between neighbouring points that counts as covered, rad: five rays.
+_MAX_GAP_RAD = 0.45
+# Scatter of a perfect crest, in steps of the model: it is interpolated.
+_MIN_SCATTER_STEPS = 0.05
+# Rings, in radii, whose heights give the floor's, and those beside the crest that it must stand above.
+_BOWL = (0.1, 0.2, 0.3, 0.4, 0.5)
+_BESIDE = (0.75, 1.25)
+# Systematic error of centre and semi-axes, per resolved length: blur moves the crest where its walls differ.
+# Measured in `tests/mapping` on synthetic ground of other profiles, 1 to 2.5 steps of blur.
+_FLOOR_PER_RESOLUTION = 0.2
+# Craters per task of a thread.
+_CHUNK = 64
+
+
+class Outcome(StrEnum):
+    """What has become of a crater."""
+
+    REFINED = "refined"
+    TOO_SMALL = "smaller than the model resolves"
+    OUTSIDE = "not within the model"
+    NO_CREST = "no crest all around"
+    OTHER_CRATER = "the crest found is too far from the catalogue's"
+
+
+@dataclass(frozen=True)
+class RefineOptions:
+    """Which rims are searched, and which are accepted.
+
+    Attributes
+    ----------
+    min_diameter_steps : float
+        Smallest diameter, in steps of the elevation model.
+    resolution_steps : float
+        Shortest length that the model resolves, in its steps: stereo models are smoother than their raster.
+    outline_share : float
+        Expected root mean square deviation of a rim from an ellipse, in radii.
+    max_shift_radii : float
+        Largest distance of the centre found from the catalogue's, in the catalogue's radii.
+    max_size_change : float
+        Largest logarithm of a stretch between the ellipse found and the catalogue's.
+    min_kept_share : float
+        Least share of the rays whose crest agrees with the ellipse.
+    max_scatter_share : float
+        Largest root mean square deviation of the crest from the ellipse, in radii.
+    min_relief_share : float
+        Least height of the crest above the mean of the searched ring, in radii: a pit or a hill has none.
+    """
+
+    min_diameter_steps: float = 10.0
+    resolution_steps: float = 2.5
+    outline_share: float = 0.03
+    max_shift_radii: float = 0.5
+    max_size_change: float = 0.5
+    min_kept_share: float = 0.7
+    max_scatter_share: float = 0.05
+    min_relief_share: float = 0.005
+
+
+@dataclass(frozen=True)
+class RefinedRims:
+    """A catalogue after refinement, and what was measured beside it; NaN where a rim is not refined.
+
+    Attributes
+    ----------
+    catalog : Catalog
+        Refined rims, and the others as they were.
+    outcomes : tuple of Outcome, length n
+    covariance : ndarray, shape (n, 5, 5)
+        Of the rim's chart in the tangent plane, east and north from the rim's centre: m, and logarithms.
+    height_sigma_m : ndarray, shape (n,)
+        Standard deviation of the rim's height.
+    tilt_rad : ndarray, shape (n, 2)
+        Slope of the rim's plane towards east and north.
+    scatter_m : ndarray, shape (n,)
+        Root mean square deviation of the crest's height from that plane.
+    depth_m : ndarray, shape (n,)
+        Mean height of the crest above the floor, which is a tenth of the bowl within half a radius.
+    shift_m : ndarray, shape (n, 2)
+        East and north of the refined centre from the catalogue's.
+    log_size : ndarray, shape (n,)
+        Logarithm of the refined mean radius over the catalogue's.
+    """
+
+    catalog: Catalog
+    outcomes: tuple[Outcome, ...]
+    covariance: FloatArray
+    height_sigma_m: FloatArray
+    tilt_rad: FloatArray
+    scatter_m: FloatArray
+    depth_m: FloatArray
+    shift_m: FloatArray
+    log_size: FloatArray
+
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Give what a store keeps beside the catalogue.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n, ...)
+            `outcome`; `chart_covariance`, the 25 numbers of each crater row by row; the others in the units
+            of their names.
+        """
+        return {
+            "outcome": np.array([outcome.value for outcome in self.outcomes]),
+            "chart_covariance": self.covariance.reshape(-1, 25),
+            "height_sigma_m": self.height_sigma_m,
+            "tilt_east_rad": self.tilt_rad[:, 0],
+            "tilt_north_rad": self.tilt_rad[:, 1],
+            "crest_scatter_m": self.scatter_m,
+            "depth_m": self.depth_m,
+            "shift_east_m": self.shift_m[:, 0],
+            "shift_north_m": self.shift_m[:, 1],
+        }
+
+    @property
+    def refined(self) -> BoolArray:
+        """Mask (n,) of the refined rims."""
+        return np.array([outcome is Outcome.REFINED for outcome in self.outcomes], dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class _Rim:
+    """One rim found: chart in the tangent plane at the catalogue's centre, and what else was measured."""
+
+    chart_m: FloatArray
+    covariance: FloatArray
+    height_m: float
+    height_sigma_m: float
+    tilt_rad: FloatArray
+    scatter_m: float
+    depth_m: float
+    relief_m: float
+
+
+def refine_on_dem(
+    catalog: Catalog,
+    dem: Dem,
+    options: RefineOptions | None = None,
+    progress: Progress | None = None,
+) -> RefinedRims:
+    """Measure the rims of a catalogue on an elevation model, on all cores.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Dem
+        Of the catalogue's body.
+    options : RefineOptions, optional
+    progress : callable, optional
+        Called with the number of craters done and of all.
+
+    Returns
+    -------
+    RefinedRims
+    """
+    options = options or RefineOptions()
+    n = len(catalog)
+    enu = frames.east_north_up(catalog.latitude_rad, catalog.longitude_rad)
+    chunks = [range(first, min(first + _CHUNK, n)) for first in range(0, n, _CHUNK)]
+    found: list[_Rim | Outcome] = []
+    with ThreadPoolExecutor(cpu_count()) as threads:
+        for part in threads.map(partial(_each, catalog, dem, options, enu), chunks):
+            found += part
+            if progress is not None:
+                progress(len(found), n)
+    return _collected(catalog, enu, found)
+
+
+def _each(
+    catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray, rows: range
+) -> list[_Rim | Outcome]:
+    return [_refine(catalog, dem, options, enu, row) for row in rows]
+
+
+def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray, row: int) -> _Rim | Outcome:
+    """Measure one rim."""
+    step_m = dem.step_rad * catalog.body.radius_m
+    start = chart_of_axes(
+        [0.0, 0.0, catalog.semi_major_m[row], catalog.semi_minor_m[row], catalog.angle_rad[row]]
+    )
+    if 2.0 * float(mean_radius(start)) < options.min_diameter_steps * step_m:
+        return Outcome.TOO_SMALL
+    # Metres along the tangent plane are those at the height of the terrain.
+    range_m = catalog.body.radius_m + float(dem.heights_m(enu[None, row, :, 2])[0])
+    terrain = partial(_heights, dem, enu[row], range_m)
+    if not np.all(dem.covers(_directions(enu[row], range_m, _SEARCHES[0][1] * points_on(start, 8)))):
+        return Outcome.OUTSIDE
+    chart = start
+    for search in _SEARCHES:
+        crest = _crest(chart, terrain, search, step_m)
+        ok, steps, covariance, _, _, rms, kept, _, _ = ellipse_kernel.fit(
+            crest / step_m, np.ones(_RAYS), np.zeros((_RAYS, 2)), 1.0, 0.0, np.zeros(2),
+            _scaled(chart, 1.0 / step_m), _MIN_SCATTER_STEPS, _MAX_GAP_RAD, options.outline_share,
+        )  # fmt: skip
+        if not ok:
+            return Outcome.NO_CREST
+        chart = _scaled(steps, step_m)
+        if not _near(chart, start, options):
+            return Outcome.OTHER_CRATER
+    radius_m = float(mean_radius(chart))
+    if kept < options.min_kept_share * _RAYS or rms * step_m > options.max_scatter_share * radius_m:
+        return Outcome.NO_CREST
+    unit = np.array([step_m, step_m, 1.0, 1.0, 1.0])
+    floor = axes_covariance(chart, _FLOOR_PER_RESOLUTION * options.resolution_steps * step_m)
+    rim = _measured(chart, np.outer(unit, unit) * covariance + floor, crest, terrain)
+    if rim.relief_m < options.min_relief_share * radius_m:
+        return Outcome.NO_CREST
+    # Semi-axes are lengths at the height of the rim.
+    return replace(rim, chart_m=_scaled(chart, (catalog.body.radius_m + rim.height_m) / range_m))
+
+
+def _measured(
+    chart: FloatArray, covariance: FloatArray, crest: FloatArray, terrain: Callable[..., FloatArray]
+) -> _Rim:
+    """Measure the heights of a rim and of its bowl."""
+    radius_m = float(mean_radius(chart))
+    off = crest - chart[:2]
+    heights = terrain(crest)
+    G = np.column_stack([np.ones(len(off)), off / radius_m])
+    plane, *_ = np.linalg.lstsq(G, heights, rcond=None)
+    rest = heights - G @ plane
+    scatter_m = float(np.sqrt(np.sum(rest**2) / (len(rest) - 3)))
+    # Neighbouring rays see the same bumps: the number of independent ones follows from their correlation.
+    rho = float(np.clip(rest @ np.roll(rest, 1) / max(rest @ rest, 1e-300), 0.0, 0.95))
+    independent = max(len(rest) * (1.0 - rho) / (1.0 + rho), 4.0)
+    bowl = terrain(np.concatenate([chart[:2] + share * off for share in _BOWL]))
+    beside = [terrain(chart[:2] + share * off).mean() for share in _BESIDE]
+    return _Rim(
+        chart,
+        covariance,
+        float(plane[0]),
+        scatter_m / float(np.sqrt(independent)),
+        np.arctan(plane[1:] / radius_m),
+        scatter_m,
+        float(plane[0] - np.quantile(bowl, 0.1)),
+        float(plane[0] - np.mean(beside)),
+    )
+
+
+def _crest(
+    chart: FloatArray, terrain: Callable[..., FloatArray], search: tuple[float, ...], step_m: float
+) -> FloatArray:  # fmt: skip
+    """Find the crest (rays, 2) around an ellipse in the tangent plane, m."""
+    radius_m = float(mean_radius(chart))
+    low, high, prior, height_weight = search
+    samples = int(np.clip(_SAMPLES_PER_STEP * (high - low) * radius_m / step_m, *_RAY_SAMPLES))
+    share = np.linspace(low, high, samples)
+    off = points_on(chart, _RAYS) - chart[:2]
+    places = chart[:2] + share[:, None] * off[:, None]
+    heights = terrain(places.reshape(-1, 2))
+    # The regional slope says nothing of the rim.
+    G = np.column_stack([np.ones(len(heights)), (places.reshape(-1, 2) - chart[:2]) / radius_m])
+    level = heights - G @ np.linalg.lstsq(G, heights, rcond=None)[0]
+    spacing = share[1] - share[0]
+    score = crest_score(level.reshape(_RAYS, samples), max(_SMOOTHING_RADII / spacing, 1.0), height_weight)
+    score -= 0.5 * ((share - 1.0) / prior) ** 2
+    rays = np.arange(_RAYS)
+    line = np.clip(closed_ridge(score), 1, samples - 2)
+    # The maximum of a parabola through the score's three values.
+    before, at, after = (score[rays, line + k] for k in (-1, 0, 1))
+    bend = np.minimum(before - 2.0 * at + after, -1e-12)
+    fine = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
+    return chart[:2] + (low + spacing * (line + fine))[:, None] * off
+
+
+def _near(chart: FloatArray, start: FloatArray, options: RefineOptions) -> bool:
+    """Tell whether an ellipse may be the catalogue's crater."""
+    shift = float(np.hypot(*(chart[:2] - start[:2])))
+    return bool(
+        shift <= options.max_shift_radii * mean_radius(start)
+        and shape_change(start, chart) <= options.max_size_change
+    )
+
+
+def _directions(enu: FloatArray, range_m: float, places_m: FloatArray) -> FloatArray:
+    """Directions (n, 3) from the body's centre to places (n, 2) of the tangent plane, m."""
+    directions = range_m * enu[:, 2] + places_m @ enu[:, :2].T
+    return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+
+
+def _heights(dem: Dem, enu: FloatArray, range_m: float, places_m: FloatArray) -> FloatArray:
+    """Heights (n,) at places (n, 2) of the tangent plane, m."""
+    return dem.heights_m(_directions(enu, range_m, places_m))
+
+
+def _scaled(chart: FloatArray, factor: float) -> FloatArray:
+    """Give a chart in another unit."""
+    out = chart.copy()
+    out[:2] *= factor
+    out[[2, 4]] += np.log(factor)
+    return out
+
+
+def _collected(catalog: Catalog, enu: FloatArray, found: list[_Rim | Outcome]) -> RefinedRims:
+    """Put the results of all craters together."""
+    n = len(catalog)
+    values = {
+        name: getattr(catalog, name).copy()
+        for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
+    }
+    covariance, tilt, shift = np.full((n, 5, 5), np.nan), np.full((n, 2), np.nan), np.full((n, 2), np.nan)
+    height_sigma, scatter, depth, log_size = (np.full(n, np.nan) for _ in range(4))
+    for row, rim in _rims(found):
+        x, y, a, b, angle = axes_of_chart(rim.chart_m)
+        centre = _directions(enu[row], catalog.body.radius_m + rim.height_m, np.array([x, y]))
+        latitude, longitude = frames.latitude_longitude(centre)
+        values["latitude_rad"][row], values["longitude_rad"][row] = latitude, longitude
+        values["semi_major_m"][row], values["semi_minor_m"][row] = a, b
+        values["angle_rad"][row], values["height_m"][row] = angle, rim.height_m
+        covariance[row], tilt[row], shift[row] = rim.covariance, rim.tilt_rad, (x, y)
+        log_size[row] = 0.5 * np.log(a * b / (catalog.semi_major_m[row] * catalog.semi_minor_m[row]))
+        height_sigma[row], scatter[row], depth[row] = rim.height_sigma_m, rim.scatter_m, rim.depth_m
+    outcomes = tuple(Outcome.REFINED if isinstance(rim, _Rim) else rim for rim in found)
+    refined = replace(catalog, **values)
+    return RefinedRims(refined, outcomes, covariance, height_sigma, tilt, scatter, depth, shift, log_size)
+
+
+def _rims(found: list[_Rim | Outcome]) -> Iterator[tuple[int, _Rim]]:
+    for row, rim in enumerate(found):
+        if isinstance(rim, _Rim):
+            yield row, rim

@@ -1,0 +1,243 @@
+"""Rims refined on elevation models that the simulator did not make, and on real ones."""
+
+import json
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from craternav_fg.catalogs.bodies import named_body
+from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.catalogs.store import read_parquet, write_parquet
+from craternav_fg.ellipse import chart_of_axes
+from craternav_fg.frames import up
+from craternav_fg.mapping.refine import Outcome, refine_on_dem
+from tests.cli.calls import call
+from tests.shared_data import shared
+
+rasterio = pytest.importorskip("rasterio")
+MOON = named_body("Moon", None)
+STEP_DEG = 1.0 / 256.0
+SIDE_DEG = 3.0
+
+
+class World(NamedTuple):
+    """An elevation model, its craters as they are, and a map of circles that is wrong by 10 % and 5 %."""
+
+    path: object
+    truth: Catalog
+    circles: Catalog
+
+
+def catalog(latitude, longitude, a, b, angle):
+    names = tuple(str(k) for k in range(len(a)))
+    return Catalog(names, latitude, longitude, a, b, angle, np.zeros(len(a)), MOON)
+
+
+def world(folder, seed, blur_steps, worn):
+    rng = np.random.default_rng(seed)
+    size = int(SIDE_DEG / STEP_DEG)
+    lat = np.radians(SIDE_DEG / 2 - (np.arange(size) + 0.5) * STEP_DEG)[:, None]
+    lon = np.radians((np.arange(size) + 0.5) * STEP_DEG - SIDE_DEG / 2)[None]
+    f = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
+    f[0, 0] = np.inf
+    ground = np.fft.ifft2(np.fft.fft2(rng.standard_normal((size, size))) * f**-1.6).real
+    heights = 60.0 * ground / ground.std()
+    half_m = 0.45 * np.radians(SIDE_DEG) * MOON.radius_m
+    rims = []
+    while len(rims) < 70:
+        a = np.exp(rng.uniform(np.log(900.0), np.log(7000.0)))
+        x, y = rng.uniform(-half_m, half_m, 2)
+        if all(np.hypot(x - u, y - v) > 1.9 * (a + c) for u, v, c, *_ in rims):
+            rims.append((x, y, a, a * rng.uniform(0.85, 1.0), rng.uniform(0.0, np.pi)))
+    for x, y, a, b, angle in rims:
+        east, north = (
+            MOON.radius_m * (lon * np.cos(y / MOON.radius_m) - x / MOON.radius_m),
+            MOON.radius_m * lat - y,
+        )
+        u = (np.cos(angle) * east + np.sin(angle) * north) / a
+        v = (np.cos(angle) * north - np.sin(angle) * east) / b
+        r, turn = np.hypot(u, v), np.arctan2(v, u)
+        for k in (3, 4, 5, 6):
+            r = r * (1.0 + 0.015 * rng.standard_normal() * np.cos(k * turn + rng.uniform(0.0, 6.0)))
+        fresh = 1.0 - worn * rng.uniform()
+        rim_m, depth_m = 0.07 * a * fresh, 0.28 * a * fresh
+        heights = heights + np.where(
+            r < 1.0, (depth_m + rim_m) * r**2 - depth_m, rim_m / np.maximum(r, 1.0) ** 3
+        )
+    heights = gaussian_filter(heights, blur_steps) + 2.0 * rng.standard_normal(heights.shape)
+    path = folder / f"dem{seed}.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", height=size, width=size, count=1, dtype="float32",
+        crs="+proj=longlat +R=1737400 +no_defs",
+        transform=rasterio.Affine(STEP_DEG, 0.0, -SIDE_DEG / 2, 0.0, -STEP_DEG, SIDE_DEG / 2),
+    ) as raster:  # fmt: skip
+        raster.write(heights.astype(np.float32), 1)
+    x, y, a, b, angle = np.array(rims).T
+    latitude, longitude = y / MOON.radius_m, x / MOON.radius_m / np.cos(y / MOON.radius_m)
+    truth = catalog(latitude, longitude, a, b, angle)
+    radius = np.sqrt(a * b) * np.exp(0.05 * rng.standard_normal(len(a)))
+    off = 0.1 * radius * rng.standard_normal((2, len(a))) / MOON.radius_m
+    circles = catalog(latitude + off[0], longitude + off[1], radius, radius, np.zeros(len(a)))
+    return World(path, truth, circles)
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dem")
+    return [world(folder, 1, 2.5, 0.0), world(folder, 2, 2.5, 0.8)]
+
+
+def errors(found, truth):
+    """Charts' errors (n, 5): m, and logarithms."""
+    scale = MOON.radius_m
+    turn = np.remainder(found.longitude_rad - truth.longitude_rad + np.pi, 2.0 * np.pi) - np.pi
+    east = scale * turn * np.cos(truth.latitude_rad)
+    north = scale * (found.latitude_rad - truth.latitude_rad)
+    charts = [
+        chart_of_axes(np.column_stack([x, y, c.semi_major_m, c.semi_minor_m, c.angle_rad]))
+        for x, y, c in ((east, north, found), (0.0 * east, 0.0 * north, truth))
+    ]
+    return charts[0] - charts[1]
+
+
+def test_refined_rims_are_closer_and_as_uncertain_as_they_say(worlds):
+    squared = []
+    for one in worlds:
+        rims = refine_on_dem(one.circles, read_dem(one.path))
+        kept = rims.refined
+        assert kept.mean() > 0.9
+        before, after = (errors(c, one.truth)[kept] for c in (one.circles, rims.catalog))
+        radius_m = one.truth.semi_major_m[kept]
+        rms = [np.sqrt(np.mean(np.sum(e[:, :2] ** 2, axis=1) / radius_m**2)) for e in (before, after)]
+        assert rms[1] < rms[0] / 2.0
+        large = radius_m > 2000.0
+        assert np.sqrt(np.mean(after[large, :2] ** 2)) < np.sqrt(np.mean(before[large, :2] ** 2)) / 5.0
+        shape = [np.sqrt(np.mean(e[large, 3] ** 2)) for e in (before, after)]
+        assert shape[1] < shape[0] / 2.0
+        squared += [
+            e @ np.linalg.solve(C, e) / 5.0 for e, C in zip(after, rims.covariance[kept], strict=True)
+        ]
+    # Blurred as the options assume: neither too sure nor idle.
+    assert 0.25 < np.mean(squared) < 1.5
+
+
+def test_heights_are_of_the_crest(worlds):
+    one = worlds[0]
+    rims = refine_on_dem(one.circles, read_dem(one.path))
+    kept = rims.refined & (one.truth.semi_major_m > 3000.0)
+    depth = rims.depth_m[kept] / one.truth.semi_major_m[kept]
+    # Fresh bowls are .28 radii deep below the ground and their rims .07 high; blur takes some of it.
+    assert 0.25 < np.median(depth) < 0.36
+    assert np.all(rims.height_sigma_m[kept] < 0.2 * rims.depth_m[kept])
+    assert np.median(np.hypot(*rims.tilt_rad[kept].T)) < np.radians(2.0)
+
+
+def test_ground_without_a_crater_gives_none(worlds):
+    """Circles put where no crater is keep their numbers."""
+    one, rng = worlds[0], np.random.default_rng(5)
+    half = np.radians(0.4 * SIDE_DEG)
+    latitude, longitude = rng.uniform(-half, half, (2, 4000))
+    off = (
+        np.hypot(longitude[:, None] - one.truth.longitude_rad, latitude[:, None] - one.truth.latitude_rad)
+        * MOON.radius_m
+    )
+    radius = np.exp(rng.uniform(np.log(900.0), np.log(3000.0), 4000))
+    free = np.all(off > 1.8 * (one.truth.semi_major_m + radius[:, None]), axis=1)
+    n = int(free.sum())
+    assert n > 200
+    empty = catalog(latitude[free], longitude[free], radius[free], radius[free], np.zeros(n))
+    rims = refine_on_dem(empty, read_dem(one.path))
+    assert rims.refined.mean() < 0.15
+    left = ~rims.refined
+    np.testing.assert_array_equal(rims.catalog.latitude_rad[left], empty.latitude_rad[left])
+    np.testing.assert_array_equal(rims.catalog.semi_major_m[left], empty.semi_major_m[left])
+    assert np.all(np.isnan(rims.covariance[left]))
+
+
+def test_what_the_model_cannot_show_is_said(worlds):
+    one = worlds[0]
+    odd = replace(
+        one.circles.take(np.arange(3)),
+        latitude_rad=np.radians([0.0, 1.49, 40.0]),
+        longitude_rad=np.zeros(3),
+        semi_major_m=np.array([200.0, 3000.0, 3000.0]),
+        semi_minor_m=np.array([200.0, 3000.0, 3000.0]),
+    )
+    rims = refine_on_dem(odd, read_dem(one.path))
+    assert rims.outcomes == (Outcome.TOO_SMALL, Outcome.OUTSIDE, Outcome.OUTSIDE)
+
+
+def test_the_command_writes_a_catalogue_with_covariances(worlds, tmp_path):
+    one, better = worlds[0], tmp_path / "better.parquet"
+    write_parquet(tmp_path / "circles.parquet", one.circles)
+    result = call(
+        "catalog", "refine", tmp_path / "circles.parquet", "--dem", one.path, "-o", better, "--json"
+    )
+    assert result.code == 0, result.err
+    values = json.loads(result.out)
+    assert values["craters"] == len(one.circles)
+    assert sum(values["outcomes"].values()) == len(one.circles)
+    read = read_parquet(better, None)
+    expected = refine_on_dem(read_parquet(tmp_path / "circles.parquet", None), read_dem(one.path))
+    order = [expected.catalog.identifiers.index(name) for name in read.identifiers]
+    np.testing.assert_allclose(read.semi_minor_m, expected.catalog.semi_minor_m[order])
+    table = pq.read_table(better)
+    assert table["outcome"].to_pylist() == [expected.outcomes[k].value for k in order]
+    covariance = np.array(table["chart_covariance"].to_pylist()).reshape(-1, 5, 5)
+    np.testing.assert_allclose(covariance, expected.covariance[order])
+
+
+def test_a_model_of_elsewhere_is_one_line(worlds, tmp_path):
+    one = worlds[0]
+    far = replace(one.circles, longitude_rad=one.circles.longitude_rad + 1.0)
+    write_parquet(tmp_path / "far.parquet", far)
+    result = call(
+        "catalog", "refine", tmp_path / "far.parquet", "--dem", one.path, "-o", tmp_path / "x.parquet"
+    )
+    assert result.code == 2
+    assert "shows no rim" in result.err
+    assert f"{len(far)} not within the model" in result.err
+    assert not (tmp_path / "x.parquet").exists()
+
+
+@pytest.mark.parametrize("place", ["imbrium_copernicus", "posidonius", "southern_highlands"])
+def test_real_rims_come_closer_to_those_that_people_traced(place):
+    """Circles of LU1319381 against Robbins' ellipses, drawn by hand on other images."""
+    dem = read_dem(shared(f"gld100/gld100_256ppd_{place}.tif"))
+    circles = pq.read_table(shared("lu1319381.parquet"))
+    latitude, longitude = (np.radians(circles[name].to_numpy()) for name in ("LAT_DEG", "LON_E_DEG"))
+    radius = 500.0 * circles["DIAMETER_KM"].to_numpy()
+    rows = np.flatnonzero(dem.covers(up(latitude, longitude)) & (radius > 1900.0))
+    mapped = catalog(latitude[rows], longitude[rows], radius[rows], radius[rows], np.zeros(len(rows)))
+    rims = refine_on_dem(mapped, dem)
+    assert rims.refined.mean() > 0.4
+    traced = import_catalog(shared("robbins_2018_subset.csv"), None)[0]
+    pairs = [
+        (k, near[0])
+        for k in np.flatnonzero(rims.refined)
+        for near in [_same(traced, rims.catalog, k)]
+        if len(near)
+    ]
+    assert len(pairs) >= 8
+    one, other = np.array(pairs).T
+    size = np.sqrt(traced.semi_major_m * traced.semi_minor_m)[other]
+    before, after = (
+        np.hypot(*errors(c.take(one), traced.take(other))[:, :2].T) / size for c in (mapped, rims.catalog)
+    )
+    assert np.median(after) < 1.02 * np.median(before)
+    assert np.median(after) < 0.08
+    ratio = np.sqrt(rims.catalog.semi_major_m * rims.catalog.semi_minor_m)[one] / size
+    assert abs(np.median(ratio) - 1.0) < 0.025
+
+
+def _same(traced, found, row):
+    """Rows of the craters of much the same place and size."""
+    radius = found.semi_major_m[row]
+    near, _ = traced.near(found.latitude_rad[row], found.longitude_rad[row], 0.35 * radius)
+    return near[np.abs(np.log(traced.semi_major_m[near] / radius)) < 0.3]
