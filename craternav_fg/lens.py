@@ -254,6 +254,6 @@ def reach_of(lens: FloatArray, border: FloatArray) -> float:
         J = distort_all(np.ascontiguousarray(along.reshape(-1, 2)), unbound, False)[:, 2:]
         if np.all(J[:, 0] * J[:, 3] - J[:, 1] * J[:, 2] > 0.0):
             return float(np.linalg.norm(points, axis=1).max())
-    if lens[8] and not np.any(lens[:4]):
-        raise ValueError("the fisheye sees 90 deg from its axis or more inside the image")
+    elif lens[8]:
+        raise ValueError("the fisheye sees 90 deg from its axis or more inside the image, or folds: crop it")
     raise ValueError("the distortion folds inside the image: two directions would have one image")

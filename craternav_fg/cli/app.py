@@ -38,6 +38,8 @@ catalog_commands = typer.Typer(help=COMMANDS["catalog"].help, no_args_is_help=Tr
 app.add_typer(catalog_commands, name="catalog")
 import_commands = typer.Typer(help=COMMANDS["import"].help, no_args_is_help=True)
 app.add_typer(import_commands, name="import")
+export_commands = typer.Typer(help=COMMANDS["export"].help, no_args_is_help=True)
+app.add_typer(export_commands, name="export")
 
 
 def _not_imported() -> None:

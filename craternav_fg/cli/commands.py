@@ -34,7 +34,11 @@ COMMANDS = {
         ("catalogs", "catalog_import", "catalog_refine"),
     ),
     "import": Command(
-        "Import images as a data set: ISIS cubes, images with SPICE kernels or with times.", ("importing",)
+        "Import data sets and calibrations: ROS bags, Kalibr, ISIS cubes, images with SPICE kernels or times.",
+        ("importing", "bag_import"),
+    ),
+    "export": Command(
+        "Export data sets and trajectories: ROS bags, Kalibr, TUM, KITTI, GeoJSON, KML, COLMAP.", ("exports",)
     ),
     "detect": Command("Detect crater rims in an image without any prior.", ("detection",)),
     "identify": Command(

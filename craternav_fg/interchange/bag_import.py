@@ -1,0 +1,295 @@
+"""A data set from a ROS bag."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from craternav_fg import frames
+from craternav_fg.body import Body
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import SunVectors, write_dataset
+from craternav_fg.dataset.images import ImageArray
+from craternav_fg.dataset.recording import Recording
+from craternav_fg.errors import InputError
+from craternav_fg.imu import ImuLog, ImuNoise
+from craternav_fg.interchange.bag_reading import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    IMU,
+    ODOMETRY,
+    POSE,
+    TRANSFORMS,
+    VECTOR,
+    Bag,
+    camera_of,
+    image_of,
+    open_bag,
+    quaternion_wxyz,
+    stamp_ns,
+    vector,
+)
+from craternav_fg.trajectory import InitialState, Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class BagOptions:
+    """What a bag does not say, and which of its topics to take.
+
+    Attributes
+    ----------
+    body : Body
+    catalog : Catalog
+        Of the craters on the body.
+    imu_noise : ImuNoise
+    initial : InitialState or None
+        At the stamp of the first image that is kept.
+    camera : Camera or None
+        Intrinsics and mounting. Without it they are taken from `CameraInfo` and from the static transform
+        between the frames of the camera and of the IMU.
+    time_shift_s : float
+        Added to the images' stamps.
+    sun : ndarray, shape (3,), or None
+        Unit vector towards the sun, in g. Without it, a topic of `Vector3Stamped` gives it.
+    image, imu, truth, sun_topic : str or None
+        Topics, needed where several carry messages of a type.
+    """
+
+    body: Body
+    catalog: Catalog
+    imu_noise: ImuNoise
+    initial: InitialState | None = None
+    camera: Camera | None = None
+    time_shift_s: float = 0.0
+    sun: FloatArray | None = None
+    image: str | None = None
+    imu: str | None = None
+    truth: str | None = None
+    sun_topic: str | None = None
+
+
+@dataclass(frozen=True)
+class BagReport:
+    """What was taken from a bag.
+
+    Attributes
+    ----------
+    topics : dict of str to str or None
+        By what they carry.
+    frames : int
+        Images written.
+    skipped : int
+        Images left out, because the IMU's log does not cover them.
+    samples : int
+        Of the IMU.
+    truth : bool
+        Whether there is a trajectory for comparison.
+    """
+
+    topics: dict[str, str | None]
+    frames: int
+    skipped: int
+    samples: int
+    truth: bool
+
+
+def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
+    """Write a data set of a bag's images, IMU log and, if there is one, trajectory.
+
+    Parameters
+    ----------
+    path : Path
+        A `.bag` or `.mcap` file, or the folder of a rosbag2.
+    folder : Path
+        Of the data set; replaced when it is empty or a data set.
+    options : BagOptions
+
+    Returns
+    -------
+    BagReport
+
+    Raises
+    ------
+    InputError
+        When the bag is damaged, or lacks something that a data set needs.
+    CraternavError
+        When the extra `ros` is not installed.
+    """
+    with open_bag(path) as bag:
+        topics = {
+            "images": bag.topic((IMAGE, COMPRESSED), options.image, "images", "--image-topic"),
+            "imu": bag.topic((IMU,), options.imu, "an IMU", "--imu-topic"),
+            "truth": bag.topic((ODOMETRY, POSE), options.truth, "poses", "--truth-topic"),
+            "sun": None if options.sun is not None else _sun_topic(bag, options.sun_topic),
+        }
+        for what in ("images", "imu"):
+            if topics[what] is None:
+                raise InputError(path, f"expected a topic of {what}, found none")
+        imu, imu_frame = _imu(bag, topics["imu"])
+        stamps, covered, depth, camera_frame = _frames(bag, topics["images"], imu, options.time_shift_s)
+        if options.initial is not None and options.initial.stamp_ns != stamps[0]:
+            raise InputError(
+                path,
+                f"expected an initial state at the first image's stamp, {stamps[0]},"
+                f" found {options.initial.stamp_ns}",
+            )
+        camera = options.camera or _camera(bag, topics["images"], camera_frame, imu_frame, depth)
+        truth = _truth(bag, topics["truth"], stamps)
+        recording = Recording(
+            body=options.body,
+            camera=camera,
+            catalog=options.catalog,
+            imu=imu,
+            imu_noise=options.imu_noise,
+            initial=options.initial,
+            sun=_sun(bag, topics["sun"], options.sun, stamps),
+            stamps_ns=stamps,
+            truth=truth,
+        )
+        write_dataset(folder, recording, _images(bag, topics["images"], covered, camera))
+    return BagReport(topics, len(stamps), int((~covered).sum()), len(imu.stamps_ns), truth is not None)
+
+
+def _sun_topic(bag: Bag, wanted: str | None) -> str | None:
+    topic = bag.topic((VECTOR,), wanted, "the sun's direction", "--sun-topic")
+    if topic is None:
+        raise InputError(bag.path, "expected the direction towards the sun: give --sun x,y,z in g")
+    return topic
+
+
+def _imu(bag: Bag, topic: str | None) -> tuple[ImuLog, str]:
+    """Log of the IMU, and the name of its frame."""
+    stamps, rows, frame = [], [], ""
+    for message in bag.messages(topic):
+        stamps.append(stamp_ns(message))
+        rows.append([*vector(message.angular_velocity), *vector(message.linear_acceleration)])
+        frame = message.header.frame_id
+    if len(stamps) < 2:
+        raise InputError(bag.path, f"expected at least two messages of {topic}, found {len(stamps)}")
+    values = np.array(rows)
+    stamps_ns = _increasing(bag, topic, stamps)
+    if not np.all(np.isfinite(values)):
+        raise InputError(bag.path, f"{topic}: expected finite numbers")
+    return ImuLog(stamps_ns, values[:, :3], values[:, 3:]), frame
+
+
+def _increasing(bag: Bag, topic: str | None, stamps: list[int]) -> IntArray:
+    found = np.array(stamps, dtype=np.int64)
+    back = np.flatnonzero(np.diff(found) <= 0)
+    if len(back):
+        k = int(back[0])
+        raise InputError(
+            bag.path, f"{topic}: expected stamps that increase, found {found[k + 1]} after {found[k]} ns"
+        )
+    return found
+
+
+def _frames(
+    bag: Bag, topic: str | None, imu: ImuLog, shift_s: float
+) -> tuple[IntArray, npt.NDArray[np.bool_], int, str]:
+    """Stamps of the images that the IMU covers, which of all they are, bits of a pixel, name of the frame."""
+    stamps, depth, frame = [], 8, ""
+    for message in bag.messages(topic):
+        stamps.append(stamp_ns(message) + round(1e9 * shift_s))
+        frame = message.header.frame_id
+        if len(stamps) == 1:
+            depth = 8 * image_of(bag.path, message).itemsize
+    all_ns = _increasing(bag, topic, stamps)
+    begin = imu.stamps_ns[0] - (imu.stamps_ns[1] - imu.stamps_ns[0])
+    covered = (all_ns >= begin) & (all_ns <= imu.stamps_ns[-1])
+    if not covered.any():
+        raise InputError(
+            bag.path,
+            f"expected images within the IMU's log, {begin} to {imu.stamps_ns[-1]} ns,"
+            f" found {len(all_ns)} outside of it",
+        )
+    return all_ns[covered], covered, depth, frame
+
+
+def _images(
+    bag: Bag, topic: str | None, covered: npt.NDArray[np.bool_], camera: Camera
+) -> Iterator[ImageArray]:
+    """Decode the images that are kept, one at a time."""
+    size = (camera.height_px, camera.width_px)
+    for keep, message in zip(covered.tolist(), bag.messages(topic), strict=True):
+        if not keep:
+            continue
+        image = image_of(bag.path, message)
+        if image.shape != size:
+            found = f"{image.shape[1]} x {image.shape[0]}"
+            raise InputError(
+                bag.path,
+                f"image of stamp {stamp_ns(message)}: expected {size[1]} x {size[0]} px, found {found}",
+            )
+        yield image
+
+
+def _camera(bag: Bag, topic: str | None, camera_frame: str, imu_frame: str, depth: int) -> Camera:
+    """Camera of `CameraInfo` and of the static transforms."""
+    infos = sorted({c.topic for c in bag.reader.connections if c.msgtype == CAMERA_INFO})
+    beside = (topic or "").removesuffix("/compressed").rpartition("/")[0]
+    own = [name for name in infos if name.rpartition("/")[0] == beside] or infos
+    message = next(bag.messages(own[0]), None) if own else None
+    if message is None:
+        raise InputError(bag.path, "expected a topic of CameraInfo, found none: give --camera")
+    bTc = _mounting(bag, imu_frame, camera_frame)
+    return camera_of(bag.path, message, bTc, depth)
+
+
+def _mounting(bag: Bag, parent: str, child: str) -> FloatArray:
+    """Pose of one frame in another, by a static transform between the two."""
+    if parent == child:
+        return np.eye(4)
+    topic = "/tf_static"
+    if any(c.topic == topic and c.msgtype == TRANSFORMS for c in bag.reader.connections):
+        for message in bag.messages(topic):
+            for one in message.transforms:
+                R = frames.from_quaternion_wxyz(np.array(quaternion_wxyz(one.transform.rotation)))
+                T = frames.pose(R, np.array(vector(one.transform.translation)))
+                if (one.header.frame_id, one.child_frame_id) == (parent, child):
+                    return T
+                if (one.header.frame_id, one.child_frame_id) == (child, parent):
+                    return frames.inverse(T)
+    raise InputError(
+        bag.path, f"expected a static transform between {parent} and {child}, found none: give --camera"
+    )
+
+
+def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray) -> SunVectors:
+    if given is not None:
+        return SunVectors(stamps[:1], given[None] / np.linalg.norm(given))
+    found, rows = [], []
+    for message in bag.messages(topic):
+        found.append(stamp_ns(message))
+        rows.append(vector(message.vector))
+    return SunVectors(_increasing(bag, topic, found), np.array(rows))
+
+
+def _truth(bag: Bag, topic: str | None, stamps: IntArray) -> Trajectory | None:
+    """Trajectory for comparison; None without a topic, or when it does not cover the images."""
+    found, poses, velocities = [], [], []
+    for message in bag.messages(topic):
+        odometry = hasattr(message, "twist")
+        pose = message.pose.pose if odometry else message.pose
+        R = frames.from_quaternion_wxyz(np.array(quaternion_wxyz(pose.orientation)))
+        found.append(stamp_ns(message))
+        poses.append(frames.pose(R, np.array(vector(pose.position))))
+        if odometry:
+            velocities.append(R @ np.array(vector(message.twist.twist.linear)))
+    if len(found) < 2:
+        return None
+    stamps_ns = _increasing(bag, topic, found)
+    if stamps_ns[0] > stamps[0] or stamps_ns[-1] < stamps[-1]:
+        return None
+    gTb = np.array(poses)
+    seconds = 1e-9 * (stamps_ns - stamps_ns[0])
+    gV = np.array(velocities) if velocities else CubicSpline(seconds, gTb[:, :3, 3])(seconds, 1)
+    return Trajectory(stamps_ns, gTb, gV, np.zeros((len(gTb), 6)))

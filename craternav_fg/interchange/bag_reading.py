@@ -1,0 +1,246 @@
+"""Reading of ROS bags: rosbag1, rosbag2 and MCAP through `rosbags`, every failure as one line."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import lens
+from craternav_fg.camera import Camera
+from craternav_fg.dataset.images import ImageArray
+from craternav_fg.dataset.sensor_files import lens_of
+from craternav_fg.errors import CraternavError, InputError
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+IMU, CAMERA_INFO = "sensor_msgs/msg/Imu", "sensor_msgs/msg/CameraInfo"
+POSE, ODOMETRY = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry"
+VECTOR, TRANSFORMS = "geometry_msgs/msg/Vector3Stamped", "tf2_msgs/msg/TFMessage"
+# Grey images whose pixels are kept, and how others are turned into grey.
+_GREY = {"mono8": np.uint8, "8UC1": np.uint8, "mono16": np.uint16, "16UC1": np.uint16}
+_COLOUR = {
+    "rgb8": (3, cv2.COLOR_RGB2GRAY),
+    "bgr8": (3, cv2.COLOR_BGR2GRAY),
+    "rgba8": (4, cv2.COLOR_RGBA2GRAY),
+    "bgra8": (4, cv2.COLOR_BGRA2GRAY),
+}
+
+
+@dataclass(frozen=True)
+class Bag:
+    """An open bag.
+
+    Attributes
+    ----------
+    path : Path
+    reader : object
+        `rosbags.highlevel.AnyReader`.
+    """
+
+    path: Path
+    reader: Any
+
+    def topic(self, types: Sequence[str], wanted: str | None, what: str, option: str) -> str | None:
+        """Find the topic of some message types.
+
+        Parameters
+        ----------
+        types : sequence of str
+        wanted : str or None
+            Its name, if the user gave one.
+        what : str
+            What it carries, for messages.
+        option : str
+            That names it.
+
+        Returns
+        -------
+        str or None
+            None when no topic has these types.
+
+        Raises
+        ------
+        InputError
+            When the wanted one is not there, or several could be meant.
+        """
+        found = sorted({c.topic for c in self.reader.connections if c.msgtype in types})
+        if wanted is not None:
+            if wanted not in found:
+                known = ", ".join(found) or "none"
+                raise InputError(self.path, f"expected a topic of {what}, one of {known}, found {wanted}")
+            return wanted
+        if len(found) > 1:
+            raise InputError(
+                self.path, f"expected one topic of {what}, found {', '.join(found)}: choose by {option}"
+            )
+        return found[0] if found else None
+
+    def messages(self, topic: str | None) -> Iterator[Any]:
+        """Read the messages of a topic in the order of recording; none without a topic.
+
+        Raises
+        ------
+        InputError
+            When the bag is damaged.
+        """
+        connections = [c for c in self.reader.connections if c.topic == topic]
+        if not connections:
+            return
+        with _reading(self.path):
+            for connection, _, raw in self.reader.messages(connections=connections):
+                yield self.reader.deserialize(raw, connection.msgtype)
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a bag.
+
+    Parameters
+    ----------
+    path : Path
+        A `.bag` or `.mcap` file, or the folder of a rosbag2.
+
+    Yields
+    ------
+    Bag
+
+    Raises
+    ------
+    CraternavError
+        When the extra `ros` is not installed.
+    InputError
+        When it is no bag, or damaged.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise CraternavError("bags need rosbags: pip install 'craternav_fg[ros]'") from None
+    if not path.exists():
+        raise InputError(path, "bag is missing")
+    with _reading(path):
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        with AnyReader([path], default_typestore=store) as reader:
+            yield Bag(path, reader)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged bag raises in `rosbags` into one line."""
+    try:
+        yield
+    except CraternavError:
+        raise
+    # A damaged bag raises what its bytes happen to lead to: errors of struct, sqlite, lz4, numpy and others.
+    except Exception as error:
+        raise InputError(path, f"expected a bag that can be read: {type(error).__name__}: {error}") from error
+
+
+def stamp_ns(message: Any) -> int:
+    """Stamp of a message's header, ns."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def vector(message: Any) -> tuple[float, float, float]:
+    """Components of a `Vector3` or `Point`."""
+    return float(message.x), float(message.y), float(message.z)
+
+
+def quaternion_wxyz(message: Any) -> tuple[float, float, float, float]:
+    """Components of a `Quaternion`, scalar first."""
+    return float(message.w), float(message.x), float(message.y), float(message.z)
+
+
+def image_of(path: Path, message: Any) -> ImageArray:
+    """Decode the pixels of an `Image` or a `CompressedImage`.
+
+    Parameters
+    ----------
+    path : Path
+        Of the bag, for messages.
+    message : object
+
+    Returns
+    -------
+    ndarray of uint8 or uint16, shape (height, width)
+        Grey levels, bit by bit those of a grey image.
+
+    Raises
+    ------
+    InputError
+        When the encoding is unknown, or the pixels do not fit the size.
+    """
+    where = f"image of stamp {stamp_ns(message)}"
+    if hasattr(message, "format"):
+        image: Any = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise InputError(path, f"{where}: expected a PNG or JPEG, found {message.format!r}")
+        if image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
+        return image
+    encoding = message.encoding
+    channels, turn = _COLOUR.get(encoding, (1, None))
+    if turn is None and encoding not in _GREY:
+        known = ", ".join([*_GREY, *_COLOUR])
+        raise InputError(path, f"{where}: expected an encoding of {known}, found {encoding}")
+    kind = np.dtype(_GREY.get(encoding, np.uint8)).newbyteorder(">" if message.is_bigendian else "<")
+    width = int(message.width) * channels
+    data = np.asarray(message.data, dtype=np.uint8)
+    if len(data) != message.step * message.height or message.step < width * kind.itemsize:
+        raise InputError(
+            path, f"{where}: expected {message.height} rows of {message.step} bytes, found {len(data)} bytes"
+        )
+    rows = data.reshape(message.height, message.step)[:, : width * kind.itemsize]
+    pixels = np.ascontiguousarray(rows).view(kind).astype(kind.newbyteorder("="))
+    if turn is None:
+        return np.asarray(pixels)
+    colours = pixels.reshape(message.height, message.width, channels)
+    return np.asarray(cv2.cvtColor(colours, turn), dtype=np.uint8)
+
+
+def camera_of(path: Path, message: Any, bTc: FloatArray, bit_depth: int) -> Camera:
+    """Make a camera of a `CameraInfo`.
+
+    Parameters
+    ----------
+    path : Path
+        Of the bag, for messages.
+    message : object
+    bTc : ndarray, shape (4, 4)
+        Mounting: pose of the camera in b, m.
+    bit_depth : int
+        Bits of its grey levels.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    InputError
+        When the calibration is empty, or its lens is not known or does not fit the image.
+    """
+    # Upper-case names are those of ROS 1.
+    K, D = (np.asarray(getattr(message, name, getattr(message, name.upper(), ()))) for name in ("k", "d"))
+    if len(K) != 9 or not K[0] > 0.0:
+        raise InputError(path, "expected a calibrated CameraInfo, found no focal length")
+    model = lens_of(message.distortion_model) if message.distortion_model else lens.RADIAL_TANGENTIAL
+    if model is None:
+        raise InputError(path, f"expected a lens that is known, found {message.distortion_model!r}")
+    coefficients = tuple(float(v) for v in D) or (0.0,) * 5
+    if model == lens.RADIAL_TANGENTIAL and len(coefficients) == 4:
+        coefficients = (*coefficients, 0.0)
+    try:
+        return Camera(
+            int(message.width), int(message.height), float(K[0]), float(K[4]), float(K[2]), float(K[5]), bTc,
+            coefficients, bit_depth=bit_depth, lens_model=model,
+        )  # fmt: skip
+    except ValueError as error:
+        raise InputError(path, f"CameraInfo: {error}") from None

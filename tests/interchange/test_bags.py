@@ -1,0 +1,231 @@
+"""Data sets through ROS bags and back, and bags that are wrong."""
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.dataset import Dataset, write_dataset
+from craternav_fg.dataset.description import description_toml
+from craternav_fg.dataset.sensor_files import camera_yaml
+from craternav_fg.errors import InputError
+from craternav_fg.interchange.bag_export import FORMATS, export_bag
+from craternav_fg.interchange.bag_import import BagOptions, import_bag
+from craternav_fg.interchange.kalibr import kalibr_imu_yaml
+from tests.cli.calls import call
+from tests.dataset.samples import FRAMES_NS, random_images, recording
+
+pytest.importorskip("rosbags")
+
+
+def dataset(folder: Path, bits: int = 8, **changes: object) -> Dataset:
+    rng = np.random.default_rng(3)
+    given = recording(rng)
+    given = replace(given, camera=replace(given.camera, bit_depth=bits, **changes))
+    images = random_images(rng)
+    if bits > 8:
+        images = [rng.integers(0, 2**bits, (48, 64), dtype=np.uint16) for _ in FRAMES_NS]
+    write_dataset(folder, given, images)
+    return Dataset.open(folder)
+
+
+def options(data: Dataset, **changes: object) -> BagOptions:
+    assert data.imu_noise is not None
+    chosen = BagOptions(body=data.body, catalog=data.catalog, imu_noise=data.imu_noise, initial=data.initial)
+    return replace(chosen, **changes)
+
+
+def name_of(folder: Path, kind: str) -> Path:
+    return folder / ("flight.bag" if kind == "rosbag1" else "flight")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("kind", FORMATS)
+def test_stamps_pixels_and_numbers_survive(tmp_path: Path, kind: str, compressed: bool) -> None:
+    data = dataset(tmp_path / "data")
+    bag = name_of(tmp_path, kind)
+    export_bag(data, bag, kind, compressed=compressed)
+    report = import_bag(bag, tmp_path / "again", options(data))
+    assert (report.frames, report.skipped, report.truth) == (3, 0, True)
+    again = Dataset.open(tmp_path / "again")
+    np.testing.assert_array_equal(again.stamps_ns, data.stamps_ns, strict=True)
+    for k in range(3):
+        np.testing.assert_array_equal(again.image(k), data.image(k), strict=True)
+    assert data.imu is not None
+    assert again.imu is not None
+    for name in ("stamps_ns", "gyro", "accelerometer"):
+        np.testing.assert_array_equal(getattr(again.imu, name), getattr(data.imu, name), strict=True)
+    np.testing.assert_array_equal(again.sun.vectors, data.sun.vectors)
+    np.testing.assert_array_equal(again.camera.lens, data.camera.lens)
+    np.testing.assert_allclose(again.camera.bTc, data.camera.bTc, atol=1e-14)
+    assert data.truth is not None
+    assert again.truth is not None
+    np.testing.assert_array_equal(again.truth.gP, data.truth.gP)
+    np.testing.assert_allclose(again.truth.gRb, data.truth.gRb, atol=1e-14)
+    np.testing.assert_allclose(again.truth.gV, data.truth.gV, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [("rational", (0.1, -0.02, 1e-3, 0.0, 0.0, 0.2, 0.01, 0.0)), ("fisheye", (0.01, 0.0, 0.02, 0.0))],
+)
+def test_grey_levels_of_twelve_bits_and_other_lenses(
+    tmp_path: Path, model: str, distortion: tuple[float, ...]
+) -> None:
+    data = dataset(tmp_path / "data", bits=12, distortion=distortion, lens_model=model)
+    export_bag(data, tmp_path / "flight", "mcap")
+    import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    again = Dataset.open(tmp_path / "again")
+    assert (again.camera.lens_model, again.camera.bit_depth) == (model, 16)
+    np.testing.assert_array_equal(again.camera.lens, data.camera.lens)
+    np.testing.assert_array_equal(again.image(1), data.image(1), strict=True)
+    # The bag does not say how many of the sixteen bits are used.
+    import_bag(tmp_path / "flight", tmp_path / "given", options(data, camera=data.camera))
+    assert Dataset.open(tmp_path / "given").camera.bit_depth == 12
+
+
+def test_a_mcap_file_by_itself(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "mcap")
+    file = next((tmp_path / "flight").glob("*.mcap"))
+    import_bag(file, tmp_path / "again", options(data))
+    np.testing.assert_array_equal(Dataset.open(tmp_path / "again").image(2), data.image(2))
+
+
+def test_images_that_the_imu_does_not_cover_are_left_out(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    assert data.imu is not None
+    short = replace(
+        data.imu,
+        stamps_ns=data.imu.stamps_ns[:25], gyro=data.imu.gyro[:25], accelerometer=data.imu.accelerometer[:25],
+    )  # fmt: skip
+    export_bag(replace(data, imu=short), tmp_path / "flight", "rosbag2")
+    report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    assert (report.frames, report.skipped) == (2, 1)
+    np.testing.assert_array_equal(Dataset.open(tmp_path / "again").stamps_ns, data.stamps_ns[:2])
+
+
+def test_colours_become_grey(tmp_path: Path) -> None:
+    from craternav_fg.interchange.bag_reading import image_of
+
+    class Message:
+        class header:  # noqa: N801
+            class stamp:  # noqa: N801
+                sec, nanosec = 1, 2
+
+        encoding, is_bigendian, height, width, step = "rgb8", 0, 1, 2, 8
+        data = np.array([255, 0, 0, 0, 0, 255, 9, 9], np.uint8)
+
+    # ITU-R BT.601: 0.299 red, 0.114 blue; the last two bytes pad the row.
+    np.testing.assert_array_equal(image_of(tmp_path, Message), [[76, 29]])
+    Message.encoding, Message.is_bigendian = "mono16", 1
+    Message.width, Message.data = 4, np.array([1, 2, 0, 3, 0, 0, 255, 255], np.uint8)
+    np.testing.assert_array_equal(image_of(tmp_path, Message), [[258, 3, 0, 65535]])
+
+
+def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
+    data = dataset(tmp_path / "data")
+    bag = name_of(tmp_path, kind)
+    export_bag(data, bag, kind)
+    file = bag if bag.is_file() else next(file for file in bag.iterdir() if file.suffix != ".yaml")
+    content = bytearray(file.read_bytes())
+    file.write_bytes(change(content))
+    return data, bag
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda content: content[: len(content) // 2],
+        lambda content: b"",
+        lambda content: b"not a bag at all",
+        lambda content: content[:200] + bytes(len(content) - 200),
+    ],
+    ids=["half", "empty", "text", "zeros"],
+)
+def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: str, change: object) -> None:
+    data, bag = damaged(tmp_path, kind, change)
+    with pytest.raises(InputError) as caught:
+        import_bag(bag, tmp_path / "again", options(data))
+    assert str(caught.value).startswith(str(bag))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "again").exists()
+
+
+def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path) -> None:
+    """Whatever is wrong is an `InputError`, or lies in pixels and numbers that no checksum guards."""
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight.bag", "rosbag1")
+    content = (tmp_path / "flight.bag").read_bytes()
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        broken = bytearray(content)
+        for at in rng.integers(0, len(content), 6):
+            broken[at] ^= int(rng.integers(1, 256))
+        (tmp_path / "broken.bag").write_bytes(broken)
+        with contextlib.suppress(InputError):
+            import_bag(tmp_path / "broken.bag", tmp_path / "again", options(data))
+
+
+def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "rosbag2", estimates={"smoother": data.truth})
+    with pytest.raises(InputError, match=r"one topic of poses, found /ground_truth/odometry, /smoother"):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    other_imu = options(data, imu="/imu1", truth="/smoother/odometry")
+    with pytest.raises(InputError, match="expected a topic of an IMU, one of /imu0, found /imu1"):
+        import_bag(tmp_path / "flight", tmp_path / "again", other_imu)
+    assert data.initial is not None
+    late = options(data, initial=replace(data.initial, stamp_ns=5), truth="/smoother/odometry")
+    with pytest.raises(InputError, match="first image's stamp"):
+        import_bag(tmp_path / "flight", tmp_path / "again", late)
+    with pytest.raises(InputError, match="bag is missing"):
+        import_bag(tmp_path / "none.bag", tmp_path / "again", options(data))
+
+
+def test_covariances_of_estimates_put_the_position_first(tmp_path: Path) -> None:
+    from craternav_fg.interchange.bag_reading import open_bag
+
+    data = dataset(tmp_path / "data")
+    assert data.truth is not None
+    root = np.random.default_rng(2).standard_normal((3, 6, 6))
+    covariance = root @ root.transpose(0, 2, 1)
+    estimate = replace(data.truth, pose_covariance=covariance)
+    export_bag(data, tmp_path / "flight", "mcap", estimates={"smoother": estimate})
+    with open_bag(tmp_path / "flight") as bag:
+        message = list(bag.messages("/smoother/odometry"))[1]
+    found = message.pose.covariance.reshape(6, 6)
+    np.testing.assert_array_equal(found[:3, :3], covariance[1][3:, 3:])
+    np.testing.assert_array_equal(found[3:, :3], covariance[1][:3, 3:])
+
+
+def test_the_commands(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    done = call("export", "bag", tmp_path / "data", "-o", tmp_path / "flight.bag", "--format", "rosbag1")
+    assert done.code == 0, done.err
+    (tmp_path / "dataset.toml").write_text(description_toml(data.body, data.initial))
+    assert data.imu_noise is not None
+    (tmp_path / "imu.yaml").write_text(kalibr_imu_yaml(data.imu_noise, 100.0, "/imu0"))
+    (tmp_path / "sensor.yaml").write_text(camera_yaml(data.camera, 5.0))
+    arguments = [
+        "import", "bag", tmp_path / "flight.bag", "-o", tmp_path / "again",
+        "--description", tmp_path / "dataset.toml", "--catalog", tmp_path / "data/craters.csv",
+        "--imu", tmp_path / "imu.yaml", "--camera", tmp_path / "sensor.yaml",
+    ]  # fmt: skip
+    done = call(*arguments)
+    assert done.code == 0, done.err
+    assert "3 images, 41 samples" in done.out
+    again = Dataset.open(tmp_path / "again")
+    assert isinstance(again.catalog, Catalog)
+    assert again.imu_noise == data.imu_noise
+    np.testing.assert_array_equal(again.camera.bTc, data.camera.bTc)
+    assert again.initial is not None
+    # A direction of any length.
+    assert call(*arguments, "--sun", "0,0,2").code == 0
+    np.testing.assert_array_equal(Dataset.open(tmp_path / "again").sun.vectors, [[0.0, 0.0, 1.0]])
+    done = call(*arguments, "--sun", "0,0,0")
+    assert (done.code, done.err.count("\n")) == (2, 1)
