@@ -34,7 +34,7 @@ COMMANDS = {
         ("catalogs", "catalog_import", "catalog_refine"),
     ),
     "import": Command(
-        "Import data sets and calibrations: ROS bags, Kalibr, ISIS cubes, images with SPICE kernels or times.",
+        "Import data sets and calibrations: ROS bags, Kalibr, ISIS cubes, images with SPICE or times.",
         ("importing", "bag_import"),
     ),
     "export": Command(
