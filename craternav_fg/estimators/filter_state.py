@@ -26,6 +26,8 @@ from factors.kernels.strapdown import (
 FloatArray = npt.NDArray[np.float64]
 
 POSE = slice(0, 6)
+# Share of the variance of a motion model's angular velocity that is added to keep covariances regular.
+_RATE_REGULARISATION = 1e-6
 BIAS = slice(12, 18)
 
 
@@ -253,6 +255,8 @@ def _moved(
     added[RATE], added[:, RATE] = -added[GYRO_BIAS], -added[:, GYRO_BIAS]
     added[RATE, RATE] = added[GYRO_BIAS, GYRO_BIAS]
     covariance = covariance + added
+    # Without a gyro's noise the angular velocity is known from its bias, and the covariance is singular.
+    covariance[RATE, RATE] += _RATE_REGULARISATION * np.diag(np.diag(covariance[GYRO_BIAS, GYRO_BIAS]))
     rate = rows[1][-1] - state.bias[:3]
     return FilterState(gTb, gV, rate, state.bias, 0.5 * (covariance + covariance.T), state.sensor_bias)
 

@@ -17,7 +17,7 @@ from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import judge
-from craternav_fg.vision.error_model.correlated import arc_sigma_px, split
+from craternav_fg.vision.error_model.correlated import arc_sigma_px, in_plane_slopes, map_covariance, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -147,7 +147,8 @@ class GuidedFrontEnd:
             rough = fitter.fit(rims, opt.first_reach)
             if len(rough) > 0:
                 residual = rough.charts - rough.predicted.charts
-                H, covariance = rough.predicted.jacobians, rough.errors.covariance
+                H = rough.predicted.jacobians
+                covariance = rough.errors.covariance + self._of_map(rough.predicted.rows, pose)
                 pose, _ = corrected_pose(frame.gTb, frame.prior, pose, H, residual, covariance)
                 rims = self._predict(frame, pose, opt.margin_px)
         fitted = fitter.fit(rims, opt.second_reach)
@@ -175,18 +176,20 @@ class GuidedFrontEnd:
         rows, charts, errors = fitted.predicted.rows, fitted.charts, fitted.errors
         centres, axes = self.catalog.centres[rows], self.catalog.axes[rows]
         residual, H = charts - fitted.predicted.charts, fitted.predicted.jacobians
+        of_map = self._of_map(rows, pose)
         factor = 1.0
         for scaled in (False, True):
-            pose, spread = corrected_pose(frame.gTb, frame.prior, pose, H, residual, errors.covariance)
+            whole = errors.covariance + of_map
+            pose, spread = corrected_pose(frame.gTb, frame.prior, pose, H, residual, whole)
             best, H, visible = conic.chart_jacobian(pose, self.camera.bTc, centres, axes)
             residual = charts - best
-            common2 = squared_distance(residual, errors.covariance + H @ spread @ np.swapaxes(H, 1, 2))
+            common2 = squared_distance(residual, whole + H @ spread @ np.swapaxes(H, 1, 2))
             if not scaled:
                 factor = variance_factor(common2, _CHART_SIZE)
                 errors = errors.scaled(factor)
         first, H, seen = conic.chart_jacobian(frame.gTb, self.camera.bTc, centres, axes)
         first[~seen] = np.inf
-        predicted = errors.covariance + H @ frame.prior @ np.swapaxes(H, 1, 2)
+        predicted = errors.covariance + of_map + H @ frame.prior @ np.swapaxes(H, 1, 2)
         prior2 = squared_distance(charts - first, predicted)
         limit = chi2.ppf(self.options.gate_probability, _CHART_SIZE)
         keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, _CHART_SIZE))
@@ -231,6 +234,11 @@ class GuidedFrontEnd:
                 correlated.append(correlated_px / self.camera.focal_px)
         rows = rims.rows[np.array(found, dtype=np.int64)]
         return ArcSet(rows, tuple(points), tuple(sigmas), np.array(correlated))
+
+    def _of_map(self, rows: IntArray, gTb: FloatArray) -> FloatArray:
+        """Covariance (n, 5, 5) of charts from the catalogue's errors."""
+        slopes = in_plane_slopes(rows, gTb, self.camera, self.catalog)
+        return map_covariance(slopes, self.options.correlated_errors)
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
         least = self.options.min_semi_minor_px

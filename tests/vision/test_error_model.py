@@ -1,5 +1,7 @@
 """Steps of the error model between the fit of one rim and the frame's rim set."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -8,6 +10,7 @@ from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, s
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.error_model.outline import unseen_deviation
 from craternav_fg.vision.error_model.systematic import RimErrors
+from factors.kernels.conic import project_rims
 from tests.vision import scene
 
 
@@ -76,6 +79,39 @@ def test_correlated_and_shared_parts_leave_a_white_rest(view):
     assert np.linalg.eigvalsh(louder - covariance)[:, 0].min() > -1e-18
     assert np.trace(louder - covariance, axis1=1, axis2=2).min() > 1e-8
     np.testing.assert_allclose(rough - louder, errors.systematic, rtol=1e-9, atol=1e-18)
+
+
+def test_errors_of_the_map_are_added_and_stay_with_their_craters(view):
+    """A shift of a crater by a sigma of the map changes its chart by a sigma of what is added."""
+    count = len(view[3])
+    options = CorrelatedErrorOptions(map_place_share=0.05, map_size_share=0.02)
+    covariance, correlated, _ = split(claimed(count), 1.0, np.arange(count), *view, options)
+    without, kept, _ = split(claimed(count), 1.0, np.arange(count), *view, CorrelatedErrorOptions())
+    added = covariance - without
+    np.testing.assert_allclose(
+        added, correlated @ np.swapaxes(correlated, 1, 2) - kept @ np.swapaxes(kept, 1, 2), atol=1e-17
+    )
+    gTb, _, camera, catalog = view
+    radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    place, size, cos = 0.05 * radius_m, 0.02, np.cos(catalog.latitude_rad)
+    moved = [
+        {"latitude_rad": catalog.latitude_rad + place / catalog.body.radius_m},
+        {"longitude_rad": catalog.longitude_rad + place / catalog.body.radius_m / cos},
+        {"semi_major_m": catalog.semi_major_m * (1.0 + size)},
+        {"semi_minor_m": catalog.semi_minor_m * (1.0 + size)},
+    ]  # fmt: skip
+
+    def charts(craters):
+        return project_rims(gTb, camera.bTc, craters.centres, craters.axes)[0]
+
+    steps = [charts(dataclasses.replace(catalog, **change)) - charts(catalog) for change in moved]
+    expected = sum(step[:, :, None] * step[:, None, :] for step in steps)
+    # The shear is the fifth part; the rest is that of the four moved catalogues.
+    diagonal = np.diagonal(added, axis1=1, axis2=2)
+    np.testing.assert_allclose(
+        np.diagonal(expected, axis1=1, axis2=2)[:, [0, 1]], diagonal[:, [0, 1]], rtol=0.05
+    )
+    assert np.all(diagonal[:, 2:] > 0.4 * np.diagonal(expected, axis1=1, axis2=2)[:, 2:])
 
 
 def test_scaling_multiplies_every_part_of_the_variance():

@@ -118,6 +118,14 @@ def test_what_is_not_there_is_not_measured(view):
     )  # fmt: skip
     rims = GuidedFrontEnd(scene.camera(), shifted).measure(image, 0, gTb, scene.covariance(4.0), sun_g).rims
     assert row not in rims.craters
+    # A catalogue that is known to be as far off as that keeps it, and no other rim is worse for it.
+    poor = GuidedOptions(correlated_errors=CorrelatedErrorOptions(map_place_share=0.08))
+    found = GuidedFrontEnd(scene.camera(), shifted, poor).measure(image, 0, gTb, scene.covariance(4.0), sun_g)
+    assert row in found.rims.craters
+    white = np.trace(found.rims.uncorrelated_covariance[:, :2, :2], axis1=1, axis2=2)
+    assert np.median(white) < 1.5 * np.median(
+        np.trace(rims.uncorrelated_covariance[:, :2, :2], axis1=1, axis2=2)
+    )
     assert len(rims) >= 0.9 * len(present) - 1
 
 

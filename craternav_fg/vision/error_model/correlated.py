@@ -61,6 +61,9 @@ class CorrelatedErrorOptions:
         rims have in common.
     arc_px, arc_share : float
         Time-correlated shift that the edge points of an arc share: px, and share of the radius.
+    map_place_share, map_size_share : float
+        Standard deviations of the catalogue: of each coordinate of a crater's place, and of each semi-axis.
+        Both are errors that a crater keeps. Real catalogues of circles have several per cent.
     """
 
     crater_share: float = 0.7
@@ -74,6 +77,32 @@ class CorrelatedErrorOptions:
     brightness_share: float = 0.4
     arc_px: float = 0.2
     arc_share: float = 0.004
+    map_place_share: float = 0.0
+    map_size_share: float = 0.0
+
+    @property
+    def map_variances(self) -> FloatArray:
+        """Variances (5,) of a crater's errors on the map, in radii, in the columns of `in_plane_slopes`."""
+        place2, size2 = self.map_place_share**2, self.map_size_share**2
+        # The shear of independent errors of axes whose directions are arbitrary.
+        return np.array([place2, place2, size2, 0.5 * size2, size2])
+
+
+def map_covariance(slopes: FloatArray, options: CorrelatedErrorOptions) -> FloatArray:
+    """Covariance of rims' charts from the errors of their craters on the map.
+
+    Parameters
+    ----------
+    slopes : ndarray, shape (n, 5, 5)
+        From `in_plane_slopes`.
+    options : CorrelatedErrorOptions
+
+    Returns
+    -------
+    ndarray, shape (n, 5, 5)
+        In normalised image coordinates.
+    """
+    return np.asarray((slopes * options.map_variances) @ np.swapaxes(slopes, 1, 2))
 
 
 def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
@@ -132,6 +161,7 @@ def correlated_roots(
     inverse = np.linalg.inv(slopes)
     own = errors.systematic - options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
     on_ground = options.crater_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
+    on_ground = on_ground + np.diag(options.map_variances)
     correlated = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
     shared = slopes @ _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
     shared[:, :, 7] = np.sqrt(options.brightness_share) * brightness
@@ -202,9 +232,10 @@ def split(
     """
     correlated, shared = correlated_roots(errors, rows, gTb, sun_g, camera, catalog, options)
     brightness = errors.brightness_root
-    # The time-correlated part and the shared brightness are in the covariance already, the other shared parts
-    # are new.
+    # The time-correlated part of the fit and the shared brightness are in the covariance already, the other
+    # shared parts and the errors of the map are new.
     covariance = errors.covariance + shared @ np.swapaxes(shared, 1, 2)
+    covariance += map_covariance(in_plane_slopes(rows, gTb, camera, catalog), options)
     covariance -= options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
     covariance = covariance + options.excess_white_share * (variance_factor - 1.0) * errors.systematic
     return covariance, correlated, shared
