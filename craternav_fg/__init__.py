@@ -5,16 +5,20 @@
 >>> result = cn.reconstruct(data, estimators=["smoother", "ekf"])
 >>> cn.plot(result, data, "bounds").savefig("errors.png")
 
-The names below are the public interface. A module is imported when one of its names is first used, so that
-`import craternav_fg` costs nothing.
+The names below are the public interface; every other module is an attribute, too, such as
+`cn.evaluation.consistency`, and the measurement equations are `cn.factors`. A module is imported when one of
+its names is first used, so that `import craternav_fg` costs nothing.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from factors.lazy import submodules
+
 if TYPE_CHECKING:
     from craternav_fg.body import Body as Body
     from craternav_fg.camera import Camera as Camera
+    from craternav_fg.campaign.read import read_campaign as read_campaign
     from craternav_fg.campaign.run import CampaignOptions as CampaignOptions
     from craternav_fg.campaign.run import montecarlo as montecarlo
     from craternav_fg.catalogs.model import Catalog as Catalog
@@ -32,7 +36,9 @@ if TYPE_CHECKING:
     from craternav_fg.estimators.registry import ESTIMATORS as ESTIMATORS
     from craternav_fg.evaluation.metrics import metrics as metrics
     from craternav_fg.matching.identify.search import identify as identify
+    from craternav_fg.matching.identify.triple_index import TripleIndex as TripleIndex
     from craternav_fg.measurements import FrameMeasurement as FrameMeasurement
+    from craternav_fg.measurements import KnownAttitude as KnownAttitude
     from craternav_fg.measurements import RimSet as RimSet
     from craternav_fg.pipeline.reconstruct import reconstruct as reconstruct
     from craternav_fg.pipeline.result import Reconstruction as Reconstruction
@@ -43,6 +49,8 @@ if TYPE_CHECKING:
     from craternav_fg.runs.read import read_run as read_run
     from craternav_fg.sensors.protocol import Sensor as Sensor
     from craternav_fg.simulation.scenario import simulate as simulate
+    from craternav_fg.simulation.scenario_file import Scenario as Scenario
+    from craternav_fg.simulation.scenario_file import load_scenario as load_scenario
     from craternav_fg.trajectory import Trajectory as Trajectory
     from craternav_fg.vision.detect import find_rims as detect  # noqa: F401
     from craternav_fg.vision.guided_options import GuidedOptions as FrontEndOptions  # noqa: F401
@@ -68,17 +76,22 @@ _PUBLIC = {
     "FrontEndOptions": "vision.guided_options:GuidedOptions",
     "GraphOptions": "estimators.graph",
     "InputError": "errors",
+    "KnownAttitude": "measurements",
     "OnlineSmoother": "estimators.online",
     "Reconstruction": "pipeline.result",
     "RimSet": "measurements",
+    "Scenario": "simulation.scenario_file",
     "Sensor": "sensors.protocol",
+    "TripleIndex": "matching.identify.triple_index",
     "Trajectory": "trajectory",
     "compare": "runs.compare",
     "detect": "vision.detect:find_rims",
     "identify": "matching.identify.search",
+    "load_scenario": "simulation.scenario_file",
     "metrics": "evaluation.metrics",
     "montecarlo": "campaign.run",
     "plot": "plots.summary",
+    "read_campaign": "campaign.read",
     "read_run": "runs.read",
     "reconstruct": "pipeline.reconstruct",
     "report": "reports.write",
@@ -86,12 +99,15 @@ _PUBLIC = {
     "solve_pose": "resection.efficient:solve",
 }
 __all__ = ["__version__", *_PUBLIC]
+_module = submodules(__name__)
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""
+    if name == "factors":
+        return importlib.import_module("factors")
     if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return _module(name)
     module, _, there = _PUBLIC[name].partition(":")
     value = getattr(importlib.import_module(f"{__name__}.{module}"), there or name)
     globals()[name] = value

@@ -121,6 +121,25 @@ def rotation_log(R: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
+def pose_log(T: FloatArray) -> FloatArray:
+    """Turn a pose into the twist whose exponential it is.
+
+    That of inverse(gTb) gTb' is the change from gTb to gTb'.
+
+    Parameters
+    ----------
+    T : ndarray, shape (4, 4)
+        Pose aTb of frame b in a.
+
+    Returns
+    -------
+    ndarray, shape (6,)
+        Right twist [w, rho], rad and m.
+    """
+    w = rotation_log(T[:3, :3])
+    return np.concatenate([w, np.linalg.solve(right_jacobian(-w), T[:3, 3])])
+
+
 def rotate_position_block(covariance: FloatArray, aRb: FloatArray) -> FloatArray:
     """Rotate the position block of a pose covariance from axes b to axes a; the attitude block stays.
 

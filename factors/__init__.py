@@ -3,3 +3,10 @@
 Every factor says when it is zero. `factors.kernels.validity` says what a factor gives at poses from which a
 crater has no image; docs/equations.md derives the equations.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

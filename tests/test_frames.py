@@ -13,6 +13,7 @@ from craternav_fg.frames import (
     inverse,
     latitude_longitude,
     pose,
+    pose_log,
     right_jacobian,
     rotate_position_block,
     rotation_exp,
@@ -95,3 +96,9 @@ def test_right_jacobian_is_the_derivative_of_the_exponential(size: float) -> Non
         for sign in (1.0, -1.0)
     )
     assert_allclose(right_jacobian(w), (ahead - behind).T / (2.0 * step), atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.0])
+def test_the_twist_of_a_pose_is_that_of_gtsam(angle: float) -> None:
+    T = pose(rotation_exp(angle * np.array([0.6, 0.0, -0.8])), np.array([3.0, -2.0, 5.0]))
+    assert_allclose(pose_log(T), gtsam.Pose3.Logmap(gtsam.Pose3(T)), atol=1e-9)

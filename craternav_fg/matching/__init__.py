@@ -5,3 +5,10 @@
 - `identify`: without a prior position.
 - `rematch`: another crater for rims whose match was rejected.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

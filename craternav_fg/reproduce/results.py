@@ -61,7 +61,7 @@ FIELDS = (
 NUMBERS = ("paper", "as_printed", "corrected", "efficient", "bound")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reproduction:
     """A figure of the paper, reproduced.
 
@@ -85,6 +85,13 @@ class Reproduction:
     note: str
     drawing: Figure
     data: pa.Table
+
+    def __repr__(self) -> str:
+        return f"{self.name}: {self.title}"
+
+    def _repr_markdown_(self) -> str:
+        """Show title and note in a notebook."""
+        return f"**{self.title}.** {self.note}"
 
 
 def verdict(

@@ -3,7 +3,7 @@
 reproduction.json   every number: a list of rows {figure, quantity, condition, unit, paper, as_printed,
                     corrected, efficient, bound, verdict}
 reproduction.md     the same for reading: tables, drawings and a paragraph on each figure
-NAME.png            drawings: figNN, tableN, front_end, lag, ablation
+NAME.png            drawings: figNN, tableN, front_end, lag, ablation, rim_models
 NAME.parquet        the trials behind them
 """
 
@@ -35,6 +35,7 @@ from craternav_fg.reproduce.lag import lag
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress
 from craternav_fg.reproduce.results import NUMBERS, Reproduction, number
+from craternav_fg.reproduce.rim_models import rim_models
 from craternav_fg.reproduce.table1 import TABLE1, table1
 from craternav_fg.reproduce.table2 import table2
 
@@ -44,7 +45,7 @@ FIGURES = (
     "front_end",
 )  # fmt: skip
 # Not figures of the paper, and not part of "all".
-OTHERS = ("lag", "ablation")
+OTHERS = ("lag", "ablation", "rim_models")
 MARKER = "reproduction.json"
 CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in (*FIGURES, *OTHERS)))
 
@@ -62,7 +63,9 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
             expected = ", ".join((*FIGURES, *OTHERS))
             raise CraternavError(f"unknown figure {name!r}: expected {expected} or all")
     of_paper = tuple(name for name in FIGURES if name in names or "all" in names)
-    return of_paper + tuple(name for name in OTHERS if name in names)
+    # What a measurement of rims keeps is an ablation, too.
+    also = {*names, *(("rim_models",) if "ablation" in names else ())}
+    return of_paper + tuple(name for name in OTHERS if name in also)
 
 
 def reproduce(
@@ -113,6 +116,8 @@ def reproduce(
         out.append(lag(options, progress))
     if "ablation" in names:
         out.append(ablation(options, progress))
+    if "rim_models" in names:
+        out.append(rim_models(options, progress))
     return sorted(out, key=lambda result: (*FIGURES, *OTHERS).index(result.name))
 
 

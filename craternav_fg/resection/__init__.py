@@ -15,3 +15,10 @@ gTb exp([w, rho]). The exponential is a screw motion. Errors of several degrees 
 poses lie along a screw about the ground in view, and measured as (R exp(w), t + R rho) they would seem many
 standard deviations away.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

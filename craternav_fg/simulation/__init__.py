@@ -1,1 +1,8 @@
 """Simulated descents: motion, terrain, images, sensors. No estimator or detector may import it."""
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

@@ -14,3 +14,10 @@ predicts),
   `edge_kernel`, `ellipse_fit` with `ellipse_kernel`, `ellipse_bias`, `ellipse_distance` and `dense_kernel`.
 - `error_model` makes the covariance of a rim, from the fit to what an estimator uses.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

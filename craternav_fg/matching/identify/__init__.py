@@ -23,3 +23,10 @@ The algorithm, in order, with the module of each step:
 `search` runs these steps (`search.identify`); `options` and `result` say what it takes and returns; `craters`
 holds the catalogue as compiled code takes it.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

@@ -8,3 +8,10 @@ References
 Tian, Yu, Yao, Huang, Crater edge-based flexible autonomous navigation for planetary landing, Journal of
 Navigation 72 (2019) 648-668, DOI 10.1017/S0373463318000966.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

@@ -1,0 +1,313 @@
+"""What each measurement of a rim keeps of its information: smoother, online and EKF on the same descents.
+
+Not part of the paper, which has eqs. (10), (11) and (19) in a filter alone.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+from matplotlib.figure import Figure
+
+from craternav_fg import frames
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Estimator, Problem
+from craternav_fg.estimators.basins import POSE, steps_to_optimum
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.linearisation import MeasurementModel
+from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
+from craternav_fg.evaluation.consistency import anees_by_altitude
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.plots.style import colour
+from craternav_fg.reproduce.fig15_18_trials import Trial, first_trials, problem_of
+from craternav_fg.reproduce.options import ReproduceOptions
+from craternav_fg.reproduce.pool import Progress, run_all
+from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, number
+from craternav_fg.trajectory import Trajectory
+from factors.custom import Loss
+
+FloatArray = npt.NDArray[np.float64]
+
+NAME = "rim_models"
+ESTIMATORS = ("smoother", "online", "ekf")
+# Medians of more trials change little; each trial is run with eighteen estimators.
+MAX_TRIALS = 10
+# Of the altitude, over which the ANEES is averaged.
+BINS_KM = (100.0, 70.0, 40.0, 10.0)
+# A view with so many rims determines the pose by itself; fewer are judged apart.
+ENOUGH_RIMS = 3
+# Starting poses around the truth at a frame: their number, turn, and shift as a share of the altitude.
+_STARTS, _TURN_RAD, _SHIFT = 24, np.radians(10.0), 0.1
+_NUMBERS = ("trial", "altitude_m", "rims", "error_m", "nees", "from_chart_sigmas", "frame_s", "basin")
+_EKF_MODELS: dict[RimModel, MeasurementModel] = {
+    "chart": "chart", "eq19": "implicit", "los": "los", "los+shape": "los+shape", "points": "points",
+    "centre": "centre",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kept:
+    """How an estimator does with a measurement of rims.
+
+    Attributes
+    ----------
+    trials : int
+        That gave a trajectory.
+    rms_m : float
+        RMS position error over trials and frames.
+    few_rims_rms_m : float
+        The same over the frames with one or two rims; NaN without such frames.
+    anees : float
+        Of the pose, 6 expected.
+    anees_by_altitude : tuple of float
+        In the bins of `BINS_KM`.
+    from_chart_sigmas : float
+        RMS distance of the poses from those with the ellipse chart, per dimension, in the latter's sigmas.
+    frame_ms : float
+        CPU time per frame.
+    basin : float
+        Share of starting poses, turned by 10 deg and shifted by 10 % of the altitude, from which undamped
+        Gauss-Newton reaches the optimum of a frame.
+    """
+
+    trials: int
+    rms_m: float
+    few_rims_rms_m: float
+    anees: float
+    anees_by_altitude: tuple[float, ...]
+    from_chart_sigmas: float
+    frame_ms: float
+    basin: float
+
+
+def rim_models(options: ReproduceOptions, progress: Progress | None = None) -> Reproduction:
+    """Run every estimator with every measurement of rims.
+
+    Parameters
+    ----------
+    options : ReproduceOptions
+    progress : callable, optional
+
+    Returns
+    -------
+    Reproduction
+    """
+    trials = first_trials(options, MAX_TRIALS)
+    data = pa.concat_tables(run_all(_run_trial, trials, options.workers, "measurements of rims", progress))
+    kept = evaluate(data)
+    rows = []
+    for (model, name), one in kept.items():
+        condition = f"{name}: {model}; {one.trials} of {len(trials)} trials"
+        for quantity, unit, value in (
+            ("position error, RMS", "m", one.rms_m),
+            ("ANEES", "", one.anees),
+            ("CPU time per frame", "ms", one.frame_ms),
+        ):
+            rows.append(
+                Row(NAME, quantity, condition, unit, corrected=value, verdict=NO_NUMBER, headline=unit == "m")
+            )
+    title = "What each measurement of a rim keeps of its information"
+    return Reproduction(NAME, title, rows, note(kept, len(trials)), _draw(kept), data)
+
+
+def evaluate(data: pa.Table) -> dict[tuple[RimModel, str], Kept]:
+    """Evaluate trials.
+
+    Parameters
+    ----------
+    data : pyarrow.Table
+        Of `rim_models`.
+
+    Returns
+    -------
+    dict of (str, str) to Kept
+        By measurement and estimator; a pair that gave no trajectory is missing.
+    """
+    found: dict[tuple[RimModel, str], Kept] = {}
+    for model in RIM_MODELS:
+        for name in ESTIMATORS:
+            mask = pc.and_(pc.equal(data["model"], model), pc.equal(data["estimator"], name))
+            rows = data.filter(mask)
+            if not len(rows):
+                continue
+            column = {key: rows[key].to_numpy() for key in _NUMBERS}
+            trials = len(np.unique(column["trial"]))
+            of_trials = column["nees"].reshape(trials, -1)
+            altitude_m = column["altitude_m"].reshape(trials, -1).mean(axis=0)
+            edges_m = [1001.0 * BINS_KM[0], *(1e3 * km for km in BINS_KM[1:-1]), 999.0 * BINS_KM[-1]]
+            few = column["rims"] < ENOUGH_RIMS
+            found[model, name] = Kept(
+                trials=trials,
+                rms_m=_rms(column["error_m"]),
+                few_rims_rms_m=_rms(column["error_m"][few]) if few.any() else np.nan,
+                anees=float(of_trials.mean()),
+                anees_by_altitude=tuple(b.mean for b in anees_by_altitude(of_trials, altitude_m, edges_m)),
+                from_chart_sigmas=_rms(column["from_chart_sigmas"]),
+                frame_ms=float(1e3 * np.median(column["frame_s"])),
+                basin=float(column["basin"].mean()),
+            )
+    return found
+
+
+def note(kept: dict[tuple[RimModel, str], Kept], trials: int) -> str:
+    """Paragraph of the figure, from its numbers.
+
+    Parameters
+    ----------
+    kept : dict of (str, str) to Kept
+        Of `evaluate`.
+    trials : int
+
+    Returns
+    -------
+    str
+    """
+    chart = kept["chart", "online"]
+    parts = [
+        f"Online smoother, first {trials} trials of figs. 17 and 18: the ellipse chart has an RMS position "
+        f"error of {number(chart.rms_m)} m."
+    ]
+    for model in RIM_MODELS[1:]:
+        one = kept.get((model, "online"))
+        if one is None:
+            parts.append(f"{model} gave no trajectory.")
+            continue
+        consistent = "" if one.anees < 2.0 * chart.anees else f", but an ANEES of {number(one.anees)}"
+        parts.append(
+            f"{model}: {number(one.rms_m / chart.rms_m)} times that error{consistent}; "
+            f"{number(one.frame_ms / chart.frame_ms)} times its CPU time."
+        )
+    eq19, los = kept.get(("eq19", "smoother")), kept.get(("los", "smoother"))
+    whole = kept["chart", "smoother"]
+    if eq19 is not None:
+        parts.append(
+            f"The smoother's poses with eq. (19) are {number(eq19.from_chart_sigmas)} sigma from those with "
+            "the chart."
+        )
+    if los is not None:
+        few = los.few_rims_rms_m / whole.few_rims_rms_m
+        parts.append(
+            "Lines of sight leave out size and shape: the smoother's error is "
+            f"{number(los.rms_m / whole.rms_m)} times that with the chart"
+            + (f", {number(few)} times in frames with one or two rims." if np.isfinite(few) else ".")
+        )
+    basins = ", ".join(
+        f"{model} {100 * one.basin:.0f} %" for (model, name), one in kept.items() if name == "online"
+    )
+    parts.append(
+        "Share of starting poses, turned by 10 deg and shifted by 10 % of the altitude, from which undamped "
+        f"Gauss-Newton reaches a frame's optimum: {basins}."
+    )
+    return " ".join(parts)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _run_trial(trial: Trial) -> pa.Table:
+    problem, truth = problem_of(trial)
+    altitude_m = problem.body.altitude_m(truth.gP)
+    rims = [len(frame.rims) for frame in problem.frames]
+    rng = np.random.default_rng([trial.scenario.seed, trial.number])
+    references: dict[str, Trajectory] = {}
+    parts = []
+    starts = _starts(problem, truth, rng)
+    for model in RIM_MODELS:
+        basin = _basin(problem, truth, model, starts)
+        for name, one in _estimators(model).items():
+            began = time.process_time()
+            try:
+                found = one.estimate(problem)
+            except (EstimationError, RuntimeError, np.linalg.LinAlgError):
+                continue
+            frame_s = (time.process_time() - began) / len(truth)
+            reference = references.setdefault(name, found)
+            assert found.pose_covariance is not None
+            assert reference.pose_covariance is not None
+            error = errors(found, truth)
+            apart = nees(errors(found, reference).pose, reference.pose_covariance) / 6.0
+            parts.append(
+                pa.table(
+                    {
+                        "trial": np.full(len(truth), trial.number),
+                        "model": [model] * len(truth),
+                        "estimator": [name] * len(truth),
+                        "altitude_m": altitude_m,
+                        "rims": rims,
+                        "error_m": np.linalg.norm(error.position_m, axis=1),
+                        "nees": nees(error.pose, found.pose_covariance),
+                        "from_chart_sigmas": np.sqrt(apart),
+                        "frame_s": np.full(len(truth), frame_s),
+                        "basin": np.full(len(truth), basin),
+                    }
+                )
+            )
+    return pa.concat_tables(parts)
+
+
+def _estimators(model: RimModel) -> dict[str, Estimator]:
+    options = GraphOptions(rims=model)
+    return {
+        "smoother": BatchSmoother(options),
+        "online": OnlineSmoother(options),
+        "ekf": DistributedEkf("ekf", EkfOptions(measurement=_EKF_MODELS[model])),
+    }
+
+
+def _starts(problem: Problem, truth: Trajectory, rng: np.random.Generator) -> dict[int, FloatArray]:
+    """Draw starting poses (n, 4, 4) around the truth at the first, middle and last frame with enough rims."""
+    enough = [k for k, frame in enumerate(problem.frames) if len(frame.rims) >= ENOUGH_RIMS]
+    chosen = {enough[i] for i in (0, len(enough) // 2, -1)} if enough else set()
+    out = {}
+    for k in sorted(chosen):
+        turn, shift = rng.standard_normal((2, _STARTS, 3))
+        turn *= _TURN_RAD / np.linalg.norm(turn, axis=1)[:, None]
+        far_m = _SHIFT * float(problem.body.altitude_m(truth.gP[k]))
+        shift *= far_m / np.linalg.norm(shift, axis=1)[:, None]
+        steps = [frames.pose(frames.rotation_exp(w), t) for w, t in zip(turn, shift, strict=True)]
+        out[k] = truth.gTb[k] @ np.array(steps)
+    return out
+
+
+def _basin(problem: Problem, truth: Trajectory, model: RimModel, starts: dict[int, FloatArray]) -> float:
+    reached = []
+    for k, poses in starts.items():
+        rims = problem.frames[k].rims
+        factors = rim_factors(model, POSE, problem.camera, problem.catalog, rims, truth.gTb[k], Loss())
+        try:
+            reached.append(float(np.mean(steps_to_optimum(factors, truth.gTb[k], poses) >= 0)))
+        except EstimationError:
+            reached.append(0.0)
+    return float(np.mean(reached)) if reached else np.nan
+
+
+def _draw(kept: dict[tuple[RimModel, str], Kept]) -> Figure:
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    place: Sequence[int] = range(len(RIM_MODELS))
+    for k, name in enumerate(ESTIMATORS):
+        y = [p + 0.25 * (k - 1) for p in place]
+        ones = [kept.get((model, name)) for model in RIM_MODELS]
+        for axes, values in (
+            (left, [np.nan if one is None else one.rms_m for one in ones]),
+            (right, [np.nan if one is None else one.anees for one in ones]),
+        ):
+            axes.plot(values, y, "o", color=colour(name), label=name)
+    left.set_yticks(place, RIM_MODELS)
+    left.invert_yaxis()
+    left.set_xlabel("position error, RMS, m")
+    right.set_xlabel("ANEES (6 expected)")
+    right.axvline(6.0, color="k", lw=0.8)
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.grid(alpha=0.3)
+    right.legend(frameon=False)
+    return figure

@@ -1,0 +1,80 @@
+"""What the measurements of a rim keep: on one short descent with five craters in view."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from gtsam.symbol_shorthand import X
+
+from craternav_fg import frames
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import basins
+from craternav_fg.estimators.rim_models import RIM_MODELS, rim_factors
+from craternav_fg.reproduce import rim_models
+from craternav_fg.reproduce.fig15_18_trials import Trial, problem_of
+from craternav_fg.reproduce.run import chosen
+from factors.custom import Loss
+from tests import descents
+
+
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    return Trial(descents.scenario(duration_s=60.0), 0)
+
+
+@pytest.fixture(scope="module")
+def data(trial: Trial) -> pa.Table:
+    return rim_models._run_trial(trial)
+
+
+def test_each_measurement_keeps_what_it_should(data: pa.Table) -> None:
+    kept = rim_models.evaluate(data)
+    assert set(kept) == {(model, name) for model in RIM_MODELS for name in rim_models.ESTIMATORS}
+    chart, los = kept["chart", "smoother"], kept["los", "smoother"]
+    for model in ("eq19", "los+shape", "points"):
+        # The same information: the same optimum up to curvature.
+        assert kept[model, "smoother"].from_chart_sigmas < min(0.1, 0.5 * los.from_chart_sigmas)
+    assert los.anees < 15.0
+    assert kept["centre", "smoother"].anees > 3.0 * chart.anees
+    assert chart.basin == 1.0
+    assert all(one.frame_ms > 0.0 for one in kept.values())
+
+
+def test_from_far_off_the_chart_converges_most_often(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rim_models, "_TURN_RAD", np.radians(30.0))
+    monkeypatch.setattr(rim_models, "_SHIFT", 0.3)
+    problem, truth = problem_of(trial)
+    starts = rim_models._starts(problem, truth, np.random.default_rng(1))
+    shares = {m: rim_models._basin(problem, truth, m, starts) for m in ("chart", "eq19", "points")}
+    assert shares["chart"] > max(shares["eq19"], shares["points"]) + 0.1, shares
+
+
+def test_the_note_is_computed(data: pa.Table) -> None:
+    kept = rim_models.evaluate(data)
+    text = rim_models.note(kept, 1)
+    ratio = kept["los", "online"].rms_m / kept["chart", "online"].rms_m
+    assert f"los: {ratio:.3g} times that error" in text
+    assert f"chart {100 * kept['chart', 'online'].basin:.0f} %" in text
+    worse = dict(kept)
+    del worse["points", "online"]
+    assert "points gave no trajectory" in rim_models.note(worse, 1)
+
+
+def test_the_ablation_includes_it() -> None:
+    assert chosen(["ablation"]) == ("ablation", "rim_models")
+    assert chosen(["rim_models"]) == ("rim_models",)
+
+
+def test_steps_to_the_optimum(trial: Trial) -> None:
+    problem, truth = problem_of(trial)
+    gTb, rims = truth.gTb[0], problem.frames[0].rims
+    factors = rim_factors("chart", X(0), problem.camera, problem.catalog, rims, gTb, Loss())
+    turned = gTb @ frames.pose(frames.rotation_exp(np.array([0.0, 0.1, 0.0])), np.zeros(3))
+    upside_down = gTb @ frames.pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    steps = basins.steps_to_optimum(factors, gTb, np.array([gTb, turned, upside_down]))
+    assert 0 < steps[0] < steps[1] < 15
+    assert steps[2] == basins.NOT_REACHED
+    damped = basins.steps_to_optimum(factors, gTb, np.array([turned]), "levenberg-marquardt")
+    assert 0 < damped[0] < 30
+    one = rim_factors("chart", X(0), problem.camera, problem.catalog, rims.take([0]), gTb, Loss())
+    with pytest.raises(EstimationError, match="do not determine"):
+        basins.steps_to_optimum(one, gTb, np.array([gTb]))
