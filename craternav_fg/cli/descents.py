@@ -175,13 +175,6 @@ def _left_out(dataset: Dataset, without: Sequence[str]) -> Dataset:
     return replace(dataset, sensors=kept, features=None if FEATURES in without else dataset.features)
 
 
-def _given(data: Path | None, output: Path | None) -> tuple[Path, Path]:
-    """Require what only --print-config can do without."""
-    if data is None or output is None:
-        raise InputError("reconstruct", "expected the folder of a data set and --output")
-    return data, output
-
-
 def _check_folders(data: Path, output: Path) -> None:
     """Refuse a run that would replace its data set, and a run in place of a data set."""
     if data.resolve().is_relative_to(output.resolve()):
