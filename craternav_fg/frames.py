@@ -5,9 +5,13 @@ along the optical axis), l a crater (x along its major axis, z outward). aTb is 
 rotation, aPb its position; the letters cancel: aTc = aTb bTc.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -57,6 +61,13 @@ def inverse(T: FloatArray) -> FloatArray:
     return out
 
 
+def _rotation() -> "type[Rotation]":
+    """Import SciPy's rotations when they are first needed: they bring in a quarter of a second of modules."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
+
+
 def from_quaternion_wxyz(q: FloatArray) -> FloatArray:
     """Turn quaternions into rotation matrices.
 
@@ -70,7 +81,7 @@ def from_quaternion_wxyz(q: FloatArray) -> FloatArray:
     ndarray, shape (..., 3, 3)
         Rotations between the same frames.
     """
-    return np.asarray(Rotation.from_quat(np.asarray(q), scalar_first=True).as_matrix())
+    return np.asarray(_rotation().from_quat(np.asarray(q), scalar_first=True).as_matrix())
 
 
 def to_quaternion_wxyz(R: FloatArray) -> FloatArray:
@@ -86,7 +97,7 @@ def to_quaternion_wxyz(R: FloatArray) -> FloatArray:
     ndarray, shape (..., 4)
         Unit Hamilton quaternions, scalar first and not negative.
     """
-    return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True))
+    return np.asarray(_rotation().from_matrix(R).as_quat(canonical=True, scalar_first=True))
 
 
 def rotation_exp(w: FloatArray) -> FloatArray:
@@ -102,7 +113,7 @@ def rotation_exp(w: FloatArray) -> FloatArray:
     ndarray, shape (..., 3, 3)
         Rotations between these frames.
     """
-    return np.asarray(Rotation.from_rotvec(w).as_matrix())
+    return np.asarray(_rotation().from_rotvec(w).as_matrix())
 
 
 def rotation_log(R: FloatArray) -> FloatArray:
@@ -118,7 +129,7 @@ def rotation_log(R: FloatArray) -> FloatArray:
     ndarray, shape (..., 3)
         Axis times angle, rad, 0 to pi; the axis is the same in both frames.
     """
-    return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    return np.asarray(_rotation().from_matrix(R).as_rotvec())
 
 
 def pose_log(T: FloatArray) -> FloatArray:

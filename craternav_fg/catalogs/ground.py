@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from craternav_fg.catalogs.model import Catalog
 
@@ -29,6 +28,9 @@ def ground_heights(catalog: Catalog) -> Callable[[FloatArray], float]:
     """
     if not np.any(catalog.height_m):
         return lambda _: 0.0
+    # Imported here: most commands that read a catalogue do not ask for the ground between its craters.
+    from scipy.spatial import KDTree
+
     tree = KDTree(catalog.normals)
     count = min(NEIGHBOURS, len(catalog))
 

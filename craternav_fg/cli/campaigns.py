@@ -11,7 +11,8 @@ from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import CampaignOptions
 from craternav_fg.campaign.run import montecarlo as run_campaign
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import EstimatorOption, JsonOption, ScenarioArgument
+from craternav_fg.cli.estimator_option import EstimatorOption
+from craternav_fg.cli.options import JsonOption, ScenarioArgument
 from craternav_fg.cli.terminal import err, out, progress_bars, say, table_of_numbers, three_digits, warn
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT

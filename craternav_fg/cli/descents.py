@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import EstimatorOption, JsonOption, ScenarioArgument
+from craternav_fg.cli.estimator_option import EstimatorOption
+from craternav_fg.cli.options import JsonOption, ScenarioArgument
 from craternav_fg.cli.run_summary import comparison, show_comparison, show_run
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset

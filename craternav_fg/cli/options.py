@@ -8,7 +8,6 @@ import numpy as np
 import typer
 
 from craternav_fg.errors import InputError
-from craternav_fg.estimators.registry import ESTIMATORS, ON_REQUEST
 
 # Kinds of figures that commands write.
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -28,15 +27,6 @@ CatalogBodyOption = Annotated[
     ),
 ]
 ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
-EstimatorOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--estimator",
-        "-e",
-        help=f"One of {', '.join(ESTIMATORS)}; may be repeated.",
-        show_default=f"all but {', '.join(ON_REQUEST)}",
-    ),
-]
 
 
 def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, Slerp
 
 from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.catalogs.ground import ground_heights
@@ -20,6 +18,7 @@ from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
+from craternav_fg.frames import from_quaternion_wxyz
 from craternav_fg.imu import ImuLog
 from craternav_fg.sensors.files import folder_of, read_sensor
 from craternav_fg.sensors.point_features import read_features
@@ -288,16 +287,19 @@ def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:
         )
     q = table.numbers(*layout.ATTITUDE)
     _require_unit(table, q, layout.ATTITUDE, "quaternion")
-    rotation = Rotation.from_quat(q, scalar_first=True)
     P, V, bias = (table.numbers(*names) for names in (layout.POSITION, layout.VELOCITY, layout.BIAS))
     gTb = np.tile(np.eye(4), (len(frames_ns), 1, 1))
     if np.isin(frames_ns, stamps).all():
         rows = np.searchsorted(stamps, frames_ns)
-        gTb[:, :3, :3], gTb[:, :3, 3] = rotation.as_matrix()[rows], P[rows]
+        gTb[:, :3, :3], gTb[:, :3, 3] = from_quaternion_wxyz(q[rows]), P[rows]
         return Trajectory(frames_ns, gTb, V[rows], bias[rows])
     t, at = (stamps - stamps[0]) * 1e-9, (frames_ns - stamps[0]) * 1e-9
-    position = CubicHermiteSpline(t, P, V)
-    gTb[:, :3, :3], gTb[:, :3, 3] = Slerp(t, rotation)(at).as_matrix(), position(at)
+    # Imported here: a command that reads one image needs neither, and they take a quarter of a second.
+    from scipy.interpolate import CubicHermiteSpline
+    from scipy.spatial.transform import Rotation, Slerp
+
+    position, attitude = CubicHermiteSpline(t, P, V), Slerp(t, Rotation.from_quat(q, scalar_first=True))
+    gTb[:, :3, :3], gTb[:, :3, 3] = attitude(at).as_matrix(), position(at)
     biases = np.stack([np.interp(at, t, column) for column in bias.T], axis=-1)
     return Trajectory(frames_ns, gTb, position(at, 1), biases)
 

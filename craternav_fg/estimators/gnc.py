@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 from gtsam.symbol_shorthand import X, Y
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
@@ -155,7 +155,7 @@ class GncSmoother:
         )  # fmt: skip
 
     def _limit2(self, freedom: int) -> float:
-        return float(chi2.ppf(self.options.inlier_probability, freedom))
+        return float(chdtri(freedom, 1.0 - self.options.inlier_probability))
 
     def _fitting(self, problem: Problem, arcs: ArcSet, gTb: FloatArray, covariance: FloatArray) -> ArcSet:
         """Arcs that are inliers at a pose whose covariance (6, 6) is given."""

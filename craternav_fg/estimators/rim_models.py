@@ -5,7 +5,7 @@ from typing import Literal, get_args
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -117,8 +117,8 @@ def equivalent_points(rims: RimSet) -> tuple[list[FloatArray], list[FloatArray]]
 
 def _of_dimension(loss: Loss, dimension: int) -> Loss:
     """Give the loss that begins at the same probability in fewer dimensions."""
-    probability = chi2.cdf(loss.scale**2, FULL_DIMENSION)
-    return Loss(loss.kind, float(np.sqrt(chi2.ppf(probability, dimension))))
+    beyond = chdtrc(FULL_DIMENSION, loss.scale**2)
+    return Loss(loss.kind, float(np.sqrt(chdtri(dimension, beyond))))
 
 
 def _of_mean(loss: Loss) -> Loss:

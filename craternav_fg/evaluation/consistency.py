@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def mean_interval(
     """
     tail = 0.5 * (1.0 - probability)
     freedom = dimension * count
-    return float(chi2.ppf(tail, freedom) / count), float(chi2.ppf(1.0 - tail, freedom) / count)
+    return float(chdtri(freedom, 1.0 - tail) / count), float(chdtri(freedom, tail) / count)
 
 
 def anees_by_altitude(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -138,12 +138,12 @@ def _judge(search: GateSearch, best: ExpandedPose) -> Matches:
     gTb, covariance, cost = best.gTb, best.covariance, 0.0
     while rims:
         gTb, covariance, cost = search.solve_one(gTb, np.array(chosen), np.array(rims))
-        limit = float(chi2.ppf(options.probability, COMPONENTS * len(rims)))
+        limit = float(chdtri(COMPONENTS * len(rims), 1.0 - options.probability))
         at_pose = search.distances2(gTb, covariance)[rims, chosen]
         # When the typical rim is worse than its covariance says, all limits are widened.
         factor = 1.0
         if len(rims) >= _MIN_SCATTER:
-            factor = max(1.0, float(np.median(at_pose)) / float(chi2.median(COMPONENTS)))
+            factor = max(1.0, float(np.median(at_pose)) / float(chdtri(COMPONENTS, 0.5)))
         if cost < limit * factor and at_pose.max() < search.gate * factor:
             break
         worst = int(np.argmax(at_pose))

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
-from scipy.special import comb
-from scipy.stats import chi2
+from scipy.special import chdtri, comb
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -138,14 +137,14 @@ class GateSearch:
         self.prior = np.ascontiguousarray(gTb, dtype=np.float64)
         self.covariance = pose_covariance
         self.charts = np.ascontiguousarray(charts, dtype=np.float64)
-        self.gate = float(chi2.ppf(options.probability, COMPONENTS))
+        self.gate = float(chdtri(COMPONENTS, 1.0 - options.probability))
         self._tried = self._allowed_pairs = np.empty((0, 4), dtype=np.int64)
         self._possible = len(charts)
         self._information = scaled_inverse(pose_covariance)
         self._bTc = camera.bTc
         self._noise = covariances + relative_covariance(self.charts, options.floor_share)
         self._weights = np.ascontiguousarray(scaled_inverse(self._noise))
-        self._sigmas = float(np.sqrt(chi2.ppf(options.probability, 2)))
+        self._sigmas = float(np.sqrt(chdtri(2, 1.0 - options.probability)))
         corner = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
         self._bounds = _BORDER_FACTOR * np.abs(camera.normalised(corner)).max(axis=0)
         self._gTc = _raised_above_ground(camera.gTc(self.prior), pose_covariance, catalog.body)
@@ -179,7 +178,7 @@ class GateSearch:
         """Find poses that explain rims, the best first."""
         pairs, starts = self._hypotheses()
         self._allowed_pairs = pairs
-        limit = chi2.ppf(self.options.probability, 2 * COMPONENTS)
+        limit = chdtri(2 * COMPONENTS, 1.0 - self.options.probability)
         found: list[ExpandedPose] = []
         for begin in range(0, len(pairs), _CHUNK):
             some = pairs[begin : begin + _CHUNK]
@@ -277,7 +276,7 @@ class GateSearch:
             slack = slack / max(float(np.linalg.norm(self._ray[i] - self._ray[j])), _MIN_SEPARATION_RAD) ** 2
         spread = self.covariance[:3, :3] + slack[:, None, None] * np.eye(3)
         cost = squared_distance(turn, spread)
-        near = cost < chi2.ppf(self.options.probability, 3)
+        near = cost < chdtri(3, 1.0 - self.options.probability)
         pairs = np.column_stack([np.full(len(m), i), m, np.full(len(m), j), k])
         return pairs[near], gRc[near], cost[near]
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure, SubFigure
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -115,7 +115,7 @@ def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) 
     """
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     axes = figure.subplots()
-    low, high = (float(chi2.ppf(p, 6)) for p in (0.025, 0.975))
+    low, high = (float(chdtri(6, p)) for p in (0.975, 0.025))
     axes.axhspan(low, high, color="k", alpha=0.1, label="95 % interval, 6 dof")
     for name, trajectory in trajectories.items():
         if trajectory.pose_covariance is None:

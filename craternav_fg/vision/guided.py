@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -191,7 +191,7 @@ class GuidedFrontEnd:
         first[~seen] = np.inf
         predicted = errors.covariance + of_map + H @ frame.prior @ np.swapaxes(H, 1, 2)
         prior2 = squared_distance(charts - first, predicted)
-        limit = chi2.ppf(self.options.gate_probability, _CHART_SIZE)
+        limit = chdtri(_CHART_SIZE, 1.0 - self.options.gate_probability)
         keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, _CHART_SIZE))
         rows = rows[keep]
         covariance, correlated, shared = split(

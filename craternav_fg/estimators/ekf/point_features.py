@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from craternav_fg.camera import Camera
 from craternav_fg.estimators.ekf.fusion import fuse_updates
@@ -167,6 +167,6 @@ class FeatureWindow:
         null = np.linalg.qr(H_point, mode="complete")[0][:, 3:]
         A, residual = null.T @ A, null.T @ residual
         S = A @ state.covariance @ A.T + np.eye(len(A))
-        if residual @ np.linalg.solve(S, residual) > chi2.ppf(PROBABILITY, len(A)):
+        if residual @ np.linalg.solve(S, residual) > chdtri(len(A), 1.0 - PROBABILITY):
             return None
         return LinearMeasurement(A, residual)

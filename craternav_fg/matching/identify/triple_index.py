@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from scipy.spatial import cKDTree
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
@@ -209,6 +208,9 @@ def fingerprint(catalog: Catalog) -> str:
 
 def _neighbours(centres: FloatArray, sizes: FloatArray, count: int) -> Int32Array:
     """Nearest neighbours (n, count) of at least `SMALLEST` each one's size, -1 where there are fewer."""
+    # Imported here: an index that is read from a file needs none.
+    from scipy.spatial import cKDTree
+
     n = len(centres)
     out = np.full((n, count), -1, dtype=np.int32)
     order = np.argsort(sizes)

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from craternav_fg import frames
 from craternav_fg.linalg import squared_distance
@@ -45,7 +45,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Squared distance from the prior beyond which the pose from a single crater is rejected: the quantile
 # 1 - 1e-4 of the chi-square distribution of six degrees of freedom.
-_PRIOR_GATE = float(chi2.isf(1e-4, 6))
+_PRIOR_GATE = float(chdtri(6, 1e-4))
 
 
 class Method(Enum):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -30,4 +30,4 @@ def variance_factor(distance2: FloatArray, components: int) -> float:
     """
     if len(distance2) < _MIN_RIMS:
         return 1.0
-    return max(1.0, float(np.median(distance2) / chi2.median(components)))
+    return max(1.0, float(np.median(distance2) / chdtri(components, 0.5)))

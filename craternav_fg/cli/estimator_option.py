@@ -1,0 +1,17 @@
+"""The option that names estimators. It imports them all, so commands without them do not read it."""
+
+from typing import Annotated
+
+import typer
+
+from craternav_fg.estimators.registry import ESTIMATORS, ON_REQUEST
+
+EstimatorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--estimator",
+        "-e",
+        help=f"One of {', '.join(ESTIMATORS)}; may be repeated.",
+        show_default=f"all but {', '.join(ON_REQUEST)}",
+    ),
+]
