@@ -21,10 +21,9 @@ from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.resection.efficient import solve
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
 from craternav_fg.resection.problem import ResectionResult, Status
-from craternav_fg.resection.robust import solve_robustly
+from craternav_fg.resection.robust import solve_all, solve_robustly
 
 
 @app.command(epilog=example("pose matched.csv --camera sensor.yaml --catalog craters.parquet --robust"))
@@ -78,7 +77,7 @@ def pose(
         attitude_sigma_deg=attitude_sigma_deg,
         sun=numbers_of("--sun", sun, 5),
     )
-    result = solve_robustly(problem) if robust else solve(problem)
+    result = solve_robustly(problem) if robust else solve_all(problem)
     values = as_plain_data(problem, result, craters.body)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))

@@ -51,6 +51,14 @@ def caveats(problem: ResectionProblem, poses: Sequence[PoseSolution]) -> tuple[s
     return tuple(out)
 
 
+def inflation_warning(scale: float) -> str:
+    """Say by which factor the standard deviations of the rims are too small."""
+    return (
+        f"the rims scatter {scale:.2g} times as widely as their standard deviations say: the covariance is "
+        "computed with larger ones"
+    )
+
+
 def departure(problem: ResectionProblem, pose: PoseSolution) -> float:
     """Compute the largest difference of the cost from its parabola along the weakest direction.
 

@@ -240,7 +240,7 @@ def _misfit(problem: ResectionProblem, options: SolveOptions, gTb: FloatArray, c
     k = int(np.argmax(each))
     return (
         f"{text}, the largest part from the rim of crater {problem.rims.identifiers[k]!r} ({each[k]:.3g}): "
-        "a wrong match, or the wrong camera"
+        "a wrong match, the wrong camera, or too small a sigma"
     )
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -274,6 +274,19 @@ class ResectionProblem:
             return _NO_SUN
         return np.array([*sun.direction, *sun.point, sun.tilt_rad, sun.sigma_rad], dtype=np.float64)
 
+    def inflated(self, factor: float) -> "ResectionProblem":
+        """Multiply the standard deviations of the rims by a factor.
+
+        Parameters
+        ----------
+        factor : float
+
+        Returns
+        -------
+        ResectionProblem
+        """
+        return replace(self, rims=replace(self.rims, covariance=factor**2 * self.rims.covariance))
+
     def range_m(self, gTb: FloatArray) -> float:
         """Compute the distance from the camera to the mean of the craters' centres.
 
@@ -345,7 +358,11 @@ class ResectionResult:
     wrong : tuple of str
         Identifiers of the craters whose rims were found to be wrongly matched.
     warnings : tuple of str
-        One line each: that nothing checks the matches, or that the covariance may not describe the errors.
+        One line each: that nothing checks the matches, that most of them are wrong, or that the covariance
+        may not describe the errors.
+    sigma_scale : float
+        Factor by which the standard deviations of the rims were multiplied, because their residuals show that
+        they are too small.
     """
 
     status: Status
@@ -353,6 +370,7 @@ class ResectionResult:
     poses: tuple[PoseSolution, ...]
     wrong: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    sigma_scale: float = 1.0
 
     @property
     def solved(self) -> bool:

@@ -1,0 +1,122 @@
+"""Rims that agree by chance, or are all wrong alike, are no pose; many wrong matches still are one."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
+from craternav_fg.resection.robust import solve_all, solve_robustly
+from craternav_fg.simulation.catalog_views import View, synthetic_catalog
+from craternav_fg.simulation.scenes import MOON
+from tests.resection.matched_views import draw, is_right, matched, some_swapped
+
+Solver = Callable[[ResectionProblem], ResectionResult]
+FAULTS: dict[str, dict[str, Any]] = {
+    "mirrored": {"mirrored": True},
+    "shuffled": {},
+    "scaled craters": {"size_scale": 2.0},
+    "other body": {"body_scale": 0.32},
+    "other catalogue": {},
+}
+
+
+@pytest.fixture(scope="module")
+def catalog() -> Catalog:
+    return synthetic_catalog(MOON, np.random.default_rng(0))
+
+
+def craters_of(fault: str, catalog: Catalog, view: View, rng: np.random.Generator) -> np.ndarray | None:
+    if fault == "shuffled":
+        return rng.permutation(view.craters)
+    if fault == "other catalogue":
+        return rng.integers(len(catalog), size=len(view.craters))
+    return None
+
+
+def silently_wrong(catalog: Catalog, fault: str, count: int, solver: Solver) -> int:
+    """Number of wrong poses without a warning."""
+    rng = np.random.default_rng(5)
+    wrong = 0
+    for k in range(count):
+        view = draw(catalog, rng, k)
+        problem = matched(catalog, view, rng, **FAULTS[fault], craters=craters_of(fault, catalog, view, rng))
+        result = solver(problem)
+        if result.status in (Status.SOLVED, Status.AMBIGUOUS):
+            wrong += not is_right(result, view) and not result.warnings
+    return wrong
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_fault_is_believed_in_silence(catalog: Catalog, fault: str) -> None:
+    assert silently_wrong(catalog, fault, 15, solve_robustly) == 0
+    assert silently_wrong(catalog, fault, 15, solve_all) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [solve_robustly, solve_all])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_fault_of_a_thousand_is_believed_in_silence(catalog: Catalog, fault: str, solver: Solver) -> None:
+    assert silently_wrong(catalog, fault, 1000, solver) <= 1
+
+
+def test_mirrored_rims_are_no_pose(catalog: Catalog) -> None:
+    rng = np.random.default_rng(6)
+    for k in range(20):
+        result = solve_robustly(matched(catalog, draw(catalog, rng, k), rng, mirrored=True))
+        assert result.status is Status.NO_POSE
+        assert result.poses == ()
+
+
+def right_of(catalog: Catalog, share: float, count: int) -> int:
+    """Number of views, a share of whose matches is wrong, with the right pose."""
+    rng = np.random.default_rng(7)
+    right = 0
+    for k in range(count):
+        view = draw(catalog, rng, k)
+        result = solve_robustly(matched(catalog, view, rng, craters=some_swapped(view, rng, share)))
+        right += bool(result.poses) and is_right(result, view)
+        if share > 0.5:
+            assert "rims were left out as wrongly matched" in result.warnings[0]
+    return right
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+def test_the_right_matches_are_found(catalog: Catalog, share: float) -> None:
+    assert right_of(catalog, share, 25) == 25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.4, 0.6])
+def test_the_right_matches_of_many_views_are_found(catalog: Catalog, share: float) -> None:
+    assert right_of(catalog, share, 500) >= 495
+
+
+@pytest.mark.parametrize("solver", [solve_robustly, solve_all])
+@pytest.mark.parametrize("factor", [2.5, 10.0])
+def test_too_small_a_sigma_is_found_from_the_residuals(
+    catalog: Catalog, solver: Solver, factor: float
+) -> None:
+    """Before, three rims of many were taken for right, or the matches and the camera were blamed."""
+    rng = np.random.default_rng(8)
+    for k in range(15):
+        view = draw(catalog, rng, k)
+        result = solver(matched(catalog, view, rng, said_sigma_px=1.0 / factor))
+        assert result.status is Status.SOLVED
+        assert is_right(result, view)
+        assert result.wrong == ()
+        assert result.sigma_scale == pytest.approx(factor, rel=0.35)
+        assert any("times as widely as their standard deviations say" in text for text in result.warnings)
+
+
+def test_one_wrong_match_is_not_explained_by_a_larger_sigma(catalog: Catalog) -> None:
+    rng = np.random.default_rng(9)
+    for k in range(10):
+        view = draw(catalog, rng, k)
+        result = solve_all(
+            matched(catalog, view, rng, craters=some_swapped(view, rng, 2.0 / len(view.craters)))
+        )
+        assert result.status is Status.NO_POSE
+        assert "a wrong match, the wrong camera, or too small a sigma" in result.reason
