@@ -23,11 +23,11 @@ CIRCLE = ("LAT_CIRC_IMG", "LON_CIRC_IMG", "DIAM_CIRC_IMG")
 # Names in catalogues of others, in lower case without punctuation.
 _LATITUDES = (
     "lat", "latitude", "latdeg", "latn", "latitudedeg", "latitudedegree", "centerlat", "centerlatitude",
-    "latitudecircleimage", "ycoord",
+    "latitudecircleimage", "ycoord", "latndeg",
 )  # fmt: skip
 _LONGITUDES = (
     "lon", "long", "longitude", "londeg", "lone", "longitudedeg", "longitudedegree", "centerlon",
-    "centerlongitude", "longitudecircleimage", "xcoord",
+    "centerlongitude", "longitudecircleimage", "xcoord", "lonedeg",
 )  # fmt: skip
 _DIAMETERS = (
     "diam", "diamkm", "diameter", "diameterkm", "diamm", "diameterm", "diamcircleimage", "dkm",

@@ -21,7 +21,7 @@ from craternav_fg.catalogs.columns import (
 )
 from craternav_fg.catalogs.importing import ImportReport, import_table
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.catalogs.store import SUFFIX, read_parquet, write_parquet
+from craternav_fg.catalogs.store import SUFFIX, is_store, read_parquet, write_parquet
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, read_table, write_table
@@ -112,7 +112,8 @@ def import_catalog(
     Parameters
     ----------
     path : Path
-        Our own store (`.parquet`), a table with the columns of Robbins (2018), or a table of circles.
+        Our own store (`.parquet`), a table with the columns of Robbins (2018), or a table of circles; tables
+        as text or as Parquet.
     body : Body, optional
         Which the catalogue must be of. Without it the body that the file states by metadata, a column,
         identifiers of Robbins (2018) or its name, else the Moon; such a body has neither gravity nor spin.
@@ -132,7 +133,7 @@ def import_catalog(
         When the file is not such a table, is of another body, its sizes make no sense for the body, or no row
         is left.
     """
-    if path.suffix == SUFFIX:
+    if path.suffix == SUFFIX and is_store(path):
         catalog = read_parquet(path, body)
         return catalog, ImportReport(len(catalog), 0, False, (), "", "its metadata say")
     return import_table(path, body, options or ImportOptions())

@@ -2,15 +2,16 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
 
 from craternav_fg.errors import InputError
 
@@ -34,6 +35,23 @@ _CONTROLS = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _CONVERSION = re.compile(r"In CSV column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'")
 
 
+class _Needed(Protocol):
+    """Columns that are to be read."""
+
+    @property
+    def numbers(self) -> list[str]:
+        """Those of numbers."""
+        ...
+
+    @property
+    def texts(self) -> list[str]:
+        """Those of texts."""
+        ...
+
+
+C = TypeVar("C", bound=_Needed)
+
+
 @dataclass(frozen=True)
 class ForeignTable:
     """Some columns of a table.
@@ -48,7 +66,7 @@ class ForeignTable:
     width : int
         Number of cells of the header.
     header_line : int
-        1-based.
+        1-based; 0 in a Parquet file, whose rows count from 1.
     """
 
     path: Path
@@ -72,6 +90,8 @@ class ForeignTable:
         list of int
             1-based.
         """
+        if self.header_line == 0:
+            return [int(row) + 1 for row in rows]
         broken = {line for line, _ in self.broken}
         kept = [line for line in _filled_lines(self.path, self.header_line)[1:] if line not in broken]
         return [kept[row] for row in rows]
@@ -156,6 +176,38 @@ def read_headers(path: Path) -> list[Header]:
         cells = next(csv.reader([text], delimiter=separator))
         headers.append(Header([cell.strip().removeprefix("#").strip() for cell in cells], separator, number))
     return headers
+
+
+def read_parquet_table(path: Path, recognise: Callable[[Path, Sequence[str]], C]) -> tuple[ForeignTable, C]:
+    """Read some columns of a Parquet file of others.
+
+    Parameters
+    ----------
+    path : Path
+    recognise : callable
+        recognise(path, names of all columns) says which are needed: its `numbers` and `texts`.
+
+    Returns
+    -------
+    table : ForeignTable
+    columns
+        What was recognised.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or a column is of another kind.
+    """
+    try:
+        found = recognise(path, pq.read_schema(path).names)
+        table = pq.read_table(path, columns=[*found.numbers, *found.texts])
+        data: dict[str, Any] = {
+            name: table[name].cast(pa.float64()).to_numpy(zero_copy_only=False) for name in found.numbers
+        }
+        data.update({name: table[name].cast(pa.string()).to_pylist() for name in found.texts})
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
+    return ForeignTable(path, data, (), len(table.column_names), 0), found
 
 
 def refuse_doubled(path: Path, header: Header) -> None:

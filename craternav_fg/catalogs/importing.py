@@ -16,6 +16,7 @@ from craternav_fg.catalogs.foreign_table import (
     Header,
     read_columns,
     read_headers,
+    read_parquet_table,
     refuse_doubled,
 )
 from craternav_fg.catalogs.model import Catalog
@@ -25,6 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
+PARQUET = ".parquet"
 # In tables of at least this many rows, a fault that half of them have is one of the file, not of its rows.
 _COMMON_FAULT_MIN_ROWS, _COMMON_FAULT_SHARE = 20, 0.5
 
@@ -97,8 +99,11 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         When the file is not such a table or of another body, when latitude and longitude are swapped, when
         the sizes make no sense for the body, or when no row is left.
     """
-    header, found = _header(path, options)
-    table = read_columns(path, header, found.numbers, found.texts)
+    if path.suffix == PARQUET:
+        table, found = read_parquet_table(path, lambda p, names: columns.recognise(p, names, options))
+    else:
+        header, found = _header(path, options)
+        table = read_columns(path, header, found.numbers, found.texts)
     identifiers = table.columns[found.identifier] if found.identifier else []
     body, body_by = bodies.resolve_body(path, body, bodies.stated_body(path, table.columns, identifiers))
     shown = found.shown

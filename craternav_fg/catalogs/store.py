@@ -94,6 +94,14 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     return Catalog(identifiers=tuple(table[_ID].to_pylist()), body=body, **values)
 
 
+def is_store(path: Path) -> bool:
+    """Tell whether a Parquet file was written by `write_parquet`; also True for what is no Parquet file."""
+    try:
+        return _KEY in (pq.read_schema(path).metadata or {})
+    except (pa.ArrowException, OSError, UnicodeDecodeError):
+        return True
+
+
 def _stated(path: Path) -> StatedBody:
     """Read which body the metadata name."""
     if not path.is_file():

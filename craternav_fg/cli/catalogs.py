@@ -8,8 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from craternav_fg.catalogs.checks import overlaps, write_pairs
+from craternav_fg.catalogs.merge import MergeOptions
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.app import catalog_commands, example
+from craternav_fg.cli.catalog_merge import against, show_against
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.catalog_summary import show, summarise
 from craternav_fg.cli.options import FIGURE_SUFFIXES, CatalogBodyOption, JsonOption, require_suffix
@@ -32,6 +34,10 @@ def info(
         Path | None,
         typer.Option(help="CSV to write: pairs of craters that cross, or are probably one entered twice."),
     ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option("--against", help="Catalogue to compare with: shift and scale of the shared craters."),
+    ] = None,
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -43,10 +49,14 @@ def info(
     if pairs is not None:
         with replacing(pairs) as temporary:
             write_pairs(temporary, craters, found)
+    if reference is not None:
+        values["against"] = against(read_any_catalog(reference, body_radius_m)[0], craters, MergeOptions())
     if as_json:
         out.print_json(json.dumps(values))
-    else:
-        show(values)
+        return
+    show(values)
+    if reference is not None:
+        show_against(values["against"], str(reference))
 
 
 # A negative latitude is no option.

@@ -30,8 +30,8 @@ COMMANDS = {
         "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)
     ),
     "catalog": Command(
-        "Crater catalogues: import, refine, summarise, list, draw.",
-        ("catalogs", "catalog_import", "catalog_refine"),
+        "Crater catalogues: import, merge, refine, summarise, list, draw.",
+        ("catalogs", "catalog_import", "catalog_merge", "catalog_refine"),
     ),
     "import": Command(
         "Import data sets and calibrations: ROS bags, Kalibr, ISIS cubes, images with SPICE or times.",
