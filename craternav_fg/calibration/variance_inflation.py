@@ -65,6 +65,7 @@ def _anees(trial: int) -> FloatArray:
     """Mean squared normalised pose error (4,) of the filter in a trial, with each inflation."""
     scenario = load_scenario("measured_descent")
     assert scenario.measurements is not None
+    assert scenario.imu is not None
     changed = {
         "measurements": scenario.measurements.model_copy(update={"edge_sigma_px": _EDGE_SIGMA_PX}),
         "imu": scenario.imu.model_copy(update={"rate_hz": _IMU_RATE_HZ}),

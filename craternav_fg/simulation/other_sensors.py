@@ -11,7 +11,7 @@ from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.point_features import FeatureTracks, simulate_features
 from craternav_fg.sensors.protocol import Sensor, SensorState, Surroundings
 from craternav_fg.simulation.sensor_tables import feature_plan, sensor_plan
-from craternav_fg.simulation.trajectory import Descent
+from craternav_fg.simulation.trajectory import Track
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -19,7 +19,7 @@ IntArray = npt.NDArray[np.int64]
 
 def simulate_sensors(
     tables: Mapping[str, Mapping[str, Any]],
-    descent: Descent,
+    descent: Track,
     surroundings: Surroundings,
     begin_ns: int,
     end_ns: int,
@@ -31,7 +31,7 @@ def simulate_sensors(
     ----------
     tables : mapping
         `[sensors]` of the scenario.
-    descent : Descent
+    descent : Track
     surroundings : Surroundings
         The true ones.
     begin_ns, end_ns : int

@@ -1,5 +1,6 @@
 """Simulation of a scenario: from its file to a data set on disk."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -15,12 +16,15 @@ from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.simulation import faults, sensors
 from craternav_fg.simulation.other_sensors import simulate_sensors, simulate_tracks
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
-from craternav_fg.simulation.trajectory import Descent
+from craternav_fg.simulation.trajectory import Track
 from craternav_fg.simulation.world import World, make_world
-from craternav_fg.trajectory import Trajectory
+from craternav_fg.trajectory import InitialState, Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
+
+# Prior standard deviation of an acceleration that a motion model has no state for.
+UNUSED_SIGMA_M_S2 = 1e-3
 
 
 def simulate(
@@ -72,8 +76,9 @@ def simulate(
     imu, bias = _imu(world, imu_rng)
     motion = descent.evaluate(np.multiply(stamps, 1e-9))
     initial = sensors.initial_state(
-        motion.gTb[0], motion.gV[0], begin_ns, scenario.initial_error, scenario.imu, initial_rng
-    )
+        motion.gTb[0], motion.gV[0], begin_ns, scenario.initial_error, _biases(scenario), initial_rng,
+        None if imu is not None else motion.angular_velocity[0],
+    )  # fmt: skip
     surroundings = Surroundings(descent.body, ground_heights(world.catalog))
     others = simulate_sensors(scenario.sensors, descent, surroundings, begin_ns, end_ns, sensor_rng)
     poses = descent.evaluate(_exposures_s(world)).gTb
@@ -91,11 +96,12 @@ def simulate(
         camera=camera,
         catalog=catalog,
         imu=imu,
-        imu_noise=scenario.imu.noise(),
+        imu_noise=None if scenario.imu is None else scenario.imu.noise(),
         initial=initial if with_initial else None,
         sun=world.sun,
         stamps_ns=stamps,
-        truth=_truth(descent, imu, bias, stamps, others),
+        truth=_truth(descent, imu, bias, stamps, others, initial),
+        motion=None if scenario.motion is None else scenario.motion.motion(descent.body, Path()),
         measurements=measured,
         sensors=tuple(others),
         features=features,
@@ -103,9 +109,19 @@ def simulate(
     return write_dataset(Path(folder), recording, images)
 
 
-def _imu(world: World, rng: np.random.Generator) -> tuple[ImuLog, FloatArray]:
-    """Simulate the IMU: its log, and the biases (n, 6) during each row's interval."""
+def _biases(scenario: Scenario) -> tuple[float, float]:
+    """Give the standard deviations of the turn-on biases, or of what takes their place without an IMU."""
+    if scenario.imu is not None:
+        return scenario.imu.gyro_bias_rad_s, scenario.imu.accelerometer_bias_m_s2
+    acceleration = getattr(scenario.motion, "acceleration_sigma_m_s2", UNUSED_SIGMA_M_S2)
+    return math.radians(scenario.initial_error.angular_velocity_deg_s), acceleration
+
+
+def _imu(world: World, rng: np.random.Generator) -> tuple[ImuLog | None, FloatArray]:
+    """Simulate the IMU: its log, and the biases (n, 6) during each row's interval; none without an IMU."""
     options = world.scenario.imu
+    if options is None:
+        return None, np.empty((0, 6))
     stamps = sensors.imu_stamps(options, 0, int(world.stamps_ns[-1]))
     return sensors.corrupt_imu(sensors.ideal_imu(world.descent, stamps, 0), options, rng)
 
@@ -157,9 +173,19 @@ def _measurements(
 
 
 def _truth(
-    descent: Descent, imu: ImuLog, bias: FloatArray, stamps: npt.NDArray[np.int64], others: Sequence[Sensor]
+    descent: Track,
+    imu: ImuLog | None,
+    bias: FloatArray,
+    stamps: npt.NDArray[np.int64],
+    others: Sequence[Sensor],
+    initial: InitialState,
 ) -> Trajectory:
     """Truth at the frames and at the sensors' samples, which the posterior Cramér-Rao bound needs."""
     every = np.unique(np.concatenate([stamps, *(sensor.stamps_ns for sensor in others)]))
     motion = descent.evaluate(np.multiply(every, 1e-9))
+    if imu is None:
+        # What takes the gyro's bias refers to the prior's angular velocity.
+        biases = np.zeros((len(every), 6))
+        biases[:, :3] = np.array(initial.angular_velocity_rad_s) - motion.angular_velocity
+        return Trajectory(every, motion.gTb, motion.gV, biases)
     return Trajectory(every, motion.gTb, motion.gV, bias[np.searchsorted(imu.stamps_ns, every)])

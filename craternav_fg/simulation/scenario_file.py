@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from craternav_fg.config import BodySection, Section, read_toml, validate
 from craternav_fg.errors import InputError
+from craternav_fg.motion.settings import MotionSection
 from craternav_fg.simulation.scenario_tables import (
     CameraSection,
     CraterFile,
@@ -32,7 +33,10 @@ class Scenario(Section):
     seed: Annotated[int, Field(ge=0)]
     body: BodySection
     camera: CameraSection
-    imu: ImuSection
+    imu: ImuSection | None = None
+    """Left out with a table [motion]."""
+    motion: MotionSection | None = None
+    """If given, there is no IMU: the lander moves as this model says, with a draw of its process noise."""
     trajectory: TrajectorySection
     sun: SunSection
     initial_error: InitialErrorSection
@@ -53,6 +57,10 @@ class Scenario(Section):
     def _parts_fit(self) -> "Scenario":
         if (self.render is None) == (self.measurements is None):
             raise ValueError("expected either a table [render] or a table [measurements]")
+        if (self.imu is None) == (self.motion is None):
+            raise ValueError("expected either a table [imu] or a table [motion]")
+        if (self.trajectory.end is None) == (self.motion is None):
+            raise ValueError("expected a table [trajectory.end] without [motion], and none with it")
         for name, table in self.sensors.items():
             check_sensor(name, table)
         if self.terrain is None and (self.render is not None or self.craters.source == "random"):

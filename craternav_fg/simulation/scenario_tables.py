@@ -130,7 +130,8 @@ class TrajectorySection(Section):
     duration_s: Positive
     frame_interval_s: Positive
     start: Boundary
-    end: Boundary
+    end: Boundary | None = None
+    """Left out with a table [motion], which says where the lander goes from the start."""
     attitude: AttitudeSection
 
     @model_validator(mode="after")

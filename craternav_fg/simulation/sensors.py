@@ -13,7 +13,7 @@ from craternav_fg.ellipse import chart_covariance
 from craternav_fg.imu import ImuLog
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.simulation.scenario_tables import ImuSection, InitialErrorSection, MeasurementSection
-from craternav_fg.simulation.trajectory import Descent
+from craternav_fg.simulation.trajectory import Track
 from craternav_fg.trajectory import InitialState
 from factors.kernels.sun import sun_tilt, wrap
 
@@ -42,12 +42,12 @@ def imu_stamps(options: ImuSection, start_ns: int, end_ns: int) -> IntArray:
     return start_ns + step * np.arange(1, -(-(end_ns - start_ns) // step) + 1, dtype=np.int64)
 
 
-def ideal_imu(descent: Descent, stamps_ns: IntArray, start_ns: int) -> ImuLog:
+def ideal_imu(descent: Track, stamps_ns: IntArray, start_ns: int) -> ImuLog:
     """IMU log without errors (see `ImuLog` for what its rows mean).
 
     Parameters
     ----------
-    descent : Descent
+    descent : Track
         Its polynomials also hold after its end.
     stamps_ns : ndarray of int, shape (n,)
         Ends of the intervals; the first begins at `start_ns`.
@@ -108,8 +108,9 @@ def initial_state(
     gV: FloatArray,
     stamp_ns: int,
     errors: InitialErrorSection,
-    imu: ImuSection,
+    biases: tuple[float, float],
     rng: np.random.Generator,
+    angular_velocity: FloatArray | None = None,
 ) -> InitialState:
     """Draw the initial state: the truth with errors of given standard deviations.
 
@@ -121,9 +122,11 @@ def initial_state(
         True velocity in g, m/s.
     stamp_ns : int
     errors : InitialErrorSection
-    imu : ImuSection
-        For the standard deviations of the turn-on biases, which `corrupt_imu` draws.
+    biases : (float, float)
+        Standard deviations of what takes the gyro's bias, rad/s, and the accelerometer's, m/s^2.
     rng : Generator
+    angular_velocity : ndarray, shape (3,), optional
+        True angular velocity in b, rad/s, where there is no gyro: it is then a part of the state.
 
     Returns
     -------
@@ -132,6 +135,9 @@ def initial_state(
     attitude = math.radians(errors.attitude_deg)
     # The truth is R exp(phi) of the estimate's R.
     R = gTb[:3, :3] @ frames.rotation_exp(-attitude * rng.standard_normal(3))
+    rate = None
+    if angular_velocity is not None:
+        rate = angular_velocity - biases[0] * rng.standard_normal(3)
     return InitialState(
         stamp_ns=stamp_ns,
         gTb=frames.pose(R, gTb[:3, 3] - errors.position_m * rng.standard_normal(3)),
@@ -140,8 +146,9 @@ def initial_state(
         position_sigma_m=errors.position_m,
         velocity_sigma_m_s=errors.velocity_m_s,
         angular_velocity_sigma_rad_s=math.radians(errors.angular_velocity_deg_s),
-        gyro_bias_sigma_rad_s=imu.gyro_bias_rad_s,
-        accelerometer_bias_sigma_m_s2=imu.accelerometer_bias_m_s2,
+        gyro_bias_sigma_rad_s=biases[0],
+        accelerometer_bias_sigma_m_s2=biases[1],
+        angular_velocity_rad_s=None if rate is None else (float(rate[0]), float(rate[1]), float(rate[2])),
     )
 
 

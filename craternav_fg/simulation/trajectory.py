@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +48,27 @@ class Motion:
         return T
 
 
-class Descent:
+class Track(Protocol):
+    """A true motion above a body."""
+
+    body: Body
+
+    def evaluate(self, t_s: FloatArray) -> Motion:
+        """Give the motion at some times.
+
+        Parameters
+        ----------
+        t_s : ndarray, shape (n,)
+            From the start.
+
+        Returns
+        -------
+        Motion
+        """
+        ...
+
+
+class Descent(Track):
     """A descent above a great circle: quintic polynomials in altitude and downrange.
 
     Each has given position, velocity and acceleration at both ends, as in the guidance of powered descents.
@@ -62,7 +83,7 @@ class Descent:
     Raises
     ------
     ValueError
-        When the polynomial leads below the reference sphere.
+        When the polynomial leads below the reference sphere, or the end is not given.
 
     References
     ----------
@@ -73,6 +94,8 @@ class Descent:
         self.body = body
         self.options = options
         self.duration_s = options.duration_s
+        if options.end is None:
+            raise ValueError("expected a table [trajectory.end]")
         start, end, T = options.start, options.end, options.duration_s
         self._altitude = _quintic(
             (start.altitude_m, start.vertical_speed_m_s, start.vertical_acceleration_m_s2),

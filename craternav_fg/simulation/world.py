@@ -17,6 +17,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import SunVectors
 from craternav_fg.errors import CraternavError
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
+from craternav_fg.simulation.orbit import Orbit
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.scenario_file import Scenario
@@ -28,7 +29,7 @@ from craternav_fg.simulation.scenario_tables import (
     TrajectorySection,
 )
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
-from craternav_fg.simulation.trajectory import Descent
+from craternav_fg.simulation.trajectory import Descent, Track
 
 FloatArray = npt.NDArray[np.float64]
 AnyCraters = RandomCraters | CraterFile | CraterList
@@ -44,7 +45,7 @@ class World:
     Attributes
     ----------
     scenario : Scenario
-    descent : Descent
+    descent : Track
     camera : Camera
         With its true mounting.
     stamps_ns : ndarray of int, shape (k,)
@@ -59,7 +60,7 @@ class World:
     """
 
     scenario: Scenario
-    descent: Descent
+    descent: Track
     camera: Camera
     stamps_ns: npt.NDArray[np.int64]
     sun: SunVectors
@@ -114,10 +115,10 @@ def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> 
     """
     body = scenario.body.body()
     try:
-        descent = Descent(body, scenario.trajectory)
+        stamps = frame_stamps(scenario.trajectory, scenario.faults.outages_s)
+        descent = _track(scenario, body, stamps, rng)
     except ValueError as error:
         raise CraternavError(f"scenario: [trajectory]: {error}") from None
-    stamps = frame_stamps(scenario.trajectory, scenario.faults.outages_s)
     track = descent.evaluate(np.multiply(stamps, 1e-9)).gP
     relief = _relief(scenario, body, rng)
     if relief is not None and relief.dem is not None:
@@ -130,6 +131,13 @@ def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> 
     catalog, clutter = _craters(scenario, body, track, relief, rng)
     sun = sun_vectors(scenario, body, int(stamps[-1]))
     return World(scenario, descent, _camera(scenario), stamps, sun, relief, catalog, clutter)
+
+
+def _track(scenario: Scenario, body: Body, stamps: npt.NDArray[np.int64], rng: np.random.Generator) -> Track:
+    """Make the true motion: a descent, or what a motion model does from the trajectory's start."""
+    if scenario.motion is None:
+        return Descent(body, scenario.trajectory)
+    return Orbit(body, scenario.trajectory, scenario.motion.motion(body, Path()), stamps, rng)
 
 
 def trial_craters(craters: AnyCraters, rng: np.random.Generator) -> AnyCraters:

@@ -70,7 +70,8 @@ def test_initial_errors_have_the_sigmas_they_tell():
     errors = CASE3.initial_error.model_copy(update={"attitude_deg": 5.0})
     found = []
     for _ in range(1000):
-        state = sensors.initial_state(gTb, gV, 0, errors, CASE3.imu, rng)
+        biases = CASE3.imu.gyro_bias_rad_s, CASE3.imu.accelerometer_bias_m_s2
+        state = sensors.initial_state(gTb, gV, 0, errors, biases, rng)
         phi = frames.rotation_log(state.gTb[:3, :3].T @ gTb[:3, :3]) / state.attitude_sigma_rad
         p = (gTb[:3, 3] - state.gTb[:3, 3]) / state.position_sigma_m
         found.append(np.concatenate([phi, p, (gV - state.gV) / state.velocity_sigma_m_s]))
