@@ -1,6 +1,7 @@
 """Configuration files (TOML, YAML) checked against models: an error names file, line and key."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -9,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from craternav_fg.body import Body
 from craternav_fg.errors import InputError
+from craternav_fg.files import SizeLimit, read_bytes
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -16,6 +18,8 @@ M = TypeVar("M", bound="Section")
 
 # Characters of a wrong value that an error shows.
 _MAX_SHOWN = 60
+# A dotted key of fifty parts: tomllib needs memory by the square of their number.
+_LONG_KEY = re.compile(r"(?:\.[ \t]*[^\s.=,\[\]{}][^.\n=,\[\]{}]*){50}")
 
 
 class Section(BaseModel):
@@ -81,9 +85,35 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         When the file is missing, not UTF-8 or not TOML.
     """
     text = read_text(path)
+    return text, parse_toml(path, text)
+
+
+def parse_toml(path: Path, text: str) -> dict[str, Any]:
+    """Parse the text of a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    text : str
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        When it is not TOML, or has a value beyond what can be read.
+    """
+    if _LONG_KEY.search(text):
+        raise InputError(path, "expected TOML with keys of a few parts, found one of more than 50")
     try:
-        return text, tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(path, "expected TOML, found brackets nested too deeply") from None
+    except ValueError as error:
+        # Besides syntax: dates that do not exist, and integers of thousands of digits.
         raise InputError(path, f"expected TOML: {error}") from None
 
 
@@ -101,14 +131,10 @@ def read_text(path: Path) -> str:
     Raises
     ------
     InputError
-        When the file is missing, a folder, or not UTF-8.
+        When it cannot be opened, see `craternav_fg.files.open_input`, or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(path, "file is missing") from None
-    except IsADirectoryError:
-        raise InputError(path, "expected a file, found a folder") from None
+        return read_bytes(path, SizeLimit.SETTINGS).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(path, f"expected a text file in UTF-8: {error.reason}") from None
 
@@ -138,7 +164,12 @@ def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> 
     """
     try:
         # By way of JSON: strict validation of Python objects refuses lists where a model has tuples.
-        return model.model_validate_json(json.dumps(data, default=str))
+        plain = json.dumps(data, default=str)
+    except ValueError as error:
+        # An integer of thousands of digits, written as a hexadecimal one.
+        raise InputError(path, f"expected numbers of usual size: {error}") from None
+    try:
+        return model.model_validate_json(plain)
     except ValidationError as error:
         errors = error.errors(include_url=False)
         # A misspelt key is both unknown and missing; only the former error tells where it is.

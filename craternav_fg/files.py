@@ -1,17 +1,191 @@
-"""Writing of files and folders, whole or not at all: under a temporary name that is then changed."""
+"""Reading and writing of files.
+
+Every reader opens its file through `open_input`, or calls `check_input` before a library opens it: a regular
+file, readable, and no larger than its kind may be. Files and folders are written whole or not at all: under a
+temporary name that is then changed.
+"""
 
 import errno
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from enum import IntEnum
 from pathlib import Path
+from typing import BinaryIO
 
 from craternav_fg.errors import InputError
 
 # Errors of a disk without room.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_OTHER_KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
+
+
+class SizeLimit(IntEnum):
+    """Largest accepted size of an input file in bytes, by what it holds."""
+
+    SETTINGS = 1 << 20
+    """TOML and YAML."""
+    JSON = 1 << 26
+    """JSON, and JSON by lines."""
+    TABLE = 1 << 30
+    """CSV and Parquet."""
+    ARCHIVE = 1 << 31
+    """NumPy archives."""
+    IMAGE = 1 << 28
+    """Images."""
+    RASTER = 1 << 31
+    """Elevation models."""
+
+
+@contextmanager
+def open_input(path: Path, limit: SizeLimit) -> Iterator[BinaryIO]:
+    """Open an input file.
+
+    Parameters
+    ----------
+    path : Path
+    limit : SizeLimit
+        For what the file is to hold.
+
+    Yields
+    ------
+    BinaryIO
+
+    Raises
+    ------
+    InputError
+        When the file is missing, is not a regular file (a folder, a pipe, a device), cannot be read, or is
+        larger than `limit`.
+    """
+    try:
+        # A pipe without a writer would otherwise block.
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise _unread(path, error) from None
+    except ValueError as error:
+        # A zero byte in the name.
+        raise InputError(ascii(str(path)), f"cannot be read: {error}") from None
+    try:
+        about = os.fstat(handle)
+        if not stat.S_ISREG(about.st_mode):
+            found = next((name for is_kind, name in _OTHER_KINDS if is_kind(about.st_mode)), "a device")
+            raise InputError(path, f"expected a file, found {found}")
+        if about.st_size > limit:
+            raise InputError(path, f"expected at most {limit >> 20} MiB, found {about.st_size >> 20}")
+        stream = os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+    with stream:
+        yield stream
+
+
+def check_input(path: Path, limit: SizeLimit) -> None:
+    """Check a file that a library is to open by its name.
+
+    Parameters
+    ----------
+    path : Path
+    limit : SizeLimit
+        For what the file is to hold.
+
+    Raises
+    ------
+    InputError
+        As `open_input`.
+    """
+    with open_input(path, limit):
+        pass
+
+
+def read_bytes(path: Path, limit: SizeLimit) -> bytes:
+    """Read a whole file.
+
+    Parameters
+    ----------
+    path : Path
+    limit : SizeLimit
+        For what the file is to hold.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InputError
+        As `open_input`.
+    """
+    with open_input(path, limit) as stream:
+        try:
+            return stream.read(limit)
+        except OSError as error:
+            raise _unread(path, error) from None
+
+
+def exists(path: Path) -> bool:
+    """Tell whether there is a file or folder of a name, whatever it is.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+        Also true for a link that leads nowhere.
+
+    Raises
+    ------
+    InputError
+        When this cannot be told, as for a folder that may not be searched.
+    """
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise _unread(path, error) from None
+    return True
+
+
+def entries(folder: Path) -> list[Path]:
+    """List a folder.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    list of Path
+        Ordered by name.
+
+    Raises
+    ------
+    InputError
+        When it is missing, is not a folder, or cannot be read.
+    """
+    try:
+        return sorted(folder.iterdir())
+    except FileNotFoundError:
+        raise InputError(folder, "folder is missing") from None
+    except NotADirectoryError:
+        raise InputError(folder, "expected a folder, found a file") from None
+    except OSError as error:
+        raise _unread(folder, error) from None
+
+
+def _unread(path: Path, error: OSError) -> InputError:
+    """Say why a file cannot be read."""
+    if error.errno in (errno.ENOENT, errno.ENOTDIR):
+        return InputError(path, "file is missing")
+    if error.errno == errno.ENXIO:
+        return InputError(path, "expected a file, found a socket or a device")
+    return InputError(path, f"cannot be read: {error.strerror or error}")
 
 
 @contextmanager

@@ -1,25 +1,29 @@
-"""CSV and Parquet tables: a file that is not what it must be is refused with file, line and column."""
+"""CSV tables: a file that is not what it must be is refused with file, line and column."""
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+import io
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NoReturn, TextIO
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
 import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 
 from craternav_fg.errors import InputError
-from craternav_fg.files import replacing
+from craternav_fg.files import SizeLimit, open_input
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 Kind = Literal["integer", "number", "text"]
+# Characters of a line that are read at once: longer cells are refused by the csv module.
+_MAX_LINE = 1 << 20
 _ARROW = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string()}
 
 
@@ -97,8 +101,7 @@ class Table:
         int
             1-based.
         """
-        with self.path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream)
+        with _csv_reader(self.path) as reader:
             _first_cells(reader)
             count = -1
             for cells in reader:
@@ -173,7 +176,8 @@ def read_table(
     Raises
     ------
     InputError
-        When the file is missing, a column is missing or unknown, or a cell is not of its kind.
+        When the file cannot be opened, see `craternav_fg.files.open_input`, a column is missing or unknown, or
+        a cell is not of its kind.
     """
     names, found, header_line = _read_header(path, columns, ignored, others)
     by_name = {column.name: column for column in found}
@@ -228,62 +232,6 @@ def write_table(path: Path, columns: Sequence[Column], data: Sequence[Any], *, c
         csv.writer(stream, lineterminator="\n").writerows(zip(*texts, strict=True))
 
 
-def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a Parquet file, whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-    columns : sequence of str, optional
-        Only these, as far as they are there.
-
-    Returns
-    -------
-    pyarrow.Table
-
-    Raises
-    ------
-    InputError
-        When the file is missing, of another kind, or damaged: its checksums are verified.
-    """
-    if not path.is_file():
-        raise InputError(path, "file is missing")
-    try:
-        about = pq.read_metadata(path)
-        table = pq.read_table(path, columns=columns, page_checksum_verification=True)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
-    # Pages have checksums, the numbers of their values have none.
-    groups = [about.row_group(k) for k in range(about.num_row_groups)]
-    whole = sum(group.num_rows for group in groups) == about.num_rows and all(
-        group.column(k).num_values == group.num_rows
-        for group in groups
-        for k in range(group.num_columns)
-        # A list has as many values as it likes.
-        if "." not in group.column(k).path_in_schema
-    )
-    if not whole:
-        raise InputError(path, "is damaged: expected a value per row in each column, found another number")
-    return table
-
-
-def write_parquet(path: Path, table: pa.Table) -> None:
-    """Write a Parquet file with checksums, whole or not at all; numbers read back exactly.
-
-    Parameters
-    ----------
-    path : Path
-    table : pyarrow.Table
-
-    Raises
-    ------
-    InputError
-        When it cannot be written; a file of that name stays what it was.
-    """
-    with replacing(path) as temporary:
-        pq.write_table(table, temporary, use_dictionary=False, write_page_checksum=True)
-
-
 class _EmptyCellError(Exception):
     """A cell is empty that must not be."""
 
@@ -304,14 +252,8 @@ def _read_header(
     path: Path, columns: Sequence[Column], ignored: Sequence[str], others: bool
 ) -> tuple[list[str], list[Column], int]:
     """Read the header: names of all columns, columns to read, and the header's line."""
-    if not path.is_file():
-        raise InputError(path, "file is missing")
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream)
-            cells, line = _first_cells(reader), max(reader.line_num, 1)
-    except UnicodeDecodeError as error:
-        raise InputError(path, f"expected a text file in UTF-8: {error.reason}", line=1) from None
+    with _csv_reader(path) as reader:
+        cells, line = _first_cells(reader), max(reader.line_num, 1)
     by_name = {column.name: column for column in columns}
     expected = ", ".join(column.name for column in columns if not column.optional)
     if len(cells) == 1:
@@ -348,37 +290,65 @@ def _is_blank(cells: list[str]) -> bool:
     return not cells or (len(cells) == 1 and not cells[0].strip())
 
 
-def _first_cells(reader: Iterator[list[str]]) -> list[str]:
+def _first_cells(reader: Iterable[list[str]]) -> list[str]:
     """Cells of the first line that is not blank."""
     return next((cells for cells in reader if not _is_blank(cells)), [])
 
 
 def _read_slowly(path: Path, names: list[str], by_name: Mapping[str, Column]) -> dict[str, Any]:
-    data: dict[str, list[Any]] = {name: [] for name in by_name}
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        reader = csv.reader(stream)
-        try:
-            _first_cells(reader)
-            for cells in reader:
-                if _is_blank(cells):
-                    continue
-                if len(cells) != len(names):
-                    raise InputError(
-                        path, f"expected {len(names)} columns, found {len(cells)}", line=reader.line_num
-                    )
-                for name, cell in zip(names, cells, strict=True):
-                    if name in by_name:
-                        data[name].append(_cell(path, reader.line_num, by_name[name], cell.strip()))
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(
-                path, f"expected text in UTF-8, separated by commas: {error}", line=reader.line_num + 1
-            ) from None
-    return {
-        name: values
-        if by_name[name].kind == "text"
-        else np.array(values, dtype=np.int64 if by_name[name].kind == "integer" else np.float64)
-        for name, values in data.items()
+    data: dict[str, Any] = {
+        name: [] if column.kind == "text" else array("q" if column.kind == "integer" else "d")
+        for name, column in by_name.items()
     }
+    with _csv_reader(path) as reader:
+        _first_cells(reader)
+        for cells in reader:
+            if _is_blank(cells):
+                continue
+            if len(cells) != len(names):
+                raise InputError(
+                    path, f"expected {len(names)} columns, found {len(cells)}", line=reader.line_num
+                )
+            for name, cell in zip(names, cells, strict=True):
+                if name in by_name:
+                    data[name].append(_cell(path, reader.line_num, by_name[name], cell.strip()))
+    return {
+        name: values if by_name[name].kind == "text" else np.array(values) for name, values in data.items()
+    }
+
+
+class _CsvReader:
+    """Cells of a CSV file line by line, with the number of lines that were read."""
+
+    def __init__(self, path: Path, stream: TextIO) -> None:
+        self._path = path
+        self._stream = stream
+        self._cells = csv.reader(iter(lambda: self._stream.readline(_MAX_LINE), ""))
+
+    @property
+    def line_num(self) -> int:
+        """1-based line of the cells read last; 0 before any."""
+        return self._cells.line_num
+
+    def __iter__(self) -> Iterator[list[str]]:
+        return self
+
+    def __next__(self) -> list[str]:
+        line = self.line_num + 1
+        try:
+            return next(self._cells)
+        except (UnicodeDecodeError, csv.Error) as error:
+            problem = f"expected text in UTF-8, separated by commas: {error}"
+            raise InputError(self._path, problem, line=line) from None
+
+
+@contextmanager
+def _csv_reader(path: Path) -> Iterator[_CsvReader]:
+    with (
+        open_input(path, SizeLimit.TABLE) as raw,
+        io.TextIOWrapper(raw, encoding="utf-8-sig", newline="") as stream,
+    ):
+        yield _CsvReader(path, stream)
 
 
 def _cell(path: Path, line: int, column: Column, cell: str) -> Any:

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
-import pyarrow.parquet as pq
 
-from craternav_fg import tables
+from craternav_fg import parquet
 from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import StatedBody, resolve_body
 from craternav_fg.catalogs.model import Catalog
@@ -24,6 +23,12 @@ _KEY = b"craternav_catalog"
 _ID = "crater_id"
 # Latitude and longitude are planetocentric, east-positive; the angle counts from east towards north.
 _NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
+_SCHEMA = pa.schema(
+    [
+        pa.field(_ID, pa.string(), nullable=False),
+        *(pa.field(name, pa.float64(), nullable=False) for name in _NUMBERS),
+    ]
+)
 
 
 def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLike] | None = None) -> None:
@@ -51,11 +56,10 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     arrays = [pa.array(ordered.identifiers, pa.string())]
     arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
     more = {name: pa.array(np.asarray(column)[order].tolist()) for name, column in (beside or {}).items()}
-    fields = [(_ID, pa.string()), *((name, pa.float64()) for name in _NUMBERS)]
-    fields += [(name, column.type) for name, column in more.items()]
+    fields = [*_SCHEMA, *(pa.field(name, column.type) for name, column in more.items())]
     schema = pa.schema(fields, metadata={_KEY: json.dumps(about).encode()})
     arrays += more.values()
-    tables.write_parquet(path, pa.Table.from_arrays(arrays, schema=schema))
+    parquet.write_parquet(path, pa.Table.from_arrays(arrays, schema=schema))
 
 
 def read_parquet(path: Path, body: Body | None) -> Catalog:
@@ -77,14 +81,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
         When the file is not such a store or of another body, or a value is out of range.
     """
     body, _ = resolve_body(path, body, _stated(path))
-    table = tables.read_parquet(path, [_ID, *_NUMBERS])
-    for name in (_ID, *_NUMBERS):
-        if name not in table.column_names:
-            found = ", ".join(pq.read_schema(path).names)
-            raise InputError(path, f"expected this column, found {found}", column=name)
-        if table[name].null_count:
-            row = int(np.flatnonzero(table[name].is_null().to_numpy())[0])
-            raise InputError(path, f"expected a value, found none in row {row + 1}", column=name)
+    table = parquet.read_parquet(path, _SCHEMA, other_columns=True)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
     if pa_compute.count_distinct(table[_ID]).as_py() != len(table):
@@ -104,18 +101,13 @@ def is_store(path: Path) -> bool:
 
 def _stated(path: Path) -> StatedBody:
     """Read which body the metadata name."""
-    if not path.is_file():
-        raise InputError(path, "file is missing")
+    text = parquet.read_parquet_metadata(path, _KEY)
     try:
-        metadata = pq.read_schema(path).metadata or {}
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
-    try:
-        about = json.loads(metadata[_KEY])
+        about = json.loads(text or b"")
         stated = StatedBody(
             str(about["body"]), float(about["radius_m"]), True, "its metadata say", "radius_m"
         )
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise InputError(
             path, "expected a catalogue that `craternav catalog import` wrote: body and format are missing"
         ) from None

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from craternav_fg.errors import InputError
+from craternav_fg.files import SizeLimit, check_input
 
 # Detection in a larger image takes more than two gigabytes.
 MAX_PIXELS = 25_000_000
@@ -33,10 +34,7 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
     InputError
         When the file is missing, not an image, damaged or too large.
     """
-    if not path.is_file():
-        raise InputError(
-            path, "expected an image file, found " + ("a folder" if path.is_dir() else "nothing")
-        )
+    check_input(path, SizeLimit.IMAGE)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -1,5 +1,6 @@
 """Grey PNG images: checks without decoding, reading and writing."""
 
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import InputError
+from craternav_fg.files import SizeLimit, open_input, read_bytes
 
 ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
@@ -31,13 +33,11 @@ def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -
     Raises
     ------
     InputError
-        When the file is missing or not such an image.
+        When the file cannot be opened, see `craternav_fg.files.open_input`, or is not such an image.
     """
-    if not path.is_file():
-        raise InputError(path, "image is missing")
-    with path.open("rb") as stream:
+    with open_input(path, SizeLimit.IMAGE) as stream:
         head = stream.read(33)
-        stream.seek(max(path.stat().st_size - len(_END), 0))
+        stream.seek(max(stream.seek(0, os.SEEK_END) - len(_END), 0))
         tail = stream.read()
     if not head.startswith(_SIGNATURE):
         raise InputError(path, "expected a PNG image")
@@ -75,7 +75,7 @@ def read_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) ->
         When the file is missing, damaged or not such an image, or has grey levels beyond its bits.
     """
     check_image(path, width_px, height_px, bit_depth)
-    data = path.read_bytes()
+    data = read_bytes(path, SizeLimit.IMAGE)
     _check_chunks(path, data)
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.shape != (height_px, width_px):

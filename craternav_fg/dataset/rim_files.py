@@ -15,14 +15,27 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
-from craternav_fg.tables import read_parquet, write_parquet
+from craternav_fg.parquet import read_parquet, write_parquet
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-_KEYS = [("timestamp", pa.int64()), ("crater_id", pa.string())]
-_RIMS = pa.schema([*_KEYS, ("chart", pa.list_(pa.float64(), 5)), ("covariance", pa.list_(pa.float64(), 25))])
+
+
+def _filled(name: str, kind: pa.DataType) -> pa.Field:
+    """A column without empty cells."""
+    return pa.field(name, kind, nullable=False)
+
+
+_KEYS = [_filled("timestamp", pa.int64()), _filled("crater_id", pa.string())]
+_RIMS = pa.schema(
+    [
+        *_KEYS,
+        _filled("chart", pa.list_(pa.float64(), 5)),
+        _filled("covariance", pa.list_(pa.float64(), 25)),
+    ]
+)
 # Roots of the correlated parts of the covariance, with their columns.
 _ROOTS = {"correlated": 5, "shared": SHARED_SIZE}
 _QUALITY = tuple(field.name for field in fields(RimQuality))
@@ -39,7 +52,11 @@ _RIM_PARTS = pa.schema(
 # Names of columns in files of version 0.1.
 _FORMER_COLUMNS = {"persistent": "correlated"}
 _ARCS = pa.schema(
-    [*_KEYS, ("points", pa.list_(pa.list_(pa.float64(), 2))), ("sigmas", pa.list_(pa.float64()))]
+    [
+        *_KEYS,
+        _filled("points", pa.list_(pa.list_(pa.float64(), 2))),
+        _filled("sigmas", pa.list_(pa.float64())),
+    ]
 )
 _ARC_PARTS = pa.schema([("correlated_sigma", pa.float64())])
 # Largest asymmetry of a covariance, in products of standard deviations: components that are nearly
@@ -109,7 +126,7 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
         values that are not finite, matrices that are no covariances, a part of the covariance or a quality
         that is given for some rims of a frame only.
     """
-    table = _read(path, _RIMS, _RIM_PARTS)
+    table = read_parquet(path, _RIMS, optional=_RIM_PARTS, renamed=_FORMER_COLUMNS)
     rows, craters = _frame_rows(path, table, stamps_ns), _craters(path, table, catalog)
     charts, covariances = _numbers(path, table, "chart", (5,)), _numbers(path, table, "covariance", (5, 5))
     parts = {
@@ -183,7 +200,7 @@ def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[ArcSet]
         Naming the column: as `read_rims`; also for an arc without points, or with another number of standard
         deviations than points.
     """
-    table = _read(path, _ARCS, _ARC_PARTS)
+    table = read_parquet(path, _ARCS, optional=_ARC_PARTS, renamed=_FORMER_COLUMNS)
     rows, craters = _frame_rows(path, table, stamps_ns), _craters(path, table, catalog)
     points = _lists(path, table, "points", 2)
     sigmas = _lists(path, table, "sigmas", 1)
@@ -236,24 +253,6 @@ def _unknown(sets: Sequence[Sized], parts: Sequence[object]) -> BoolArray:
 def _vectors(values: FloatArray, size: int, mask: BoolArray | None = None) -> pa.Array:
     flat = pa.array(values.ravel(), pa.float64())
     return pa.FixedSizeListArray.from_arrays(flat, size, mask=None if mask is None else pa.array(mask))
-
-
-def _read(path: Path, required: pa.Schema, parts: pa.Schema) -> pa.Table:
-    """Read a table that has the required columns and any of the parts."""
-    table = read_parquet(path)
-    table = table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
-    for name in table.column_names:
-        if name not in required.names and name not in parts.names:
-            raise InputError(path, "unknown column", column=name)
-    for field in [*required, *(field for field in parts if field.name in table.column_names)]:
-        if field.name not in table.column_names:
-            raise InputError(path, "column is missing", column=field.name)
-        found = table.schema.field(field.name).type
-        if found != field.type:
-            raise InputError(path, f"expected the type {field.type}, found {found}", column=field.name)
-        if field.name in required.names and table[field.name].null_count:
-            raise InputError(path, "expected no empty cells", column=field.name)
-    return table
 
 
 def _numbers(path: Path, table: pa.Table, name: str, shape: tuple[int, ...]) -> FloatArray:

@@ -14,6 +14,10 @@ FloatArray = npt.NDArray[np.float64]
 
 # Largest deviation of R R' from the identity, from numbers of seven digits.
 _RIGID_TOLERANCE = 1e-6
+# Length of a file, its values, and depth of its tables: a few lines with aliases could otherwise stand for billions.
+_MAX_CHARACTERS = 100_000
+_MAX_VALUES = 10_000
+_MAX_DEPTH = 20
 
 
 def parse_yaml(path: Path, text: str) -> dict[str, Any]:
@@ -32,24 +36,56 @@ def parse_yaml(path: Path, text: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When the text is not YAML, or not a table.
+        When the text is not YAML, not a table, or too large.
     """
     # Some files begin with OpenCV's directive, which is not YAML.
     if text.startswith("%YAML:"):
         text = "#" + text
+    if len(text) > _MAX_CHARACTERS:
+        raise InputError(path, f"expected at most {_MAX_CHARACTERS} characters, found {len(text)}")
+    problem = "expected YAML"
     try:
-        data = yaml.safe_load(text)
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+        if node is None:
+            raise InputError(path, "expected keys and values, found nothing")
+        if _expanded(node, {}, 1) > _MAX_VALUES:
+            raise InputError(path, f"expected at most {_MAX_VALUES} values, with aliases written out")
+        data = loader.construct_document(node)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        raise InputError(
-            path, f"expected YAML: {getattr(error, 'problem', None) or error}", line=mark and mark.line + 1
-        ) from None
+        what = getattr(error, "problem", None) or error
+        raise InputError(path, f"{problem}: {what}", line=mark and mark.line + 1) from None
+    except RecursionError:
+        raise InputError(path, f"{problem}, found brackets nested too deeply") from None
+    except (ValueError, LookupError, AttributeError, ArithmeticError, TypeError) as error:
+        # What PyYAML raises for `!!bool maybe`, 2024-13-45, and integers of thousands of digits.
+        raise InputError(path, f"{problem}, found a value that is none of its type: {error}") from None
     if not isinstance(data, dict):
         raise InputError(path, "expected keys and values")
-    try:
-        return {str(key): _numbers(value) for key, value in data.items()}
-    except RecursionError:
-        raise InputError(path, "expected values that do not contain themselves") from None
+    return {str(key): _numbers(value) for key, value in data.items()}
+
+
+def _expanded(node: yaml.Node, sizes: dict[int, int], depth: int) -> int:
+    """Count the values of a document, those behind an alias once for each alias."""
+    if depth > _MAX_DEPTH:
+        raise RecursionError
+    if id(node) in sizes:
+        return sizes[id(node)]
+    # Until it is counted, a value counts as too large: it may contain itself.
+    sizes[id(node)] = _MAX_VALUES + 1
+    parts: list[yaml.Node] = []
+    if isinstance(node, yaml.MappingNode):
+        parts = [part for pair in node.value for part in pair]
+    elif isinstance(node, yaml.SequenceNode):
+        parts = node.value
+    total = 1
+    for part in parts:
+        total += _expanded(part, sizes, depth + 1)
+        if total > _MAX_VALUES:
+            break
+    sizes[id(node)] = total
+    return total
 
 
 def _numbers(value: Any) -> Any:
