@@ -28,6 +28,12 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+class ResultSection(Section):
+    """A part of a results file: further keys are passed over, and numbers may be NaN or infinite."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=True)
+
+
 class BodySection(Section):
     """Target body: a sphere with central gravity."""
 
@@ -115,6 +121,39 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
     except ValueError as error:
         # Besides syntax: dates that do not exist, and integers of thousands of digits.
         raise InputError(path, f"expected TOML: {error}") from None
+
+
+def read_json(path: Path, model: type[M]) -> dict[str, Any]:
+    """Read a JSON file and check it against a model.
+
+    Parameters
+    ----------
+    path : Path
+    model : type
+        Subclass of `Section`.
+
+    Returns
+    -------
+    dict
+        As the file has it, with keys that the model does not name.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be opened, see `craternav_fg.files.open_input`, is not JSON, or does not match
+        the model.
+    """
+    try:
+        text = read_bytes(path, SizeLimit.JSON).decode("utf-8")
+        data = json.loads(text)
+    except RecursionError:
+        raise InputError(path, "expected JSON, found brackets nested too deeply") from None
+    except ValueError as error:
+        raise InputError(path, f"expected JSON: {error}") from None
+    if not isinstance(data, dict):
+        raise InputError(path, f"expected a JSON object, found a {type(data).__name__}")
+    validate(path, data, model, text="")
+    return data
 
 
 def read_text(path: Path) -> str:

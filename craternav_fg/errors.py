@@ -31,6 +31,7 @@ class InputError(CraternavError):
             where += f": {column}"
         super().__init__(" ".join(f"{where}: {problem}".split()))
         self.path = Path(path)
+        self.problem = problem
         self.line = line
         self.column = column
 

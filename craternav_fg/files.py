@@ -13,8 +13,8 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from craternav_fg.errors import InputError
 
@@ -41,7 +41,7 @@ class SizeLimit(IntEnum):
 
 
 @contextmanager
-def open_input(path: Path, limit: SizeLimit) -> Iterator[BinaryIO]:
+def open_input(path: Path, limit: SizeLimit) -> Iterator[BufferedReader]:
     """Open an input file.
 
     Parameters
@@ -52,7 +52,7 @@ def open_input(path: Path, limit: SizeLimit) -> Iterator[BinaryIO]:
 
     Yields
     ------
-    BinaryIO
+    BufferedReader
 
     Raises
     ------

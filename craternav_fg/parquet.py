@@ -21,6 +21,21 @@ _MAX_BYTES = 1 << 31
 _TEXT_BYTES = 24
 
 
+def filled(name: str, kind: pa.DataType) -> pa.Field:
+    """Describe a column without empty cells.
+
+    Parameters
+    ----------
+    name : str
+    kind : pyarrow.DataType
+
+    Returns
+    -------
+    pyarrow.Field
+    """
+    return pa.field(name, kind, nullable=False)
+
+
 def read_parquet(
     path: Path,
     schema: pa.Schema,
@@ -59,7 +74,9 @@ def read_parquet(
         fields = _wanted(path, file.schema_arrow, names, schema, optional, other_columns)
         _check_size(path, file.metadata, fields)
         try:
-            table = file.read(columns=[file.schema_arrow.names[k] for k, name in enumerate(names) if name in fields])
+            table = file.read(
+                columns=[file.schema_arrow.names[k] for k, name in enumerate(names) if name in fields]
+            )
             table = table.rename_columns([name for name in names if name in fields])
             table.validate(full=True)
         except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
@@ -112,7 +129,7 @@ def require_finite(path: Path, table: pa.Table, *names: str) -> None:
     for name in names:
         column = table[name].combine_chunks()
         flat = column.flatten() if pa.types.is_nested(column.type) else column
-        if flat.null_count and flat is not column or not np.isfinite(_floats(flat.drop_null())).all():
+        if (flat.null_count and flat is not column) or not np.isfinite(_floats(flat.drop_null())).all():
             raise InputError(path, "expected finite numbers, found others", column=name)
 
 

@@ -176,8 +176,8 @@ def read_table(
     Raises
     ------
     InputError
-        When the file cannot be opened, see `craternav_fg.files.open_input`, a column is missing or unknown, or
-        a cell is not of its kind.
+        When the file cannot be opened, see `craternav_fg.files.open_input`; when a column is missing or
+        unknown, or a cell is not of its kind.
     """
     names, found, header_line = _read_header(path, columns, ignored, others)
     by_name = {column.name: column for column in found}

@@ -1,19 +1,70 @@
 """Read a campaign's folder."""
 
-import json
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow.compute as pc
+from pydantic import Field, ValidationError
 
 from craternav_fg.campaign.store import MARKER, SUMMARY, TIMES, TRIAL_NAME, TRIALS
-from craternav_fg.campaign.trial import METADATA, SCHEMA
+from craternav_fg.campaign.trial import FILTERED_BOUND, METADATA, SCHEMA, SMOOTHED_BOUND
+from craternav_fg.config import ResultSection, Section, read_json, read_toml, validate
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import present_name
-from craternav_fg.runs.columns import with_present_names
+from craternav_fg.files import SizeLimit, check_input, entries, exists, read_bytes
+from craternav_fg.parquet import read_parquet, read_parquet_metadata, require_finite
+from craternav_fg.runs.columns import check_names, with_present_names
+
+_BOUNDS = (FILTERED_BOUND, SMOOTHED_BOUND)
+_ERRORS = ("attitude_error_rad", "position_error_m", "velocity_error_m_s")
+_REPEAT = "remove it, and the next run repeats the trial"
+
+
+class _Identity(ResultSection):
+    """What is read of campaign.toml."""
+
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+class _TrialMetadata(Section):
+    """Metadata of a trial's file."""
+
+    trial: int
+    error: str | None
+    failures: dict[str, str]
+
+
+class _Times(Section):
+    """A line of times.jsonl."""
+
+    session: Annotated[int, Field(ge=0, le=2**31)]
+    elapsed_s: Annotated[float, Field(ge=0.0)]
+    trial: int | None = None
+    times_s: dict[str, float] | None = None
+
+
+class _Figures(ResultSection):
+    """Figures of an estimator in summary.json."""
+
+    trajectories: int
+    converged: int
+    position_final_mean_m: float | None
+    position_final_rms_m: float | None
+    attitude_final_mean_deg: float | None
+    rms_over_pcrb: float | None
+    anees: float | None
+    time_per_trial_s: float | None
+
+
+class _Summary(ResultSection):
+    """What is read of summary.json."""
+
+    trials: Annotated[int, Field(ge=0)]
+    failed: Annotated[int, Field(ge=0)]
+    wall_s: float
+    estimators: dict[str, _Figures]
 
 
 @dataclass(frozen=True)
@@ -56,13 +107,11 @@ class Campaign:
             When it is missing, as the campaign was never completed, or damaged.
         """
         path = self.path / SUMMARY
-        try:
-            found = dict(json.loads(path.read_text(encoding="utf-8")))
-            return {**found, "estimators": _present(found["estimators"])}
-        except FileNotFoundError:
-            raise InputError(path, "is missing: complete the campaign first") from None
-        except (ValueError, KeyError) as error:
-            raise InputError(path, f"is damaged: {error}") from None
+        if not exists(path):
+            raise InputError(path, "is missing: complete the campaign first")
+        found = read_json(path, _Summary)
+        check_names(path, found["estimators"])
+        return {**found, "estimators": _present(found["estimators"])}
 
 
 def read_campaign(folder: Path | str) -> Campaign:
@@ -82,7 +131,7 @@ def read_campaign(folder: Path | str) -> Campaign:
         When the folder is no campaign's, or a file of it is damaged.
     """
     path = Path(folder)
-    if not (path / MARKER).is_file():
+    if not exists(path / MARKER):
         raise InputError(path, f"expected a campaign's folder, found no {MARKER} in it")
     identity = read_identity(path)
     tables, failed, failures = [], {}, {}
@@ -92,12 +141,18 @@ def read_campaign(folder: Path | str) -> Campaign:
             failed[number] = metadata["error"]
             continue
         failures[number] = _present(metadata["failures"])
-        tables.append(_table(file))
+        tables.append(_table(file, number))
+        frames = _frames(tables[-1])
+        if frames != _frames(tables[0]):
+            problem = f"expected {_frames(tables[0])} frames as in the first trial, found {frames}"
+            raise _damaged(file, problem)
     lines = read_times(path / TIMES)
     wall_s: dict[int, float] = {}
     for line in lines:
         wall_s[line["session"]] = max(line["elapsed_s"], wall_s.get(line["session"], 0.0))
-    times_s = {line["trial"]: _present(line["times_s"]) for line in lines if "trial" in line}
+    times_s = {
+        line["trial"]: _present(line["times_s"]) for line in lines if "trial" in line and "times_s" in line
+    }
     table = pa.concat_tables(tables) if tables else SCHEMA.empty_table()
     return Campaign(path, identity, table, failed, failures, times_s, sum(wall_s.values()))
 
@@ -119,18 +174,18 @@ def read_identity(folder: Path) -> dict[str, Any]:
         When the file is damaged.
     """
     path = folder / MARKER
-    try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise InputError(path, f"is damaged: {error}") from None
-    if isinstance(found.get("estimators"), list):
-        found["estimators"] = [present_name(name) for name in found["estimators"]]
+    text, found = read_toml(path)
+    validate(path, found, _Identity, text=text)
+    check_names(path, found["estimators"])
+    found["estimators"] = [present_name(name) for name in found["estimators"]]
     return found
 
 
 def trial_files(folder: Path) -> dict[int, Path]:
     """Find the files of the trials in a campaign's folder, by number."""
-    found = ((TRIAL_NAME.fullmatch(file.name), file) for file in (folder / TRIALS).glob("*.parquet"))
+    if not exists(folder / TRIALS):
+        return {}
+    found = ((TRIAL_NAME.fullmatch(file.name), file) for file in entries(folder / TRIALS))
     return {int(match[1]): file for match, file in found if match is not None}
 
 
@@ -151,18 +206,39 @@ def read_metadata(path: Path) -> dict[str, Any]:
     InputError
         When the file is damaged.
     """
+    check_input(path, SizeLimit.TABLE)
     try:
-        return dict(json.loads(pq.read_schema(path).metadata[METADATA]))
-    except (pa.ArrowInvalid, OSError, KeyError, TypeError, ValueError) as error:
-        raise _damaged(path, error) from None
+        text = read_parquet_metadata(path, METADATA)
+        return _TrialMetadata.model_validate_json(text or b"").model_dump()
+    except InputError as error:
+        raise _of_trial(path, error) from None
+    except ValidationError:
+        raise _damaged(path, "expected our metadata, found others") from None
 
 
-def _table(path: Path) -> pa.Table:
+def _table(path: Path, number: int) -> pa.Table:
+    """Read the table of a trial, with a row for each of its estimators and frames."""
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
-    except (pa.ArrowException, OSError) as error:
-        raise _damaged(path, error) from None
+        table = read_parquet(path, SCHEMA)
+        check_names(path, pc.unique(table["estimator"]).to_pylist())
+        of_estimators = table.filter(pc.invert(pc.is_in(table["estimator"], pa.array(_BOUNDS))))
+        require_finite(path, table, "altitude_m", "pose_sigma")
+        require_finite(path, of_estimators, *_ERRORS)
+        if any(of_estimators[name].null_count for name in _ERRORS):
+            raise InputError(path, "expected errors of every estimator, found none")
+    except InputError as error:
+        raise _of_trial(path, error) from None
+    if pc.any(pc.not_equal(table["trial"], number)).as_py():
+        raise _damaged(path, f"expected the rows of trial {number}, found others")
+    counts = {one["values"]: one["counts"] for one in pc.value_counts(table["estimator"]).to_pylist()}
+    if not set(_BOUNDS) <= set(counts) or len(set(counts.values())) != 1:
+        raise _damaged(path, "expected as many frames of every estimator and bound, found others")
     return with_present_names(table.replace_schema_metadata(None))
+
+
+def _frames(table: pa.Table) -> int:
+    """Count the frames of a trial."""
+    return int(pc.sum(pc.equal(table["estimator"], FILTERED_BOUND)).as_py())
 
 
 def _present(by_estimator: dict[str, Any]) -> dict[str, Any]:
@@ -170,17 +246,35 @@ def _present(by_estimator: dict[str, Any]) -> dict[str, Any]:
     return {present_name(name): value for name, value in by_estimator.items()}
 
 
-def _damaged(path: Path, error: Exception) -> InputError:
-    problem = " ".join(str(error).split())
-    return InputError(path, f"is damaged: {problem}; remove it, and the next run repeats the trial")
+def _of_trial(path: Path, error: InputError) -> InputError:
+    """Say that a trial's file is damaged, as an error of reading it says."""
+    problem = error.problem.removeprefix("is damaged: ")
+    return InputError(path, f"is damaged: {problem}; {_REPEAT}", column=error.column)
+
+
+def _damaged(path: Path, problem: str) -> InputError:
+    return InputError(path, f"is damaged: {problem}; {_REPEAT}")
 
 
 def read_times(path: Path) -> list[dict[str, Any]]:
-    """Read the lines of times.jsonl; a line that was cut short is left out."""
+    """Read the lines of times.jsonl; those that cannot be read are left out, as times change no result.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    list of dict
+    """
+    try:
+        text = read_bytes(path, SizeLimit.JSON).decode("utf-8", errors="replace")
+    except InputError:
+        return []
     lines = []
-    for text in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []:
+    for line in text.splitlines():
         try:
-            lines.append(json.loads(text))
-        except ValueError:
+            lines.append(_Times.model_validate_json(line).model_dump(exclude_none=True))
+        except ValidationError:
             continue
     return lines

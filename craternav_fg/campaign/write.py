@@ -8,7 +8,7 @@ import shutil
 import time
 import tomllib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from craternav_fg.campaign.read import read_identity, read_metadata, read_times,
 from craternav_fg.campaign.store import FORMAT, MARKER, SCRATCH, SUMMARY, TIMES, TRIALS, trial_name
 from craternav_fg.campaign.trial import TrialResult, software
 from craternav_fg.errors import InputError
-from craternav_fg.files import write_whole
+from craternav_fg.files import SizeLimit, entries, exists, open_input, read_bytes, write_whole
 from craternav_fg.simulation.scenario_file import Scenario
 from craternav_fg.simulation.scenario_tables import CraterFile
 
@@ -69,11 +69,8 @@ def identity(scenario: Scenario, estimators: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _digest(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror}") from None
+    with open_input(path, SizeLimit.RASTER) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class CampaignFolder:
@@ -104,9 +101,9 @@ class CampaignFolder:
             raise InputError(self.path, "expected a folder to write, found a file")
         if not self.path.is_dir():
             return
-        if not (self.path / MARKER).is_file():
+        if not exists(self.path / MARKER):
             # Hidden files are of a run that was killed at once, or in nobody's way.
-            if any(not entry.name.startswith(".") for entry in self.path.iterdir()):
+            if any(not entry.name.startswith(".") for entry in entries(self.path)):
                 raise InputError(self.path, f"is not empty and holds no {MARKER}: it is not overwritten")
             return
         here, there = tomllib.loads(self._text), read_identity(self.path)
@@ -208,18 +205,19 @@ class CampaignFolder:
         lines = read_times(path)
         self._session = 1 + max((line["session"] for line in lines), default=0)
         self._began = time.perf_counter()
-        if path.exists() and not path.read_bytes().endswith(b"\n"):
-            # A killed run has cut its last line short.
-            write_whole(path, "".join(json.dumps(line) + "\n" for line in lines).encode())
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        # A killed run cuts its last line short; other lines may not be ours.
+        with suppress(InputError):
+            if exists(path) and read_bytes(path, SizeLimit.JSON) != text.encode():
+                write_whole(path, text.encode())
 
     def _append(self, values: Mapping[str, Any]) -> None:
         line = {"session": self._session, "elapsed_s": time.perf_counter() - self._began, **values}
-        path = self.path / TIMES
-        try:
-            with path.open("a", encoding="utf-8") as file:
+        # Times change no result: a file that cannot be written must not stop the campaign.
+        with suppress(OSError):
+            handle = os.open(self.path / TIMES, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o644)
+            with os.fdopen(handle, "a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")
-        except OSError as error:
-            raise InputError(path, f"cannot be written: {error.strerror}; finished trials stay") from error
 
 
 def _difference(a: Any, b: Any, key: tuple[str, ...] = ()) -> tuple[str, ...] | None:

@@ -25,8 +25,8 @@ _ID = "crater_id"
 _NUMBERS = ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
 _SCHEMA = pa.schema(
     [
-        pa.field(_ID, pa.string(), nullable=False),
-        *(pa.field(name, pa.float64(), nullable=False) for name in _NUMBERS),
+        parquet.filled(_ID, pa.string()),
+        *(parquet.filled(name, pa.float64()) for name in _NUMBERS),
     ]
 )
 

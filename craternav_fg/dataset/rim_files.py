@@ -15,25 +15,19 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
-from craternav_fg.parquet import read_parquet, write_parquet
+from craternav_fg.parquet import filled, read_parquet, write_parquet
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 
-
-def _filled(name: str, kind: pa.DataType) -> pa.Field:
-    """A column without empty cells."""
-    return pa.field(name, kind, nullable=False)
-
-
-_KEYS = [_filled("timestamp", pa.int64()), _filled("crater_id", pa.string())]
+_KEYS = [filled("timestamp", pa.int64()), filled("crater_id", pa.string())]
 _RIMS = pa.schema(
     [
         *_KEYS,
-        _filled("chart", pa.list_(pa.float64(), 5)),
-        _filled("covariance", pa.list_(pa.float64(), 25)),
+        filled("chart", pa.list_(pa.float64(), 5)),
+        filled("covariance", pa.list_(pa.float64(), 25)),
     ]
 )
 # Roots of the correlated parts of the covariance, with their columns.
@@ -54,8 +48,8 @@ _FORMER_COLUMNS = {"persistent": "correlated"}
 _ARCS = pa.schema(
     [
         *_KEYS,
-        _filled("points", pa.list_(pa.list_(pa.float64(), 2))),
-        _filled("sigmas", pa.list_(pa.float64())),
+        filled("points", pa.list_(pa.list_(pa.float64(), 2))),
+        filled("sigmas", pa.list_(pa.float64())),
     ]
 )
 _ARC_PARTS = pa.schema([("correlated_sigma", pa.float64())])

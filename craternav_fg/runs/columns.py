@@ -1,13 +1,20 @@
 """Columns of Arrow tables: arrays as fixed-size lists, and names of estimators."""
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import FORMER_NAMES
 
 FloatArray = npt.NDArray[np.float64]
+
+# Length of an estimator's name in a file.
+_MAX_NAME = 100
 
 
 def list_column(rows: FloatArray) -> pa.Array:
@@ -65,3 +72,23 @@ def with_present_names(table: pa.Table) -> pa.Table:
     for former, present in FORMER_NAMES.items():
         names = pc.if_else(pc.equal(names, former), present, names)
     return table.set_column(column, table.schema.field(column), names)
+
+
+def check_names(path: Path, names: Iterable[str]) -> None:
+    """Refuse names of estimators that cannot be shown in one line.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    names : iterable of str
+
+    Raises
+    ------
+    InputError
+        For a name that is empty, too long, or has characters that cannot be printed.
+    """
+    for name in names:
+        if not name.isprintable() or not 0 < len(name) <= _MAX_NAME:
+            problem = f"expected an estimator's name of 1 to {_MAX_NAME} printable characters"
+            raise InputError(path, f"{problem}, found {name[:_MAX_NAME]!a}", column="estimator")

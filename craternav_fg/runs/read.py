@@ -1,22 +1,24 @@
 """Read a run's folder."""
 
-import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.parquet as pq
+from pydantic import Field
 
 from craternav_fg import frames
+from craternav_fg.config import ResultSection, load_toml, read_json
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import present_name
+from craternav_fg.files import exists
+from craternav_fg.parquet import read_parquet, require_finite
 from craternav_fg.runs import store
-from craternav_fg.runs.columns import list_values, with_present_names
+from craternav_fg.runs.columns import check_names, list_values, with_present_names
+from craternav_fg.runs.schemas import COVARIANCES, RESIDUALS, RESIDUALS_OF_IMAGES, STATES
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -27,6 +29,50 @@ _FORMER_PARTS = {"resumed_at_frames": "reinitialised_at_frames"}
 _FORMER_METRICS = {"rim_misfit_share": "rim_outlier_share"}
 _FORMER_CALIBRATED = {"image_delay_s": "time_offset_s", "image_delay_sigma_s": "time_offset_sigma_s"}
 _FORMER_COLUMNS = {"taken_for": "reassociated_with", "gain": "slope_contrast"}
+# Columns of states.parquet that are no numbers of a state.
+_KEYS = ("estimator", "stamp_ns")
+# Length below which a quaternion has no direction.
+_MIN_QUATERNION = 1e-6
+
+
+class _Description(ResultSection):
+    """What is read of run.toml."""
+
+    dataset: str
+
+
+class _EstimatorMetrics(ResultSection):
+    position_rms_m: float | None
+    position_final_m: float | None
+    velocity_rms_m_s: float | None
+    attitude_rms_deg: float | None
+    attitude_final_deg: float | None
+    anees: float | None
+    calibrated: dict[str, Any] | None = None
+
+
+class _Nis(ResultSection):
+    mean: float
+    low: float
+    high: float
+    dimension: int
+
+
+class _Innovations(ResultSection):
+    filter: str
+    nis: dict[str, _Nis]
+
+
+class _Metrics(ResultSection):
+    """What is read of metrics.json."""
+
+    wall_s: float
+    times_s: dict[str, float]
+    craters_per_frame: Annotated[tuple[int, ...], Field(min_length=1)]
+    failures: dict[str, str]
+    warnings: tuple[str, ...] = ()
+    innovations: _Innovations | None = None
+    estimators: dict[str, _EstimatorMetrics]
 
 
 @dataclass(frozen=True)
@@ -71,29 +117,40 @@ def read_run(folder: Path | str) -> Run:
         When the folder is no run's, or a file of it is missing or damaged.
     """
     path = Path(folder)
-    if not (path / store.MARKER).is_file():
+    if not exists(path / store.MARKER):
         raise InputError(path, f"expected a run's folder, found no {store.MARKER} in it")
     for name in (store.METRICS, store.STATES):
-        if not (path / name).is_file():
+        if not exists(path / name):
             raise InputError(path / name, "is missing from the run")
-    try:
-        metrics = json.loads((path / store.METRICS).read_text(encoding="utf-8"))
-        states = pq.read_table(path / store.STATES)
-        description = tomllib.loads((path / store.MARKER).read_text(encoding="utf-8"))
-        trajectories = _trajectories(states)
-        dataset = path / description["dataset"]
-        _rename(metrics, _FORMER_PARTS)
-        for part in ("estimators", "times_s", "failures"):
-            metrics[part] = {present_name(name): each for name, each in metrics[part].items()}
-        for values in metrics["estimators"].values():
-            _rename(values, _FORMER_METRICS)
-            _rename(values.get("calibrated", {}), _FORMER_CALIBRATED)
-    except KeyError as error:
-        raise InputError(path, f"is damaged: {error} is missing") from None
-    except (ValueError, TypeError, AttributeError, pa.ArrowException, OSError) as error:
-        raise InputError(path, f"is damaged: {error}") from None
+    description = load_toml(path / store.MARKER, _Description)
+    metrics = read_json(path / store.METRICS, _Metrics)
+    trajectories = _trajectories(path / store.STATES)
+    _rename(metrics, _FORMER_PARTS)
+    for part in ("estimators", "times_s", "failures"):
+        metrics[part] = {present_name(name): each for name, each in metrics[part].items()}
+    for values in metrics["estimators"].values():
+        _rename(values, _FORMER_METRICS)
+        _rename(values.get("calibrated") or {}, _FORMER_CALIBRATED)
     truth = trajectories.pop(store.TRUTH, None)
-    return Run(path, metrics, trajectories, truth, dataset)
+    _check_agreement(path, metrics, trajectories)
+    return Run(path, metrics, trajectories, truth, path / description.dataset)
+
+
+def _check_agreement(path: Path, metrics: Mapping[str, Any], trajectories: Mapping[str, Trajectory]) -> None:
+    """Refuse a run whose files are not of the same estimators and frames."""
+    check_names(path / store.METRICS, [*metrics["estimators"], *metrics["times_s"]])
+    if set(metrics["estimators"]) != set(trajectories) or not trajectories:
+        here, there = sorted(metrics["estimators"]), sorted(trajectories)
+        problem = f"expected the estimators of {store.METRICS}, {here}, found {there}"
+        raise InputError(path / store.STATES, problem, column="estimator")
+    frames_there = len(next(iter(trajectories.values())))
+    if len(metrics["craters_per_frame"]) != frames_there:
+        problem = f"expected one number for each of {frames_there} frames, found"
+        raise InputError(
+            path / store.METRICS,
+            f"{problem} {len(metrics['craters_per_frame'])}",
+            column="craters_per_frame",
+        )
 
 
 def read_residuals(folder: Path) -> pa.Table:
@@ -114,13 +171,11 @@ def read_residuals(folder: Path) -> pa.Table:
         When the file is missing or damaged.
     """
     path = folder / store.RESIDUALS
-    if not path.is_file():
+    if not exists(path):
         raise InputError(path, "is missing from the run")
-    try:
-        table = pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(path, f"is damaged: {error}") from None
-    table = table.rename_columns([_FORMER_COLUMNS.get(name, name) for name in table.column_names])
+    table = read_parquet(
+        path, RESIDUALS, optional=RESIDUALS_OF_IMAGES, renamed=_FORMER_COLUMNS, other_columns=True
+    )
     return with_present_names(table)
 
 
@@ -148,13 +203,22 @@ def describe_frames(metrics: Mapping[str, Any]) -> str:
     return f"{len(counts)} frames with {least} {'' if least == most else f'to {most} '}rims each"
 
 
-def _trajectories(states: pa.Table) -> dict[str, Trajectory]:
+def _trajectories(path: Path) -> dict[str, Trajectory]:
     """Trajectories by estimator, in the order of the file, the truth among them."""
-    names = states["estimator"].to_pylist()
-    out = {}
+    states = read_parquet(path, STATES, optional=COVARIANCES, other_columns=True)
+    require_finite(path, states, *(name for name in states.column_names if name not in _KEYS))
+    names = states["estimator"].to_numpy(zero_copy_only=False)
+    check_names(path, dict.fromkeys(names))
+    if np.any(np.linalg.norm(_vectors(states, "quaternion_wxyz"), axis=1) < _MIN_QUATERNION):
+        raise InputError(path, "expected quaternions, found one of length zero", column="quaternion_wxyz")
+    out: dict[str, Trajectory] = {}
     for name in dict.fromkeys(names):
-        rows = np.flatnonzero([other == name for other in names])
-        out[present_name(name)] = _trajectory(states.take(pa.array(rows)))
+        one = _trajectory(states.take(pa.array(np.flatnonzero(names == name))))
+        stamps = next(iter(out.values())).stamps_ns if out else one.stamps_ns
+        if np.any(np.diff(one.stamps_ns) <= 0) or not np.array_equal(one.stamps_ns, stamps):
+            problem = f"expected the same increasing stamps for all estimators, those of {name} differ"
+            raise InputError(path, problem, column="stamp_ns")
+        out[present_name(name)] = one
     return out
 
 
@@ -162,7 +226,7 @@ def _trajectory(states: pa.Table) -> Trajectory:
     k = len(states)
 
     def matrices(name: str, size: int) -> FloatArray | None:
-        values = list_values(states[name])
+        values = list_values(states[name]) if name in states.column_names else None
         return None if values is None else values.reshape(k, size, size)
 
     gTb = np.tile(np.eye(4), (k, 1, 1))
@@ -181,6 +245,5 @@ def _trajectory(states: pa.Table) -> Trajectory:
 
 def _vectors(states: pa.Table, name: str) -> FloatArray:
     values = list_values(states[name])
-    if values is None:
-        raise ValueError(f"{name} lacks values")
+    assert values is not None
     return values

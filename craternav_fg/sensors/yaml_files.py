@@ -14,7 +14,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # Largest deviation of R R' from the identity, from numbers of seven digits.
 _RIGID_TOLERANCE = 1e-6
-# Length of a file, its values, and depth of its tables: a few lines with aliases could otherwise stand for billions.
+# Length of a file, its values with aliases written out, and depth of its tables: a few lines with aliases
+# could otherwise stand for billions.
 _MAX_CHARACTERS = 100_000
 _MAX_VALUES = 10_000
 _MAX_DEPTH = 20

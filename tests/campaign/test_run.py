@@ -157,7 +157,7 @@ def test_a_changed_crater_file_is_another_campaign(tmp_path: Path) -> None:
     table.write_text("two")
     assert first != identity(case, ESTIMATORS)
     table.unlink()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="file is missing"):
         identity(case, ESTIMATORS)
 
 

@@ -177,14 +177,14 @@ def test_runs_of_version_0_1_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        ("run.toml", b"dataset = \n", "is damaged"),
-        ("run.toml", b"estimators = []\n", "'dataset' is missing"),
-        ("run.toml", b"\xff", "is damaged"),
-        ("metrics.json", b"{", "is damaged"),
-        ("metrics.json", b"{}", "'estimators' is missing"),
-        ("metrics.json", b"[1]", "is damaged"),
-        ("metrics.json", b'{"estimators": 3}', "is damaged"),
-        ("states.parquet", b"PAR1", "is damaged"),
+        ("run.toml", b"dataset = \n", "run.toml: expected TOML"),
+        ("run.toml", b"estimators = []\n", "run.toml: dataset: key is missing"),
+        ("run.toml", b"\xff", "run.toml: expected a text file in UTF-8"),
+        ("metrics.json", b"{", "metrics.json: expected JSON"),
+        ("metrics.json", b"{}", "metrics.json: wall_s: key is missing"),
+        ("metrics.json", b"[1]", "metrics.json: expected a JSON object, found a list"),
+        ("metrics.json", b'{"estimators": 3}', "metrics.json: wall_s: key is missing"),
+        ("states.parquet", b"PAR1", "states.parquet: expected a Parquet file"),
         ("states.parquet", None, "states.parquet: is missing from the run"),
     ],
 )
