@@ -1,6 +1,6 @@
 """Parquet tables with a schema: a file that is not what it must be is refused with file and column."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ def read_parquet(
     with _opened(path) as file:
         names = [(renamed or {}).get(name, name) for name in file.schema_arrow.names]
         fields = _wanted(path, file.schema_arrow, names, schema, optional, other_columns)
-        _check_size(path, file.metadata, fields)
+        _check_size(path, file.metadata, fields.values())
         try:
             table = file.read(
                 columns=[file.schema_arrow.names[k] for k, name in enumerate(names) if name in fields]
@@ -108,6 +108,53 @@ def read_parquet_metadata(path: Path, key: bytes) -> bytes | None:
     """
     with _opened(path) as file:
         return (file.schema_arrow.metadata or {}).get(key)
+
+
+def parquet_names(path: Path) -> list[str]:
+    """Read the names of a Parquet file's columns.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    InputError
+        When the file cannot be opened or is of another kind.
+    """
+    with _opened(path) as file:
+        return list(file.schema_arrow.names)
+
+
+def read_parquet_columns(path: Path, names: Sequence[str]) -> pa.Table:
+    """Read some columns of a Parquet file of others, of whatever types.
+
+    Parameters
+    ----------
+    path : Path
+    names : sequence of str
+
+    Returns
+    -------
+    pyarrow.Table
+
+    Raises
+    ------
+    InputError
+        When the file cannot be opened, is of another kind, or is damaged.
+    """
+    with _opened(path) as file:
+        _check_size(path, file.metadata, [field for field in file.schema_arrow if field.name in names])
+        try:
+            table = file.read(columns=list(names))
+            table.validate(full=True)
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+            raise _damaged(path, error) from None
+    return table
 
 
 def require_finite(path: Path, table: pa.Table, *names: str) -> None:
@@ -186,11 +233,11 @@ def _wanted(
     return fields
 
 
-def _check_size(path: Path, about: pq.FileMetaData, fields: Mapping[str, pa.Field]) -> None:
+def _check_size(path: Path, about: pq.FileMetaData, fields: Iterable[pa.Field]) -> None:
     """Refuse a table that is too large, and one whose parts have other numbers of rows than it says."""
     groups = [about.row_group(k) for k in range(about.num_row_groups)]
     needed = max(
-        about.num_rows * sum(_width(field.type) for field in fields.values()),
+        about.num_rows * sum(_width(field.type) for field in fields),
         sum(max(group.total_byte_size, 0) for group in groups),
     )
     if needed > _MAX_BYTES:

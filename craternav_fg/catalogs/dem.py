@@ -12,6 +12,7 @@ from scipy.ndimage import spline_filter1d
 
 from craternav_fg.catalogs.bodies import SAME_BODY
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.files import SizeLimit, check_input
 from craternav_fg.frames import latitude_longitude
 
 FloatArray = npt.NDArray[np.float64]
@@ -114,8 +115,7 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
         import rasterio
     except ImportError:
         raise CraternavError("elevation models need rasterio: pip install -e '.[geo]'") from None
-    if not path.is_file():
-        raise InputError(path, "file is missing")
+    check_input(path, SizeLimit.RASTER)
     try:
         with warnings.catch_warnings():
             # A raster without coordinates is refused below.

@@ -1,9 +1,11 @@
 """Tables as others write them: any separator, a preamble, broken lines that are skipped and counted."""
 
 import csv
+import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
@@ -11,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 
 from craternav_fg.errors import InputError
+from craternav_fg.files import SizeLimit, open_input
+from craternav_fg.parquet import parquet_names, read_parquet_columns
 
 IntArray = npt.NDArray[np.int64]
 
@@ -21,6 +24,8 @@ IntArray = npt.NDArray[np.int64]
 _NULL_CELLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "-", "--"]
 # Lines that may stand above the column names.
 _MAX_PREAMBLE = 60
+# Length of a line in bytes, with its end.
+_MAX_LINE = 1 << 20
 # First bytes of files that are often taken for tables.
 _OTHER_FORMATS = {
     b"PK\x03\x04": "a zip archive or a spreadsheet: unpack it, or save it as CSV",
@@ -149,11 +154,12 @@ def read_headers(path: Path) -> list[Header]:
     InputError
         When the file is missing, empty, or not text with line feeds.
     """
-    if not path.is_file():
-        raise InputError(path, "expected a file, found a folder" if path.is_dir() else "file is missing")
     first: list[tuple[int, bytes]] = []
-    with path.open("rb") as raw:
-        for number, line in enumerate(raw, 1):
+    with open_input(path, SizeLimit.TABLE) as raw:
+        for number, line in enumerate(_lines(raw), 1):
+            if len(line) >= _MAX_LINE:
+                problem = f"expected lines of at most {_MAX_LINE} bytes, found a longer one"
+                raise InputError(path, problem, line=number)
             if line.strip():
                 first.append((number, line))
             if len(first) > _MAX_PREAMBLE:
@@ -173,7 +179,7 @@ def read_headers(path: Path) -> list[Header]:
     for number, line in first:
         text = _decoded(line).strip("\r\n")
         separator = max(",;\t", key=text.count)
-        cells = next(csv.reader([text], delimiter=separator))
+        cells = _cells(path, number, text, separator)
         headers.append(Header([cell.strip().removeprefix("#").strip() for cell in cells], separator, number))
     return headers
 
@@ -198,16 +204,23 @@ def read_parquet_table(path: Path, recognise: Callable[[Path, Sequence[str]], C]
     InputError
         When the file cannot be read, or a column is of another kind.
     """
+    found = recognise(path, parquet_names(path))
+    table = read_parquet_columns(path, [*found.numbers, *found.texts])
     try:
-        found = recognise(path, pq.read_schema(path).names)
-        table = pq.read_table(path, columns=[*found.numbers, *found.texts])
         data: dict[str, Any] = {
             name: table[name].cast(pa.float64()).to_numpy(zero_copy_only=False) for name in found.numbers
         }
         data.update({name: table[name].cast(pa.string()).to_pylist() for name in found.texts})
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(path, f"expected a Parquet file: {' '.join(str(error).split())}") from None
+    except pa.ArrowException as error:
+        raise InputError(path, f"expected numbers and texts: {' '.join(str(error).split())}") from None
     return ForeignTable(path, data, (), len(table.column_names), 0), found
+
+
+def _cells(path: Path, number: int, text: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([text], delimiter=separator))
+    except csv.Error as error:
+        raise InputError(path, f"expected cells of a table: {error}", line=number) from None
 
 
 def refuse_doubled(path: Path, header: Header) -> None:
@@ -300,8 +313,13 @@ def _cell_error(path: Path, header: Header, names: Sequence[str], message: str) 
 
 def _filled_lines(path: Path, first: int) -> list[int]:
     """1-based lines that are not blank, from some line on."""
-    with path.open("rb") as stream:
-        return [number for number, line in enumerate(stream, 1) if number >= first and line.strip()]
+    with open_input(path, SizeLimit.TABLE) as stream:
+        return [number for number, line in enumerate(_lines(stream), 1) if number >= first and line.strip()]
+
+
+def _lines(stream: BufferedReader) -> Iterator[bytes]:
+    """Read lines; one that is too long comes in parts."""
+    return iter(lambda: stream.readline(_MAX_LINE), b"")
 
 
 def _decoded(raw: bytes) -> str:
@@ -313,7 +331,10 @@ def _decoded(raw: bytes) -> str:
 
 def _is_utf8(path: Path) -> bool:
     try:
-        with path.open(encoding="utf-8") as stream:
+        with (
+            open_input(path, SizeLimit.TABLE) as raw,
+            io.TextIOWrapper(raw, encoding="utf-8") as stream,
+        ):
             for _ in iter(lambda: stream.read(1 << 20), ""):
                 pass
     except UnicodeDecodeError:

@@ -92,11 +92,22 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
 
 
 def is_store(path: Path) -> bool:
-    """Tell whether a Parquet file was written by `write_parquet`; also True for what is no Parquet file."""
-    try:
-        return _KEY in (pq.read_schema(path).metadata or {})
-    except (pa.ArrowException, OSError, UnicodeDecodeError):
-        return True
+    """Tell whether a Parquet file was written by `write_parquet`.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    InputError
+        When it cannot be opened, or is no Parquet file.
+    """
+    return parquet.read_parquet_metadata(path, _KEY) is not None
 
 
 def _stated(path: Path) -> StatedBody:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from craternav_fg.errors import InputError
-from craternav_fg.files import SizeLimit, check_input
+from craternav_fg.files import SizeLimit, open_input
 
 # Detection in a larger image takes more than two gigabytes.
 MAX_PIXELS = 25_000_000
@@ -34,11 +34,10 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
     InputError
         When the file is missing, not an image, damaged or too large.
     """
-    check_input(path, SizeLimit.IMAGE)
     try:
-        with warnings.catch_warnings():
+        with open_input(path, SizeLimit.IMAGE) as stream, warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(path) as image:
+            with Image.open(stream) as image:
                 width, height = image.size
                 if width * height > MAX_PIXELS:
                     raise InputError(

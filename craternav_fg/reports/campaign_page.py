@@ -12,6 +12,7 @@ from craternav_fg.campaign.read import Campaign
 from craternav_fg.campaign.store import MARKER
 from craternav_fg.campaign.summary import CONVERGED_DEG, CONVERGED_SHARE_OF_ALTITUDE, of_estimator
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
+from craternav_fg.config import read_text
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
 from craternav_fg.plots.style import colour, line_style
@@ -66,9 +67,7 @@ def campaign_page(campaign: Campaign) -> Page:
             Section("consistency", "Consistency", _consistency(campaign, done)),
             Section("final", "Final errors", [_final(campaign, done)]),
         ]
-    sections.append(
-        Section("made", "Scenario and versions", [Text((campaign.path / MARKER).read_text("utf-8"))])
-    )
+    sections.append(Section("made", "Scenario and versions", [Text(read_text(campaign.path / MARKER))]))
     return Page(
         title=f"Campaign {campaign.path.resolve().name}",
         subtitle=f"{summary['trials']} trials, {summary['failed']} failed, {summary['wall_s']:.0f} s",

@@ -6,7 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import InputError
+from craternav_fg.files import entries, exists
 from craternav_fg.reports.page import Pictures
 from craternav_fg.runs.store import FIGURES, OVERLAYS
 
@@ -35,25 +37,31 @@ def frame_pictures(run: Path) -> Pictures | None:
     InputError
         When a picture is damaged.
     """
-    overlays = sorted((run / OVERLAYS).glob("*.png"))
+    overlays = [path for path in _within(run / OVERLAYS) if path.suffix == ".png"]
     caption = "Frames with their rims."
     if len(overlays) > MAX_PICTURES:
         caption = f"{MAX_PICTURES} of {len(overlays)} frames with their rims; all are in {OVERLAYS}/."
         chosen = np.linspace(0, len(overlays) - 1, MAX_PICTURES).astype(int)
         overlays = [overlays[k] for k in chosen]
     if not overlays:
-        overlays = [p for p in (run / FIGURES / name for name in SUBSTITUTES) if p.is_file()][:1]
+        overlays = [p for p in (run / FIGURES / name for name in SUBSTITUTES) if exists(p)][:1]
         caption = "Some frames with their rims."
     if not overlays:
         return None
     return Pictures([(_data_uri(path), path.stem.replace("_", " ")) for path in overlays], caption)
 
 
+def _within(folder: Path) -> list[Path]:
+    """List a folder; nothing when there is none."""
+    return entries(folder) if exists(folder) else []
+
+
 def _data_uri(path: Path) -> str:
     """Give a picture as a data URI of a JPEG, no wider than a page."""
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise InputError(path, "expected a PNG image, found something else")
+    picture = read_foreign_image(path)
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4):
+        raise InputError(path, "expected a PNG image of colours, found another")
+    picture = np.ascontiguousarray(picture[:, :, 2::-1])
     scale = MAX_WIDTH_PX / picture.shape[1]
     if scale < 1.0:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

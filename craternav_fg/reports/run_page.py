@@ -5,6 +5,7 @@ from typing import Any
 import pyarrow.compute as pc
 from matplotlib.figure import Figure
 
+from craternav_fg.config import read_text
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.plots.style import colour
@@ -67,7 +68,7 @@ def run_page(run: Run) -> Page:
     pictures = frame_pictures(run.path)
     if pictures is not None:
         sections.append(Section("frames", "Frames", [pictures]))
-    sections.append(Section("made", "Options and versions", [Text((run.path / MARKER).read_text("utf-8"))]))
+    sections.append(Section("made", "Options and versions", [Text(read_text(run.path / MARKER))]))
     return Page(
         title=f"Run {run.path.resolve().name}",
         subtitle=f"{len(next(iter(run.trajectories.values())))} frames, data set {run.dataset}",

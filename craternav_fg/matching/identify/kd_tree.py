@@ -23,6 +23,8 @@ DIMENSIONS = 5
 _LEAF_POINTS = 24
 # Room for the nodes that a query has yet to visit: more than the tree can be deep.
 _MAX_DEPTH = 40
+# Levels of inner nodes: a tree of all numbers of 32 bits has as many.
+MAX_LEVELS = 32
 # Points by which the spread of a large node is judged.
 _SPREAD_SAMPLE = 512
 

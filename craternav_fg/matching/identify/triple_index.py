@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from functools import cached_property
+from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from numba import njit
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
-from craternav_fg.files import replacing
+from craternav_fg.files import SizeLimit, open_input, replacing
 from craternav_fg.matching.identify import kd_tree
 from craternav_fg.matching.identify.craters import Craters, craters_of, log_sizes
 
@@ -141,10 +142,18 @@ class TripleIndex:
         InputError
             When the file is missing, of another kind or version, or the index of another catalogue.
         """
-        if not path.is_file():
-            raise InputError(path, "file is missing")
+        with open_input(path, SizeLimit.ARCHIVE) as stream:
+            return cls._load(path, stream, catalog)
+
+    @classmethod
+    def _load(cls, path: Path, stream: BufferedReader, catalog: Catalog) -> "TripleIndex":
         try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            with zipfile.ZipFile(stream) as archive:
+                # `save` stores the arrays as they are; a few compressed bytes could fill the memory.
+                if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
+                    raise InputError(path, "expected arrays that are not compressed")
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as data:
                 found = int(data["version"])
                 if found != VERSION:
                     raise InputError(path, f"expected an index of version {VERSION}, found {found}")
@@ -153,9 +162,44 @@ class TripleIndex:
                 tree = kd_tree.Tree(
                     data["points"], data["codes"], data["dims"], data["splits"], int(data["levels"])
                 )
-                return cls(catalog, data["neighbours"], tree)
+                index = cls(catalog, data["neighbours"], tree)
         except _UNREADABLE:
             raise InputError(path, "expected an index written by craternav, found something else") from None
+        problem = index.fault()
+        if problem is not None:
+            raise InputError(path, f"is damaged: {problem}")
+        return index
+
+    def fault(self) -> str | None:
+        """Say what makes the arrays unfit for compiled code, which checks no bounds.
+
+        Returns
+        -------
+        str or None
+            None when nothing does.
+        """
+        t, n = self.tree, len(self.catalog)
+        count = self.neighbours.shape[1] if self.neighbours.ndim == 2 else 0
+        nodes = 1 << t.levels if 0 <= t.levels <= kd_tree.MAX_LEVELS else 0
+        expected = (
+            ("neighbours", self.neighbours, (n, count), np.int32),
+            ("points", t.points, (len(t.codes), kd_tree.DIMENSIONS), np.uint16),
+            ("codes", t.codes, (t.codes.size,), np.uint32),
+            ("dims", t.dims, (nodes,), np.uint8),
+            ("splits", t.splits, (nodes,), np.uint16),
+        )
+        for name, array, shape, dtype in expected:
+            if array.shape != shape or array.dtype != dtype or not array.flags.c_contiguous:
+                return f"expected {name} of {np.dtype(dtype)} {shape}, found {array.dtype} {array.shape}"
+        if not 2 <= count <= _NEIGHBOURS[0][1]:
+            return f"expected 2 to {_NEIGHBOURS[0][1]} neighbours, found {count}"
+        if n and not -1 <= self.neighbours.min() <= self.neighbours.max() < n:
+            return "a neighbour is no crater of the catalogue"
+        if len(t.codes) and t.codes.max() >= n * count * count:
+            return "a triple is of no crater of the catalogue"
+        if t.dims.max() >= kd_tree.DIMENSIONS:
+            return "a node is split in no dimension"
+        return None
 
 
 def load_or_build(path: Path, catalog: Catalog) -> tuple[TripleIndex, str]:

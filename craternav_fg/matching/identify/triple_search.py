@@ -318,6 +318,9 @@ def search_triples(
             triple[0] = code // (count * count)
             triple[1] = neighbours[triple[0], (code // count) % count]
             triple[2] = neighbours[triple[0], code % count]
+            if triple[1] < 0 or triple[2] < 0:
+                # No index that was built here has such a code, but a file may.
+                continue
             span = 0.0
             for k in range(3):
                 total = 0.0
