@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from craternav_fg.files import replacing
+from craternav_fg.reports.svg import identifier
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,8 @@ def write_page(page: Page, path: Path) -> None:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    html = environment.get_template("page.html").render(page=page)
+    environment.filters["identifier"] = identifier
+    # The name of a folder need not be UTF-8.
+    html = environment.get_template("page.html").render(page=page).encode("utf-8", "replace")
     with replacing(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+        temporary.write_bytes(html)

@@ -58,10 +58,11 @@ def _within(folder: Path) -> list[Path]:
 
 def _data_uri(path: Path) -> str:
     """Give a picture as a data URI of a JPEG, no wider than a page."""
-    picture = read_foreign_image(path)
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4):
+    read = read_foreign_image(path)
+    if read.dtype != np.uint8 or read.ndim != 3 or read.shape[2] not in (3, 4):
         raise InputError(path, "expected a PNG image of colours, found another")
-    picture = np.ascontiguousarray(picture[:, :, 2::-1])
+    # OpenCV has blue first.
+    picture = np.ascontiguousarray(read[:, :, 2::-1], dtype=np.uint8)
     scale = MAX_WIDTH_PX / picture.shape[1]
     if scale < 1.0:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

@@ -19,7 +19,7 @@ from craternav_fg.plots.trajectories import (
 from craternav_fg.reports.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.reports.pictures import frame_pictures
 from craternav_fg.reports.residuals import crater_table, draw_residuals
-from craternav_fg.reports.svg import WIDTH_IN, inline_svg, mark
+from craternav_fg.reports.svg import WIDTH_IN, identifier, inline_svg, mark
 from craternav_fg.runs.read import Run, describe_frames, read_residuals
 from craternav_fg.runs.store import MARKER
 
@@ -158,7 +158,7 @@ def _bounds(run: Run) -> list[Block]:
         for axes in figure.axes:
             # The tab and the axes say it.
             axes.set_title("")
-        drawings.append((name, _drawing(figure, f"bounds-{name}", run, 6.5, "")))
+        drawings.append((name, _drawing(figure, f"bounds-{identifier(name)}", run, 6.5, "")))
     return [
         Text(
             "Position in east, north, up; attitude in body axes. With consistent covariances an error leaves "

@@ -1,5 +1,6 @@
 """matplotlib figures as SVG in a page, with curves that its buttons show and hide."""
 
+import hashlib
 import io
 import re
 from collections.abc import Iterable
@@ -12,7 +13,24 @@ from matplotlib.figure import Figure
 # So narrow that the letters of a drawing have the size of the text, also on a telephone.
 WIDTH_IN = 5.0
 # matplotlib gives the parts of every figure the same identifiers; in a page each may occur once.
+_NAME = re.compile(r"[a-z0-9-]+")
 _NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
+
+
+def identifier(name: str) -> str:
+    """Give a name's identifier in a page: letters and digits, whatever the name is.
+
+    Names come from files: as part of an attribute or a selector they could end it and begin a script.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str
+    """
+    return hashlib.blake2b(name.encode("utf-8", "replace"), digest_size=6).hexdigest()
 
 
 def inline_svg(figure: Figure, name: str) -> Markup:
@@ -22,13 +40,21 @@ def inline_svg(figure: Figure, name: str) -> Markup:
     ----------
     figure : Figure
     name : str
-        Of the drawing, unique in the page: the identifiers of its parts begin with it.
+        Of the drawing, unique in the page: the identifiers of its parts begin with it. Lower-case letters,
+        digits and hyphens.
 
     Returns
     -------
     Markup
         Begins with `<svg`. The same figure gives the same text.
+
+    Raises
+    ------
+    ValueError
+        When the name has other characters.
     """
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"expected lower-case letters, digits and hyphens, found {name!r}")
     out = io.StringIO()
     # Text stays text: it can be searched and read aloud, and is a tenth as long as outlines.
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name, "font.family": "sans-serif"}):
@@ -52,6 +78,8 @@ def mark(axes: Iterable[Axes], names: Iterable[str]) -> None:
     """
     known = list(names)
     for number, line in enumerate(line for panel in axes for line in panel.get_lines()):
-        name = str(line.get_label()).split(" ")[0]
-        if name in known:
-            line.set_gid(f"series--{name}--{number}")
+        label = str(line.get_label())
+        # The longest, as a name may begin with another one.
+        found = [name for name in known if label == name or label.startswith(f"{name} (")]
+        if found:
+            line.set_gid(f"series--{identifier(max(found, key=len))}--{number}")

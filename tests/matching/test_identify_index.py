@@ -6,8 +6,9 @@ import pytest
 from craternav_fg.errors import InputError
 from craternav_fg.matching.identify import kd_tree
 from craternav_fg.matching.identify.craters import density
+from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import SMALLEST, TripleIndex, load_or_build
-from craternav_fg.simulation.catalog_views import synthetic_catalog
+from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 
 
@@ -129,3 +130,57 @@ def test_catalogues_of_few_craters(index) -> None:
     for count in (1, 2, 3, 5):
         few = TripleIndex.build(index.catalog.take(np.arange(count)))
         assert few.craters.log_size.shape == (count,)
+
+
+def stored(index: TripleIndex, path, **changed) -> None:
+    """Write an index with some of its arrays replaced."""
+    index.save(path)
+    with np.load(path) as data:
+        arrays = {name: data[name] for name in data.files}
+    np.savez(path, **{**arrays, **changed})
+
+
+FORGED = {
+    "points of four numbers": (lambda i: {"points": i.tree.points[:, :4]}, "expected points of uint16"),
+    "points of another type": (
+        lambda i: {"points": i.tree.points.astype(float)},
+        "expected points of uint16",
+    ),
+    "fewer points than codes": (lambda i: {"points": i.tree.points[:-1]}, "expected points of uint16"),
+    "fewer nodes": (lambda i: {"dims": i.tree.dims[:2]}, "expected dims of uint8"),
+    "too many levels": (lambda i: {"levels": i.tree.levels + 1}, "expected dims of uint8"),
+    "no level at all": (lambda i: {"levels": -1}, "expected dims of uint8"),
+    "a sixth dimension": (lambda i: {"dims": i.tree.dims + 5}, "a node is split in no dimension"),
+    "a code beyond the craters": (lambda i: {"codes": i.tree.codes | 2**31}, "a triple is of no crater"),
+    "a crater beyond the last": (lambda i: {"neighbours": i.neighbours + 2999}, "a neighbour is no crater"),
+    "a crater before the first": (lambda i: {"neighbours": i.neighbours - 1}, "a neighbour is no crater"),
+    "neighbours of others": (lambda i: {"neighbours": i.neighbours[:-1]}, "expected neighbours of int32"),
+    "no neighbours": (lambda i: {"neighbours": i.neighbours[:, :0]}, "expected 2 to 9 neighbours"),
+    "a number for an array": (lambda i: {"neighbours": np.int32(3)}, "expected neighbours of int32"),
+    "text for an array": (lambda i: {"codes": np.array("x")}, "expected points of uint16"),
+}
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_a_forged_index_is_refused_before_compiled_code_sees_it(index, tmp_path, case) -> None:
+    change, problem = FORGED[case]
+    path = tmp_path / "index.npz"
+    stored(index, path, **change(index))
+    with pytest.raises(InputError, match=f"is damaged: {problem}"):
+        TripleIndex.load(path, index.catalog)
+
+
+def test_an_index_that_would_fill_the_memory_is_refused(index, tmp_path) -> None:
+    path = tmp_path / "index.npz"
+    np.savez_compressed(path, points=np.zeros((1_000_000, 5), np.uint16))
+    with pytest.raises(InputError, match="expected arrays that are not compressed"):
+        TripleIndex.load(path, index.catalog)
+
+
+def test_a_triple_without_its_neighbours_is_passed_over(index) -> None:
+    """Compiled code would read the crater before the first."""
+    forged = TripleIndex(index.catalog, np.full_like(index.neighbours, -1), index.tree)
+    assert forged.fault() is None
+    scene = random_view(index.catalog, ViewOptions(), np.random.default_rng(4), true_rims=(9, 60))
+    assert identify(scene.ellipses_px, scene.camera, index).identified
+    assert not identify(scene.ellipses_px, scene.camera, forged).identified

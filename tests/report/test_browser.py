@@ -11,6 +11,7 @@ from selenium.webdriver.common.keys import Keys
 
 from craternav_fg.reports.page import write_page
 from craternav_fg.reports.run_page import run_page
+from craternav_fg.reports.svg import identifier
 from craternav_fg.runs.read import read_run
 
 CHROMIUM = shutil.which("chromium")
@@ -60,17 +61,19 @@ def test_nothing_is_asked_of_the_network_and_nothing_fails(browser: webdriver.Ch
 
 
 def test_a_button_hides_an_estimator_everywhere_and_no_other_one(browser: webdriver.Chrome) -> None:
-    button = browser.find_element(By.CSS_SELECTOR, 'button[data-series="ekf"]')
-    own, other = 'g[id*="series--ekf--"]', 'g[id*="series--ekf_paper--"]'
+    ekf, paper = identifier("ekf"), identifier("ekf_paper")
+    button = browser.find_element(By.CSS_SELECTOR, f'button[data-series="{ekf}"]')
+    # The bounds are in tabs, of which one is shown.
+    own, other = (f'section:not(#bounds) g[id*="series--{one}--"]' for one in (ekf, paper))
     assert len(shown(browser, own)) >= 4
     button.click()
     assert not any(shown(browser, own))
-    assert shown(browser, 'tr[data-row="ekf"]') == [False]
+    assert shown(browser, f'tr[data-row="{ekf}"]') == [False]
     assert all(shown(browser, other))
-    assert shown(browser, 'tr[data-row="ekf_paper"]') == [True]
+    assert shown(browser, f'tr[data-row="{paper}"]') == [True]
     button.click()
     assert all(shown(browser, own))
-    assert shown(browser, 'tr[data-row="ekf"]') == [True]
+    assert shown(browser, f'tr[data-row="{ekf}"]') == [True]
 
 
 def test_tabs_show_one_estimator_at_a_time(browser: webdriver.Chrome) -> None:
@@ -119,3 +122,16 @@ def test_a_telephone_shows_it_without_scrolling_sideways(browser: webdriver.Chro
         assert label.rect["height"] >= 8
     finally:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_hostile_names_run_no_script(browser: webdriver.Chrome, hostile_page: Path) -> None:
+    browser.get_log("browser")
+    browser.get(hostile_page.as_uri())
+    assert browser.title == "Run <img src=x onerror=document.title=2>"
+    for button in browser.find_elements(By.CSS_SELECTOR, "button[data-series]"):
+        button.click()
+        button.click()
+    assert browser.title == "Run <img src=x onerror=document.title=2>"
+    assert len(browser.find_elements(By.TAG_NAME, "script")) == 1
+    assert not browser.find_elements(By.CSS_SELECTOR, "[onerror], [onload]")
+    assert browser.get_log("browser") == []

@@ -183,7 +183,7 @@ class TripleIndex:
         nodes = 1 << t.levels if 0 <= t.levels <= kd_tree.MAX_LEVELS else 0
         expected = (
             ("neighbours", self.neighbours, (n, count), np.int32),
-            ("points", t.points, (len(t.codes), kd_tree.DIMENSIONS), np.uint16),
+            ("points", t.points, (t.codes.size, kd_tree.DIMENSIONS), np.uint16),
             ("codes", t.codes, (t.codes.size,), np.uint32),
             ("dims", t.dims, (nodes,), np.uint8),
             ("splits", t.splits, (nodes,), np.uint16),
@@ -195,7 +195,7 @@ class TripleIndex:
             return f"expected 2 to {_NEIGHBOURS[0][1]} neighbours, found {count}"
         if n and not -1 <= self.neighbours.min() <= self.neighbours.max() < n:
             return "a neighbour is no crater of the catalogue"
-        if len(t.codes) and t.codes.max() >= n * count * count:
+        if t.codes.size and t.codes.max() >= n * count * count:
             return "a triple is of no crater of the catalogue"
         if t.dims.max() >= kd_tree.DIMENSIONS:
             return "a node is split in no dimension"
