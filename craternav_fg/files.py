@@ -6,12 +6,14 @@ temporary name that is then changed.
 """
 
 import errno
+import fcntl
 import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from io import BufferedReader
 from pathlib import Path
@@ -20,6 +22,13 @@ from craternav_fg.errors import InputError
 
 # Errors of a disk without room.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# In temporary names, before eight random letters; and the end of those of folders about to be removed.
+_TEMPORARY = ".craternav-"
+_FORMER = ".old"
+# Age of a temporary file before which its process may not have locked it yet.
+_BEING_MADE_S = 2.0
+# Folders in which this process has looked for temporary files of others.
+_cleared: set[Path] = set()
 _OTHER_KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
 
 
@@ -207,16 +216,18 @@ def replacing(path: Path) -> Iterator[Path]:
     InputError
         When `path` is a folder or cannot be written, as on a full disk.
     """
-    if path.is_dir():
-        raise InputError(path, "expected a file to write, found a folder")
     try:
+        if path.is_dir():
+            raise InputError(path, "expected a file to write, found a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        _clear(path.parent)
+        prefix = f".{path.stem}{_TEMPORARY}"
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
     except OSError as error:
         raise _unwritten(path, error) from error
-    os.close(handle)
     temporary = Path(name)
     try:
+        _lock(handle)
         temporary.chmod(0o644)
         yield temporary
         temporary.replace(path)
@@ -224,6 +235,7 @@ def replacing(path: Path) -> Iterator[Path]:
         raise _unwritten(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(handle)
 
 
 @contextmanager
@@ -251,17 +263,23 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
         When `path` is a file, the current folder, or a folder that holds anything else; these are noticed
         before anything is written. Also when it cannot be written, as on a full disk.
     """
-    final = path.resolve()
-    _check(path, final, marker, ours)
     try:
+        final = path.resolve()
+        _check(path, final, marker, ours)
         final.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{final.name}.", dir=final.parent))
+        _clear(final.parent)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{final.name}{_TEMPORARY}", dir=final.parent))
+        handle = os.open(temporary, os.O_RDONLY)
+    except RuntimeError:
+        # What `resolve` raises for links that lead to each other.
+        raise InputError(path, f"cannot be written: {os.strerror(errno.ELOOP)}") from None
     except OSError as error:
         raise _unwritten(path, error) from error
     try:
+        _lock(handle)
         temporary.chmod(0o755)
         yield temporary
-        old = temporary.with_name(f"{temporary.name}.old")
+        old = temporary.with_name(f"{temporary.name}{_FORMER}")
         if final.exists():
             final.replace(old)
         temporary.replace(final)
@@ -278,6 +296,41 @@ def replacing_folder(path: Path, *, marker: str, ours: Sequence[str]) -> Iterato
         raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    """Lock a temporary file or folder as long as this process lives.
+
+    False when another process has locked it, or the file system has no locks.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _clear(folder: Path) -> None:
+    """Remove what processes that were killed have left in a folder: temporary names that none has locked.
+
+    Each process looks once into a folder.
+    """
+    if folder in _cleared:
+        return
+    _cleared.add(folder)
+    for left in folder.glob(f".*{_TEMPORARY}*"):
+        with suppress(OSError):
+            # The former contents of a folder that was being replaced are the last ones, if it is missing.
+            name = left.name[1:].rpartition(_TEMPORARY)[0]
+            if left.name.endswith(_FORMER) and not (folder / name).exists():
+                continue
+            handle = os.open(left, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if _lock(handle) and time.time() - os.fstat(handle).st_mtime > _BEING_MADE_S:
+                    shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink()
+            finally:
+                os.close(handle)
 
 
 def _unwritten(path: Path, error: OSError) -> InputError:

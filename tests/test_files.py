@@ -2,18 +2,21 @@
 
 import os
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from craternav_fg import files
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.foreign_table import read_headers
 from craternav_fg.config import read_toml
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.images import check_image
 from craternav_fg.errors import InputError
-from craternav_fg.files import SizeLimit, entries, exists, open_input, read_bytes
+from craternav_fg.files import SizeLimit, entries, exists, open_input, read_bytes, replacing
 from craternav_fg.parquet import read_parquet_metadata
 from craternav_fg.tables import Column, read_table
 
@@ -124,3 +127,60 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
     path.write_bytes(bytes(SizeLimit.SETTINGS + 1))
     with pytest.raises(InputError, match="expected at most 1 MiB, found 1"):
         read_bytes(path, SizeLimit.SETTINGS)
+
+
+def killed_while_writing(folder: Path, what: str) -> None:
+    """Let a process begin to write a file or folder, and kill it."""
+    code = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from craternav_fg.files import replacing, replacing_folder\n"
+        f"with {what} as temporary:\n"
+        "    print(temporary, flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    command = [sys.executable, "-c", code, str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        left = Path(process.stdout.readline().strip())
+        # As long as it is written, nobody clears it.
+        os.utime(left, (1e9, 1e9))
+        files._cleared.clear()
+        with replacing(folder / "another") as temporary:
+            temporary.write_text("x")
+        assert left.exists()
+        process.kill()
+    os.utime(left, (1e9, 1e9))
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "replacing(Path(sys.argv[1]) / 'out.csv')",
+        "replacing_folder(Path(sys.argv[1]) / 'run', marker='run.toml', ours=())",
+    ],
+)
+def test_what_a_killed_process_leaves_is_cleared_by_the_next(what: str, tmp_path: Path) -> None:
+    killed_while_writing(tmp_path, what)
+    mine = tmp_path / ".settings.of-mine"
+    mine.write_text("kept")
+    assert len(list(tmp_path.iterdir())) == 3
+    files._cleared.clear()
+    with replacing(tmp_path / "another") as temporary:
+        temporary.write_text("x")
+    assert sorted(tmp_path.iterdir()) == [mine, tmp_path / "another"]
+
+
+def test_a_folder_that_was_being_replaced_is_kept_when_it_is_the_last(tmp_path: Path) -> None:
+    last = tmp_path / ".run.craternav-abcdefgh.old"
+    last.mkdir()
+    os.utime(last, (1e9, 1e9))
+    files._cleared.clear()
+    with replacing(tmp_path / "another") as temporary:
+        temporary.write_text("x")
+    assert last.exists()
+    (tmp_path / "run").mkdir()
+    files._cleared.clear()
+    with replacing(tmp_path / "another") as temporary:
+        temporary.write_text("x")
+    assert not last.exists()

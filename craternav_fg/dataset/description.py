@@ -1,6 +1,5 @@
 """The file dataset.toml: format version, body, initial state, motion model."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -10,7 +9,16 @@ from pydantic import Field
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.config import BodySection, Positive, Section, Vector, line_of, load_toml, read_text
+from craternav_fg.config import (
+    BodySection,
+    Positive,
+    Section,
+    Vector,
+    line_of,
+    load_toml,
+    parse_toml,
+    read_text,
+)
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
 from craternav_fg.motion.model import Motion
@@ -167,10 +175,7 @@ def _list(values: object) -> str:
 
 def _check_version(path: Path, text: str) -> None:
     """Refuse another format version before its keys are called unknown."""
-    try:
-        version = tomllib.loads(text).get("format_version")
-    except tomllib.TOMLDecodeError:
-        return
+    version = parse_toml(path, text).get("format_version")
     if isinstance(version, int) and version != layout.FORMAT_VERSION:
         later = ": written by a later version" if version > layout.FORMAT_VERSION else ""
         raise InputError(

@@ -12,6 +12,7 @@ from craternav_fg.dataset import layout
 from craternav_fg.dataset.rim_files import read_arcs, read_rims, write_arcs, write_rims
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
+from craternav_fg.files import exists
 from craternav_fg.measurements import ArcSet, FrameMeasurement, SunTilt
 from craternav_fg.tables import read_table, write_table
 
@@ -103,7 +104,7 @@ def read_measurements(
     """
     rims = read_rims(folder / layout.RIMS, stamps_ns, catalog)
     arcs = [ArcSet.empty()] * len(stamps_ns)
-    if (folder / layout.ARCS).exists():
+    if exists(folder / layout.ARCS):
         arcs = read_arcs(folder / layout.ARCS, stamps_ns, catalog)
     for stamp, whole, part in zip(stamps_ns, rims, arcs, strict=True):
         both = np.intersect1d(whole.craters, part.craters)
@@ -133,7 +134,7 @@ def _with_direction(
 
 def _read_tilts(path: Path, frames_ns: IntArray) -> dict[int, SunTilt]:
     """Tilts of the frames that have them, by frame index; their direction is zero when the file has none."""
-    if not path.exists():
+    if not exists(path):
         return {}
     table = read_table(path, layout.TILT_COLUMNS)
     table.require_increasing(layout.STAMP)

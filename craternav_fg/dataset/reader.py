@@ -18,6 +18,7 @@ from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
+from craternav_fg.files import entries, exists
 from craternav_fg.frames import from_quaternion_wxyz
 from craternav_fg.imu import ImuLog
 from craternav_fg.sensors.files import folder_of, read_sensor
@@ -96,7 +97,7 @@ class Dataset(Recording):
         truth = _read_truth(folder / layout.TRUTH, stamps)
         measurements = None
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
-        if (folder / layout.RIMS).exists():
+        if exists(folder / layout.RIMS):
             prior_gP = None if initial is None else initial.gTb[:3, 3]
             measurements = read_measurements(folder, stamps, catalog, sun, prior_gP)
         else:
@@ -172,7 +173,7 @@ def _read_sensors(
     found: list[Sensor] = []
     ignored: list[str] = []
     surroundings = Surroundings(catalog.body, ground_heights(catalog))
-    for here in sorted(path for path in (folder / layout.SENSORS).iterdir() if path.is_dir()):
+    for here in sorted(path for path in entries(folder / layout.SENSORS) if path.is_dir()):
         if here.name in kinds:
             found.append(read_sensor(folder, kinds[here.name], surroundings, begin_ns, end_ns))
         elif here.name not in layout.OWN_SENSORS:
@@ -195,9 +196,9 @@ def _has_imu(folder: Path, has_motion: bool) -> bool:
 
 def _catalog_path(folder: Path) -> Path:
     small, large = folder / layout.CRATERS, folder / layout.LARGE_CRATERS
-    if small.is_file() and large.is_file():
+    if exists(small) and exists(large):
         raise InputError(large, f"expected either this catalogue or {layout.CRATERS}, found both")
-    return large if large.is_file() else small
+    return large if exists(large) else small
 
 
 def _read_frames(path: Path) -> tuple[IntArray, list[str]]:
@@ -272,7 +273,7 @@ def _read_apriori(folder: Path, frames_ns: IntArray) -> AprioriStates | None:
 
 
 def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:
-    if not path.exists():
+    if not exists(path):
         return None
     table = read_table(path, layout.TRUTH_COLUMNS)
     if not len(table):

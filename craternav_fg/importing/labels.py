@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.files import SizeLimit, read_bytes
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -127,9 +128,7 @@ def read_label(path: Path) -> CubeLabel:
         import pvl
     except ImportError:
         raise CraternavError("ISIS cubes need pvl and rasterio: pip install -e '.[isis]'") from None
-    if not path.is_file():
-        raise InputError(path, "file is missing")
-    data = path.read_bytes()
+    data = read_bytes(path, SizeLimit.RASTER)
     head = data[:_MAX_LABEL_BYTES]
     end = _END.search(head)
     if b"IsisCube" not in head[:200_000] or end is None:

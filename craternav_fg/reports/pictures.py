@@ -65,6 +65,7 @@ def _data_uri(path: Path) -> str:
     picture = np.ascontiguousarray(read[:, :, 2::-1], dtype=np.uint8)
     scale = MAX_WIDTH_PX / picture.shape[1]
     if scale < 1.0:
-        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        size = (MAX_WIDTH_PX, max(round(scale * picture.shape[0]), 1))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     _, coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return f"data:image/jpeg;base64,{base64.b64encode(coded.tobytes()).decode('ascii')}"

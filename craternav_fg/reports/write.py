@@ -4,6 +4,7 @@ from pathlib import Path
 
 from craternav_fg.campaign import store as campaign_store
 from craternav_fg.campaign.read import read_campaign
+from craternav_fg.files import exists
 from craternav_fg.reports.campaign_page import campaign_page
 from craternav_fg.reports.page import write_page
 from craternav_fg.reports.run_page import run_page
@@ -14,7 +15,7 @@ REPORT = "report.html"
 
 def is_campaign(folder: Path) -> bool:
     """Whether a folder is a campaign's."""
-    return (folder / campaign_store.MARKER).is_file()
+    return exists(folder / campaign_store.MARKER)
 
 
 def report(folder: Path | str, output: Path | str | None = None) -> Path:
