@@ -30,7 +30,7 @@ from craternav_fg.estimators.graph import (
 from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
-from craternav_fg.estimators.point_features import FeatureStates
+from craternav_fg.estimators.point_features import SETTLED_ATTITUDE_RAD, FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovation_weights
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -143,7 +143,6 @@ class OnlineSession:
         weights = innovation_weights(samples, filter_state.prior(self._descent), frame.stamp_ns)
         add_sensors(graph, values, self._descent, samples, 0, frame.stamp_ns, weights=weights)
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
-        self._add_features(graph, values, 0, frame.stamp_ns)
         self._update(graph, values, 0, frame.stamp_ns)
 
     def predict(self, stamp_ns: int) -> FilterState:
@@ -211,6 +210,9 @@ class OnlineSession:
     def _add_features(self, graph: FactorGraph, values: gtsam.Values, index: int, stamp_ns: int) -> None:
         """Add the factors of tracked points at a frame."""
         if self._features is None:
+            return
+        attitude = self.state.covariance[strapdown.ATTITUDE, strapdown.ATTITUDE]
+        if np.diag(attitude).max() > SETTLED_ATTITUDE_RAD**2:
             return
         tree = self._solver.tree
 

@@ -22,6 +22,9 @@ LEAST_OBSERVATIONS = 3
 # Parallax from which a track becomes a variable, and largest misfit of an observation then, in its sigmas.
 PARALLAX_SIGMAS = 20.0
 MISFIT_SIGMAS = 10.0
+# Standard deviation of the attitude above which points are not used: triangulated from poses that are wrong
+# by more, they hold the trajectory where it is.
+SETTLED_ATTITUDE_RAD = 0.02
 # Sigma of the prior of a point, over its distance: so wide that it only keeps the system determined.
 PRIOR_SHARE = 1.0
 UNIT_CALIBRATION = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)

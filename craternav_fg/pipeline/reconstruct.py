@@ -19,6 +19,7 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.result import Reconstruction
+from craternav_fg.pipeline.sensor_checks import check_logs
 from craternav_fg.pipeline.tracking import Segment, Tracker
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.protocol import Sensor
@@ -90,7 +91,7 @@ def reconstruct(
     EstimationError
         When a name is unknown, or every estimator fails.
     InputError
-        When the data set is wrong, or an image cannot be read.
+        When the data set is wrong, a sensor's log in a wrong unit, or an image cannot be read.
     """
     chosen = [estimator(one) if isinstance(one, str) else one for one in estimators]
     dataset = _with_sensors(data if isinstance(data, Dataset) else Dataset.open(data), sensors)
@@ -100,6 +101,7 @@ def reconstruct(
     initial = _initial_state(dataset, relocaliser, report)
     measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions())
     problems = _problems(Descent.of(dataset, initial), measured)
+    check_logs(problems, dataset.path)
     times_s = {"front_end": time.perf_counter() - began}
     trajectories: dict[str, Trajectory] = {}
     failures: dict[str, str] = {}

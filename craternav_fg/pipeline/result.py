@@ -1,17 +1,24 @@
 """The result of a reconstruction: measurements, trajectories, residuals, innovations and warnings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg import frames
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.evaluation.innovations import Innovations, innovations
 from craternav_fg.evaluation.residuals import outlier_share, rim_residuals
+from craternav_fg.evaluation.sensor_consistency import (
+    ResidualSummary,
+    prior_sigmas,
+    smoothed_residuals,
+    summarise,
+)
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import warnings
 from craternav_fg.trajectory import Trajectory
@@ -20,6 +27,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # The estimator whose innovations are evaluated: a filter, which predicts each frame before it measures it.
 FILTER = "ekf"
+# The estimator at whose trajectory residuals and the initial state are judged.
+SMOOTHER = "smoother"
 
 
 @dataclass(frozen=True)
@@ -91,6 +100,27 @@ class Reconstruction:
         }
 
     @cached_property
+    def consistency(self) -> Mapping[str, ResidualSummary]:
+        """Each sensor's residuals at the smoother's trajectory; empty when `SMOOTHER` did not run."""
+        if SMOOTHER not in self.trajectories:
+            return {}
+        return summarise(smoothed_residuals(self.problems, self.trajectories[SMOOTHER]))
+
+    def _prior(self) -> tuple[dict[str, float], float]:
+        """Distance of the smoothed first state from its prior, and the attitude's, read as x, y, z, w."""
+        initial, smoothed = self.problems[0].initial, self.trajectories.get(SMOOTHER)
+        if smoothed is None or int(smoothed.stamps_ns[0]) != initial.stamp_ns:
+            return {}, np.inf
+        gTb = initial.gTb.copy()
+        gTb[:3, :3] = frames.from_quaternion_wxyz(np.roll(frames.to_quaternion_wxyz(gTb[:3, :3]), 1))
+        reordered = prior_sigmas(replace(initial, gTb=gTb), smoothed)
+        found = prior_sigmas(initial, smoothed)
+        if self.problems[0].motion is not None:
+            # There the biases stand for the motion.
+            found = {name: value for name, value in found.items() if "bias" not in name}
+        return found, reordered["attitude"]
+
+    @cached_property
     def outlier_shares(self) -> Mapping[str, float | None]:
         """Share of outliers among all rims, by estimator; None without rims."""
         return {name: outlier_share(residuals) for name, residuals in self.residuals.items()}
@@ -98,10 +128,17 @@ class Reconstruction:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What to know before trusting the trajectories, one sentence each."""
+        descent = self.problems[0]
         return (
             *warnings.failed_estimators(self.failures),
             *warnings.inconsistent_trajectories(self.outlier_shares),
-            *warnings.inconsistent_sensors(FILTER, self.innovations),
+            *warnings.contradicted_prior(*self._prior()),
+            *warnings.inconsistent_sensors(
+                FILTER, self.innovations, self.consistency, images=self.expected_rims is not None
+            ),
+            *warnings.long_lever_arms(
+                {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
+            ),
             *warnings.unknown_sensors(self.ignored),
             *warnings.replaced_states(self.origin, self.reinitialised_at),
             *warnings.frames_without_rims([len(frame.rims) for frame in self.frames], self.expected_rims),

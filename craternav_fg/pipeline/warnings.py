@@ -10,22 +10,43 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.evaluation.innovations import Innovations
+from craternav_fg.evaluation.sensor_consistency import ResidualSummary, improbable
 
 BoolArray = npt.NDArray[np.bool_]
+FloatArray = npt.NDArray[np.float64]
 
 # Share of outliers among all rims above which an estimator's trajectory is not to be trusted.
 MAX_OUTLIER_SHARE = 0.5
 # Uses no rims, so that they need not agree with it.
 _UNAIDED = "dead_reckoning"
-# NIS per dimension above which a sensor contradicts the prediction: an underestimated noise gives less.
-MAX_NIS = 3.0
+# Mean squares per dimension, of innovations and of residuals, that are far from 1, and how unlikely chance
+# makes them. On sound measurements a thousand and more come to 0.97 to 1.05; those in images are no more
+# than approximately white.
+MIN_SQUARE, MAX_SQUARE, MAX_SQUARE_IN_IMAGES = 0.6, 1.1, 1.5
+IMPROBABLE = 1e-7
+# Mean of a residual's component, in sigmas and in its own standard deviations.
+MAX_MEAN, MAX_MEAN_SIGMAS = 0.5, 6.0
+# Sigmas of an outlier, and their largest share that is told as such.
+OUTLIER_SIGMAS, MAX_SENSOR_OUTLIER_SHARE = 7.0, 0.3
+# Norm of the three errors of attitude, position, velocity or a bias in the prior's sigmas: 1 in 70,000.
+MAX_PRIOR_SIGMAS = 5.0
+# Distance of a sensor from the body's origin that no lander has.
+MAX_LEVER_ARM_M = 50.0
 # What to check when the innovations of a sensor are too large.
 _SENSOR_CHECKS = {
-    "imu": "its units and noise, the body's spin and gravity",
+    "imu": "its units and noise, the body's spin and gravity, T_BS and pixel coordinates of the camera",
     "rims": "heights and sizes in the catalogue, T_BS, the body's spin, the matches",
     "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
 }
 _OTHER_CHECKS = "its units, T_BS and noise in sensor.yaml"
+# What to check when the first state leaves its prior.
+_PRIOR_CHECKS = {
+    "attitude": "the quaternion's order (w, x, y, z), T_BS",
+    "position": "longitudes and latitudes in the catalogue, the place and its sigma",
+    "velocity": "its frame (it is relative to the rotating body) and its sigma",
+    "gyro bias": "unit and scale of the gyro, T_BS of the camera",
+    "accelerometer bias": "unit and scale of the accelerometer, gravity, T_BS of the camera",
+}
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 
 
@@ -69,8 +90,10 @@ def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> lis
     ]
 
 
-def inconsistent_sensors(name: str, innovations: Innovations | None) -> list[str]:
-    """Warn of sensors whose innovations are far larger than predicted.
+def inconsistent_sensors(
+    name: str, innovations: Innovations | None, residuals: Mapping[str, ResidualSummary], *, images: bool
+) -> list[str]:
+    """Warn of sensors whose innovations or residuals are not what their noise says.
 
     Parameters
     ----------
@@ -78,18 +101,114 @@ def inconsistent_sensors(name: str, innovations: Innovations | None) -> list[str
         Of the filter.
     innovations : Innovations or None
         Its innovations, if it ran.
+    residuals : mapping of str to ResidualSummary
+        Of a smoother, by sensor; empty without one.
+    images : bool
+        Whether rims and sun tilts were measured in images. Most of their errors are common to all frames;
+        so their innovations are smaller than their noise, and their residuals have a mean.
+
+    Returns
+    -------
+    list of str
+        One sentence for each sensor.
+    """
+    found: dict[str, str] = {}
+    seen = sorted(set(innovations.sensor)) if innovations is not None else []
+    for sensor in seen:
+        assert innovations is not None
+        problem = _of_innovations(innovations.of(sensor), name, images=images)
+        if problem:
+            found[sensor] = problem
+    for sensor, summary in residuals.items():
+        problem = _of_residuals(summary, images=images and sensor in ("rims", "sun"))
+        if problem and sensor not in found:
+            found[sensor] = problem
+    return [
+        f"{sensor}: {problem}; check {_SENSOR_CHECKS.get(sensor, _OTHER_CHECKS)}"
+        for sensor, problem in found.items()
+    ]
+
+
+def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
+    size = int(part.dimension.sum())
+    sigmas = np.sqrt(part.nis / np.maximum(part.dimension, 1))
+    share = float(np.mean(sigmas > OUTLIER_SIGMAS))
+    inside = part.nis[sigmas <= OUTLIER_SIGMAS].sum()
+    rest = float(inside / max(part.dimension[sigmas <= OUTLIER_SIGMAS].sum(), 1))
+    limit = MAX_SQUARE_IN_IMAGES if images else MAX_SQUARE
+    if 0.0 < share < MAX_SENSOR_OUTLIER_SHARE and rest < limit < part.mean:
+        return f"{100.0 * share:.2g} % of its samples are beyond {OUTLIER_SIGMAS:g} sigma: outliers"
+    if not improbable(part.mean, size, IMPROBABLE):
+        return ""
+    if part.mean > limit:
+        return (
+            f"contradicts what {name} predicts from the other sensors (NIS per dimension {part.mean:.3g}, "
+            "expected 1)"
+        )
+    if part.mean < MIN_SQUARE and not images:
+        return (
+            f"agrees with what {name} predicts better than the stated noise allows (NIS per dimension "
+            f"{part.mean:.3g}, expected 1): a noise is stated too large, or in another unit"
+        )
+    return ""
+
+
+def _of_residuals(summary: ResidualSummary, *, images: bool) -> str:
+    size = summary.count * len(summary.mean)
+    worst = float(np.max(np.abs(summary.mean)))
+    if worst > MAX_MEAN and worst * np.sqrt(summary.count) > MAX_MEAN_SIGMAS and not images:
+        return f"its residuals at the smoothed trajectory have a mean of {worst:.2g} sigma"
+    limit = MAX_SQUARE_IN_IMAGES if images else MAX_SQUARE
+    if summary.square > limit and improbable(summary.square, size, IMPROBABLE):
+        return f"its residuals at the smoothed trajectory are {np.sqrt(summary.square):.2g} times their noise"
+    return ""
+
+
+def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float) -> list[str]:
+    """Warn of an initial state, and of biases, that the data contradict.
+
+    Parameters
+    ----------
+    sigmas : mapping of str to float
+        See `evaluation.sensor_consistency.prior_sigmas`; empty without a smoother.
+    as_xyzw : float
+        The attitude's, had its quaternion been written with the scalar last.
 
     Returns
     -------
     list of str
     """
-    if innovations is None:
-        return []
+    out = []
+    for what, away in sigmas.items():
+        if away <= MAX_PRIOR_SIGMAS:
+            continue
+        check = _PRIOR_CHECKS[what]
+        if what == "attitude" and as_xyzw < min(0.6 * away, MAX_PRIOR_SIGMAS):
+            check = "the quaternion's order: read as x, y, z, w it agrees, and w, x, y, z is expected"
+        out.append(
+            f"the {'initial ' if 'bias' not in what else ''}{what} is {away:.2g} sigma off at the smoothed "
+            f"trajectory; check {check}"
+        )
+    return out
+
+
+def long_lever_arms(mountings: Mapping[str, FloatArray]) -> list[str]:
+    """Warn of sensors that are farther from the body's origin than a lander is long.
+
+    Parameters
+    ----------
+    mountings : mapping of str to ndarray
+        Poses (4, 4) of the sensors in b, m, by name.
+
+    Returns
+    -------
+    list of str
+    """
+    arms_m = {name: float(np.linalg.norm(bTs[:3, 3])) for name, bTs in mountings.items()}
     return [
-        f"{sensor}: contradicts what {name} predicts from the other sensors (NIS per dimension "
-        f"{found['mean']:.3g}, expected 1); check {_SENSOR_CHECKS.get(sensor, _OTHER_CHECKS)}"
-        for sensor, found in innovations.as_dict().items()
-        if found["mean"] > MAX_NIS
+        f"{name}: its lever arm in T_BS is {arm:.4g} m; expected metres, is it in millimetres?"
+        for name, arm in arms_m.items()
+        if arm > MAX_LEVER_ARM_M
     ]
 
 

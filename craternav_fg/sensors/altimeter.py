@@ -135,6 +135,15 @@ class Altimeter(Sensor):
         found = self.values[row, 0]
         return None if 0.0 < found < limit_m else (RANGE, f"expected 0 to {limit_m:g} m, found {found:g}")
 
+    def misreadings(self) -> dict[str, FloatArray]:
+        """Ranges in km; see `Sensor.misreadings`.
+
+        Returns
+        -------
+        dict of str to ndarray, each of shape (n, 1)
+        """
+        return {f"{RANGE}: expected m, found km": 1e3 * self.values}
+
     def _sigma(self, range_m: float) -> float:
         given = self.settings
         return float(np.hypot(np.hypot(given.noise_m, given.noise_share * range_m), given.surface_sigma_m))

@@ -225,6 +225,16 @@ class Sensor(ABC):
         del row
         return None
 
+    def misreadings(self) -> dict[str, FloatArray]:
+        """Give the log as it should have been, had one of the usual mistakes been made in writing it.
+
+        Returns
+        -------
+        dict of str to ndarray
+            By what was written in place of what was expected, and in which column: values (n, c).
+        """
+        return {}
+
     @classmethod
     def simulate(
         cls,

@@ -95,6 +95,19 @@ class Ranging(Sensor):
             (predicted - self.values[row, :2]) / sigmas, J / sigmas[:, None], J_bias / sigmas[:, None]
         )
 
+    def misreadings(self) -> dict[str, FloatArray]:
+        """Everything in km and km/s, or the station alone; see `Sensor.misreadings`.
+
+        Returns
+        -------
+        dict of str to ndarray, each of shape (n, 8)
+        """
+        station = self.values * np.repeat([1.0, 1e3], [2, 6])
+        return {
+            "range: expected m and m/s, found km and km/s": 1e3 * self.values,
+            "p_GS_x: expected m and m/s, found km and km/s": station,
+        }
+
     def draw(self, state: SensorState, bias: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw a sample at a true state, of an orbiter overhead at rest in g; see `Sensor.draw`.
 

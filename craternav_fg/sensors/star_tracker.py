@@ -130,6 +130,16 @@ class StarTracker(Sensor):
             return None
         return ",".join(QUATERNION), f"expected a unit quaternion, its length is {length:.9g}"
 
+    def misreadings(self) -> dict[str, FloatArray]:
+        """Quaternions with the scalar last; see `Sensor.misreadings`.
+
+        Returns
+        -------
+        dict of str to ndarray, each of shape (n, 4)
+        """
+        text = f"{QUATERNION[0]}: expected the order w, x, y, z, found x, y, z, w"
+        return {text: np.roll(self.values, 1, axis=1)}
+
     @property
     def _sigmas(self) -> FloatArray:
         given = self.settings

@@ -154,6 +154,15 @@ class Velocimeter(Sensor):
                 return column.name, f"expected at most {LARGEST_SPEED_M_S:g} m/s in size, found {found:g}"
         return None
 
+    def misreadings(self) -> dict[str, FloatArray]:
+        """Speeds in km/s; see `Sensor.misreadings`.
+
+        Returns
+        -------
+        dict of str to ndarray, each of shape (n, k)
+        """
+        return {"speed_0: expected m/s, found km/s": 1e3 * self.values}
+
     @property
     def _beams(self) -> FloatArray:
         """Unit directions (k, 3) in b."""

@@ -19,8 +19,8 @@ def innovations(**nis: float) -> Innovations:
 def test_nothing_is_said_of_a_sound_run() -> None:
     assert warnings.failed_estimators({}) == []
     assert warnings.inconsistent_trajectories({"smoother": 0.1, "online": None, "dead_reckoning": 1.0}) == []
-    assert warnings.inconsistent_sensors("ekf", innovations(imu=1.0, rims=2.5)) == []
-    assert warnings.inconsistent_sensors("ekf", None) == []
+    assert warnings.inconsistent_sensors("ekf", innovations(imu=1.0, rims=1.3), {}, images=False) == []
+    assert warnings.inconsistent_sensors("ekf", None, {}, images=False) == []
     assert warnings.replaced_states("given", ()) == []
     assert warnings.replaced_states("found", ()) == []
     assert warnings.frames_without_rims([3, 1, 2], [4, 1, 0]) == []
@@ -34,7 +34,9 @@ def test_estimators_whose_poses_the_rims_do_not_fit_are_named() -> None:
 
 
 def test_the_sensor_that_contradicts_the_rest_is_named() -> None:
-    (text,) = warnings.inconsistent_sensors("ekf", innovations(imu=1.0, rims=2.0, sun=12.34))
+    (text,) = warnings.inconsistent_sensors(
+        "ekf", innovations(imu=1.0, rims=1.4, sun=12.34), {}, images=False
+    )
     assert text.startswith("sun: ")
     assert "NIS per dimension 12.3, expected 1" in text
     assert "sun.csv" in text

@@ -17,12 +17,14 @@ from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import LinearMeasurement
 from craternav_fg.estimators.point_features import (
     LEAST_OBSERVATIONS,
+    SETTLED_ATTITUDE_RAD,
     linearise_points,
     lines_of_sight,
     triangulated,
 )
 from craternav_fg.frames import rotation_exp
 from craternav_fg.sensors.point_features import FeatureTracks
+from factors.kernels.strapdown import ATTITUDE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -82,6 +84,9 @@ class FeatureWindow:
         FilterState
         """
         tracks, px = self._tracks.at(stamp_ns)
+        attitude = np.diag(state.covariance)[ATTITUDE]
+        if attitude.max() > SETTLED_ATTITUDE_RAD**2 and not self._clones:
+            return state
         here = set(tracks.tolist())
         ended = [track for track in self._seen if track not in here]
         state = self._use(state, ended)

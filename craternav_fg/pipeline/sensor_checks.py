@@ -1,0 +1,80 @@
+"""Logs that the other sensors refute as they are, and confirm with a usual mistake undone."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.errors import InputError
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
+from craternav_fg.linalg import whitening
+from craternav_fg.sensors.files import DATA, folder_of
+from craternav_fg.sensors.protocol import STATE_SIZE, Sensor
+
+FloatArray = npt.NDArray[np.float64]
+
+# NIS per dimension, median of a log's samples: above the first it is refuted, below the second confirmed.
+REFUTED, CONFIRMED = 100.0, 9.0
+
+
+def check_logs(problems: Sequence[Problem], folder: Path) -> None:
+    """Refuse a sensor's log in a wrong unit or order.
+
+    The filter predicts each sample from all other data; it drops those that contradict the prediction, so
+    that a wrong log does not spoil it.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+    folder : Path
+        Of the data set, for messages.
+
+    Raises
+    ------
+    InputError
+        Naming file and column, what was expected and what was found.
+    """
+    sensors = [sensor for sensor in problems[0].sensors if sensor.misreadings()]
+    if not sensors:
+        return
+    states = [state for problem in problems for state in _states(problem)]
+    for sensor in sensors:
+        if not _median_nis(sensor, states) > REFUTED:
+            continue
+        for text, values in sensor.misreadings().items():
+            other = type(sensor)(sensor.settings, sensor.stamps_ns, values, sensor.surroundings)
+            if _median_nis(other, states) < CONFIRMED:
+                column, problem = text.split(": ", 1)
+                raise InputError(
+                    folder / folder_of(sensor.name) / DATA,
+                    f"{problem} (the other sensors confirm it)",
+                    column=column,
+                )
+
+
+def _states(problem: Problem) -> Iterator[tuple[int, FilterState]]:
+    """Stamps and states of the filter from the start's frame on."""
+    first = problem.start.frame
+    states = ekf().states(problem)
+    yield from zip([frame.stamp_ns for frame in problem.frames[first:]], states[first:], strict=True)
+
+
+def _median_nis(sensor: Sensor, states: Sequence[tuple[int, FilterState]]) -> float:
+    """NIS per dimension of a log alone, its bias at its prior: the median over its samples."""
+    bank = SensorBank([sensor])
+    size = STATE_SIZE + len(bank.sigmas)
+    found = []
+    for stamp_ns, state in states:
+        for sample in bank.at(stamp_ns):
+            P = np.zeros((size, size))
+            P[:STATE_SIZE, :STATE_SIZE] = state.covariance[:STATE_SIZE, :STATE_SIZE]
+            P[STATE_SIZE:, STATE_SIZE:] = np.diag(bank.sigmas**2)
+            alone = FilterState(state.gTb, state.gV, state.rate, state.bias, P, np.zeros(len(bank.sigmas)))
+            A, residual = linearise_sample(sample, alone, np.zeros(size), stamp_ns)
+            innovation = whitening(A @ P @ A.T + np.eye(len(A))) @ residual
+            found.append(float(innovation @ innovation) / len(innovation))
+    return float(np.median(found)) if found else float("nan")

@@ -1,0 +1,186 @@
+"""Data that are wrong without being impossible are refused or told; sound data are not."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craternav_fg import frames
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import load_scenario
+
+ESTIMATORS = ("smoother", "ekf")
+MODEL = {"altimeter": {}, "velocimeter": {"noise_m_s": 0.02}, "star_tracker": {}, "ranging": {}}
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return Dataset.open(simulate("measured_descent", tmp_path_factory.mktemp("m") / "data"))
+
+
+@pytest.fixture(scope="module")
+def sensors(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The last minute of the demo's descent, with every sensor."""
+    case = load_scenario("measured_descent")
+    trajectory = case.trajectory.model_copy(
+        update={
+            "duration_s": 80.0,
+            "start": case.trajectory.start.model_copy(
+                update={"altitude_m": 12e3, "downrange_m": -16e3, "ground_speed_m_s": 370.0}
+            ),
+        }
+    )
+    case = case.model_copy(update={"trajectory": trajectory, "sensors": MODEL})
+    return simulate(case, tmp_path_factory.mktemp("s") / "data")
+
+
+def moved_rims(frame: FrameMeasurement, shift: float) -> FrameMeasurement:
+    chart = frame.rims.chart + shift * np.array([1.0, 1.0, 0.0, 0.0, 0.0])
+    return replace(frame, rims=replace(frame.rims, chart=chart))
+
+
+def in_degrees(frame: FrameMeasurement) -> FrameMeasurement:
+    if frame.sun is None:
+        return frame
+    tilt, sigma = np.degrees([frame.sun.tilt_rad, frame.sun.sigma_rad]).tolist()
+    return replace(frame, sun=replace(frame.sun, tilt_rad=tilt, sigma_rad=sigma))
+
+
+def with_frames(data: Dataset, change: Callable[[FrameMeasurement], FrameMeasurement]) -> Dataset:
+    assert data.measurements is not None
+    return replace(data, measurements=tuple(change(frame) for frame in data.measurements))
+
+
+def accelerometer_scale(data: Dataset) -> Dataset:
+    return replace(data, imu=replace(data.imu, accelerometer=1.01 * data.imu.accelerometer))
+
+
+def image_points(data: Dataset) -> Dataset:
+    return with_frames(data, lambda frame: moved_rims(frame, 3.0 / data.camera.fx_px))
+
+
+def longitudes(data: Dataset) -> Dataset:
+    turned = data.catalog.longitude_rad + np.radians(1.0)
+    return replace(data, catalog=replace(data.catalog, longitude_rad=turned))
+
+
+def gyro_density(data: Dataset) -> Dataset:
+    density = 60.0 * float(np.degrees(data.imu_noise.gyro_density))
+    return replace(data, imu_noise=replace(data.imu_noise, gyro_density=density))
+
+
+def sun_tilts(data: Dataset) -> Dataset:
+    return with_frames(data, in_degrees)
+
+
+def initial_quaternion(data: Dataset) -> Dataset:
+    assert data.initial is not None
+    gTb = data.initial.gTb.copy()
+    wxyz = frames.to_quaternion_wxyz(gTb[:3, :3])
+    gTb[:3, :3] = frames.from_quaternion_wxyz(np.roll(wxyz, -1))
+    return replace(data, initial=replace(data.initial, gTb=gTb))
+
+
+def lever_arm(data: Dataset) -> Dataset:
+    bTc = data.camera.bTc.copy()
+    bTc[:3, 3] *= 1e3
+    return replace(data, camera=replace(data.camera, bTc=bTc))
+
+
+@pytest.mark.parametrize(
+    ("mistake", "said"),
+    [
+        (accelerometer_scale, "the accelerometer bias is"),
+        (image_points, "imu: contradicts"),
+        (longitudes, "the initial position is"),
+        (gyro_density, "imu: agrees with what ekf predicts better than the stated noise allows"),
+        (sun_tilts, "sun: agrees with what ekf predicts better than the stated noise allows"),
+        (initial_quaternion, "read as x, y, z, w it agrees"),
+        (lever_arm, "camera: its lever arm in T_BS is"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_a_mistake_that_fits_is_told(
+    measured: Dataset, mistake: Callable[[Dataset], Dataset], said: str
+) -> None:
+    result = reconstruct(mistake(measured), ESTIMATORS)
+    assert any(said in warning for warning in result.warnings), result.warnings
+
+
+def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
+    for data in (measured, Dataset.open(sensors)):
+        assert reconstruct(data, ESTIMATORS).warnings == ()
+
+
+def rewritten(folder: Path, to: Path, name: str, change: Callable[[list[str]], list[str]]) -> Path:
+    """Copy a data set, with the numbers of each row of a sensor's log changed."""
+    shutil.copytree(folder, to)
+    path = to / "mav0" / f"{name}0" / "data.csv"
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    changed = [",".join(change(row.split(","))) for row in rows]
+    path.write_text("\n".join([head, *changed]) + "\n", encoding="utf-8")
+    return path
+
+
+def scaled(columns: slice) -> Callable[[list[str]], list[str]]:
+    def change(row: list[str]) -> list[str]:
+        row = list(row)
+        row[columns] = [repr(1e-3 * float(value)) for value in row[columns]]
+        return row
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("altimeter", scaled(slice(1, 2)), "range: expected m, found km"),
+        ("velocimeter", scaled(slice(1, 5)), "speed_0: expected m/s, found km/s"),
+        ("ranging", scaled(slice(1, 9)), "range: expected m and m/s, found km and km/s"),
+        (
+            "star_tracker",
+            lambda row: [row[0], *row[2:], row[1]],
+            "q_IS_w: expected the order w, x, y, z, found x, y, z, w",
+        ),
+    ],
+    ids=["altimeter", "velocimeter", "ranging", "star_tracker"],
+)
+def test_a_log_in_a_wrong_unit_or_order_is_refused(
+    sensors: Path, tmp_path: Path, name: str, change: Callable[[list[str]], list[str]], said: str
+) -> None:
+    path = rewritten(sensors, tmp_path / "data", name, change)
+    data = Dataset.open(tmp_path / "data")
+    with pytest.raises(InputError) as caught:
+        reconstruct(data, ["dead_reckoning"])
+    text = str(caught.value)
+    assert str(path) in text
+    assert said in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("altimeter", lambda row: [*row, "1"], "expected 2 columns"),
+        ("altimeter", lambda row: [row[0], "-3"], "range: expected 0 to"),
+        ("altimeter", lambda row: [str(int(row[0]) + 10**12), row[1]], "expected a stamp within the descent"),
+        ("star_tracker", lambda row: [row[0], "0.5", *row[2:]], "expected a unit quaternion"),
+        ("velocimeter", lambda row: [row[0], "2e4", *row[2:]], "speed_0: expected at most 10000 m/s"),
+        ("velocimeter", lambda row: [row[0], "fast", *row[2:]], "speed_0"),
+    ],
+)
+def test_a_log_that_cannot_be_is_refused_with_its_line(
+    sensors: Path, tmp_path: Path, name: str, change: Callable[[list[str]], list[str]], said: str
+) -> None:
+    path = rewritten(sensors, tmp_path / "data", name, change)
+    with pytest.raises(InputError) as caught:
+        Dataset.open(tmp_path / "data")
+    assert str(caught.value).startswith(f"{path}:2")
+    assert said in str(caught.value)
