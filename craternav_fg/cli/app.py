@@ -36,6 +36,8 @@ app = typer.Typer(
 )
 catalog_commands = typer.Typer(help=COMMANDS["catalog"].help, no_args_is_help=True)
 app.add_typer(catalog_commands, name="catalog")
+evaluate_commands = typer.Typer(help=COMMANDS["evaluate"].help, no_args_is_help=True)
+app.add_typer(evaluate_commands, name="evaluate")
 import_commands = typer.Typer(help=COMMANDS["import"].help, no_args_is_help=True)
 app.add_typer(import_commands, name="import")
 export_commands = typer.Typer(help=COMMANDS["export"].help, no_args_is_help=True)

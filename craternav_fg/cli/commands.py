@@ -25,6 +25,10 @@ COMMANDS = {
     "simulate": Command("Simulate a scenario and write its data set (EuRoC/ASL layout).", ("descents",)),
     "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
     "compare": Command("Compare the estimators of one or more runs.", ("descents",)),
+    "evaluate": Command(
+        "Check a run: against an elevation model, against stated states, by leaving frames out.",
+        ("evaluation",),
+    ),
     "report": Command("Write a report: one HTML page that needs no network.", ("report",)),
     "montecarlo": Command(
         "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)

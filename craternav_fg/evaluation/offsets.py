@@ -1,0 +1,138 @@
+"""Offsets of a trajectory from stated states, and of each frame from what the others predict."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg import frames
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Estimator, Problem
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.start import find_start
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.trajectory import Trajectory
+
+FloatArray = npt.NDArray[np.float64]
+
+# Prior of a frame that is located by itself: its rims decide.
+_WIDE_ATTITUDE_RAD, _WIDE_POSITION_M = 0.1, 2e4
+# Fewer rims do not locate a frame by themselves.
+_MIN_RIMS = 6
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Differences of positions, east, north and up of the reference.
+
+    Attributes
+    ----------
+    frames : ndarray of int, shape (k,)
+        Indices of the frames.
+    enu_m : ndarray, shape (k, 3)
+        Of the position, m.
+    sigma_m : ndarray, shape (k, 3)
+        Standard deviations that are claimed, m.
+    attitude_rad : ndarray, shape (k, 3)
+        Rotation vector in b from the reference's attitude.
+    """
+
+    frames: npt.NDArray[np.int64]
+    enu_m: FloatArray
+    sigma_m: FloatArray
+    attitude_rad: FloatArray
+
+    @property
+    def scatter_m(self) -> FloatArray:
+        """Standard deviations (3,) about the mean, m."""
+        return np.asarray(np.std(self.enu_m, axis=0, ddof=1))
+
+
+def offsets(trajectory: Trajectory, reference: Trajectory) -> Offsets:
+    """Compare a trajectory with another at the same stamps.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Its covariances give the sigmas.
+    reference : Trajectory
+
+    Returns
+    -------
+    Offsets
+
+    Raises
+    ------
+    EstimationError
+        When the stamps differ, or the trajectory has no covariances.
+    """
+    if not np.array_equal(trajectory.stamps_ns, reference.stamps_ns):
+        raise EstimationError("expected two trajectories at the same stamps")
+    if trajectory.pose_covariance is None:
+        raise EstimationError("expected a trajectory with covariances")
+    enu = frames.east_north_up(*frames.latitude_longitude(reference.gP))
+    of_position = np.swapaxes(enu, 1, 2) @ trajectory.pose_covariance[:, 3:, 3:] @ enu
+    return Offsets(
+        np.arange(len(trajectory)),
+        np.einsum("kij,ki->kj", enu, trajectory.gP - reference.gP),
+        np.sqrt(np.diagonal(of_position, axis1=1, axis2=2)),
+        frames.rotation_log(np.swapaxes(reference.gRb, 1, 2) @ trajectory.gRb),
+    )
+
+
+def leave_one_out(problem: Problem, estimator: Estimator) -> Offsets:
+    """Predict each frame from all others, and compare with where its own rims alone put it.
+
+    Parameters
+    ----------
+    problem : Problem
+    estimator : Estimator
+        That predicts.
+
+    Returns
+    -------
+    Offsets
+        Prediction less the frame's own position, with the sigmas of both together. Frames with few rims are
+        left out.
+    """
+    found: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
+    for k, frame in enumerate(problem.frames):
+        if len(frame.rims) < _MIN_RIMS:
+            continue
+        others = list(problem.frames)
+        others[k] = FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
+        predicted = estimator.estimate(_without(problem, others))
+        assert predicted.pose_covariance is not None
+        gTb, covariance = predicted.gTb[k], predicted.pose_covariance[k]
+        own = _alone(problem, frame, gTb)
+        enu = frames.east_north_up(*frames.latitude_longitude(own[0][None, :3, 3]))[0]
+        both = enu.T @ (covariance + own[1])[3:, 3:] @ enu
+        found.append(
+            (
+                k,
+                enu.T @ (gTb[:3, 3] - own[0][:3, 3]),
+                np.sqrt(np.diag(both)),
+                frames.rotation_log(own[0][:3, :3].T @ gTb[:3, :3]),
+            )
+        )
+    columns = [np.array([one[i] for one in found]) for i in range(4)]
+    return Offsets(columns[0].astype(np.int64), columns[1], columns[2], columns[3])
+
+
+def _without(problem: Problem, others: Sequence[FrameMeasurement]) -> Problem:
+    """Give a problem with other frames, and the start that follows from them."""
+    return replace(problem, frames=others, start=find_start(problem, others))
+
+
+def _alone(problem: Problem, frame: FrameMeasurement, gTb: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pose (4, 4) and covariance (6, 6) of a frame from its own rims."""
+    initial = replace(
+        problem.initial,
+        stamp_ns=frame.stamp_ns,
+        gTb=gTb,
+        attitude_sigma_rad=_WIDE_ATTITUDE_RAD,
+        position_sigma_m=_WIDE_POSITION_M,
+    )
+    start = find_start(replace(problem, initial=initial), [frame], GraphOptions(variance_inflation=1.0))
+    return start.gTb, start.pose_covariance
