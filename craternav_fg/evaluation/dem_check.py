@@ -6,6 +6,7 @@ the image may be a tilt or a shift of the camera alike, so only the altitude is 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -78,8 +79,8 @@ def shaded(
 
     Returns
     -------
-    ndarray, shape (height // step_px, width // step_px)
-        Brightness up to a common factor; NaN beside the body.
+    ndarray, shape (h, w)
+        One value per block, h and w whole ones. Brightness up to a common factor; NaN beside the body.
     """
     rows, columns = camera.height_px // step_px, camera.width_px // step_px
     middle = 0.5 * (step_px - 1)
@@ -129,6 +130,7 @@ def check_against_dem(
     Parameters
     ----------
     image : ndarray of uint8 or uint16, shape (H, W)
+        Grey levels.
     camera : Camera
     gTb : ndarray, shape (4, 4)
         Estimated pose of the body in g, m.
@@ -164,11 +166,10 @@ def check_against_dem(
         return correlate(seen, shaded(camera, moved(q), sun_g, dem, radius_m, step_px))
 
     start = np.zeros(4)
-    simplex = np.vstack([start, np.eye(4)])
-    result = minimize(
-        lambda q: -correlation(q), start, method="Nelder-Mead",
-        options={**_TOLERANCES, "initial_simplex": simplex},
-    )  # fmt: skip
+    # scipy's type declarations lack the simplex.
+    search: Any = minimize
+    options = {**_TOLERANCES, "initial_simplex": np.vstack([start, np.eye(4)])}
+    result = search(lambda q: -correlation(q), start, method="Nelder-Mead", options=options)
     found = result.x
     return DemCheck(
         correlation(start),

@@ -31,9 +31,9 @@ class Offsets:
     frames : ndarray of int, shape (k,)
         Indices of the frames.
     enu_m : ndarray, shape (k, 3)
-        Of the position, m.
+        Of the position, m, along east, north, up of the reference's place in g.
     sigma_m : ndarray, shape (k, 3)
-        Standard deviations that are claimed, m.
+        Standard deviations that are claimed, m, along the same directions in g.
     attitude_rad : ndarray, shape (k, 3)
         Rotation vector in b from the reference's attitude.
     """
@@ -45,7 +45,7 @@ class Offsets:
 
     @property
     def scatter_m(self) -> FloatArray:
-        """Standard deviations (3,) about the mean, m."""
+        """Standard deviations (3,) about the mean, m, along east, north, up in g."""
         return np.asarray(np.std(self.enu_m, axis=0, ddof=1))
 
 
