@@ -13,6 +13,7 @@ its names is first used, so that `import craternav_fg` costs nothing.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from factors import numba_cache as _numba_cache  # noqa: F401
 from factors.lazy import submodules
 
 if TYPE_CHECKING:

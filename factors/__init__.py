@@ -6,6 +6,8 @@ crater has no image; docs/equations.md derives the equations.
 
 from typing import TYPE_CHECKING
 
+from factors import numba_cache as numba_cache
+
 if not TYPE_CHECKING:
     from factors.lazy import submodules
 

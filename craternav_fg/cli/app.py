@@ -4,7 +4,6 @@ A command's module is imported when the command is called: the help of all of th
 """
 
 import importlib
-import sys
 import warnings
 from typing import Annotated, Any
 
@@ -13,8 +12,8 @@ from typer.core import TyperGroup
 
 import craternav_fg
 from craternav_fg.cli.commands import COMMANDS
-from craternav_fg.cli.terminal import err, say
-from craternav_fg.errors import CraternavError
+from craternav_fg.cli.terminal import note, say
+from factors import numba_cache
 
 
 class _Lazy(TyperGroup):
@@ -103,11 +102,9 @@ def _one_line(
     return f"{filename}:{lineno}: {category.__name__}: {message}\n"
 
 
-def main() -> None:
-    """Run the command line: a known error is one line on stderr and exit code 2."""
+def run() -> None:
+    """Run the command line."""
     warnings.formatwarning = _one_line
-    try:
-        app()
-    except CraternavError as error:
-        err.print(f"craternav: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        sys.exit(2)
+    if numba_cache.FOLDER is not None:
+        note(f"no folder for compiled code can be written: {numba_cache.FOLDER} is used")
+    app()

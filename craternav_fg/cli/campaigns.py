@@ -13,7 +13,7 @@ from craternav_fg.campaign.run import montecarlo as run_campaign
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.estimator_option import EstimatorOption
 from craternav_fg.cli.options import JsonOption, ScenarioArgument
-from craternav_fg.cli.terminal import err, out, progress_bars, say, table_of_numbers, three_digits, warn
+from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits, warn
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
@@ -33,8 +33,6 @@ _LEGEND = (
     "of position (m) and attitude (deg); RMS/PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
     "averaged over the altitude; ANEES of the pose: 6 expected; time: of a trial"
 )
-# Exit code that a shell expects after Ctrl-C.
-_INTERRUPTED = 130
 
 
 @app.command(epilog=example("montecarlo paper_case3 -n 30 -o runs/campaign"))
@@ -84,8 +82,7 @@ def _run(scenario: Scenario, folder: Path, options: CampaignOptions) -> dict[str
         with progress_bars() as report:
             return run_campaign(scenario, folder, options, report)
     except KeyboardInterrupt:
-        err.print("craternav: interrupted; finished trials stay, the same command resumes", style="red")
-        raise typer.Exit(_INTERRUPTED) from None
+        raise KeyboardInterrupt("finished trials stay, the same command resumes") from None
 
 
 def _report_failures(failed: dict[int, str], trials: int) -> None:

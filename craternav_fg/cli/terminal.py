@@ -22,8 +22,9 @@ from rich.text import Text
 if TYPE_CHECKING:
     from craternav_fg.pipeline.reconstruct import Progress as Report
 
-err = Console(stderr=True)
-out = Console()
+# Names and paths come from files: what they hold is no markup.
+err = Console(stderr=True, markup=False)
+out = Console(markup=False)
 
 
 def say(text: str) -> None:
@@ -85,7 +86,7 @@ class _Rate(ProgressColumn):
 def progress_bars() -> "Iterator[Report]":
     """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
     columns = (
-        TextColumn("{task.description:24}"),
+        TextColumn("{task.description:24}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         _Rate(),

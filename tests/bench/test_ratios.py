@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from craternav_fg.bench import detect, images, pipeline, ratios, report
 from craternav_fg.bench.problems import Bench, make
 from craternav_fg.bench.sessions import Reference
-from craternav_fg.cli import app
+from craternav_fg.cli.app import app
 from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.graph import GraphOptions, add_prior
 from craternav_fg.estimators.incremental import Isam

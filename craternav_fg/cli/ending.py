@@ -1,0 +1,110 @@
+"""How a command ends: a known error is one line and exit code 2, Ctrl-C is one line and exit code 130."""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import NoReturn
+
+WRONG = 2
+# Added to the number of a signal: the exit code that a shell expects.
+_SIGNALLED = 128
+_WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+
+
+@contextmanager
+def one_line_endings() -> Iterator[None]:
+    """End the process in one line, however the commands within end.
+
+    A signal need not arrive as `KeyboardInterrupt`: numba and GTSAM turn it into errors of their own. That
+    one has come is therefore remembered.
+    """
+    received: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        if received:
+            # The second time at once, whatever is left behind.
+            os._exit(_SIGNALLED + number)
+        received.append(number)
+        raise KeyboardInterrupt
+
+    # A command in the background of a script is to ignore Ctrl-C.
+    before = {number: signal.getsignal(number) for number in _WORDS}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, stop)
+    _escape_what_cannot_be_printed()
+    try:
+        yield
+        sys.stdout.flush()
+    except SystemExit as end:
+        if received:
+            _end_by(received[0], end)
+        _flush()
+        raise
+    except BaseException as error:
+        if received or isinstance(error, KeyboardInterrupt):
+            _end_by(received[0] if received else signal.SIGINT, error)
+        line = _known(error)
+        if line is None:
+            raise
+        _end(line, WRONG)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if received:
+        _end_by(received[0], None)
+
+
+def _known(error: BaseException) -> str | None:
+    """Say a known error in one line; None for a defect."""
+    from craternav_fg.errors import CraternavError
+
+    if isinstance(error, CraternavError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory"
+    if isinstance(error, OSError) and error.errno is not None:
+        what = "the output" if error.filename is None else os.fsdecode(error.filename)
+        return " ".join(f"{what}: {os.strerror(error.errno)}".split())
+    return None
+
+
+def _end_by(number: int, error: BaseException | None) -> NoReturn:
+    """End by a signal. What a command has to say is the text of the `KeyboardInterrupt` that it raises."""
+    line = _WORDS[signal.Signals(number)]
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt) and error.args:
+            line += f"; {error}"
+            break
+        error = error.__cause__ or error.__context__
+    _end(line, _SIGNALLED + number)
+
+
+def _end(line: str, code: int) -> NoReturn:
+    # Without rich, whose import may be what was interrupted.
+    red, plain = ("\x1b[31m", "\x1b[0m") if sys.stderr.isatty() and "NO_COLOR" not in os.environ else ("", "")
+    with suppress(OSError):
+        sys.stderr.write(f"{red}craternav: {line}{plain}\n")
+        sys.stderr.flush()
+    _flush()
+    sys.exit(code)
+
+
+def _flush() -> None:
+    """Write what was printed; where that fails, Python must not try it again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _escape_what_cannot_be_printed() -> None:
+    """Let a terminal without Unicode show names that it cannot print."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")
