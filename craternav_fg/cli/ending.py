@@ -1,5 +1,6 @@
 """How a command ends: a known error is one line and exit code 2, Ctrl-C is one line and exit code 130."""
 
+import ctypes
 import os
 import signal
 import sys
@@ -74,6 +75,8 @@ def _known(error: BaseException) -> str | None:
 
 def _end_by(number: int, error: BaseException | None) -> NoReturn:
     """End by a signal. What a command has to say is the text of the `KeyboardInterrupt` that it raises."""
+    # Code that C began may have been interrupted, too: unless other code is run, Python ends by SIGINT then.
+    ctypes.pythonapi.PyRun_SimpleString(b"")
     line = _WORDS[signal.Signals(number)]
     while error is not None:
         if isinstance(error, KeyboardInterrupt) and error.args:
