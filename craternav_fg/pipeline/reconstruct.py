@@ -1,7 +1,7 @@
 """From a data set to trajectories: front end, start, and every estimator on the same measurements."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Estimator, Problem
 from craternav_fg.estimators.registry import DEFAULT, estimator
@@ -22,10 +23,12 @@ from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.sensor_checks import check_logs
 from craternav_fg.pipeline.tracking import Segment, Tracker
 from craternav_fg.sensors.point_features import NAME as FEATURES
+from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
+from craternav_fg.vision.point_tracks import track_points
 from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
@@ -100,7 +103,10 @@ def reconstruct(
     relocaliser = Relocaliser(dataset)
     initial = _initial_state(dataset, relocaliser, report)
     measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions())
-    problems = _problems(Descent.of(dataset, initial), measured)
+    descent = Descent.of(dataset, initial)
+    if dataset.features is None and measured.limits is not None and measured.limits.points.count:
+        descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))
+    problems = _problems(descent, measured)
     check_logs(problems, dataset.path)
     times_s = {"front_end": time.perf_counter() - began}
     trajectories: dict[str, Trajectory] = {}
@@ -187,6 +193,18 @@ def _measure(
     except NUMERICAL_ERRORS as error:
         raise EstimationError(f"front end: {_one_line(error)}") from error
     return _Measured(tracked.frames, tracked.segments, tracked.guides, front_end.options)
+
+
+def _tracks(dataset: Dataset, measured: _Measured, limits: GuidedOptions, report: Progress) -> FeatureTracks:
+    """Track points through the images."""
+
+    def images() -> Iterator[ImageArray]:
+        for k in range(len(dataset)):
+            report("tracked points", k, len(dataset))
+            yield dataset.image(k)
+        report("tracked points", len(dataset), len(dataset))
+
+    return track_points(images(), measured.frames, dataset.camera, limits.points)
 
 
 def _problems(descent: Descent, measured: _Measured) -> tuple[Problem, ...]:

@@ -6,6 +6,7 @@ from craternav_fg.vision.arcs import ArcOptions
 from craternav_fg.vision.edges import EdgeOptions
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions
+from craternav_fg.vision.point_tracks import PointTrackOptions
 from craternav_fg.vision.sun import SunOptions
 
 
@@ -49,6 +50,8 @@ class GuidedOptions:
         Of rims that are seen in part.
     sun : SunOptions
         Of the sun's tilt.
+    points : PointTrackOptions
+        Of points tracked from image to image; none by default.
     """
 
     min_semi_minor_px: float = 12.0
@@ -68,6 +71,7 @@ class GuidedOptions:
     correlated_errors: CorrelatedErrorOptions = field(default_factory=CorrelatedErrorOptions)
     arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)
+    points: PointTrackOptions = field(default_factory=PointTrackOptions)
 
 
 # For single images: shared errors matter where they do not average out over frames. In one image the
