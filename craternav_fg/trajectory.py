@@ -59,11 +59,14 @@ class Calibrated:
         By row of the catalogue, true minus map, in units of the mean radius: shift of the centre along the
         major axis, the minor axis and the normal; growth along the major axis, shear, growth along the minor
         axis.
+    intrinsics : (ndarray, ndarray), shape (4,) each, or None
+        True less stated: share of the focal length; principal point x and y, px; radial distortion k1.
     """
 
     mounting_rad: tuple[FloatArray, FloatArray] | None = None
     time_offset_s: tuple[float, float] | None = None
     map_errors: dict[int, tuple[FloatArray, FloatArray]] | None = None
+    intrinsics: tuple[FloatArray, FloatArray] | None = None
 
 
 @dataclass(frozen=True)

@@ -122,6 +122,12 @@ def calibration_line(found: dict[str, Any]) -> str:
     if "time_offset_s" in found:
         offset_ms, sigma_ms = 1e3 * found["time_offset_s"], 1e3 * found["time_offset_sigma_s"]
         parts.append(f"a camera-IMU time offset of {offset_ms:.1f} ± {sigma_ms:.1f} ms")
+    if "intrinsics" in found:
+        (share, x, y, k1), (s_share, s_x, s_y, s_k1) = found["intrinsics"], found["intrinsics_sigma"]
+        parts.append(
+            f"a focal length {100.0 * share:.3f} ± {100.0 * s_share:.3f} % longer, the principal point "
+            f"{x:.2f} ± {s_x:.2f}, {y:.2f} ± {s_y:.2f} px aside, k1 {k1:.5f} ± {s_k1:.5f}"
+        )
     if "map_errors" in found:
         parts.append(f"the map errors of {len(found['map_errors'])} craters (in {METRICS})")
     return "; ".join(parts)

@@ -31,6 +31,7 @@ from craternav_fg.estimators.graph import (
     state_stamps,
 )
 from craternav_fg.estimators.initial_values import initial_values
+from craternav_fg.estimators.intrinsics import intrinsic_error
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
@@ -252,6 +253,9 @@ def build_graph(
         if options.rims == "chart":
             exposed = values.atPose3(key).matrix()
             errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed, known)
+            intrinsic_sigmas = options.calibration.intrinsic_sigmas
+            if intrinsic_sigmas.any() and len(frame.rims):
+                errors.append(intrinsic_error(frame.rims, problem.camera, intrinsic_sigmas))
         variables = RimVariables(added, states, map_errors=errors)
         near = values.atPose3(key).matrix()
         add_frame(graph, problem, options, key, frame, variables=variables, near=near)

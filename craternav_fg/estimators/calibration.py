@@ -10,6 +10,7 @@ from gtsam.symbol_shorthand import C, D, M, X, Y
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.intrinsics import add_intrinsics, estimated_intrinsics
 from craternav_fg.measurements import RimSet
 from craternav_fg.trajectory import Calibrated
 from factors.conic_shape import ChartError
@@ -39,6 +40,12 @@ class Calibration:
         Of its rim's height, as a share of its mean radius.
     map_size_sigma : float
         Of its semi-axes, each as a share of itself.
+    focal_sigma : float
+        Of the focal length, as a share of it.
+    principal_point_sigma_px : float
+        Of the principal point, per coordinate.
+    radial_sigma : float
+        Of the radial distortion k1.
     """
 
     mounting_sigma_rad: float = 0.0
@@ -46,6 +53,9 @@ class Calibration:
     map_place_sigma: float = 0.0
     map_height_sigma: float = 0.0
     map_size_sigma: float = 0.0
+    focal_sigma: float = 0.0
+    principal_point_sigma_px: float = 0.0
+    radial_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -57,6 +67,12 @@ class Calibration:
     def of_exposure(self) -> bool:
         """Whether the pose at an exposure differs from that at the image's stamp."""
         return self.mounting_sigma_rad > 0.0 or self.time_offset_sigma_s > 0.0
+
+    @property
+    def intrinsic_sigmas(self) -> FloatArray:
+        """Standard deviations (4,): share of the focal length, principal point x and y in px, k1."""
+        point_px = self.principal_point_sigma_px
+        return np.array([self.focal_sigma, point_px, point_px, self.radial_sigma])
 
     @property
     def map_sigmas(self) -> FloatArray:
@@ -86,6 +102,8 @@ def add_calibration(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, opt
         graph.push_back(gtsam.PriorFactorVector(DELAY_KEY, np.zeros(1), noise))
         if not values.exists(DELAY_KEY):
             values.insert(DELAY_KEY, np.zeros(1))
+    if options.intrinsic_sigmas.any():
+        add_intrinsics(graph, values)
 
 
 def add_exposure(
@@ -214,9 +232,12 @@ def calibrated(
         errors = [sigmas * values.atVector(M(crater)) for crater in seen]
         spread = [sigmas * np.sqrt(np.diag(tree.marginalCovariance(M(crater)))) for crater in seen]
         craters = {crater: (error, sigma) for crater, error, sigma in zip(seen, errors, spread, strict=True)}
-    if mounting is None and delay is None and craters is None:
+    intrinsics = None
+    if options.intrinsic_sigmas.any():
+        intrinsics = estimated_intrinsics(tree, values, options.intrinsic_sigmas)
+    if mounting is None and delay is None and craters is None and intrinsics is None:
         return None
-    return Calibrated(mounting, delay, craters)
+    return Calibrated(mounting, delay, craters, intrinsics)
 
 
 def _angular_velocity(descent: Descent, stamp_ns: int) -> FloatArray:

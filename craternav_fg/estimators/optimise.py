@@ -27,6 +27,7 @@ STEP_SCALES: dict[str, FloatArray] = {
     "r": np.full(5, 1.0),
     "s": np.full(SHARED_SIZE, 1.0),
     "l": np.full(3, 1e3),
+    "k": np.full(4, 1.0),
     **{str(size): np.full(size, 1.0) for size in range(1, 10)},
     "b": np.array([3e-3, 3e-3, 3e-3, 5e-6, 5e-6, 5e-6]),
 }

@@ -127,6 +127,8 @@ def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
             catalog.identifiers[row]: {"error": error.tolist(), "sigma": sigma.tolist()}
             for row, (error, sigma) in found.map_errors.items()
         }
+    if found.intrinsics is not None:
+        out["intrinsics"], out["intrinsics_sigma"] = (part.tolist() for part in found.intrinsics)
     return out
 
 

@@ -1,0 +1,101 @@
+"""Focal length, principal point and distortion as variables."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from craternav_fg.camera import Camera
+from craternav_fg.dataset import Dataset
+from craternav_fg.ellipse import points_on
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import Descent
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.calibration import Calibration
+from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.intrinsics import intrinsic_slopes
+from craternav_fg.estimators.start import make_problem
+from craternav_fg.simulation.scenario import simulate
+
+STATED = Camera(1012, 1012, 672.0, 672.0, 505.0, 506.0)
+
+
+def _fitted(points: np.ndarray) -> np.ndarray:
+    """Chart of an ellipse through points that are even in its parameter: their first harmonic."""
+    t = 2.0 * np.pi * np.arange(points.shape[1]) / points.shape[1]
+    centre = points.mean(axis=1)
+    a = 2.0 * np.mean(points * np.cos(t)[None, :, None], axis=1)
+    b = 2.0 * np.mean(points * np.sin(t)[None, :, None], axis=1)
+    S = a[:, :, None] * a[:, None, :] + b[:, :, None] * b[:, None, :]
+    xx, xy, yy = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
+    return np.column_stack([centre, 0.5 * np.log(xx), xy / xx, 0.5 * np.log(yy - xy**2 / xx)])
+
+
+def _charts(rng: np.random.Generator, n: int) -> np.ndarray:
+    return np.column_stack(
+        [rng.uniform(-0.6, 0.6, (n, 2)), np.log(rng.uniform(0.01, 0.03, n)), rng.uniform(-0.3, 0.3, n),
+         np.log(rng.uniform(0.01, 0.03, n))]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("k", "change"),
+    [
+        (0, {"fx_px": 672.0 * 1.001, "fy_px": 672.0 * 1.001}),
+        (1, {"cx_px": 506.0}),
+        (2, {"cy_px": 507.0}),
+        (3, {"distortion": (1e-3, 0.0, 0.0, 0.0, 0.0)}),
+    ],
+    ids=["focal length", "x", "y", "k1"],
+)
+def test_charts_change_as_through_the_true_camera(k, change):
+    charts = _charts(np.random.default_rng(1), 30)
+    true = replace(STATED, **change)
+    step = [1e-3, 1.0, 1.0, 1e-3][k]
+    points = points_on(charts)
+    seen = STATED.normalised(true.pixels(points))
+    expected = (_fitted(seen) - _fitted(points)) / step
+    slopes = intrinsic_slopes(charts, STATED)[:, :, k]
+    np.testing.assert_allclose(slopes, expected, atol=0.01 * np.abs(expected).max())
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return Dataset.open(simulate("orbit_coast", tmp_path_factory.mktemp("orbit") / "data", trial=2))
+
+
+def test_intrinsics_are_estimated_along_with_an_orbit(data):
+    true = np.array([1.5e-3, -2.0, 1.0, 8e-4])
+    frames = []
+    for frame in data.measurements:
+        rims = frame.rims
+        moved = replace(
+            data.camera,
+            fx_px=data.camera.fx_px * (1.0 + true[0]), fy_px=data.camera.fy_px * (1.0 + true[0]),
+            cx_px=data.camera.cx_px + true[1], cy_px=data.camera.cy_px + true[2],
+            distortion=(true[3], 0.0, 0.0, 0.0, 0.0),
+        )  # fmt: skip
+        points = points_on(rims.chart)
+        shift = _fitted(data.camera.normalised(moved.pixels(points))) - _fitted(points)
+        frames.append(replace(frame, rims=replace(rims, chart=rims.chart + shift)))
+    problem = make_problem(Descent.of(data), frames)
+    options = Calibration(focal_sigma=3e-3, principal_point_sigma_px=4.0, radial_sigma=1e-3)
+    found = BatchSmoother(GraphOptions(calibration=options)).estimate(problem)
+    values, sigmas = found.calibrated.intrinsics
+    assert np.all(np.abs(values - true) < 3.5 * sigmas)
+    # The focal length is as uncertain as the altitude; the distortion is seen well.
+    assert sigmas[3] < 0.3e-3
+    error = np.linalg.norm(found.gP - data.truth.gP, axis=1)
+    without = BatchSmoother().estimate(problem)
+    assert error.mean() < 0.5 * np.linalg.norm(without.gP - data.truth.gP, axis=1).mean()
+
+
+def test_one_of_them_alone(data):
+    problem = make_problem(Descent.of(data), data.measurements)
+    found = BatchSmoother(GraphOptions(calibration=Calibration(radial_sigma=1e-3))).estimate(problem)
+    values, sigmas = found.calibrated.intrinsics
+    assert np.all(values[:3] == 0.0)
+    assert np.all(sigmas[:3] == 0.0)
+    assert abs(values[3]) < 3.5 * sigmas[3]
+    with pytest.raises(EstimationError, match="focal_sigma: expected 0 or more"):
+        Calibration(focal_sigma=-1.0)
