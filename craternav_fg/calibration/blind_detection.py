@@ -29,7 +29,13 @@ from craternav_fg.evaluation.detection import GATE_CHI2, SIGMA_PX, gaussian_angl
 from craternav_fg.simulation.scenes import IRREGULAR, MIN_SEMI_MINOR_PX, Scene
 from craternav_fg.vision import detect
 from craternav_fg.vision.brightness import brightness, filled
-from craternav_fg.vision.candidates import MAX_VOTERS, TEMPLATE_SIZE_FACTOR, Candidates, common_sun_angle
+from craternav_fg.vision.candidates import (
+    MAX_VOTERS,
+    TEMPLATE_SIZE_FACTOR,
+    Candidates,
+    common_sun_angle,
+    illuminated_from,
+)
 from craternav_fg.vision.image_sampling import noise_level
 
 FloatArray = npt.NDArray[np.float64]
@@ -89,7 +95,9 @@ def _samples(image: npt.NDArray[np.uint8], true_px: FloatArray) -> tuple[FloatAr
     if len(candidates) == 0:
         return np.empty((0, 4)), np.empty(0, dtype=np.bool_)
     sun_angle, _ = common_sun_angle(candidates)
-    rims = detect.fit_candidates(pixels, candidates, sun_angle, noise_level(everywhere), options)
+    lit = candidates.take(illuminated_from(candidates, sun_angle, options.max_sun_deviation_rad))
+    fits = detect.fit_candidates(pixels, lit, noise_level(everywhere), options)
+    rims = [rim for rim in fits if rim is not None]
     found_px = axes_of_chart(np.array([rim.fit.chart_px for rim in rims]).reshape(-1, 5))
     sigma = SIGMA_PX / np.sqrt(true_px[:, 2] * true_px[:, 3])
     apart = gaussian_angle(found_px[:, None], true_px[None]) / sigma

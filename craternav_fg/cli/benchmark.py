@@ -1,19 +1,37 @@
 """Command that measures speed."""
 
 import json
+from dataclasses import asdict
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from craternav_fg.bench import detect_real
 from craternav_fg.bench import report as bench_report
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import FIGURE_SUFFIXES, JsonOption, require_suffix
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits
+from craternav_fg.errors import InputError
+from craternav_fg.vision.detect import BlindOptions
 
 
-@app.command(epilog=example("bench -o runs/bench.png"))
+class Subject(StrEnum):
+    """What is measured."""
+
+    SPEED = "speed"
+    DETECT_REAL = "detect-real"
+
+
+@app.command(epilog=example("bench detect-real --data ../shared/data"))
 def bench(
+    subject: Annotated[
+        Subject, typer.Argument(help="Speed, or blind detection on real images that people annotated.")
+    ] = Subject.SPEED,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of the annotated images (detect-real).", show_default=False)
+    ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Figure of cost against graph size: .png, .pdf or .svg.")
     ] = Path("runs/bench.png"),
@@ -23,7 +41,10 @@ def bench(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure speed against graphs of the same size of GTSAM's own C++ factors."""
+    """Measure speed against GTSAM's own C++ factors, or detection against people's annotation."""
+    if subject is Subject.DETECT_REAL:
+        _detect_real(_given(data), as_json)
+        return
     require_suffix(output, FIGURE_SUFFIXES)
     with progress_bars() as report:
         result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)
@@ -39,3 +60,35 @@ def bench(
     for name, value in result.scalars.items():
         say(f"{name}: {three_digits(value)}")
     say(f"figure: {output}")
+
+
+def _given(data: Path | None) -> Path:
+    if data is None:
+        raise InputError("bench detect-real", "expected --data, the folder of the annotated images")
+    return data
+
+
+def _detect_real(data: Path, as_json: bool) -> None:
+    """Score blind detection on real images."""
+    with progress_bars() as report:
+        rows = detect_real.run(
+            data, BlindOptions.min_quality, lambda done, total: report("annotated images", done, total)
+        )
+    if as_json:
+        values = [
+            {"images": r.kind, "method": r.method, "min_radius_px": r.min_radius_px, **asdict(r.scores)}
+            for r in rows
+        ]
+        out.print_json(json.dumps(values))
+        return
+    names = ("recall", "prec.", "F1", "AP", "recall .9", "centre", "ln r", "ECE")
+    table = table_of_numbers("images, method, radius", names)
+    for r in rows:
+        cells = map(three_digits, asdict(r.scores).values())
+        table.add_row(f"{r.kind} {r.method} >= {r.min_radius_px:g}", *cells)
+    out.print(table)
+    say(
+        f"at quality {BlindOptions.min_quality:g} and above; AP: average precision; recall .9: at precision "
+        "0.9; centre: median distance, radii; ln r: median logarithm of the radius over the marked one; ECE: "
+        "expected calibration error"
+    )

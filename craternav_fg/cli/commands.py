@@ -59,6 +59,7 @@ COMMANDS = {
         ("reproduction",),
     ),
     "bench": Command(
-        "Measure speed against graphs of the same size of GTSAM's own C++ factors.", ("benchmark",)
+        "Measure speed against GTSAM's own C++ factors, or detection against people's annotation.",
+        ("benchmark",),
     ),
 }

@@ -20,16 +20,18 @@ from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.plots.detections import write_overlay
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, FoundRims, find_rims
+from craternav_fg.vision.learned import find_rims_learned
 
 
 class Method(StrEnum):
     """Blind detectors."""
 
     TEMPLATE = "template"
+    LEARNED = "learned"
     CANNY = "canny"
 
 
-_DETECTORS = {Method.TEMPLATE: find_rims, Method.CANNY: find_rims_canny}
+_DETECTORS = {Method.TEMPLATE: find_rims, Method.LEARNED: find_rims_learned, Method.CANNY: find_rims_canny}
 
 
 @app.command(epilog=example("detect frame.png --sun 180 -o runs/rims.csv"))
@@ -47,7 +49,10 @@ def detect(
         ),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="Matching with the template of a lit crater, or grouped Canny edges.")
+        Method,
+        typer.Option(
+            help="Template of a lit crater, its candidates judged by rules or by a network, or Canny edges."
+        ),
     ] = Method.TEMPLATE,
     min_radius_px: Annotated[
         float, typer.Option("--min-radius", min=4.0, help="Smallest radius to search, px.")

@@ -262,45 +262,43 @@ def _rims_lit_from(
 ) -> FoundRims:
     """Fit the rims of those candidates that seem to be lit from about a direction."""
     least = options.min_quality if certain else max(options.min_quality_sun_unknown, options.min_quality)
-    fitted = fit_candidates(pixels, candidates, sun_angle_rad, noise, options)
-    good = [rim for rim in fitted if rim.quality >= least]
+    lit = candidates.take(illuminated_from(candidates, sun_angle_rad, options.max_sun_deviation_rad))
+    fitted = fit_candidates(pixels, lit, noise, options)
+    good = [rim for rim in fitted if rim is not None and rim.quality >= least]
     quality, at_rims = [rim.quality for rim in good], [rim.sun_angle_rad for rim in good]
     return gather([rim.fit for rim in good], quality, at_rims, sun_angle_rad)
 
 
 def fit_candidates(
-    pixels: ImageArray, candidates: Candidates, sun_angle_rad: float, noise: float, options: BlindOptions
-) -> list[FittedCandidate]:
-    """Fit the rims of the candidates that seem to be lit from about a direction, whatever their quality.
+    pixels: ImageArray, candidates: Candidates, noise: float, options: BlindOptions
+) -> list[FittedCandidate | None]:
+    """Fit the rims of candidates, whatever their quality.
 
     Parameters
     ----------
     pixels : ndarray of float32, shape (H, W)
         Brightness, 0 to 255; NaN in holes.
     candidates : Candidates
-    sun_angle_rad : float
-        Direction towards the sun in the image, from x towards y.
+        Lit from about one direction, the best first.
     noise : float
         Standard deviation of the pixels' noise, see `image_sampling.noise_level`.
     options : BlindOptions
 
     Returns
     -------
-    list of FittedCandidate
-        Of the candidates that have a rim.
+    list of FittedCandidate or None
+        Of each candidate; None where no rim can be traced.
     """
-    candidates = candidates.take(illuminated_from(candidates, sun_angle_rad, options.max_sun_deviation_rad))
     if len(candidates) == 0:
         return []
     sun_angles = local_sun_angles(candidates, _SUN_REACH_SHARE * max(pixels.shape))
     contrast = CONTRAST_FACTOR * float(np.median(candidates.slope_contrast[:CONTRAST_CANDIDATES]))
     height, width = pixels.shape
     camera = Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=options.psf_px)
-    every = (
+    return [
         _fit_candidate(pixels, candidates, k, float(sun_angles[k]), contrast, noise, camera, options)
         for k in range(len(candidates))
-    )
-    return [rim for rim in every if rim is not None]
+    ]
 
 
 def agreed_sun_angle(candidates: Candidates, sun_angle_rad: float | None) -> tuple[float, bool]:

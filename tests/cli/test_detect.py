@@ -104,7 +104,7 @@ def _huge(path):
 @pytest.mark.parametrize(
     ("write", "message"),
     [
-        (lambda path: None, "expected an image file, found nothing"),
+        (lambda path: None, "file is missing"),
         (lambda path: path.mkdir(), "found a folder"),
         (lambda path: path.write_bytes(b""), "cannot be read as an image"),
         (_text, "cannot be read as an image"),

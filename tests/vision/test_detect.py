@@ -16,9 +16,10 @@ from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
+from craternav_fg.vision.learned import find_rims_learned
 from tests.shared_data import shared
 
-DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny])
+DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny, find_rims_learned])
 
 
 @pytest.fixture(scope="module")
