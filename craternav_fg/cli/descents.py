@@ -21,6 +21,7 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.rim_models import RIM_MODELS
+from craternav_fg.evaluation.innovations import RIMS, SUN
 from craternav_fg.files import replacing_folder
 from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.pipeline.reconstruct import Progress
@@ -30,6 +31,9 @@ from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
 from craternav_fg.simulation.scenario_file import load_scenario
+
+# What the camera measures, as `--without` names it.
+OF_CAMERA = (RIMS, SUN)
 
 
 @app.command(epilog=example("demo -o runs/demo"))
@@ -87,7 +91,7 @@ def reconstruct(
     estimators: EstimatorOption = None,
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="SENSOR", help="Leave out a sensor of the data set; may be repeated."),
+        typer.Option(metavar="SENSOR", help="Leave out a sensor, or rims, or sun; may be repeated."),
     ] = None,
     rims: Annotated[
         str | None,
@@ -121,6 +125,7 @@ def reconstruct(
         summary = execute_run(
             dataset, folder, chosen, label=str(data.resolve()), began_s=began_s, progress=report,
             overlay_every=every, front_end=None if file is None else file.front_end,
+            without=[name for name in OF_CAMERA if name in (without or ())],
         )  # fmt: skip
     show_run(output, summary, as_json)
 
@@ -168,9 +173,10 @@ def _left_out(dataset: Dataset, without: Sequence[str]) -> Dataset:
     """Take sensors out of a data set."""
     there = [sensor.name for sensor in dataset.sensors]
     there += [] if dataset.features is None else [FEATURES]
+    there += OF_CAMERA
     for name in without:
         if name not in there:
-            has = ", ".join(there) if there else "none beside camera and IMU"
+            has = ", ".join(there)
             raise InputError("--without", f"the data set has no sensor {name!r}; it has {has}")
     kept = tuple(sensor for sensor in dataset.sensors if sensor.name not in without)
     return replace(dataset, sensors=kept, features=None if FEATURES in without else dataset.features)

@@ -16,7 +16,8 @@ from craternav_fg.estimators.base import Descent, Estimator, Problem
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.evaluation.innovations import RIMS, SUN
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.result import Reconstruction
@@ -66,6 +67,7 @@ def reconstruct(
     estimators: Sequence[str | Estimator] = DEFAULT,
     *,
     sensors: Sequence[str | Sensor] | None = None,
+    without: Sequence[str] = (),
     front_end: GuidedOptions | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
@@ -80,6 +82,8 @@ def reconstruct(
     sensors : sequence of str or Sensor, optional
         Which of the data set's sensors beside camera and IMU are used, by name; a sensor of one's own as it
         is. All of the data set's by default. "features" are its tracked points.
+    without : sequence of {"rims", "sun"}, optional
+        What the camera measures but the estimators are not given; the front end still tracks by it.
     front_end : GuidedOptions, optional
         How rims are measured in images.
     progress : callable, optional
@@ -96,6 +100,9 @@ def reconstruct(
     InputError
         When the data set is wrong, a sensor's log in a wrong unit, or an image cannot be read.
     """
+    unknown = sorted({*without} - {RIMS, SUN})
+    if unknown:
+        raise EstimationError(f"without: expected {RIMS} or {SUN}, found {unknown[0]!r}")
     chosen = [estimator(one) if isinstance(one, str) else one for one in estimators]
     dataset = _with_sensors(data if isinstance(data, Dataset) else Dataset.open(data), sensors)
     report = progress or _silent
@@ -103,6 +110,7 @@ def reconstruct(
     relocaliser = Relocaliser(dataset)
     initial = _initial_state(dataset, relocaliser, report)
     measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions())
+    measured = replace(measured, frames=tuple(_left_out(frame, without) for frame in measured.frames))
     descent = Descent.of(dataset, initial)
     if dataset.features is None and measured.limits is not None and measured.limits.points.count:
         descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))
@@ -205,6 +213,13 @@ def _tracks(dataset: Dataset, measured: _Measured, limits: GuidedOptions, report
         report("tracked points", len(dataset), len(dataset))
 
     return track_points(images(), measured.frames, dataset.camera, limits.points)
+
+
+def _left_out(frame: FrameMeasurement, without: Sequence[str]) -> FrameMeasurement:
+    """Take the rims or the sun's tilt out of a frame."""
+    if RIMS in without:
+        frame = replace(frame, rims=RimSet.empty(), arcs=ArcSet.empty())
+    return replace(frame, sun=None) if SUN in without else frame
 
 
 def _problems(descent: Descent, measured: _Measured) -> tuple[Problem, ...]:

@@ -41,6 +41,7 @@ def execute_run(
     progress: Progress | None = None,
     overlay_every: int = 0,
     front_end: GuidedOptions | None = None,
+    without: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Reconstruct a data set into an existing folder: results, metrics, figures.
 
@@ -62,6 +63,8 @@ def execute_run(
         Write an overlay of every Nth frame; 0 writes none.
     front_end : GuidedOptions, optional
         How rims are measured in images.
+    without : sequence of {"rims", "sun"}, optional
+        See `reconstruct`.
 
     Returns
     -------
@@ -75,7 +78,7 @@ def execute_run(
     InputError
         When an image cannot be read.
     """
-    result = reconstruct(dataset, estimators, front_end=front_end, progress=progress)
+    result = reconstruct(dataset, estimators, without=without, front_end=front_end, progress=progress)
     for name, figure in _figures(dataset, result).items():
         save(figure, folder / store.FIGURES / f"{name}.png")
     if overlay_every and dataset.measurements is None:

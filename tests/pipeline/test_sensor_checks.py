@@ -10,7 +10,7 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
-from craternav_fg.errors import InputError
+from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
@@ -117,6 +117,22 @@ def test_a_mistake_that_fits_is_told(
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
     for data in (measured, Dataset.open(sensors)):
         assert reconstruct(data, ESTIMATORS).warnings == ()
+
+
+def test_rims_and_sun_are_left_out_like_any_sensor(sensors: Path) -> None:
+    data = Dataset.open(sensors)
+    every = reconstruct(data, ["ekf"])
+    less = reconstruct(data, ["ekf"], without=["rims", "sun"])
+    assert not any(len(frame.rims) or frame.sun for frame in less.frames)
+    assert less.innovations is not None
+    assert {"rims", "sun"}.isdisjoint(less.innovations.sensor)
+    assert "altimeter" in less.innovations.sensor
+    covariances = [one.trajectories["ekf"].pose_covariance for one in (every, less)]
+    assert covariances[0] is not None
+    assert covariances[1] is not None
+    assert np.trace(covariances[1][-1, 3:, 3:]) > 4.0 * np.trace(covariances[0][-1, 3:, 3:])
+    with pytest.raises(EstimationError, match="without: expected rims or sun, found 'moon'"):
+        reconstruct(data, ["ekf"], without=["moon"])
 
 
 def rewritten(folder: Path, to: Path, name: str, change: Callable[[list[str]], list[str]]) -> Path:
