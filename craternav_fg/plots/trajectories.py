@@ -152,7 +152,7 @@ def draw_bounds(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Fi
     largest = np.zeros((3, 2))
     for name, trajectory in drawn.items():
         t = seconds_since_first(trajectory.stamps_ns)
-        for column, (error, sigma) in enumerate(_components(trajectory, truth)):
+        for column, (error, sigma) in enumerate(error_components(trajectory, truth)):
             for i, axes in enumerate(grid[:, column]):
                 bound = 3.0 * sigma[:, i]
                 axes.fill_between(t, -bound, bound, color=colour(name), alpha=0.2)
@@ -176,10 +176,25 @@ def draw_bounds(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Fi
     return figure
 
 
-def _components(
+def error_components(
     trajectory: Trajectory, truth: Trajectory
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """Errors and sigmas (k, 3): of the position in east, north, up, m; of the attitude in b, deg."""
+    """Compute each component of the pose errors, with its standard deviation.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With pose covariances.
+    truth : Trajectory
+        At the same stamps.
+
+    Returns
+    -------
+    position, position_sigma : ndarray, shape (k, 3)
+        In east, north, up, m.
+    attitude, attitude_sigma : ndarray, shape (k, 3)
+        Rotation vectors in b, deg.
+    """
     e = errors(trajectory, truth)
     S = trajectory.pose_covariance
     assert S is not None
@@ -210,7 +225,7 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     lines = [("estimate", trajectory.gP, colour("smoother"), "-")]
     if truth is not None:
         lines.append(("truth", truth.gP, "k", ":"))
-    track = _Track.through(trajectory.gP[0], trajectory.gP[-1], body)
+    track = GroundTrack.through(trajectory.gP[0], trajectory.gP[-1], body)
     for label, P, line_colour, dash in lines:
         x, y = track.ranges_km(P)
         below.plot(x, y, dash, color=line_colour, label=label)
@@ -236,11 +251,15 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
 
 
 @dataclass(frozen=True)
-class _Track:
+class GroundTrack:
     """The great circle through a trajectory's ends: downrange along it, crossrange to its left.
 
-    `first`, `ahead` and `pole` are unit vectors (3,) in g: to the first position, along the track there, and
-    to the left of it.
+    Attributes
+    ----------
+    first, ahead, pole : ndarray, shape (3,)
+        Unit vectors in g: to the first position, along the track there, and to the left of it.
+    radius_km : float
+        Of the body's sphere.
     """
 
     first: FloatArray
@@ -249,7 +268,19 @@ class _Track:
     radius_km: float
 
     @classmethod
-    def through(cls, gP_first: FloatArray, gP_last: FloatArray, body: Body) -> "_Track":
+    def through(cls, gP_first: FloatArray, gP_last: FloatArray, body: Body) -> "GroundTrack":
+        """Lay the track through two positions.
+
+        Parameters
+        ----------
+        gP_first, gP_last : ndarray, shape (3,)
+            In g, m.
+        body : Body
+
+        Returns
+        -------
+        GroundTrack
+        """
         first, last = (P / np.linalg.norm(P) for P in (gP_first, gP_last))
         pole = np.cross(first, last)
         if np.linalg.norm(pole) < 1e-9:
@@ -259,20 +290,44 @@ class _Track:
         return cls(first, np.cross(pole, first), pole, body.radius_m / 1e3)
 
     def ranges_km(self, gP: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Downrange (n,) and crossrange (n,) of positions (n, 3) in g."""
+        """Compute downrange and crossrange.
+
+        Parameters
+        ----------
+        gP : ndarray, shape (..., 3)
+            Positions in g, m.
+
+        Returns
+        -------
+        downrange_km, crossrange_km : ndarray, shape (...,)
+            Along the sphere, km.
+        """
         unit = gP / np.linalg.norm(gP, axis=-1, keepdims=True)
         downrange = np.arctan2(unit @ self.ahead, unit @ self.first)
         return self.radius_km * downrange, self.radius_km * np.arcsin(unit @ self.pole)
 
     def angles_rad(self, directions: FloatArray, downrange_km: FloatArray) -> FloatArray:
-        """Angles (n,) of horizontal directions (n, 3) in g from the track, at these downranges (n,)."""
+        """Compute the angles of horizontal directions from the track.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (n, 3)
+            Unit vectors in g.
+        downrange_km : ndarray, shape (n,)
+            Where each holds, km.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Towards its left, rad.
+        """
         angle = downrange_km[:, None] / self.radius_km
         forward = np.cos(angle) * self.ahead - np.sin(angle) * self.first
         return np.arctan2(directions @ self.pole, np.einsum("ni,ni->n", directions, forward))
 
 
 def _draw_craters(
-    axes: Axes, track: _Track, catalog: Catalog, span_km: tuple[float, float], reach_km: float
+    axes: Axes, track: GroundTrack, catalog: Catalog, span_km: tuple[float, float], reach_km: float
 ) -> None:
     """Draw the craters whose centres lie within a span of downrange and a reach of crossrange."""
     left, right = span_km

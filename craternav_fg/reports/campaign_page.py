@@ -18,6 +18,7 @@ from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval
 from craternav_fg.plots.style import colour, line_style
 from craternav_fg.reports.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.reports.svg import WIDTH_IN, inline_svg, mark
+from craternav_fg.reports.trial_charts import trial_blocks
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -66,6 +67,7 @@ def campaign_page(campaign: Campaign) -> Page:
             Section("errors", "Errors", [_errors(campaign, done)]),
             Section("consistency", "Consistency", _consistency(campaign, done)),
             Section("final", "Final errors", [_final(campaign, done)]),
+            Section("trials", "Trials", trial_blocks(campaign, done)),
         ]
     sections.append(Section("made", "Scenario and versions", [Text(read_text(campaign.path / MARKER))]))
     return Page(

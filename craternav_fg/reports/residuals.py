@@ -1,11 +1,9 @@
-"""Residuals of the rims of a run: over time, and by crater."""
+"""Residuals of the rims of a run by crater."""
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from matplotlib.figure import Figure
 
-from craternav_fg.plots.style import colour
 from craternav_fg.reports.page import Cell, Table
 from craternav_fg.runs.columns import list_values
 
@@ -16,36 +14,7 @@ DOF = len(COMPONENTS)
 # 2 in 1 of 30,000 craters; 3 leaves room for time-correlated errors.
 SUSPECT_CHI2_PER_DOF = 3.0
 # Smallest value of the logarithmic axis.
-_MIN_CHI2_PER_DOF = 1e-3
-
-
-def draw_residuals(residuals: pa.Table, first_stamp_ns: int) -> Figure:
-    """Draw the chi-square per degree of freedom of an estimator's rims over time.
-
-    Parameters
-    ----------
-    residuals : pyarrow.Table
-        Rows of one estimator in residuals.parquet, at least one.
-    first_stamp_ns : int
-        Zero of the time axis.
-
-    Returns
-    -------
-    Figure
-    """
-    figure = Figure(layout="constrained")
-    axes = figure.subplots()
-    seconds = (residuals["stamp_ns"].to_numpy() - first_stamp_ns) * 1e-9
-    chi2_per_dof = np.maximum(residuals["chi2"].to_numpy() / DOF, _MIN_CHI2_PER_DOF)
-    rejected = _rejected(residuals)
-    axes.semilogy(seconds[~rejected], chi2_per_dof[~rejected], ".", ms=3, color=colour("smoother"))
-    axes.semilogy(seconds[rejected], chi2_per_dof[rejected], "x", ms=4, color=colour("centre_smoother"))
-    axes.axhline(1.0, color="0.4", lw=0.8)
-    axes.set_xlabel("time, s")
-    axes.set_ylabel(f"χ² / {DOF} of a rim")
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.01)
-    return figure
+MIN_CHI2_PER_DOF = 1e-3
 
 
 def crater_table(residuals: pa.Table) -> Table:
@@ -56,7 +25,7 @@ def crater_table(residuals: pa.Table) -> Table:
     Parameters
     ----------
     residuals : pyarrow.Table
-        As for `draw_residuals`.
+        Rows of one estimator in residuals.parquet, at least one.
 
     Returns
     -------
@@ -66,15 +35,15 @@ def crater_table(residuals: pa.Table) -> Table:
     whitened = list_values(residuals["whitened"])
     assert whitened is not None
     chi2 = residuals["chi2"].to_numpy()
-    rejected = _rejected(residuals)
+    out = rejected(residuals)
     rows = []
     for crater in np.unique(identifiers):
         own = identifiers == crater
-        kept = own & ~rejected
+        kept = own & ~out
         cells = [
             Cell(str(crater), str(crater)),
             Cell(str(int(own.sum())), int(own.sum())),
-            Cell(str(int((own & rejected).sum())), int((own & rejected).sum())),
+            Cell(str(int((own & out).sum())), int((own & out).sum())),
         ]
         if kept.any():
             mean = float(chi2[kept].mean()) / DOF
@@ -94,7 +63,18 @@ def crater_table(residuals: pa.Table) -> Table:
     return Table(headings, rows, caption)
 
 
-def _rejected(residuals: pa.Table) -> npt.NDArray[np.bool_]:
-    """Whether the match of each rim was rejected, shape (n,)."""
+def rejected(residuals: pa.Table) -> npt.NDArray[np.bool_]:
+    """Tell which matches were rejected.
+
+    Parameters
+    ----------
+    residuals : pyarrow.Table
+        Rows of residuals.parquet.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        For each rim.
+    """
     weights = residuals["weight"].to_pylist()
     return np.array([weight is not None and weight < 0.5 for weight in weights], dtype=bool)

@@ -2,29 +2,36 @@
 
 from typing import Any
 
+import numpy as np
 import pyarrow.compute as pc
-from matplotlib.figure import Figure
 
 from craternav_fg.config import read_text
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.plots.style import colour
-from craternav_fg.plots.trajectories import (
-    draw_bounds,
-    draw_consistency,
-    draw_descent,
-    draw_errors,
-    draw_sigmas,
+from craternav_fg.reports.charts import (
+    bounds_chart,
+    consistency_chart,
+    error_chart,
+    residual_chart,
+    scene_chart,
+    seconds,
+    sigma_chart,
+    track_chart,
 )
-from craternav_fg.reports.page import Block, Cell, Choice, Drawing, Page, Section, Table, Text, number_cell
+from craternav_fg.reports.page import Block, Cell, Choice, Page, Section, Table, Text, number_cell
 from craternav_fg.reports.pictures import frame_pictures
-from craternav_fg.reports.residuals import crater_table, draw_residuals
-from craternav_fg.reports.svg import WIDTH_IN, identifier, inline_svg, mark
+from craternav_fg.reports.residuals import crater_table
 from craternav_fg.runs.read import Run, describe_frames, read_residuals
 from craternav_fg.runs.store import MARKER
 
 # The errors of one run are correlated from frame to frame: an ANEES between these is inconclusive.
 INCONCLUSIVE_ANEES = (2.0, 15.0)
+
+# Estimators that are there to be compared with: what they get wrong is no fault of the run.
+BASELINES = ("ekf_paper", "centre_smoother", "dead_reckoning")
+# NIS beyond which a sensor contradicts the others, as in the warnings of a run.
+CONTRADICTING_NIS = 3.0
 
 ERROR_HEADINGS = (
     ("position_rms_m", "position RMS, m"),
@@ -33,6 +40,21 @@ ERROR_HEADINGS = (
     ("attitude_rms_deg", "attitude RMS, deg"),
     ("attitude_final_deg", "final attitude, deg"),
     ("anees", "ANEES (6 expected)"),
+)
+
+
+_ANEES_EXPLAINED = (
+    "The ANEES is the mean over the frames of e' S⁻¹ e, where e is the error of the pose and S its "
+    "covariance. Over many descents it is 6, the number of coordinates of a pose, when the covariances are "
+    "consistent. Larger: the estimator is overconfident. Errors along one descent are correlated, so a "
+    "single run says little: use a campaign (craternav montecarlo)."
+)
+_NIS_EXPLAINED = (
+    "The NIS is the squared difference between a measurement and its prediction, relative to their "
+    "covariances. It is 1 per dimension when the covariances are consistent and the errors independent. "
+    "Smaller than claimed is expected of rims and sun tilts from images: most of their error is the same in "
+    "every frame that shows a crater, so covariances contain it and innovations do not show it. Above "
+    f"{CONTRADICTING_NIS:g} a sensor contradicts the others: a wrong unit, wrong axes or a time offset."
 )
 
 
@@ -65,7 +87,7 @@ def run_page(run: Run) -> Page:
     if dataset is not None:
         sections.append(Section("map", "Trajectory and craters", _map(run, dataset)))
     sections.append(Section("residuals", "Residuals", _residuals(run)))
-    pictures = frame_pictures(run.path)
+    pictures = frame_pictures(run, dataset)
     if pictures is not None:
         sections.append(Section("frames", "Frames", [pictures]))
     sections.append(Section("made", "Options and versions", [Text(read_text(run.path / MARKER))]))
@@ -74,7 +96,24 @@ def run_page(run: Run) -> Page:
         subtitle=f"{len(next(iter(run.trajectories.values())))} frames, data set {run.dataset}",
         sections=sections,
         series=[(name, colour(name)) for name in names],
+        times_s=np.round(seconds(next(iter(run.trajectories.values()))), 3).tolist(),
     )
+
+
+def shows_overconfidence(name: str, anees: float | None) -> bool:
+    """Tell whether the ANEES of a single run is of concern.
+
+    Parameters
+    ----------
+    name : str
+        Of the estimator: baselines are known for it.
+    anees : float or None
+
+    Returns
+    -------
+    bool
+    """
+    return anees is not None and name not in BASELINES and anees > INCONCLUSIVE_ANEES[1]
 
 
 def _dataset(run: Run) -> tuple[Dataset | None, str]:
@@ -93,8 +132,7 @@ def _summary(run: Run, missing: str) -> list[Block]:
         cells = [Cell(name, name)]
         for field, _ in ERROR_HEADINGS if with_truth else ():
             value = values[field]
-            concern = field == "anees" and value is not None
-            concern = concern and not INCONCLUSIVE_ANEES[0] < value < INCONCLUSIVE_ANEES[1]
+            concern = field == "anees" and shows_overconfidence(name, value)
             cells.append(number_cell(value, concern=concern))
         rows.append((name, [*cells, number_cell(seconds.get(name))]))
     headings = ["estimator", *(h for _, h in ERROR_HEADINGS if with_truth), "time, s"]
@@ -107,82 +145,78 @@ def _summary(run: Run, missing: str) -> list[Block]:
     if with_truth:
         low, high = INCONCLUSIVE_ANEES
         caption += f" The ANEES of a single run scatters: values from {low:g} to {high:g} are inconclusive."
+        known = [name for name in run.trajectories if name in BASELINES]
+        if known:
+            caption += f" Baselines that are known to be overconfident or uncorrected: {', '.join(known)}."
     blocks.append(Table(headings, rows, caption))
+    if with_truth:
+        blocks.append(Text(_ANEES_EXPLAINED, title="What is the ANEES?"))
     if run.metrics.get("innovations"):
-        blocks.append(_nis(run.metrics["innovations"]))
+        blocks += _nis(run.metrics["innovations"])
     if missing:
         blocks.append(Text(missing, warning=True))
     return blocks
 
 
-def _nis(found: dict[str, Any]) -> Table:
+def _nis(found: dict[str, Any]) -> list[Block]:
     rows = []
     for sensor, nis in found["nis"].items():
-        low, high = nis["low"], nis["high"]
+        low, high, mean = nis["low"], nis["high"], nis["mean"]
+        verdict = "as expected"
+        if mean > high:
+            verdict = "contradicts the others" if mean > CONTRADICTING_NIS else "larger than claimed"
+        elif mean < low:
+            verdict = "smaller than claimed"
         cells = [
             Cell(sensor, sensor),
-            number_cell(nis["mean"], concern=not low <= nis["mean"] <= high),
+            number_cell(mean, concern=mean > CONTRADICTING_NIS),
             Cell(f"{low:.2f} to {high:.2f}", low),
             number_cell(nis["dimension"]),
+            Cell(verdict, verdict, mean > CONTRADICTING_NIS),
         ]
         rows.append(("", cells))
     caption = (
-        f"Normalised innovations squared (NIS) of {found['filter']}, 1 expected per dimension: the squared "
-        "difference between measurement and prediction, relative to their covariances. It needs no ground "
-        "truth. Above the interval the covariances are too small; below it they are too large, or they "
-        "contain errors that all frames have in common."
+        f"Normalised innovations squared (NIS) of {found['filter']} per dimension. It needs no ground truth. "
+        "The interval holds for errors that are independent from frame to frame."
     )
-    return Table(["sensor", "NIS per dimension", "95 % interval", "dimensions"], rows, caption)
+    headings = ["sensor", "NIS per dimension", "95 % interval", "dimensions", "innovations"]
+    return [Table(headings, rows, caption), Text(_NIS_EXPLAINED, title="What is the NIS?")]
 
 
 def _errors(run: Run) -> list[Block]:
     assert run.truth is not None
-    figure = draw_errors(run.trajectories, run.truth, run.metrics["craters_per_frame"])
-    return [
-        _drawing(figure, "errors", run, 8.0, "Norms of the errors, and the number of rims in each frame.")
-    ]
+    return [error_chart(run.trajectories, run.truth, run.metrics["craters_per_frame"])]
 
 
 def _sigmas(run: Run) -> list[Block]:
-    figure = draw_sigmas(run.trajectories, run.metrics["craters_per_frame"])
-    return [_drawing(figure, "sigmas", run, 8.0, "Standard deviations that each estimator claims.")]
+    return [sigma_chart(run.trajectories, run.metrics["craters_per_frame"])]
 
 
 def _bounds(run: Run) -> list[Block]:
-    assert run.truth is not None
-    drawings = []
-    for name, trajectory in run.trajectories.items():
-        if trajectory.pose_covariance is None:
-            continue
-        figure = draw_bounds({name: trajectory}, run.truth)
-        for axes in figure.axes:
-            # The tab and the axes say it.
-            axes.set_title("")
-        drawings.append((name, _drawing(figure, f"bounds-{identifier(name)}", run, 6.5, "")))
+    truth = run.truth
+    assert truth is not None
+    charts = [
+        (name, bounds_chart(name, trajectory, truth))
+        for name, trajectory in run.trajectories.items()
+        if trajectory.pose_covariance is not None
+    ]
     return [
         Text(
             "Position in east, north, up; attitude in body axes. With consistent covariances an error leaves "
             "the 3-sigma band in 1 of 370 frames."
         ),
-        Choice(drawings),
+        Choice(charts),
     ]
 
 
 def _consistency(run: Run) -> list[Block]:
     assert run.truth is not None
-    figure = draw_consistency(run.trajectories, run.truth)
-    legend = figure.axes[0].get_legend()
-    if legend is not None:
-        legend.remove()
-    caption = "NEES of the pose, e' S⁻¹ e, at each frame; grey: 95 % interval of a consistent estimator."
-    return [_drawing(figure, "consistency", run, 4.0, caption)]
+    return [consistency_chart(run.trajectories, run.truth)]
 
 
 def _map(run: Run, dataset: Dataset) -> list[Block]:
-    first = next(iter(run.trajectories.values()))
-    figure = draw_descent(first, run.truth, dataset.catalog, dataset.body)
-    caption = f"Altitude and ground track of {next(iter(run.trajectories))} over the catalogue's craters."
-    return [_drawing(figure, "map", run, 5.0, caption)]
+    given = (run.trajectories, run.truth, dataset.catalog, dataset.body)
+    return [track_chart(*given), scene_chart(*given)]
 
 
 def _residuals(run: Run) -> list[Block]:
@@ -192,17 +226,4 @@ def _residuals(run: Run) -> list[Block]:
     if len(own) == 0:
         return [Text("No rim was measured.")]
     t0 = int(next(iter(run.trajectories.values())).stamps_ns[0])
-    figure = draw_residuals(own, t0)
-    caption = (
-        f"χ² per degree of freedom of each rim at the poses of {name}: 1 on average if the covariances are "
-        "consistent, less where few rims determine the pose. Crosses: matches rejected as outliers."
-    )
-    return [_drawing(figure, "residuals", run, 3.6, caption), crater_table(own)]
-
-
-def _drawing(figure: Figure, name: str, run: Run, height_in: float, caption: str) -> Drawing:
-    # The buttons of the page are the legend.
-    figure.legends.clear()
-    figure.set_size_inches(WIDTH_IN, height_in)
-    mark(figure.axes, run.trajectories)
-    return Drawing(inline_svg(figure, name), caption)
+    return [residual_chart(own, t0, name), crater_table(own)]

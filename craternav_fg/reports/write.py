@@ -1,5 +1,6 @@
 """The report of a run or a campaign, from its folder to a page."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from craternav_fg.campaign import store as campaign_store
@@ -8,6 +9,7 @@ from craternav_fg.files import exists
 from craternav_fg.reports.campaign_page import campaign_page
 from craternav_fg.reports.page import write_page
 from craternav_fg.reports.run_page import run_page
+from craternav_fg.reports.runs_page import runs_page
 from craternav_fg.runs.read import read_run
 
 REPORT = "report.html"
@@ -18,15 +20,15 @@ def is_campaign(folder: Path) -> bool:
     return exists(folder / campaign_store.MARKER)
 
 
-def report(folder: Path | str, output: Path | str | None = None) -> Path:
-    """Write a report on a run or a campaign: one HTML page that needs no network.
+def report(folder: Path | str | Sequence[Path | str], output: Path | str | None = None) -> Path:
+    """Write a report on a run, a campaign or several runs: one HTML page that needs no network.
 
     Parameters
     ----------
-    folder : Path or str
-        Of the run or the campaign.
+    folder : Path or str, or a sequence of them
+        Of the run or the campaign, or of several runs.
     output : Path or str, optional
-        The page; `report.html` in the folder by default.
+        The page; `report.html` in the folder, or in the first one, by default.
 
     Returns
     -------
@@ -38,7 +40,14 @@ def report(folder: Path | str, output: Path | str | None = None) -> Path:
     InputError
         When the folder is neither, or damaged.
     """
-    here = Path(folder)
+    folders = [Path(folder)] if isinstance(folder, str | Path) else [Path(one) for one in folder]
+    here = folders[0]
     path = here / REPORT if output is None else Path(output)
-    write_page(campaign_page(read_campaign(here)) if is_campaign(here) else run_page(read_run(here)), path)
+    if len(folders) > 1:
+        page = runs_page([read_run(one) for one in folders])
+    elif is_campaign(here):
+        page = campaign_page(read_campaign(here))
+    else:
+        page = run_page(read_run(here))
+    write_page(page, path)
     return path

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import numpy as np
+import pyarrow.compute as pc
 import pytest
 
 from craternav_fg.campaign import run
@@ -14,7 +16,7 @@ from craternav_fg.reports.page import Table, write_page
 from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
 from tests.cli.calls import call
-from tests.report.test_report import Reader
+from tests.report.test_report import Reader, data_of
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +76,19 @@ def test_an_anees_that_few_trials_explain_is_not_set_off(campaign: Path, trials:
     assert isinstance(table, Table)
     anees = next(k for k, heading in enumerate(table.headings) if heading.startswith("ANEES"))
     assert {cells[anees].concern for _, cells in table.rows} == {set_off}
+
+
+def test_the_worst_trial_is_picked_first(campaign: Path, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    found = read_campaign(campaign)
+    write_page(campaign_page(found), out)
+    spec = data_of(out)["charts"]["trial"]
+    names = [trace["name"] for trace in spec["data"]]
+    rows = found.table.filter(pc.equal(found.table["estimator"], names[0])).to_pylist()
+    final_m = {row["trial"]: float(np.linalg.norm(row["position_error_m"])) for row in rows}
+    assert spec["data"][0]["y"] == spec["picked"][0][0]
+    assert [curve[-1] for curve in spec["picked"][0]] == pytest.approx(
+        sorted(final_m.values(), reverse=True), rel=1e-3
+    )
+    worst = max(final_m, key=lambda trial: final_m[trial])
+    assert f'<option value="0">trial {worst}: ' in out.read_text("utf-8")
