@@ -38,8 +38,10 @@ API_GROUPS = {
         "ESTIMATORS", "Estimator", "BatchSmoother", "OnlineSmoother", "FixedLagSmoother",
         "GraphOptions", "DistributedEkf", "EkfOptions",
     ),
-    "One image": ("detect", "identify", "solve_pose"),
-    "Simulation and campaigns": ("simulate", "montecarlo", "CampaignOptions"),
+    "One image": ("detect", "identify", "TripleIndex", "KnownAttitude", "solve_pose"),
+    "Simulation and campaigns": (
+        "load_scenario", "Scenario", "simulate", "montecarlo", "CampaignOptions", "read_campaign",
+    ),
     "Results": ("metrics", "plot", "report"),
     "Sensors": ("Sensor",),
     "Errors": ("CraternavError", "InputError", "EstimationError"),

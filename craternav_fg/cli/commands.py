@@ -29,7 +29,7 @@ COMMANDS = {
         "Check a run: against an elevation model, against stated states, by leaving frames out.",
         ("evaluation",),
     ),
-    "report": Command("Write a report: one HTML page that needs no network.", ("report",)),
+    "report": Command("Write a report: one interactive HTML page that needs no network.", ("report",)),
     "montecarlo": Command(
         "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)
     ),
