@@ -17,8 +17,8 @@ from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.images import check_image
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, entries, exists, open_input, read_bytes, replacing
-from craternav_fg.parquet import read_parquet_metadata
 from craternav_fg.tables import Column, read_table
+from craternav_fg.tables.parquet import read_parquet_metadata
 
 READERS = {
     "TOML": read_toml,

@@ -14,8 +14,8 @@ from craternav_fg.config import ResultSection, Section, read_json, read_toml, va
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import present_name
 from craternav_fg.files import SizeLimit, check_input, entries, exists, read_bytes
-from craternav_fg.parquet import read_parquet, read_parquet_metadata, require_finite
 from craternav_fg.runs.columns import check_names, with_present_names
+from craternav_fg.tables.parquet import read_parquet, read_parquet_metadata, require_finite
 
 _BOUNDS = (FILTERED_BOUND, SMOOTHED_BOUND)
 _ERRORS = ("attitude_error_rad", "position_error_m", "velocity_error_m_s")

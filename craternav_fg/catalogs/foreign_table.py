@@ -16,7 +16,7 @@ import pyarrow.csv as pa_csv
 
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input
-from craternav_fg.parquet import parquet_names, read_parquet_columns
+from craternav_fg.tables.parquet import parquet_names, read_parquet_columns
 
 IntArray = npt.NDArray[np.int64]
 

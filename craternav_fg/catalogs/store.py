@@ -9,11 +9,11 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
 
-from craternav_fg import parquet
 from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import StatedBody, resolve_body
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
+from craternav_fg.tables import parquet
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
-from craternav_fg.parquet import filled, read_parquet, write_parquet
+from craternav_fg.tables.parquet import filled, read_parquet, write_parquet
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

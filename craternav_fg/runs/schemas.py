@@ -5,7 +5,7 @@ from dataclasses import fields
 import pyarrow as pa
 
 from craternav_fg.measurements import RimQuality
-from craternav_fg.parquet import filled
+from craternav_fg.tables.parquet import filled
 
 
 def _numbers(size: int) -> pa.DataType:
