@@ -36,6 +36,9 @@ RELINEARISE_STEPS = {
     POINT: np.full(3, 20.0),
     **{letter: np.full(int(letter), 1e3) for letter in SENSOR_BIASES},
 }
+# Of a key, behind the letter.
+INDEX_BITS = 56
+INDEX_MASK = (1 << INDEX_BITS) - 1
 # Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
 STATE_LETTERS = ("x", "v", "b")
 # Letters of variables that several states share: time-correlated errors of one rim and of all rims, tracked
@@ -349,13 +352,16 @@ def _since(
     graph.push_back(snapshot.prior)
     of_points: dict[int, list[gtsam.NonlinearFactor]] = {}
     alone: dict[int, gtsam.NonlinearFactor] = {}
-    for slot in range(factors.size()):
+    letters = {ord(letter) for letter in STATE_LETTERS}
+    # Priors of points may be older than the snapshot.
+    for slot in range(0 if _count_points(now) else snapshot.slots, factors.size()):
         if not factors.exists(slot):
             continue
         factor = factors.at(slot)
-        symbols = [gtsam.Symbol(key) for key in factor.keys()]  # noqa: SIM118 (KeyVector is no mapping)
-        states = [symbol.index() for symbol in symbols if chr(symbol.chr()) in STATE_LETTERS]
-        points = [symbol.key() for symbol in symbols if chr(symbol.chr()) == POINT]
+        keys = factor.keys()
+        # A key's first byte is its letter, the rest its index; a `gtsam.Symbol` takes ten times as long.
+        states = [key & INDEX_MASK for key in keys if key >> INDEX_BITS in letters]
+        points = [key for key in keys if key >> INDEX_BITS == ord(POINT)]
         if points and not states:
             alone[points[0]] = factor
         elif slot < snapshot.slots or min(states, default=snapshot.number) < snapshot.number:
@@ -384,14 +390,15 @@ def _keys(graph: gtsam.NonlinearFactorGraph) -> set[int]:
 
 
 def _count_points(values: gtsam.Values) -> int:
-    # The letter is a key's first byte; a `gtsam.Symbol` takes ten times as long.
-    return sum(key >> 56 == ord(POINT) for key in values.keys())  # noqa: SIM118 (Values is no mapping)
+    return sum(key >> INDEX_BITS == ord(POINT) for key in values.keys())  # noqa: SIM118 (Values is no mapping)
 
 
 def _without_points(values: gtsam.Values) -> gtsam.Values:
+    if not _count_points(values):
+        return values
     out = gtsam.Values(values)
     for key in values.keys():  # noqa: SIM118 (Values is no mapping)
-        if chr(gtsam.Symbol(key).chr()) == POINT:
+        if key >> INDEX_BITS == ord(POINT):
             out.erase(key)
     return out
 

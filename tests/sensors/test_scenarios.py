@@ -96,4 +96,6 @@ def test_tracked_points_bridge_two_minutes_without_craters(run: Run, name: str) 
         errors.append(rms(norms(campaign, name, "position_error_m")[:, inside]))
     # Craters after the gap help the smoother, with points or without.
     assert errors[0] < (0.85 if name == "smoother" else 0.5) * errors[1]
-    assert LEAST_OVER_BOUND < run(case).summary["estimators"][name]["rms_over_pcrb"] < 1.1
+    # The filter uses a track when it ends, linearised at the poses of its last twelve frames.
+    most = 1.3 if name == "ekf" else 1.15
+    assert LEAST_OVER_BOUND < run(case).summary["estimators"][name]["rms_over_pcrb"] < most
