@@ -31,7 +31,7 @@ $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	@touch $@ $(VENV)/.core
 
 demo: $(VENV)/.core  ## simulate a lunar descent, reconstruct it, compare the estimators (runs/demo)
-	$(BIN)/craternav demo
+	$(BIN)/craternav demo --force
 
 test: $(VENV)/.dev  ## run the tests and the notebooks, but for the slow ones
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile

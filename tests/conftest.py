@@ -1,6 +1,12 @@
 """Settings of all tests."""
 
+import os
+import tempfile
+
 from hypothesis import settings
+
+# Tests neither read nor fill the user's cache.
+os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="craternav-cache-")
 
 pytest_plugins = ("pytester", "tests.slow_budget")
 

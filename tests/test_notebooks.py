@@ -34,7 +34,8 @@ def test_they_use_the_public_interface(path: Path) -> None:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_they_keep_their_outputs_and_stay_small(path: Path) -> None:
     code = code_of(path)
-    assert all(cell.outputs for cell in code if not cell.source.startswith("%%writefile"))
+    # The first may import and make the data only.
+    assert all(cell.outputs for cell in code[1:])
     assert path.stat().st_size < 300_000
     assert sum(cell.source.count("\n") + 1 for cell in code) <= 150
     assert any('"dpi": 110' in cell.source for cell in code)

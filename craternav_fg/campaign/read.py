@@ -131,6 +131,8 @@ def read_campaign(folder: Path | str) -> Campaign:
         When the folder is no campaign's, or a file of it is damaged.
     """
     path = Path(folder)
+    if not exists(path):
+        raise InputError(path, "folder is missing")
     if not exists(path / MARKER):
         raise InputError(path, f"expected a campaign's folder, found no {MARKER} in it")
     identity = read_identity(path)

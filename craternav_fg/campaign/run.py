@@ -4,7 +4,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,9 @@ class CampaignOptions:
     Attributes
     ----------
     trials : int
-        Number of trials, from trial 0 on. More trials in the folder are left as they are.
+        Number of trials, from the first on. Others in the folder are left as they are.
+    first : int
+        Number of the first trial.
     estimators : tuple of str
         Names.
     images : bool
@@ -58,6 +60,7 @@ class CampaignOptions:
     """
 
     trials: int
+    first: int = field(default=0, kw_only=True)
     estimators: tuple[str, ...] = DEFAULT
     images: bool = False
     workers: int = 1
@@ -134,7 +137,7 @@ def montecarlo(
 
 def _missing(options: CampaignOptions, store: CampaignFolder) -> list[int]:
     done = store.numbers(without_failed=options.retry)
-    return [number for number in range(options.trials) if number not in done]
+    return [number for number in range(options.first, options.first + options.trials) if number not in done]
 
 
 def as_measured(scenario: Scenario, *, images: bool) -> Scenario:

@@ -12,7 +12,8 @@ from typer.core import TyperGroup
 
 import craternav_fg
 from craternav_fg.cli.commands import COMMANDS
-from craternav_fg.cli.terminal import note, say
+from craternav_fg.cli.terminal import err, note, out, say, set_verbosity
+from craternav_fg.errors import CraternavError
 from factors import numba_cache
 
 
@@ -30,7 +31,6 @@ app = typer.Typer(
     help="Reconstruct a planetary landing from crater rims and an IMU.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 catalog_commands = typer.Typer(help=COMMANDS["catalog"].help, no_args_is_help=True)
@@ -88,9 +88,16 @@ def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Tell each step, and where a known error is from.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print warnings, errors and JSON, and nothing else.")
+    ] = False,
 ) -> None:
     """Reconstruct a planetary landing from crater rims and an IMU."""
     del version
+    set_verbosity(verbose=verbose, quiet=quiet)
 
 
 def _one_line(
@@ -107,4 +114,9 @@ def run() -> None:
     warnings.formatwarning = _one_line
     if numba_cache.FOLDER is not None:
         note(f"no folder for compiled code can be written: {numba_cache.FOLDER} is used")
-    app()
+    try:
+        app()
+    except CraternavError:
+        if out.verbose:
+            err.print_exception()
+        raise

@@ -11,7 +11,7 @@ import typer
 from craternav_fg.bench import detect_real
 from craternav_fg.bench import report as bench_report
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import FIGURE_SUFFIXES, JsonOption, require_suffix
+from craternav_fg.cli.options import FIGURE_SUFFIXES, ForceOption, JsonOption, require_free, require_suffix
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits
 from craternav_fg.errors import InputError
 from craternav_fg.vision.detect import BlindOptions
@@ -39,6 +39,7 @@ def bench(
         bool,
         typer.Option("--full", help="Also run the online estimator over 10,000 frames: minutes longer."),
     ] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure speed against GTSAM's own C++ factors, or detection against people's annotation."""
@@ -46,6 +47,7 @@ def bench(
         _detect_real(_given(data), as_json)
         return
     require_suffix(output, FIGURE_SUFFIXES)
+    require_free(output, force=force)
     with progress_bars() as report:
         result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)
     bench_report.write_figure(result, output)

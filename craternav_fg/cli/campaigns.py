@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,9 @@ from craternav_fg.campaign.run import CampaignOptions
 from craternav_fg.campaign.run import montecarlo as run_campaign
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.estimator_option import EstimatorOption
-from craternav_fg.cli.options import JsonOption, ScenarioArgument
+from craternav_fg.cli.option_groups import with_option_groups
+from craternav_fg.cli.options import JsonOption, names_of, require_free
+from craternav_fg.cli.scenario_options import ScenarioArgument, SeedOption, seeded
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits, warn
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
@@ -35,17 +38,29 @@ _LEGEND = (
 )
 
 
-@app.command(epilog=example("montecarlo paper_case3 -n 30 -o runs/campaign"))
+@dataclass(frozen=True)
+class Where:
+    """Who runs the trials."""
+
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine.", show_default="one per core")
+    ] = None
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler whose workers run the trials instead.")
+    ] = None
+
+
+@app.command(epilog=example("montecarlo paper_case3 -n 30 -o runs/campaign -e smoother,ekf"))
+@with_option_groups
 def montecarlo(
     scenario: ScenarioArgument,
     trials: Annotated[int, typer.Option("-n", help="Number of trials.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the campaign.")],
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine.", show_default="one per core")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler whose workers run the trials instead.")
-    ] = None,
+    where: Where,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the campaign.")] = Path(
+        "runs/montecarlo"
+    ),
+    seed: SeedOption = None,
+    trial: Annotated[int, typer.Option("--trial", min=0, help="Number of the first trial.")] = 0,
     images: Annotated[
         bool, typer.Option("--images", help="Render images and measure them, instead of simulated rims.")
     ] = False,
@@ -54,16 +69,19 @@ def montecarlo(
     as_json: JsonOption = False,
 ) -> None:
     """Run trials of a scenario with every estimator, or the missing trials of a campaign."""
-    _check_one_of(workers, scheduler)
+    _check_one_of(where.workers, where.scheduler)
+    # A campaign that is there is completed: nothing is replaced.
+    require_free(output, force=True)
     options = CampaignOptions(
         trials=trials,
-        estimators=tuple(dict.fromkeys(estimators or DEFAULT)),
+        first=trial,
+        estimators=names_of(estimators, DEFAULT),
         images=images,
-        workers=os.cpu_count() or 1 if workers is None else workers,
-        scheduler=scheduler,
+        workers=os.cpu_count() or 1 if where.workers is None else where.workers,
+        scheduler=where.scheduler,
         retry=retry,
     )
-    summary = _run(load_scenario(scenario), output, options)
+    summary = _run(seeded(load_scenario(scenario), seed), output, options)
     _report_failures(read_campaign(output).failed, summary["trials"])
     if as_json:
         out.print_json(json.dumps(summary))

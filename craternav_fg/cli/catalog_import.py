@@ -23,7 +23,8 @@ from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import assumed_body, body_of_radius, skipped_lines
 from craternav_fg.cli.catalog_summary import MAX_LISTED, show, summarise
-from craternav_fg.cli.options import JsonOption, require_kept, require_suffix
+from craternav_fg.cli.option_groups import with_option_groups
+from craternav_fg.cli.options import ForceOption, JsonOption, require_free, require_kept, require_suffix
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.errors import InputError
 
@@ -47,36 +48,42 @@ class _Table:
     report: ImportReport
 
 
-@catalog_commands.command(
-    "import", epilog=example("catalog import robbins.csv -o craters.parquet --dem gld100.tif --dem-unit-m 1")
-)
-def import_(
-    tables: Annotated[list[Path], typer.Argument(help="Tables of craters, joined into one catalogue.")],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="Catalogue to write: .parquet, or .csv with Robbins' columns."),
-    ],
+@dataclass(frozen=True)
+class Columns:
+    """Columns of the tables, where their names do not tell them."""
+
     latitude: Annotated[
         str | None, typer.Option(help="Column of the latitude, deg.", show_default="found by its name")
-    ] = None,
+    ] = None
     longitude: Annotated[
         str | None,
         typer.Option(help="Column of the longitude, deg, positive east.", show_default="found by its name"),
-    ] = None,
+    ] = None
     diameter: Annotated[
         str | None, typer.Option(help="Column of the diameter.", show_default="found by its name")
-    ] = None,
+    ] = None
     identifier: Annotated[
         str | None, typer.Option(help="Column of unique identifiers.", show_default="found by its name")
-    ] = None,
+    ] = None
     unit: Annotated[
         Unit | None,
         typer.Option(help="Unit of the diameters.", show_default="that of the column's name, else km"),
-    ] = None,
+    ] = None
+
+    def options(self) -> ImportOptions:
+        """As the reader expects them."""
+        unit = self.unit and self.unit.value
+        return ImportOptions(self.latitude, self.longitude, self.diameter, self.identifier, unit)
+
+
+@dataclass(frozen=True)
+class GivenBody:
+    """Body of the craters."""
+
     body: Annotated[
         str | None,
         typer.Option(help="Name of the body.", show_default="that of the tables, else the Moon"),
-    ] = None,
+    ] = None
     body_radius_m: Annotated[
         float | None,
         typer.Option(
@@ -84,21 +91,37 @@ def import_(
             help="Radius of the catalogue's sphere.",
             show_default="the IAU's, for bodies known by name",
         ),
-    ] = None,
+    ] = None
+
+
+@catalog_commands.command(
+    "import", epilog=example("catalog import robbins.csv -o craters.parquet --dem gld100.tif --dem-unit-m 1")
+)
+@with_option_groups
+def import_(
+    tables: Annotated[list[Path], typer.Argument(help="Tables of craters, joined into one catalogue.")],
+    columns: Columns,
+    given: GivenBody,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="Catalogue to write: .parquet, or .csv with Robbins' columns."),
+    ] = Path("runs/catalog.parquet"),
     dem: Annotated[
         Path | None,
         typer.Option(help="Elevation model (GeoTIFF, longitude and latitude) for the heights of the rims."),
     ] = None,
     dem_unit_m: Annotated[float, typer.Option(help="Unit of its heights, m.")] = 1.0,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Import tables of craters: Robbins' columns, or circles with latitude, longitude and diameter."""
     require_suffix(output, (SUFFIX, ".csv"))
     require_kept(tables, [output])
+    require_free(output, force=force)
     _check_unit(dem_unit_m)
-    given = body_of_radius(body_radius_m) if body is None else named_body(body, body_radius_m)
-    names = ImportOptions(latitude, longitude, diameter, identifier, unit and unit.value)
-    parts = [_read(path, given, names, alone=len(tables) == 1) for path in tables]
+    radius_m = given.body_radius_m
+    body = body_of_radius(radius_m) if given.body is None else named_body(given.body, radius_m)
+    parts = [_read(path, body, columns.options(), alone=len(tables) == 1) for path in tables]
     catalog = _joined(parts)
     if dem is not None:
         catalog = _with_heights(catalog, dem, dem_unit_m)

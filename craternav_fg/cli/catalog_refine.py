@@ -12,7 +12,14 @@ from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.store import SUFFIX, write_parquet
 from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
-from craternav_fg.cli.options import CatalogBodyOption, JsonOption, require_kept, require_suffix
+from craternav_fg.cli.options import (
+    CatalogBodyOption,
+    ForceOption,
+    JsonOption,
+    require_free,
+    require_kept,
+    require_suffix,
+)
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.errors import InputError
 from craternav_fg.mapping.refine import Outcome, RefinedRims, RefineOptions, refine_on_dem
@@ -35,11 +42,13 @@ def refine(
         float, typer.Option(min=0.1, help="Shortest length that the model resolves, in its steps.")
     ] = RefineOptions.resolution_steps,
     body_radius_m: CatalogBodyOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure rims on an elevation model: ellipses, heights and covariances in place of circles."""
     require_suffix(output, (SUFFIX,))
     require_kept([catalog, dem], [output])
+    require_free(output, force=force)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     model = read_dem(dem, dem_unit_m, craters.body.radius_m)
     options = RefineOptions(min_diameter_steps=min_diameter_steps, resolution_steps=resolution_steps)

@@ -14,7 +14,14 @@ from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_merge import against, show_against
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.catalog_summary import show, summarise
-from craternav_fg.cli.options import FIGURE_SUFFIXES, CatalogBodyOption, JsonOption, require_suffix
+from craternav_fg.cli.options import (
+    FIGURE_SUFFIXES,
+    CatalogBodyOption,
+    ForceOption,
+    JsonOption,
+    require_free,
+    require_suffix,
+)
 from craternav_fg.cli.terminal import out, say, table_of_numbers
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
@@ -39,10 +46,11 @@ def info(
         typer.Option("--against", help="Catalogue to compare with: shift and scale of the shared craters."),
     ] = None,
     body_radius_m: CatalogBodyOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Summarise a catalogue: body, sizes, region, crossing rims, probable duplicates."""
-    _check_pairs(pairs, catalog)
+    _check_pairs(pairs, catalog, force)
     craters, report = read_any_catalog(catalog, body_radius_m)
     found = overlaps(craters)
     values = {"catalog": str(catalog), **summarise(craters, found, report.body_by)}
@@ -119,10 +127,12 @@ def plot(
     ] = None,
     distance_km: Annotated[float, typer.Option(min=0.001, help="From that centre to the border.")] = 200.0,
     body_radius_m: CatalogBodyOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Draw a catalogue: the whole body, or the rims of a region."""
     require_suffix(output, FIGURE_SUFFIXES)
+    require_free(output, force=force)
     place = _place(latitude_deg, longitude_deg)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     figure = draw_globe(craters) if place is None else draw_region(craters, *place, 1e3 * distance_km)
@@ -134,9 +144,12 @@ def plot(
         say(f"{output}")
 
 
-def _check_pairs(pairs: Path | None, catalog: Path) -> None:
-    if pairs is not None and (pairs.suffix != ".csv" or pairs.resolve() == catalog.resolve()):
+def _check_pairs(pairs: Path | None, catalog: Path, force: bool) -> None:
+    if pairs is None:
+        return
+    if pairs.suffix != ".csv" or pairs.resolve() == catalog.resolve():
         raise InputError(pairs, "expected another name that ends in .csv")
+    require_free(pairs, force=force)
 
 
 def _place(latitude_deg: float | None, longitude_deg: float | None) -> tuple[float, float] | None:

@@ -24,7 +24,7 @@ COMMANDS = {
     ),
     "simulate": Command("Simulate a scenario and write its data set (EuRoC/ASL layout).", ("descents",)),
     "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
-    "compare": Command("Compare the estimators of one or more runs.", ("descents",)),
+    "compare": Command("Compare the estimators of one or more runs.", ("comparison",)),
     "evaluate": Command(
         "Check a run: against an elevation model, against stated states, by leaving frames out.",
         ("evaluation",),

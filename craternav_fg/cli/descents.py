@@ -1,18 +1,21 @@
-"""Commands on descents: simulate, reconstruct, compare."""
+"""Commands on descents: simulate, reconstruct."""
 
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from craternav_fg.campaign.run import as_measured
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.estimator_option import EstimatorOption
-from craternav_fg.cli.options import JsonOption, ScenarioArgument
-from craternav_fg.cli.run_summary import comparison, show_comparison, show_run
+from craternav_fg.cli.option_groups import with_option_groups
+from craternav_fg.cli.options import ForceOption, JsonOption, names_of, require_free
+from craternav_fg.cli.run_summary import show_run
+from craternav_fg.cli.scenario_options import ScenarioArgument, SeedOption, TrialOption, seeded
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
@@ -26,7 +29,6 @@ from craternav_fg.files import replacing_folder
 from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.pipeline.reconstruct import Progress
 from craternav_fg.runs.execute import execute_run
-from craternav_fg.runs.read import read_run
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
@@ -36,19 +38,23 @@ from craternav_fg.simulation.scenario_file import load_scenario
 OF_CAMERA = (RIMS, SUN)
 
 
-@app.command(epilog=example("demo -o runs/demo"))
+@app.command(epilog=example("demo -o runs/demo --seed 7"))
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")] = Path("runs/demo"),
     scenario: Annotated[
         str, typer.Option(help="Name of a built-in scenario, or a TOML file.")
     ] = "lunar_descent",
+    seed: SeedOption = None,
+    trial: TrialOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a descent, reconstruct it with every estimator, and compare them."""
     began_s = time.perf_counter()
-    case = load_scenario(scenario)
+    require_free(output, force=force)
+    case = seeded(load_scenario(scenario), seed)
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
-        simulate_scenario(case, folder / DATASET, progress=_simulated(report))
+        simulate_scenario(case, folder / DATASET, trial=trial, progress=_simulated(report))
         simulated_s = time.perf_counter() - began_s
         summary = execute_run(
             Dataset.open(folder / DATASET),
@@ -62,42 +68,64 @@ def demo(
     show_run(output, summary, as_json)
 
 
-@app.command(epilog=example("simulate lunar_descent -o runs/data --lost"))
+@app.command(epilog=example("simulate paper_case3 --trial 17 -o runs/data"))
 def simulate(
     scenario: ScenarioArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")] = Path(
+        "runs/simulate"
+    ),
+    seed: SeedOption = None,
+    trial: TrialOption = None,
+    measured: Annotated[
+        bool,
+        typer.Option("--measured", help="Simulate measured rims in place of images, as montecarlo does."),
+    ] = False,
     lost: Annotated[
         bool,
         typer.Option(
             "--lost", help="Leave out the initial state: a reconstruction must identify the craters."
         ),
     ] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
-    case = load_scenario(scenario)
+    require_free(output, force=force)
+    case = seeded(load_scenario(scenario), seed)
+    if measured:
+        case = as_measured(case, images=False)
     with progress_bars() as report:
-        simulate_scenario(case, output, with_initial=not lost, progress=_simulated(report))
+        simulate_scenario(case, output, trial=trial, with_initial=not lost, progress=_simulated(report))
     if as_json:
         out.print_json(json.dumps({"dataset": str(output)}))
     else:
         say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 
 
-@app.command(epilog=example("reconstruct runs/data -o runs/first -e smoother -e ekf --overlay-every 10"))
-def reconstruct(
-    data: Annotated[Path | None, typer.Argument(help="Folder of the data set.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder of the run.")] = None,
-    estimators: EstimatorOption = None,
+@dataclass(frozen=True)
+class Choice:
+    """What takes part in a reconstruction, and how."""
+
+    estimators: EstimatorOption = None
     without: Annotated[
         list[str] | None,
         typer.Option(metavar="SENSOR", help="Leave out a sensor, or rims, or sun; may be repeated."),
-    ] = None,
+    ] = None
     rims: Annotated[
         str | None,
         typer.Option(help=f"How the smoothers measure rims: one of {', '.join(RIM_MODELS)}."),
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="Options of front end and estimators (TOML).")] = None,
+    ] = None
+    config: Annotated[Path | None, typer.Option(help="Options of front end and estimators (TOML).")] = None
+
+
+@app.command(epilog=example("reconstruct runs/data -o runs/first -e smoother,ekf --overlay-every 10"))
+@with_option_groups
+def reconstruct(
+    choice: Choice,
+    data: Annotated[Path | None, typer.Argument(help="Folder of the data set.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")] = Path(
+        "runs/reconstruct"
+    ),
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print all options with their defaults, for --config.")
     ] = False,
@@ -107,40 +135,29 @@ def reconstruct(
     overlay_every: Annotated[
         int | None, typer.Option(min=1, help="Draw them on every Nth frame only.", metavar="N")
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Reconstruct the trajectory of a data set."""
     began_s = time.perf_counter()
     if print_config:
-        typer.echo(default_options(estimators or ()), nl=False)
+        typer.echo(default_options(names_of(choice.estimators, ())), nl=False)
         return
-    data, output = _given(data, output)
-    file = None if config is None else OptionsFile(config)
-    chosen = _estimators(estimators or DEFAULT, file, rims)
-    _check_folders(data, output)
-    dataset = _left_out(Dataset.open(data), without or ())
+    folder_of_data = _given(data)
+    file = None if choice.config is None else OptionsFile(choice.config)
+    chosen = _estimators(names_of(choice.estimators, DEFAULT), file, choice.rims)
+    _check_folders(folder_of_data, output)
+    require_free(output, force=force)
+    dataset = _left_out(Dataset.open(folder_of_data), choice.without or ())
     every = overlay_every or int(overlays)
-    _check_overlays(data, dataset, every)
+    _check_overlays(folder_of_data, dataset, every)
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
         summary = execute_run(
-            dataset, folder, chosen, label=str(data.resolve()), began_s=began_s, progress=report,
+            dataset, folder, chosen, label=str(folder_of_data.resolve()), began_s=began_s, progress=report,
             overlay_every=every, front_end=None if file is None else file.front_end,
-            without=[name for name in OF_CAMERA if name in (without or ())],
+            without=[name for name in OF_CAMERA if name in (choice.without or ())],
         )  # fmt: skip
     show_run(output, summary, as_json)
-
-
-@app.command(epilog=example("compare runs/first runs/second"))
-def compare(
-    runs: Annotated[list[Path], typer.Argument(help="Folders of runs.")],
-    as_json: JsonOption = False,
-) -> None:
-    """Compare the estimators of one or more runs."""
-    compared = [(str(run.path), comparison(run)) for run in (read_run(path) for path in runs)]
-    if as_json:
-        out.print_json(json.dumps(dict(compared)))
-    else:
-        show_comparison(compared)
 
 
 def _simulated(report: Progress) -> Callable[[int, int], None]:
@@ -148,11 +165,11 @@ def _simulated(report: Progress) -> Callable[[int, int], None]:
     return lambda done, total: report("simulated frames", done, total)
 
 
-def _given(data: Path | None, output: Path | None) -> tuple[Path, Path]:
-    """Refuse a call without the folders, which only --print-config does not need."""
-    if data is None or output is None:
-        raise InputError("reconstruct", "expected the folder of a data set and --output")
-    return data, output
+def _given(data: Path | None) -> Path:
+    """Refuse a call without the data set, which only --print-config does not need."""
+    if data is None:
+        raise InputError("reconstruct", "expected the folder of a data set")
+    return data
 
 
 def _estimators(names: Sequence[str], file: OptionsFile | None, rims: str | None) -> list[Estimator]:

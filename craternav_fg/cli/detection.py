@@ -12,7 +12,7 @@ import numpy.typing as npt
 import typer
 
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import JsonOption, require_kept
+from craternav_fg.cli.options import ForceOption, JsonOption, require_free, require_kept
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset.ellipses import detections_as_plain_data, write_detected_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
@@ -34,16 +34,15 @@ class Method(StrEnum):
 _DETECTORS = {Method.TEMPLATE: find_rims, Method.LEARNED: find_rims_learned, Method.CANNY: find_rims_canny}
 
 
-@app.command(epilog=example("detect frame.png --sun 180 -o runs/rims.csv"))
+@app.command(epilog=example("detect frame.png --sun-deg 180 -o runs/rims.csv"))
 def detect(
     image: Annotated[Path, typer.Argument(help="Image file of any origin: PNG, TIFF, JPEG.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="CSV of ellipses; the overlay is written beside it.")
-    ] = Path("runs/rims.csv"),
+    ] = Path("runs/detect.csv"),
     sun_deg: Annotated[
         float | None,
         typer.Option(
-            "--sun",
             help="Direction towards the sun in the image, deg: 0 right, 90 down, 180 left.",
             show_default="estimated from the image",
         ),
@@ -55,18 +54,20 @@ def detect(
         ),
     ] = Method.TEMPLATE,
     min_radius_px: Annotated[
-        float, typer.Option("--min-radius", min=4.0, help="Smallest radius to search, px.")
+        float, typer.Option(min=4.0, help="Smallest radius to search, px.")
     ] = BlindOptions.min_radius_px,
     min_quality: Annotated[
         float,
         typer.Option(min=0.0, max=1.0, help="Smallest quality of a rim; less finds more, also false ones."),
     ] = BlindOptions.min_quality,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Detect crater rims in an image without any prior."""
     overlay = output.with_name(f"{output.stem}_overlay.png")
     require_kept([image], [output, overlay])
-    sun_rad = _angle_rad("--sun", sun_deg)
+    require_free(output, force=force)
+    sun_rad = _angle_rad("--sun-deg", sun_deg)
     pixels = read_foreign_image(image)
     began_s = time.perf_counter()
     options = BlindOptions(min_radius_px=min_radius_px, min_quality=min_quality)
@@ -102,7 +103,7 @@ def _detect(
     try:
         return _DETECTORS[method](pixels, sun_rad, options)
     except EstimationError as error:
-        raise InputError(path, f"{error}; omit --sun to estimate it from the image") from error
+        raise InputError(path, f"{error}; omit --sun-deg to estimate it from the image") from error
 
 
 def _plain(rims: FoundRims) -> dict[str, Any]:

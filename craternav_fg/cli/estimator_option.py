@@ -4,14 +4,17 @@ from typing import Annotated
 
 import typer
 
-from craternav_fg.estimators.registry import ESTIMATORS, ON_REQUEST
+from craternav_fg.cli.options import completing
+from craternav_fg.estimators.registry import ESTIMATORS, ON_REQUEST, estimators
 
 EstimatorOption = Annotated[
     list[str] | None,
     typer.Option(
         "--estimator",
         "-e",
-        help=f"One of {', '.join(ESTIMATORS)}; may be repeated.",
+        metavar="NAME[,NAME...]",
+        help=f"Of {', '.join(ESTIMATORS)}; may be repeated.",
         show_default=f"all but {', '.join(ON_REQUEST)}",
+        autocompletion=completing(estimators),
     ),
 ]

@@ -14,12 +14,16 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
+    ForceOption,
     JsonOption,
+    KnownAttitude,
     numbers_of,
+    require_free,
     require_kept,
     require_suffix,
 )
@@ -29,7 +33,8 @@ from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
+from craternav_fg.matching.identify.search import Identification, IdentifyOptions
+from craternav_fg.matching.identify.search import KnownAttitude as SearchAttitude
 from craternav_fg.matching.identify.search import identify as identify_rims
 from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
@@ -37,36 +42,34 @@ from craternav_fg.vision.detect import find_rims
 
 FloatArray = npt.NDArray[np.float64]
 
+# A search needs room for the error of the attitude, and gains nothing from one that is hardly known.
+_ATTITUDE_SIGMA_DEG = (1e-3, 10.0)
+
 
 @app.command(
     epilog=example("identify rims.csv --camera sensor.yaml --catalog craters.parquet -o matched.csv")
 )
+@with_option_groups
 def identify(
     rims: Annotated[
         Path, typer.Argument(help="CSV of ellipses as `craternav detect` writes it, or an image file.")
     ],
     camera: CameraOption,
     catalog: CatalogOption,
-    attitude: Annotated[
-        str | None, typer.Option(help="Attitude gRb of a star tracker, as a quaternion w,x,y,z.")
-    ] = None,
-    attitude_sigma_deg: Annotated[
-        float, typer.Option(min=1e-3, max=10.0, help="Its standard deviation per axis.")
-    ] = 1.5,
+    attitude: KnownAttitude,
     altitude_km: Annotated[
         str | None, typer.Option(help="MIN,MAX altitude to search.", show_default="1,2000")
     ] = None,
     index: Annotated[
         Path | None,
-        typer.Option(
-            help="File of the catalogue's index.", show_default="FILE.index.npz beside the catalogue"
-        ),
+        typer.Option(help="File of the catalogue's index.", show_default="in the user's cache"),
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Write the rims with their CRATER_ID, for `craternav pose`."),
     ] = None,
     body_radius_m: CatalogBodyOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Identify the craters of an image, and the lander's pose, without any prior."""
@@ -74,8 +77,9 @@ def identify(
     require_suffix(path, [".npz"])
     if output is not None:
         require_kept([rims, camera, catalog, path], [output])
+        require_free(output, force=force)
     sensor = read_camera(camera)
-    known = _attitude(attitude, attitude_sigma_deg)
+    known = _attitude(attitude)
     options = IdentifyOptions(altitudes_m=_altitudes(altitude_km))
     ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
@@ -93,16 +97,18 @@ def identify(
     _require_answer(found)
 
 
-def _attitude(text: str | None, sigma_deg: float) -> KnownAttitude | None:
-    values = numbers_of("--attitude", text, 4)
+def _attitude(given: KnownAttitude) -> SearchAttitude | None:
+    values = given.values()
     if values is None:
         return None
-    q = np.array(values)
-    if not np.abs(q).max() > 0.0:
-        raise InputError("--attitude", "expected a quaternion, found zero")
+    wxyz, sigma_deg = values
+    low, high = _ATTITUDE_SIGMA_DEG
+    if not low <= sigma_deg <= high:
+        raise InputError("--attitude-sigma-deg", f"expected {low:g} to {high:g} deg, found {sigma_deg:g}")
+    q = np.array(wxyz)
     # Scaled first, as the squares of very large or small numbers are not finite.
     q /= np.abs(q).max()
-    return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
+    return SearchAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
 
 
 def _altitudes(text: str | None) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Options that several commands share, and checks of their values."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,102 @@ CatalogBodyOption = Annotated[
         show_default="that of the file, else the Moon's",
     ),
 ]
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace a result that is there.")]
+
+
+@dataclass(frozen=True)
+class KnownAttitude:
+    """Attitude that another sensor gives."""
+
+    attitude: Annotated[
+        str | None, typer.Option(help="Attitude gRb of another sensor, as a quaternion w,x,y,z.")
+    ] = None
+    attitude_sigma_deg: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Its standard deviation per axis; 0 for an exact one. Needed with it."),
+    ] = None
+
+    def values(self) -> tuple[list[float], float] | None:
+        """Quaternion w, x, y, z and sigma, deg; None without an attitude.
+
+        Returns
+        -------
+        tuple of (list of float, float) or None
+
+        Raises
+        ------
+        InputError
+            When one is given without the other, or the quaternion is wrong.
+        """
+        q = numbers_of("--attitude", self.attitude, 4)
+        if (q is None) != (self.attitude_sigma_deg is None):
+            raise InputError("--attitude, --attitude-sigma-deg", "expected both, found one")
+        if q is None or self.attitude_sigma_deg is None:
+            return None
+        if not any(q):
+            raise InputError("--attitude", "expected a quaternion, found zero")
+        return q, self.attitude_sigma_deg
+
+
+def completing(known: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Make a completion of the last of names that are separated by commas.
+
+    Parameters
+    ----------
+    known : callable
+        Gives the names.
+
+    Returns
+    -------
+    callable
+        From what is typed to what may be meant.
+    """
+
+    def complete(incomplete: str) -> list[str]:
+        before, comma, last = incomplete.rpartition(",")
+        return [before + comma + name for name in known() if name.startswith(last)]
+
+    return complete
+
+
+def names_of(given: Iterable[str] | None, default: Sequence[str]) -> tuple[str, ...]:
+    """Split names that are separated by commas; each once.
+
+    Parameters
+    ----------
+    given : iterable of str or None
+        Values of an option that may be repeated.
+    default : sequence of str
+        Without any.
+
+    Returns
+    -------
+    tuple of str
+    """
+    names = [name.strip() for text in given or () for name in text.split(",") if name.strip()]
+    return tuple(dict.fromkeys(names or default))
+
+
+def require_free(path: Path, *, force: bool) -> None:
+    """Refuse to replace a result without being asked, and to make a folder at the root of a file system.
+
+    Parameters
+    ----------
+    path : Path
+        Of the result.
+    force : bool
+        Whether it may be replaced.
+
+    Raises
+    ------
+    InputError
+    """
+    if not force and (path.is_file() or (path.is_dir() and any(path.iterdir()))):
+        raise InputError(path, "exists: name another, or replace it by --force")
+    parts = path.absolute().parts
+    if len(parts) > 2 and not Path(*parts[:2]).exists():
+        top = Path(*parts[:2])
+        raise InputError(path, f"would make the folder {top} at the root of the file system: make it first")
 
 
 def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:

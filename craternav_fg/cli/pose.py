@@ -1,6 +1,7 @@
 """Command that computes a pose from the matched rims of one image."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,11 +10,13 @@ import typer
 from craternav_fg.camera import Camera
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import body_of_radius, warn_of
+from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
     JsonOption,
+    KnownAttitude,
     numbers_of,
 )
 from craternav_fg.cli.poses import show_pose
@@ -26,29 +29,33 @@ from craternav_fg.resection.problem import ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 
 
-@app.command(epilog=example("pose matched.csv --camera sensor.yaml --catalog craters.parquet --robust"))
-def pose(
-    rims: Annotated[
-        Path,
-        typer.Argument(help="CSV of ellipses, each with its crater, as `craternav identify -o` writes it."),
-    ],
-    camera: CameraOption,
-    catalog: CatalogOption,
-    attitude: Annotated[
-        str | None, typer.Option(help="Attitude gRb of another sensor, as a quaternion w,x,y,z.")
-    ] = None,
-    attitude_sigma_deg: Annotated[
-        float, typer.Option(min=0.0, help="Its standard deviation per axis; 0 for an exact attitude.")
-    ] = 0.0,
-    sun: Annotated[
+@dataclass(frozen=True)
+class KnownSun:
+    """Direction of the sun in the image and in g."""
+
+    sun_tilt_deg: Annotated[
         str | None,
         typer.Option(
-            help="TILT,SIGMA,X,Y,Z: angle of the direction towards the sun on the ground amid the rims, from "
-            "the image's x axis towards its y axis, and its standard deviation, deg; unit vector towards the "
-            "sun in g."
+            metavar="TILT,SIGMA",
+            help="Angle of the direction towards the sun on the ground amid the rims, from the image's x "
+            "axis towards its y axis, and its standard deviation. Needed with --sun.",
         ),
-    ] = None,
-    robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and reject them.")] = False,
+    ] = None
+    sun: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Direction towards the sun in g.")] = None
+
+    def values(self) -> list[float] | None:
+        """Tilt, its sigma (deg) and direction; None without them."""
+        tilt = numbers_of("--sun-tilt-deg", self.sun_tilt_deg, 2)
+        direction = numbers_of("--sun", self.sun, 3)
+        if (tilt is None) != (direction is None):
+            raise InputError("--sun-tilt-deg, --sun", "expected both, found one")
+        return None if tilt is None or direction is None else [*tilt, *direction]
+
+
+@dataclass(frozen=True)
+class RimNoise:
+    """How well rims are measured."""
+
     sigma_px: Annotated[
         float,
         typer.Option(
@@ -56,26 +63,36 @@ def pose(
             max=SIGMA_RANGE_PX[1],
             help="Standard deviation of the edge points, for files without a column sigma_px.",
         ),
-    ] = 1.0,
+    ] = 1.0
     edge_points: Annotated[
         int, typer.Option(min=6, max=100_000, help="Number of edge points of each ellipse.")
-    ] = 60,
+    ] = 60
+
+
+@app.command(epilog=example("pose matched.csv --camera sensor.yaml --catalog craters.parquet --robust"))
+@with_option_groups
+def pose(
+    rims: Annotated[
+        Path,
+        typer.Argument(help="CSV of ellipses, each with its crater, as `craternav identify -o` writes it."),
+    ],
+    camera: CameraOption,
+    catalog: CatalogOption,
+    attitude: KnownAttitude,
+    light: KnownSun,
+    noise: RimNoise,
+    robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and reject them.")] = False,
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compute the lander's pose from the matched rims of one image, without an initial guess."""
     sensor = _undistorted_camera(camera)
-    matched, craters, report = read_rims(
-        rims, sensor, catalog, body_of_radius(body_radius_m), sigma_px=sigma_px, edge_points=edge_points
-    )
+    body = body_of_radius(body_radius_m)
+    matched, craters, report = read_rims(rims, sensor, catalog, body, **vars(noise))
     warn_of(catalog, report)
+    wxyz, sigma_deg = attitude.values() or (None, 0.0)
     problem = resection_problem(
-        matched,
-        craters,
-        sensor,
-        attitude_wxyz=numbers_of("--attitude", attitude, 4),
-        attitude_sigma_deg=attitude_sigma_deg,
-        sun=numbers_of("--sun", sun, 5),
+        matched, craters, sensor, attitude_wxyz=wxyz, attitude_sigma_deg=sigma_deg, sun=light.values()
     )
     result = solve_robustly(problem) if robust else solve_all(problem)
     values = as_plain_data(problem, result, craters.body)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import JsonOption
+from craternav_fg.cli.options import ForceOption, JsonOption, require_free
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
 from craternav_fg.reports.recording import write_recording
@@ -32,10 +32,14 @@ def report(
         Path | None,
         typer.Option(help="Also write a .rrd file for the rerun viewer: trajectories and rims in 3-D."),
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a report: one interactive HTML page that needs no network."""
     _check(folders, output, recording)
+    for asked in (output, recording):
+        if asked is not None:
+            require_free(asked, force=force)
     written = {"report": str(write_report(folders, output))}
     if recording is not None:
         write_recording(read_run(folders[0]), recording)

@@ -1,13 +1,15 @@
 """Command that reproduces the figures and tables of the paper."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import JsonOption
+from craternav_fg.cli.option_groups import with_option_groups
+from craternav_fg.cli.options import ForceOption, JsonOption, require_free
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.files import replacing_folder
 from craternav_fg.reproduce import run as reproduction
@@ -15,43 +17,60 @@ from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.terminal import tables
 
 
-@app.command(epilog=example("reproduce fig02 fig11 --trials 100 -o runs/reproduction"))
+@dataclass(frozen=True)
+class Images:
+    """Set-up of figs. 11 to 14, single images."""
+
+    craters: Annotated[int, typer.Option(help="Number of craters in figs. 11 and 12, 3 or more.")] = 3
+    altitudes_km: Annotated[
+        tuple[float, float], typer.Option(help="Lowest and highest altitude in figs. 11 to 14.")
+    ] = ReproduceOptions.altitudes_km
+    semi_axes_m: Annotated[
+        tuple[float, float], typer.Option(help="Smallest and largest semi-axis of rims in figs. 11 to 14.")
+    ] = ReproduceOptions.semi_axes_m
+    noise_px: Annotated[
+        float, typer.Option(help="Standard deviation of each coordinate of an edge point.")
+    ] = 1.0
+    arc: Annotated[float, typer.Option("--arc-share", help="Visible share of each rim, 1 for all of it.")] = (
+        1.0
+    )
+
+
+@dataclass(frozen=True)
+class Amount:
+    """How much is run, and where."""
+
+    trials: Annotated[int, typer.Option(help="Trials per altitude in figs. 11 to 14.")] = 100
+    images: Annotated[
+        int,
+        typer.Option(help="Images per altitude in table 2; other image sets scale with it."),
+    ] = 128
+    descents: Annotated[
+        int, typer.Option(help="Trials of figs. 15 to 18, of lag and of ablation (10 at the most).")
+    ] = 30
+    seed: Annotated[int, typer.Option(help="Seed; the same seed gives the same result.")] = 1
+    workers: Annotated[int, typer.Option(help="Processes.")] = 2
+
+
+@app.command(epilog=example("reproduce fig02 fig11 --trials 100 -o runs/reproduce"))
+@with_option_groups
 def reproduce(
     figures: Annotated[
         list[str],
         typer.Argument(help=f"{', '.join((*reproduction.FIGURES, *reproduction.OTHERS))}, or all."),
     ],
+    setup: Images,
+    amount: Amount,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the figures.")] = Path(
-        "runs/reproduction"
+        "runs/reproduce"
     ),
-    craters: Annotated[int, typer.Option(help="Number of craters in figs. 11 and 12, 3 or more.")] = 3,
-    altitudes: Annotated[
-        tuple[float, float], typer.Option(help="Lowest and highest altitude in figs. 11 to 14, km.")
-    ] = (10.0, 100.0),
-    semi_axes: Annotated[
-        tuple[float, float],
-        typer.Option(help="Smallest and largest semi-axis of rims in figs. 11 to 14, m."),
-    ] = ReproduceOptions.semi_axes_m,
-    noise: Annotated[
-        float, typer.Option(help="Standard deviation of each coordinate of an edge point, px.")
-    ] = 1.0,
-    arc: Annotated[float, typer.Option(help="Visible share of each rim, 1 for all of it.")] = 1.0,
-    trials: Annotated[int, typer.Option(help="Trials per altitude in figs. 11 to 14.")] = 100,
-    images: Annotated[
-        int,
-        typer.Option(help="Images per altitude in table 2; other image sets scale with it."),
-    ] = 128,
-    descents: Annotated[int, typer.Option(help="Trials of figs. 15 to 18 and of lag.")] = 30,
-    seed: Annotated[int, typer.Option(help="Seed; the same seed gives the same result.")] = 1,
-    workers: Annotated[int, typer.Option(help="Processes.")] = 2,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Reproduce figures and tables of Tian et al. (2019), with a verdict on each number."""
     names = reproduction.chosen(figures)
-    options = ReproduceOptions(
-        craters=craters, altitudes_km=altitudes, semi_axes_m=semi_axes, noise_px=noise, arc=arc,
-        trials=trials, images=images, descents=descents, seed=seed, workers=workers,
-    )  # fmt: skip
+    options = ReproduceOptions(**vars(setup), **vars(amount))
+    require_free(output, force=force)
     contents = reproduction.CONTENTS
     with (
         replacing_folder(output, marker=reproduction.MARKER, ours=contents) as folder,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
@@ -22,9 +22,37 @@ from rich.text import Text
 if TYPE_CHECKING:
     from craternav_fg.pipeline.reconstruct import Progress as Report
 
+
+class _Results(Console):
+    """Standard output; JSON is printed even where nothing else is."""
+
+    verbose = False
+
+    def print_json(self, *args: Any, **options: Any) -> None:
+        """Print JSON."""
+        quiet, self.quiet = self.quiet, False
+        try:
+            super().print_json(*args, **options)
+        finally:
+            self.quiet = quiet
+
+
 # Names and paths come from files: what they hold is no markup.
 err = Console(stderr=True, markup=False)
-out = Console(markup=False)
+out = _Results(markup=False)
+
+
+def set_verbosity(*, verbose: bool, quiet: bool) -> None:
+    """Set what is printed beside results, warnings and errors.
+
+    Parameters
+    ----------
+    verbose : bool
+        Each step as a line, where no terminal draws bars; tracebacks of known errors.
+    quiet : bool
+        Neither tables nor remarks nor bars.
+    """
+    out.verbose, out.quiet = verbose, quiet
 
 
 def say(text: str) -> None:
@@ -39,7 +67,8 @@ def warn(text: str) -> None:
 
 def note(text: str) -> None:
     """Print a remark on stderr, in one line."""
-    err.print(f"craternav: {text}", highlight=False, markup=False, soft_wrap=True)
+    if not out.quiet:
+        err.print(f"craternav: {text}", highlight=False, markup=False, soft_wrap=True)
 
 
 def three_digits(value: float | None) -> str:
@@ -92,7 +121,7 @@ def progress_bars() -> "Iterator[Report]":
         _Rate(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
+    with Progress(*columns, console=err, disable=out.quiet or not err.is_terminal) as progress:
         tasks: dict[str, TaskID] = {}
 
         def report(what: str, done: int, total: int) -> None:
@@ -102,5 +131,7 @@ def progress_bars() -> "Iterator[Report]":
                 # Steps that were done before do not count for the rate.
                 tasks[kind] = progress.add_task(what, total=total, completed=done)
             progress.update(tasks[kind], description=what, completed=done, total=total)
+            if out.verbose and not err.is_terminal:
+                note(f"{what}: {done} of {total}")
 
         yield report

@@ -78,7 +78,9 @@ class Dataset(Recording):
         """
         folder = Path(path)
         if not folder.is_dir():
-            raise InputError(folder, "expected a data set's folder")
+            raise InputError(
+                folder, "expected a data set's folder" if folder.exists() else "folder is missing"
+            )
         body, initial = read_description(folder / layout.DESCRIPTION)
         camera = read_camera(folder / layout.CAMERA_SENSOR)
         motion = read_motion(folder / layout.DESCRIPTION)

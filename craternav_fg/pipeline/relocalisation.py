@@ -1,11 +1,13 @@
 """Relocalisation: the pose of an image that nothing predicts, from rims detected blindly and identified."""
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import platformdirs
 
 from craternav_fg.dataset import Dataset, layout
 from craternav_fg.ellipse import normalised_chart
@@ -45,14 +47,26 @@ class PoseFix:
 
 
 def index_path(catalog: Path) -> Path:
-    """Give the default path of a catalogue's index for identification: beside the catalogue."""
-    return catalog.with_name(f"{catalog.name}.index.npz")
+    """Give the default path of a catalogue's index for identification: in the user's cache.
+
+    Parameters
+    ----------
+    catalog : Path
+
+    Returns
+    -------
+    Path
+        Another one for each path of a catalogue.
+    """
+    place = hashlib.sha256(str(catalog.resolve()).encode()).hexdigest()[:12]
+    return platformdirs.user_cache_path("craternav_fg") / f"{catalog.stem}-{place}.index.npz"
 
 
 class Relocaliser:
     """Finds poses from the images of a data set; its catalogue is indexed when that is first needed.
 
-    The index of a large catalogue, `craters.parquet`, takes long to build: it is stored beside the catalogue.
+    The index of a large catalogue, `craters.parquet`, takes long to build: it is stored in the
+    user's cache.
 
     Parameters
     ----------

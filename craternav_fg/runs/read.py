@@ -117,6 +117,8 @@ def read_run(folder: Path | str) -> Run:
         When the folder is no run's, or a file of it is missing or damaged.
     """
     path = Path(folder)
+    if not exists(path):
+        raise InputError(path, "folder is missing")
     if not exists(path / store.MARKER):
         raise InputError(path, f"expected a run's folder, found no {store.MARKER} in it")
     for name in (store.METRICS, store.STATES):

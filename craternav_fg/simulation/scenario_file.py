@@ -1,5 +1,6 @@
 """Scenario files in TOML: the whole scenario, and how it is found and read."""
 
+import difflib
 import importlib.resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -111,8 +112,10 @@ def _find(name: str | Path) -> Path:
     if path.suffix != ".toml" and not path.is_file():
         path = built_in_scenarios().get(str(name), path)
         if path.suffix != ".toml":
+            near = difflib.get_close_matches(str(name), built_in_scenarios(), 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
             known = ", ".join(built_in_scenarios())
-            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}")
+            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}{hint}")
     return path
 
 

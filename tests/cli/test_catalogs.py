@@ -125,7 +125,7 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(imported, tmp_path, n
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
     try:
-        done = call("catalog", *arguments)
+        done = call("catalog", *arguments, "--force")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert done.code == 2

@@ -20,16 +20,14 @@ from scipy.stats import chi2
 from typer.testing import CliRunner
 
 from craternav_fg.cli.app import app
-from craternav_fg.cli.descents import reconstruct
 from craternav_fg.dataset import Dataset
-from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.registry import DEFAULT
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.pipeline.reconstruct import reconstruct as reconstruct_in_process
 from craternav_fg.runs.read import read_run
 from craternav_fg.simulation.scenario_file import load_scenario
-from tests.cli.calls import craternav
+from tests.cli.calls import call, craternav
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -244,7 +242,7 @@ def test_what_we_did_not_write_is_not_replaced(tmp_path: Path, names: list[str],
     folder.mkdir()
     for name in names:
         (folder / name).touch()
-    done = craternav("demo", "-o", folder)
+    done = craternav("demo", "-o", folder, "--force")
     assert done.returncode == 2
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
@@ -321,10 +319,10 @@ def test_help_tells_defaults_that_are_not_values() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("reconstruct", "nowhere", "-o", "run"), "nowhere: expected a data set's folder"),
+        (("reconstruct", "nowhere", "-o", "run"), "nowhere: folder is missing"),
         (("reconstruct", "nowhere", "-o", "run", "-e", "magic"), "unknown estimator 'magic'"),
         (("simulate", "no_such_case", "-o", "data"), "no_such_case"),
-        (("compare", "nowhere"), "nowhere: expected a run's folder"),
+        (("compare", "nowhere"), "nowhere: folder is missing"),
         (("demo", "--scenario", "bad.toml", "-o", "run"), "bad.toml:2: colour"),
     ],
     ids=["data", "estimator", "scenario", "run", "key"],
@@ -359,8 +357,9 @@ def test_a_damaged_image_leaves_nothing_half_written(
 def test_a_run_is_no_data_set_but_holds_one(
     demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=r"found a run: its data set is .*dataset"):
-        reconstruct(demo[0], tmp_path / "run")
+    done = call("reconstruct", demo[0], "-o", tmp_path / "run")
+    assert done.code == 2
+    assert "found a run: its data set is" in done.err
 
 
 def test_a_run_does_not_replace_the_folder_of_its_data(
@@ -376,7 +375,7 @@ def test_a_run_does_not_replace_the_folder_of_its_data(
 def test_somebody_else_s_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter1.tex").write_text("precious")
-    done = craternav("simulate", "paper_case3", "-o", tmp_path / "thesis")
+    done = craternav("simulate", "paper_case3", "-o", tmp_path / "thesis", "--force")
     assert done.returncode == 2
     assert "not overwritten" in done.stderr
     assert (tmp_path / "thesis" / "chapter1.tex").read_text() == "precious"

@@ -65,12 +65,12 @@ def test_table_json_and_overlay_agree(one, tmp_path, method):
 def test_in_words(one, tmp_path):
     path = tmp_path / "frame.tif"
     cv2.imwrite(str(path), one.image.astype(np.uint16) * 257)
-    code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--min-radius", 15, "--min-quality", 0.9)
+    code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--min-radius-px", 15, "--min-quality", 0.9)
     assert code == 0
     assert "rims, the sun towards " in output
     assert str(tmp_path / "rims_overlay.png") in output
     cv2.imwrite(str(path), np.full((300, 300), 90, np.uint8))
-    code, output, _ = detect(path, "-o", tmp_path / "rims.csv")
+    code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--force")
     assert code == 0
     assert output.startswith("no rims\n")
     assert (tmp_path / "rims.csv").read_text(encoding="utf-8") == ",".join(HEADER) + "\n"
@@ -80,7 +80,7 @@ def test_wrong_sun_is_one_line(one, tmp_path):
     path = tmp_path / "frame.png"
     cv2.imwrite(str(path), one.image)
     wrong = np.rad2deg(one.sun_angle_rad) + 180.0
-    code, output, error = detect(path, "-o", tmp_path / "rims.csv", "--sun", wrong)
+    code, output, error = detect(path, "-o", tmp_path / "rims.csv", "--sun-deg", wrong)
     assert code == 2
     assert output == ""
     assert error.count("\n") == 1
@@ -139,6 +139,6 @@ def test_the_image_is_not_overwritten(one, tmp_path):
 def test_the_sun_is_a_direction(one, tmp_path, sun):
     path = tmp_path / "frame.png"
     cv2.imwrite(str(path), one.image)
-    code, _, error = detect(path, "-o", tmp_path / "rims.csv", "--sun", sun)
+    code, _, error = detect(path, "-o", tmp_path / "rims.csv", "--sun-deg", sun)
     assert code == 2
     assert "expected an angle in degrees" in error

@@ -75,7 +75,9 @@ def test_craters_and_pose(case, identify) -> None:
     assert found["seconds"] > 0.0
     # The index is loaded, and the attitude makes an answer more certain.
     w, x, y, z = 2.0 * frames.to_quaternion_wxyz(scene.gTb[:3, :3])
-    code, output, errors = identify(folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--json")
+    code, output, errors = identify(
+        folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--attitude-sigma-deg", 1.5, "--json"
+    )
     assert (code, errors) == (0, "")
     known = json.loads(output)
     assert known["index"].endswith("loaded")
@@ -137,7 +139,10 @@ def test_bad_input(case, identify, tmp_path) -> None:
         ((tmp_path / "none.csv",), "none.csv: file is missing"),
         ((tmp_path / "image.png",), "image.png"),
         ((folder / "rims.csv", "--attitude", "1,2,3"), "--attitude: expected 4 numbers"),
-        ((folder / "rims.csv", "--attitude", "0,0,0,0"), "--attitude: expected a quaternion, found zero"),
+        (
+            (folder / "rims.csv", "--attitude", "0,0,0,0", "--attitude-sigma-deg", 1),
+            "--attitude: expected a quaternion, found zero",
+        ),
         ((folder / "rims.csv", "--altitude-km", "50,10"), "--altitude-km: expected 0 < MIN < MAX"),
         (
             (folder / "rims.csv", "--body-radius-m", "561400"),

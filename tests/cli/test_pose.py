@@ -95,7 +95,9 @@ def test_what_was_skipped_and_assumed_of_a_catalogue_is_said(files: Files, run: 
 
 def test_one_rim_with_an_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
-    done = run("--attitude", quaternion, "--json", rims=files.rims(files.rows[0]))
+    done = run(
+        "--attitude", quaternion, "--attitude-sigma-deg", "0", "--json", rims=files.rims(files.rows[0])
+    )
     assert done.code == 0, done.err
     values = json.loads(done.out)
     check_pose(values["poses"][0], files.gTb)
@@ -111,8 +113,8 @@ def test_one_rim_with_the_sun(files: Files, run: Run) -> None:
     tilt, _ = sun_tilt(
         files.gTb, CAMERA.bTc, sun - (sun @ up) * up, chart[0, 0], chart[0, 1], np.empty((1, 6))
     )
-    option = f"{np.degrees(tilt)},0.5," + ",".join(map(str, sun))
-    done = run("--sun", option, "--json", rims=files.rims(files.rows[0]))
+    light = ("--sun-tilt-deg", f"{np.degrees(tilt)},0.5", "--sun", ",".join(map(str, sun)))
+    done = run(*light, "--json", rims=files.rims(files.rows[0]))
     assert done.code == 0, done.err
     values = json.loads(done.out)
     assert values["status"] == "ambiguous"
@@ -163,20 +165,25 @@ def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: 
             ("--attitude", "1,0,0"),
             "craternav: --attitude: expected 4 numbers, separated by commas, found",
         ),
-        (("--sun", "1,2,x,0,0"), "craternav: --sun: expected 5 numbers"),
+        (("--sun", "1,2,x"), "craternav: --sun: expected 3 numbers"),
+        (("--sun", "1,2,3"), "craternav: --sun-tilt-deg, --sun: expected both, found one"),
+        (("--attitude", "1,0,0,0"), "craternav: --attitude, --attitude-sigma-deg: expected both, found one"),
         (
-            ("--sun", "1,0,1,0,0"),
+            ("--sun-tilt-deg", "1,0", "--sun", "1,0,0"),
             "craternav: sun: expected a standard deviation of 1e-06 to 360 deg, found 0",
         ),
-        (("--sun", "1,1,0,0,0"), "craternav: sun: expected a direction, found zero"),
-        (("--attitude", "0,0,0,0"), "craternav: attitude: expected a quaternion, found zero"),
+        (("--sun-tilt-deg", "1,1", "--sun", "0,0,0"), "craternav: sun: expected a direction, found zero"),
+        (
+            ("--attitude", "0,0,0,0", "--attitude-sigma-deg", "1"),
+            "craternav: --attitude: expected a quaternion, found zero",
+        ),
         (
             ("--body-radius-m", "561400"),
             "FOLDER/craters.csv: BODY_RADIUS_M: expected a catalogue on a sphere",
         ),
     ],
 )
-def test_a_bad_option_is_one_line(files: Files, run: Run, options: tuple[str, str], says: str) -> None:
+def test_a_bad_option_is_one_line(files: Files, run: Run, options: tuple[str, ...], says: str) -> None:
     done = run(*options)
     assert done.code == 2
     assert done.err.startswith(says.replace("FOLDER", f"craternav: {files.folder}"))

@@ -371,5 +371,5 @@ def test_covariances_may_differ_from_symmetric_ones_by_rounding(rims_folder):
 
 
 def test_a_data_set_that_is_none():
-    with pytest.raises(InputError, match=r"nowhere: expected a data set's folder"):
+    with pytest.raises(InputError, match=r"nowhere: folder is missing"):
         Dataset.open("nowhere")

@@ -18,7 +18,7 @@ from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.measurements import RimSet
 from craternav_fg.pipeline.initial_state import find_initial, propagated_back
 from craternav_fg.pipeline.reconstruct import _joined, reconstruct
-from craternav_fg.pipeline.relocalisation import Relocaliser
+from craternav_fg.pipeline.relocalisation import Relocaliser, index_path
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.detect import find_rims
@@ -53,7 +53,7 @@ def test_measured_rims_without_an_initial_state(folders):
         assert final_error_m(lost, result, name) < 4.0 * sigma_m
 
 
-def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, monkeypatch):
+def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, monkeypatch):
     lost = Dataset.open(folders[1])
     write_catalog(tmp_path / layout.LARGE_CRATERS, lost.catalog)
     catalog = read_catalog(tmp_path / layout.LARGE_CRATERS, lost.body)
@@ -70,7 +70,9 @@ def test_the_index_of_a_large_catalogue_is_kept_beside_it(folders, tmp_path, mon
     monkeypatch.setattr(Relocaliser, "_rims", lambda self, number: found)
     relocaliser = Relocaliser(data)
     first = relocaliser.locate(0)
-    kept = tmp_path / f"{layout.LARGE_CRATERS}.index.npz"
+    kept = index_path(tmp_path / layout.LARGE_CRATERS)
+    assert not kept.is_relative_to(tmp_path)
+    assert index_path(tmp_path / "other" / layout.LARGE_CRATERS) != kept
     assert np.linalg.norm(first.gTb[:3, 3] - lost.truth.gP[0]) < 500.0
     assert kept.is_file()
     assert relocaliser.index_note == f"{kept}: file is missing; built anew"

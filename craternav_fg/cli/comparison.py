@@ -1,0 +1,55 @@
+"""Command that puts runs side by side."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from craternav_fg.cli.app import app, example
+from craternav_fg.cli.options import FIGURE_SUFFIXES, ForceOption, JsonOption, require_free, require_suffix
+from craternav_fg.cli.run_summary import comparison, show_comparison
+from craternav_fg.cli.terminal import out, say, warn
+from craternav_fg.errors import InputError
+from craternav_fg.plots.comparison import draw_comparison
+from craternav_fg.plots.style import save
+from craternav_fg.runs.read import Run, read_run
+
+
+@app.command(epilog=example("compare runs/first runs/second -o errors.png"))
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of runs.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Figure of the position errors to write: .png, .pdf or .svg."),
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare the estimators of one or more runs."""
+    if output is not None:
+        require_suffix(output, FIGURE_SUFFIXES)
+        require_free(output, force=force)
+    read = [read_run(path) for path in runs]
+    other = next((run for run in read[1:] if run.dataset.resolve() != read[0].dataset.resolve()), None)
+    if other is not None:
+        warn(f"different data sets: {read[0].dataset} of {read[0].path}, {other.dataset} of {other.path}")
+    if output is not None:
+        _draw(read, output)
+    compared = [(str(run.path), comparison(run)) for run in read]
+    if as_json:
+        out.print_json(json.dumps(dict(compared)))
+        return
+    show_comparison(compared)
+    if output is not None:
+        say(f"{output}")
+
+
+def _draw(runs: Sequence[Run], output: Path) -> None:
+    stamps_ns = [next(iter(run.trajectories.values())).stamps_ns for run in runs]
+    for run, stamps in zip(runs, stamps_ns, strict=True):
+        if not np.array_equal(stamps, stamps_ns[0]):
+            raise InputError(run.path, f"expected the frames of {runs[0].path} for --output, found others")
+    save(draw_comparison({str(run.path): run.trajectories for run in runs}, runs[0].truth), output)

@@ -1,0 +1,53 @@
+"""Options in groups: a command's parameter that is a dataclass stands for the options of its fields."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, TypeVar, get_type_hints
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def with_option_groups(command: Command) -> Command:
+    """Let a command take groups of options.
+
+    Parameters
+    ----------
+    command : callable
+        A parameter whose type is a dataclass stands for its fields: each is an option, annotated and with a
+        default as a parameter would be.
+
+    Returns
+    -------
+    callable
+        With the options one by one, as typer expects them.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    groups: dict[str, tuple[type[Any], list[str]]] = {}
+    parameters = []
+    for one in signature.parameters.values():
+        if not is_dataclass(one.annotation):
+            parameters.append(one.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            continue
+        group: Any = one.annotation
+        hints = get_type_hints(group, include_extras=True)
+        groups[one.name] = group, [field.name for field in fields(group)]
+        for field in fields(group):
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            parameters.append(
+                inspect.Parameter(
+                    field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name]
+                )
+            )
+
+    @functools.wraps(command)
+    def call(**values: Any) -> None:
+        made = {
+            name: group(**{field: values.pop(field) for field in names})
+            for name, (group, names) in groups.items()
+        }
+        command(**values, **made)
+
+    call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return call  # type: ignore[return-value]

@@ -1,0 +1,218 @@
+"""Results are never replaced without being asked; trials, names and verbosity on the command line."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craternav_fg.campaign import run as campaign_run
+from craternav_fg.campaign.read import read_campaign
+from craternav_fg.campaign.run import CampaignOptions
+from craternav_fg.cli.app import every_command
+from craternav_fg.cli.options import require_free
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.simulation.scenario import simulate
+from tests import descents
+from tests.campaign import inline
+from tests.cli.calls import call
+from tests.cli.test_help import COMMANDS
+
+SHORT = """
+base = "paper_case3"
+[trajectory]
+duration_s = 20.0
+[trajectory.start]
+altitude_m = 40e3
+downrange_m = -2e3
+ground_speed_m_s = 150.0
+[trajectory.end]
+altitude_m = 37e3
+ground_speed_m_s = 50.0
+"""
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenario") / "short.toml"
+    path.write_text(SHORT, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate(descents.scenario(duration_s=20.0), tmp_path_factory.mktemp("data") / "data")
+
+
+def test_a_run_is_replaced_by_force_alone(data: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert call("reconstruct", data, "-o", run, "-e", "smoother,ekf").code == 0
+    done = call("reconstruct", data, "-o", run, "-e", "dead_reckoning")
+    assert done.code == 2
+    assert done.err == f"craternav: {run}: exists: name another, or replace it by --force\n"
+    assert list(json.loads((run / "metrics.json").read_text())["estimators"]) == ["smoother", "ekf"]
+    assert call("reconstruct", data, "-o", run, "-e", "dead_reckoning", "--force").code == 0
+    assert list(json.loads((run / "metrics.json").read_text())["estimators"]) == ["dead_reckoning"]
+
+
+def test_every_command_that_writes_a_result_has_force() -> None:
+    # A campaign that is there is completed.
+    without = {
+        names for names, command in COMMANDS.items() if _writes(command) and not _has(command, "force")
+    }
+    assert without <= {("montecarlo",), *(n for n in COMMANDS if n[0] in ("import", "export"))}
+
+
+def _has(command: object, name: str) -> bool:
+    return any(parameter.name == name for parameter in command.params)  # type: ignore[attr-defined]
+
+
+def _writes(command: object) -> bool:
+    return _has(command, "output")
+
+
+def test_folders_are_not_made_at_the_root(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="would make the folder /no-such-folder at the root"):
+        require_free(Path("/no-such-folder/report.html"), force=True)
+    require_free(tmp_path / "new" / "report.html", force=False)
+    (tmp_path / "empty").mkdir()
+    require_free(tmp_path / "empty", force=False)
+
+
+def test_a_report_is_not_written_to_the_root(data: Path, tmp_path: Path) -> None:
+    assert call("reconstruct", data, "-o", tmp_path / "run", "-e", "ekf").code == 0
+    done = call("report", tmp_path / "run", "-o", "/no-such-folder/report.html")
+    assert done.code == 2
+    assert "root of the file system" in done.err
+    assert not Path("/no-such-folder").exists()
+
+
+def test_a_trial_is_the_campaigns(scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign_run, "processes", inline.processes)
+    folder = tmp_path / "campaign"
+    done = call("montecarlo", scenario, "-n", 2, "--trial", 16, "-e", "ekf", "--workers", 1, "-o", folder)
+    assert done.code == 0, done.err
+    assert sorted(read_campaign(folder).failures) == [16, 17]
+    done = call("simulate", scenario, "--trial", 17, "-o", tmp_path / "data")
+    assert done.code == 0, done.err
+    data = Dataset.open(tmp_path / "data")
+    found = reconstruct(data, ["ekf"]).trajectories["ekf"]
+    assert data.truth is not None
+    table = read_campaign(folder).table.to_pandas()
+    rows = table[(table.trial == 17) & (table.estimator == "ekf")]
+    np.testing.assert_array_equal(np.stack(rows.position_error_m), data.truth.gP - found.gP)
+
+
+def test_seeds_make_other_data(scenario: Path, tmp_path: Path) -> None:
+    files = []
+    for name, options in (("a", ()), ("b", ("--seed", 7)), ("c", ("--seed", 7)), ("d", ("--trial", 0))):
+        assert call("simulate", scenario, *options, "-o", tmp_path / name).code == 0
+        files.append((tmp_path / name / "mav0/imu0/data.csv").read_bytes())
+    assert files[1] == files[2]
+    assert len(set(files)) == 3
+
+
+def test_measured_rims_in_place_of_images(tmp_path: Path) -> None:
+    done = call("simulate", "lunar_descent", "--measured", "-o", tmp_path / "data")
+    assert done.code == 0, done.err
+    assert Dataset.open(tmp_path / "data").measurements is not None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("reconstruct", "DATA", "-e", "smoohter"), "did you mean smoother?"),
+        (("reconstruct", "DATA", "-e", "smoother,efk"), "did you mean ekf?"),
+        (("simulate", "lunar_decent"), "did you mean lunar_descent?"),
+        (("reconstruct", "nowhere"), "nowhere: folder is missing"),
+        (("compare", "nowhere"), "nowhere: folder is missing"),
+        (("report", "nowhere"), "nowhere: folder is missing"),
+        (("reconstruct", "DATA", "--without", "altimeter"), "has no sensor 'altimeter'"),
+        (("reconstruct", "DATA", "--rims", "ellipse"), "--rims: expected one of chart"),
+    ],
+)
+def test_what_was_meant(data: Path, tmp_path: Path, arguments: tuple[str, ...], says: str) -> None:
+    writes = arguments[0] in ("reconstruct", "simulate")
+    output = ("-o", tmp_path / "out") if writes else ()
+    done = call(*(data if word == "DATA" else word for word in arguments), *output)
+    assert done.code == 2
+    assert says in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_quiet_prints_warnings_and_json_only(data: Path, tmp_path: Path) -> None:
+    done = call("-q", "reconstruct", data, "-o", tmp_path / "run", "-e", "ekf")
+    assert (done.code, done.out, done.err) == (0, "", "")
+    done = call("-q", "compare", tmp_path / "run", "--json")
+    assert list(json.loads(done.out)) == [str(tmp_path / "run")]
+    done = call("-v", "reconstruct", data, "-o", tmp_path / "verbose", "-e", "ekf")
+    assert "estimator ekf: 0 of 1" in done.err
+    done = call("-v", "compare", "nowhere")
+    assert "Traceback" in done.err
+
+
+def test_compare_tells_different_data_sets_and_draws(data: Path, tmp_path: Path) -> None:
+    other = simulate(descents.scenario(duration_s=20.0), tmp_path / "other", trial=3)
+    longer = simulate(descents.scenario(duration_s=24.0), tmp_path / "longer")
+    for name, folder in (("a", data), ("b", data), ("c", other), ("d", longer)):
+        assert call("reconstruct", folder, "-o", tmp_path / name, "-e", "smoother,ekf").code == 0
+    done = call("compare", tmp_path / "a", tmp_path / "b", "-o", tmp_path / "errors.png")
+    assert (done.code, done.err) == (0, "")
+    assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
+    done = call("compare", tmp_path / "a", tmp_path / "c")
+    assert done.code == 0
+    assert f"warning: different data sets: {data}" in done.err
+    done = call("compare", tmp_path / "a", tmp_path / "d", "-o", tmp_path / "no.png")
+    assert done.code == 2
+    assert "expected the frames of" in done.err
+    assert not (tmp_path / "no.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("craternav rec", "reconstruct"),
+        ("craternav reconstruct --overlay-", "--overlay-every"),
+        ("craternav reconstruct DATA -e smoother,dead", "smoother,dead_reckoning"),
+        ("craternav simulate lunar", "lunar_descent"),
+        ("craternav catalog ne", "near"),
+    ],
+)
+def test_the_shell_completes(words: str, completed: str) -> None:
+    asked = {"_CRATERNAV_COMPLETE": "complete_bash", "COMP_WORDS": words}
+    asked["COMP_CWORD"] = str(len(words.split()) - 1)
+    program = "import sys; sys.argv = ['craternav']; from craternav_fg.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, **asked},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert completed in done.stdout.split()
+
+
+def test_commands_say_what_their_output_is_by_one_rule() -> None:
+    for names, command in COMMANDS.items():
+        output = [parameter for parameter in command.params if parameter.name == "output"]
+        for one in output:
+            assert one.opts == ["--output", "-o"] or set(one.opts) == {"--output", "-o"}, names
+            assert one.default is None or str(one.default).startswith("runs/"), names
+
+
+def test_all_groups_are_loaded() -> None:
+    assert {"reconstruct", "catalog"} <= set(every_command().commands)
+
+
+def test_campaigns_begin_where_they_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign_run, "processes", inline.processes)
+    case = descents.scenario(duration_s=20.0)
+    for first in (0, 2):
+        options = CampaignOptions(trials=1, first=first, estimators=("dead_reckoning",))
+        campaign_run.montecarlo(case, tmp_path / "campaign", options)
+    campaign = read_campaign(tmp_path / "campaign")
+    assert sorted(campaign.failures) == [0, 2]
+    assert set(campaign.table["trial"].to_pylist()) == {0, 2}
