@@ -11,6 +11,7 @@ import typer
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import warn_of
+from craternav_fg.cli.option_groups import never_replacing
 from craternav_fg.cli.options import JsonOption, numbers_of
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
@@ -35,6 +36,7 @@ _CAMERA_RATE_HZ, _IMU_RATE_HZ = 1.0, 100.0
         "import bag flight.bag -o data --description dataset.toml --catalog moon.parquet --imu imu.yaml"
     ),
 )
+@never_replacing
 def bag(
     path: Annotated[Path, typer.Argument(metavar="BAG", help=".bag, .mcap, or the folder of a rosbag2.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")],
@@ -94,6 +96,7 @@ def bag(
 
 
 @import_commands.command("kalibr", epilog=example("import kalibr camchain-imucam.yaml -o sensor.yaml"))
+@never_replacing
 def kalibr(
     path: Annotated[Path, typer.Argument(metavar="YAML", help="camchain.yaml or imu.yaml of Kalibr.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="sensor.yaml to write.")],

@@ -15,6 +15,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.option_groups import never_replacing
 from craternav_fg.cli.options import CatalogBodyOption, JsonOption, require_kept, require_suffix
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
@@ -24,6 +25,7 @@ from craternav_fg.files import replacing
 @catalog_commands.command(
     "merge", epilog=example("catalog merge robbins.csv head.csv -o craters.parquet --dem gld100.tif")
 )
+@never_replacing
 def merge_(
     catalogs: Annotated[list[Path], typer.Argument(help="Catalogues of one body, the preferred one first.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write: .parquet or .csv.")],

@@ -8,6 +8,7 @@ import typer
 
 from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, export_commands
+from craternav_fg.cli.option_groups import never_replacing
 from craternav_fg.cli.options import require_suffix
 from craternav_fg.cli.terminal import say
 from craternav_fg.dataset import Dataset
@@ -42,6 +43,7 @@ ChosenOption = Annotated[
 
 
 @export_commands.command("bag", epilog=example("export bag runs/demo -o demo.bag --format rosbag1"))
+@never_replacing
 def bag(
     folder: Annotated[Path, typer.Argument(metavar="DATA|RUN", help="Folder of a data set or a run.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="File (rosbag1) or folder (others).")],
@@ -57,6 +59,7 @@ def bag(
 
 
 @export_commands.command("kalibr", epilog=example("export kalibr runs/data -o calibration"))
+@never_replacing
 def kalibr(
     data: Annotated[Path, typer.Argument(help="Folder of a data set.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for camchain.yaml and imu.yaml.")],
@@ -75,6 +78,7 @@ def kalibr(
 
 
 @export_commands.command("tum", epilog=example("export tum runs/demo -e smoother -o smoother.tum"))
+@never_replacing
 def tum(
     run: RunArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")],
@@ -88,6 +92,7 @@ def tum(
 
 
 @export_commands.command("kitti", epilog=example("export kitti runs/demo -e smoother -o smoother.txt"))
+@never_replacing
 def kitti(
     run: RunArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write; the times go beside it.")],
@@ -100,6 +105,7 @@ def kitti(
 
 
 @export_commands.command("map", epilog=example("export map runs/demo -o demo.geojson --every 10"))
+@never_replacing
 def map_(
     run: RunArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .geojson or .kml.")],
@@ -116,6 +122,7 @@ def map_(
 
 
 @export_commands.command("colmap", epilog=example("export colmap runs/demo -o model"))
+@never_replacing
 def colmap(
     run: RunArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the text model.")],

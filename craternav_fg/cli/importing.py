@@ -13,6 +13,7 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.option_groups import never_replacing
 from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, numbers_of
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset import Dataset
@@ -48,6 +49,7 @@ AttitudeSigmaOption = Annotated[
 
 
 @import_commands.command(epilog=example("import isis A.cub B.cub -o DATA --catalog craters.parquet"))
+@never_replacing
 def isis(
     cubes: Annotated[list[Path], typer.Argument(help="ISIS cubes of one camera, after spiceinit.")],
     output: OutputOption,
@@ -82,6 +84,7 @@ def isis(
         "import images *.png -o DATA --times times.csv --camera sensor.yaml --catalog C.parquet --sun 0,3,4"
     )
 )
+@never_replacing
 def images(
     paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
     output: OutputOption,
@@ -111,6 +114,7 @@ def images(
         " --body-frame MOON_ME"
     )
 )
+@never_replacing
 def spice(
     paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
     output: OutputOption,

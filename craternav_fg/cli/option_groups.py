@@ -1,10 +1,15 @@
-"""Options in groups: a command's parameter that is a dataclass stands for the options of its fields."""
+"""Options that several commands get in the same way.
+
+A parameter that is a dataclass stands for the options of its fields; a result is replaced by --force alone.
+"""
 
 import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, TypeVar, get_type_hints
+
+from craternav_fg.cli.options import ForceOption, require_free
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -50,4 +55,29 @@ def with_option_groups(command: Command) -> Command:
         command(**values, **made)
 
     call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return call  # type: ignore[return-value]
+
+
+def never_replacing(command: Command) -> Command:
+    """Give a command the option --force, without which it does not replace its `output`.
+
+    Parameters
+    ----------
+    command : callable
+        With a parameter `output`, a path.
+
+    Returns
+    -------
+    callable
+    """
+    signature = inspect.signature(command, eval_str=True)
+    force = inspect.Parameter("force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption)
+    given = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
+
+    @functools.wraps(command)
+    def call(*, force: bool, **values: Any) -> None:
+        require_free(values["output"], force=force)
+        command(**values)
+
+    call.__signature__ = signature.replace(parameters=[*given, force])  # type: ignore[attr-defined]
     return call  # type: ignore[return-value]

@@ -225,7 +225,7 @@ def test_the_commands(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.camera.bTc, data.camera.bTc)
     assert again.initial is not None
     # A direction of any length.
-    assert call(*arguments, "--sun", "0,0,2").code == 0
+    assert call(*arguments, "--force", "--sun", "0,0,2").code == 0
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").sun.vectors, [[0.0, 0.0, 1.0]])
-    done = call(*arguments, "--sun", "0,0,0")
+    done = call(*arguments, "--force", "--sun", "0,0,0")
     assert (done.code, done.err.count("\n")) == (2, 1)
