@@ -8,7 +8,7 @@ WORKERS ?= 2
 SLOW_MIN ?= 25
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-all lint format docs clean
+.PHONY: help demo test test-slow test-all fuzz lint format docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /make \1\t/'
@@ -42,6 +42,9 @@ test-slow: $(VENV)/.dev  ## run slow tests for 25 minutes (SLOW_MIN), beginning 
 
 test-all: $(VENV)/.dev  ## run every test, the slow ones too: hours
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "slow or not slow"
+
+fuzz: $(VENV)/.dev  ## spoil 10,000 inputs: each must end in an answer or one line
+	$(BIN)/python -m pytest tests/fuzz -m "slow or not slow"
 
 lint: $(VENV)/.dev  ## style, types, import contract, docstrings
 	$(BIN)/ruff check .

@@ -19,6 +19,9 @@ from craternav_fg.tables.parquet import read_parquet, read_parquet_metadata, req
 
 _BOUNDS = (FILTERED_BOUND, SMOOTHED_BOUND)
 _ERRORS = ("attitude_error_rad", "position_error_m", "velocity_error_m_s")
+# Of the rows of a bound the errors are empty, of some estimators the covariances.
+_EMPTY = (*_ERRORS, "pose_sigma", "nees")
+_ROWS = pa.schema([field.with_nullable(field.name in _EMPTY) for field in SCHEMA])
 _REPEAT = "remove it, and the next run repeats the trial"
 
 
@@ -221,7 +224,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 def _table(path: Path, number: int) -> pa.Table:
     """Read the table of a trial, with a row for each of its estimators and frames."""
     try:
-        table = read_parquet(path, SCHEMA)
+        table = read_parquet(path, _ROWS)
         check_names(path, pc.unique(table["estimator"]).to_pylist())
         of_estimators = table.filter(pc.invert(pc.is_in(table["estimator"], pa.array(_BOUNDS))))
         require_finite(path, table, "altitude_m", "pose_sigma")

@@ -67,6 +67,8 @@ _RING_DIVISOR = 4
 _PAIRED_NEIGHBOURS = 6
 # Rims around each rim that may be asked when a hypothesis is scored.
 _ORDERED_RIMS = 24
+# Rims of which hypotheses are formed, the largest: memory and time grow with the square of their number.
+_MAX_RIMS = 1500
 # Triples that are looked up between two expansions, hypotheses kept among all triples, how many of them are
 # expanded each time, and the least score of those: with much noise the scores of right and wrong hypotheses
 # differ little, and an expansion costs less than a look-up.
@@ -96,6 +98,13 @@ class _Expanded:
     log_ratio: float
 
 
+def _largest(view: View, rims: IntArray) -> IntArray:
+    """Select the largest rims, in their order, when there are more than hypotheses can begin with."""
+    if len(rims) <= _MAX_RIMS:
+        return rims
+    return np.sort(rims[np.argsort(-view.radius_px[rims], kind="stable")[:_MAX_RIMS]])
+
+
 class _Search:
     """Data of one call that every step needs."""
 
@@ -116,7 +125,8 @@ class _Search:
             min_cos_turn = float(np.cos(_MAX_TURN_RAD + _ATTITUDE_SIGMAS * self.sigma_rad))
         self.limits = PoseLimits(attitude, min_cos_turn, *options.altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
-        self.plausible = plausible_rims(view)
+        self.largest = _largest(view, np.arange(self.n))
+        self.plausible = _largest(view, plausible_rims(view))
         self.order = image_order(view, self.plausible, _ORDERED_RIMS)
 
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
@@ -299,7 +309,7 @@ def _triples(search: _Search, projection: Projection, noise: float) -> Int32Arra
     """Triples of rims, the most promising first: those of plausible rims and those of all in turn."""
     lists = [
         image_triples(search.view, projection, rims, _PAIRED_NEIGHBOURS, noise)
-        for rims in ([search.plausible, np.arange(search.n)])[: 1 + (len(search.plausible) < search.n)]
+        for rims in ([search.plausible, search.largest])[: 1 + (len(search.plausible) < len(search.largest))]
     ]
     if len(lists) == 1:
         return lists[0]

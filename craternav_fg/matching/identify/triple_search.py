@@ -37,6 +37,8 @@ Int32Array = npt.NDArray[np.int32]
 _MAX_DISTANCE2 = 12.0
 # Other rims after which a hypothesis with a score that is not positive is given up.
 _PATIENCE = 3
+# Rims whose distances to all others are in memory at once.
+_ROWS_AT_ONCE = 1024
 # Least share of a disc around a rim that counts as shown in the image: bounds the estimate of how many
 # neighbours are hidden.
 _MIN_SHOWN = 0.05
@@ -132,8 +134,12 @@ def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
         Neighbours of each of the view's rims, nearest first: itself if it is one of `rims`.
     """
     p = view.points_px
-    d2 = np.sum((p[:, None] - p[None, rims]) ** 2, axis=-1)
-    return rims[np.argsort(d2, axis=1)[:, :count]].astype(np.int32)
+    out = np.empty((len(p), min(count, len(rims))), dtype=np.int32)
+    for first in range(0, len(p), _ROWS_AT_ONCE):
+        some = slice(first, first + _ROWS_AT_ONCE)
+        d2 = np.sum((p[some, None] - p[None, rims]) ** 2, axis=-1)
+        out[some] = rims[np.argsort(d2, axis=1)[:, :count]]
+    return out
 
 
 def image_triples(view: View, projection: Projection, rims: IntArray, count: int, sigma: float) -> Int32Array:
