@@ -4,3 +4,10 @@
 kernels, `images` plain images and their times; `assemble` makes the data set. There is no IMU: a motion model
 stands in.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

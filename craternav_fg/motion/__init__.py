@@ -4,3 +4,10 @@
 `white_jerk` are the models, `gravity` the field in which `coast` falls, `settings` the table `[motion]` of
 dataset.toml.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

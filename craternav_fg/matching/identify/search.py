@@ -129,6 +129,11 @@ class _Search:
         self.plausible = _largest(view, plausible_rims(view))
         self.order = image_order(view, self.plausible, _ORDERED_RIMS)
 
+    def take_all_rims(self) -> None:
+        """Begin hypotheses from all rims alike, those in excess of the size law too."""
+        self.plausible = np.arange(self.n)
+        self.order = image_order(self.view, self.plausible, _ORDERED_RIMS)
+
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
         """Expand a hypothesis; if its evidence is promising but too low, try variations of it."""
         gTc = np.eye(4)
@@ -258,6 +263,10 @@ def identify(
         search = _Search(view, index, attitude.gRb @ camera.bTc[:3, :3], attitude.sigma_rad, options)
     found = _by_triples(search)
     threshold = -options.log_chance
+    if len(search.plausible) < search.n and not (found and found[0].log_ratio >= threshold):
+        # Real images have many large craters, too: the excess may be these.
+        search.take_all_rims()
+        found = sorted(found + _by_triples(search), key=lambda one: -one.log_ratio)
     if attitude is not None:
         found = found if found and found[0].log_ratio >= threshold else _by_single_rims(search, found)
         threshold = -options.log_chance_attitude
