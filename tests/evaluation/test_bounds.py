@@ -127,21 +127,22 @@ def test_tracked_points_count(tmp_path: Path) -> None:
     # An IMU that needs help to bridge 40 s.
     noise = dataclasses.replace(
         p.imu_noise,
-        gyro_density=1000.0 * p.imu_noise.gyro_density,
+        gyro_density=10.0 * p.imu_noise.gyro_density,
         accelerometer_density=1000.0 * p.imu_noise.accelerometer_density,
     )
     p = dataclasses.replace(p, frames=blind, imu_noise=noise)
     bound = posterior_bound(p, p.frames, truth)
     without = posterior_bound(dataclasses.replace(p, features=None), p.frames, truth)
-    for of_bound, of_less, one in (
-        (bound.smoothed, without.smoothed, BatchSmoother()),
-        (bound.filtered, without.filtered, OnlineSmoother()),
+    # Online, points count once the attitude is known.
+    for of_bound, of_less, one, off, share in (
+        (bound.smoothed, without.smoothed, BatchSmoother(), 0.01, 0.95),
+        (bound.filtered, without.filtered, OnlineSmoother(), 0.1, 0.6),
     ):
         claimed = one.estimate(p).pose_covariance
         assert claimed is not None
         ratio = position_rms_m(claimed) / position_rms_m(of_bound)
-        assert_allclose(ratio[8:], 1.0, atol=0.03)
-        assert (position_rms_m(of_bound) < 0.8 * position_rms_m(of_less))[15:26].all()
+        assert_allclose(ratio[8:], 1.0, atol=off)
+        assert (position_rms_m(of_bound) < share * position_rms_m(of_less))[15:26].all()
 
 
 def test_what_was_read_does_not_matter(descent: tuple[Problem, Trajectory]) -> None:

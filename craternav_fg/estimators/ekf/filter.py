@@ -121,10 +121,15 @@ class DistributedEkf:
         filters = dict.fromkeys(problem.frames[first].rims.craters.tolist(), base)
         fusion = self.options.fusion
         bank = SensorBank(problem.sensors)
+        here_ns = problem.frames[first].stamp_ns
+        if bank.at(here_ns):
+            # The start rests on the camera alone.
+            base = self._update(base, FrameMeasurement(here_ns, RimSet.empty(), None), problem, "exact", bank)
+            states[-1] = base
         window = None
         if problem.features is not None:
             window = FeatureWindow(problem.features, problem.camera, len(base.covariance))
-            base = window.update(base, problem.frames[first].stamp_ns)
+            base = window.update(base, here_ns)
         for last, frame in itertools.pairwise(problem.frames[first:]):
             prior = filter_state.propagate(base, problem, last.stamp_ns, frame.stamp_ns)
             if fusion == "paper":
