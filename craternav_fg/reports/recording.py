@@ -65,7 +65,7 @@ def write_recording(run: Run, path: Path) -> None:
         recording.save(temporary)
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         altitude_m = float(dataset.body.altitude_m(first.gP[0]))
-        rims = _catalogue_rims(dataset.catalog, gO, REACH_ALTITUDES * altitude_m)
+        rims = catalogue_rims(dataset.catalog, gO, REACH_ALTITUDES * altitude_m)
         recording.log("world/craters", rr.LineStrips3D(list(local_km(rims)), colors=[GREY]), static=True)
         lines = {name: (t, colour(name)) for name, t in run.trajectories.items()}
         if run.truth is not None:
@@ -123,8 +123,21 @@ def _log_frames(
         )
 
 
-def _catalogue_rims(catalog: Catalog, gO: FloatArray, reach_m: float) -> FloatArray:
-    """Give closed outlines (n, points, 3), in g, m, of the catalogue's rims near a point."""
+def catalogue_rims(catalog: Catalog, gO: FloatArray, reach_m: float) -> FloatArray:
+    """Outline the catalogue's rims near a point.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    gO : ndarray, shape (3,)
+        The point in g, m.
+    reach_m : float
+
+    Returns
+    -------
+    ndarray, shape (n, points, 3)
+        Closed outlines in g, m.
+    """
     near = np.linalg.norm(catalog.centres - gO, axis=1) < reach_m
     angle = np.linspace(0.0, 2.0 * np.pi, _MAP_POINTS + 1)[None, :, None]
     axes = catalog.axes[near]
