@@ -1,6 +1,7 @@
 """Configuration files (TOML, YAML) checked against models: an error names file, line and key."""
 
 import json
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -16,6 +17,8 @@ Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
 M = TypeVar("M", bound="Section")
 
+# Least and largest size of a number in settings.
+_SIZES = (1e-60, 1e60)
 # Characters of a wrong value that an error shows.
 _MAX_SHOWN = 60
 # A dotted key of fifty parts: tomllib needs memory by the square of their number.
@@ -201,6 +204,8 @@ def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> 
     InputError
         When a key is unknown, missing, of the wrong type or out of range.
     """
+    if not issubclass(model, ResultSection):
+        _check_sizes(path, data, (), text)
     try:
         # By way of JSON: strict validation of Python objects refuses lists where a model has tuples.
         plain = json.dumps(data, default=str)
@@ -217,6 +222,19 @@ def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> 
     if first["type"].startswith("union_tag"):
         keys.append(first["ctx"]["discriminator"].strip("'"))
     raise InputError(path, _problem(first), line=line_of(text, keys), column=".".join(keys) or None) from None
+
+
+def _check_sizes(path: Path, data: Any, keys: tuple[str, ...], text: str) -> None:
+    """Refuse numbers whose squares are infinite or vanish: no quantity has such a size in SI units."""
+    if isinstance(data, dict | list):
+        items = data.items() if isinstance(data, dict) else enumerate(data)
+        for key, value in items:
+            _check_sizes(path, value, (*keys, str(key)), text)
+    elif isinstance(data, float) and not (
+        data == 0.0 or not math.isfinite(data) or _SIZES[0] <= abs(data) <= _SIZES[1]
+    ):
+        problem = f"expected 0, or {_SIZES[0]:g} to {_SIZES[1]:g} in size, found {data:g}"
+        raise InputError(path, problem, line=line_of(text, list(keys)), column=".".join(keys))
 
 
 def _keys_in(data: Any, location: tuple[str | int, ...], *, missing: bool) -> list[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from craternav_fg.config import ResultSection, parse_toml, read_json, validate
+from craternav_fg.config import ResultSection, Section, parse_toml, read_json, validate
 from craternav_fg.errors import InputError
 from craternav_fg.sensors.yaml_files import parse_yaml
 
@@ -94,3 +94,21 @@ def test_json(text: str, problem: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         read_json(path, Numbers)
     assert problem in str(raised.value)
+
+
+class Settings(Section):
+    a: dict[str, float]
+
+
+@pytest.mark.parametrize("number", ["1e308", "-1e308", "1e-320", "1e61"])
+def test_numbers_beyond_reason_are_refused_by_name(number: str) -> None:
+    text = f"[a]\nb = 1.0\nc = {number}\n"
+    with pytest.raises(InputError, match=r"in:3: a\.c: expected 0, or 1e-60 to 1e\+60 in size"):
+        validate(HERE, parse_toml(HERE, text), Settings, text=text)
+
+
+def test_usual_numbers_and_infinity_are_for_the_model_to_judge() -> None:
+    text = "[a]\nb = 0.0\nc = -1e-20\nd = 1.3e20\n"
+    assert validate(HERE, parse_toml(HERE, text), Settings, text=text).a["d"] == 1.3e20
+    with pytest.raises(InputError, match=r"a\.b: expected a finite number"):
+        validate(HERE, parse_toml(HERE, "[a]\nb = inf\n"), Settings, text="")

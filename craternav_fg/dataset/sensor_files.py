@@ -24,6 +24,11 @@ LENS_NAMES = {
 _FOCAL_RANGE_IMAGES = (0.1, 100.0)
 
 
+# Densities in SI units; larger ones are in another unit, or tell nothing.
+_GyroNoise = Annotated[float, Field(gt=0.0, le=10.0)]
+_AccelerometerNoise = Annotated[float, Field(gt=0.0, le=1e4)]
+
+
 class _Matrix(Section):
     cols: Literal[4]
     rows: Literal[4]
@@ -49,10 +54,10 @@ class _ImuFile(Section):
     comment: str | None = None
     T_BS: _Matrix
     rate_hz: Positive
-    gyroscope_noise_density: Positive
-    gyroscope_random_walk: Positive
-    accelerometer_noise_density: Positive
-    accelerometer_random_walk: Positive
+    gyroscope_noise_density: _GyroNoise
+    gyroscope_random_walk: _GyroNoise
+    accelerometer_noise_density: _AccelerometerNoise
+    accelerometer_random_walk: _AccelerometerNoise
 
 
 def read_camera(path: Path) -> Camera:

@@ -149,6 +149,10 @@ CASES = {
         edit(layout.IMU_SENSOR, "[1.0, 0.0, 0.0, 0.0,", "[1.0, 0.0, 0.0, 0.5,"),
         [f"{layout.IMU_SENSOR}:3", "T_BS", "identity"],
     ),
+    "noise in another unit": (
+        edit(layout.IMU_SENSOR, "gyroscope_random_walk: 1.0e-09", "gyroscope_random_walk: 100.0"),
+        [f"{layout.IMU_SENSOR}:", "gyroscope_random_walk", "less than or equal to 10"],
+    ),
     "noise of zero": (
         edit(layout.IMU_SENSOR, "gyroscope_random_walk: 1.0e-09", "gyroscope_random_walk: 0.0"),
         [f"{layout.IMU_SENSOR}:", "gyroscope_random_walk", "greater than 0"],
