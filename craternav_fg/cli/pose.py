@@ -44,7 +44,13 @@ class KnownSun:
     sun: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Direction towards the sun in g.")] = None
 
     def values(self) -> list[float] | None:
-        """Tilt, its sigma (deg) and direction; None without them."""
+        """Tilt, its sigma (deg) and direction; None without them.
+
+        Raises
+        ------
+        InputError
+            When one is given without the other.
+        """
         tilt = numbers_of("--sun-tilt-deg", self.sun_tilt_deg, 2)
         direction = numbers_of("--sun", self.sun, 3)
         if (tilt is None) != (direction is None):
