@@ -163,7 +163,7 @@ def test_a_full_disk_and_a_terminal_of_ascii(tmp_path: Path) -> None:
         [*COMMAND, "report", str(folder)], capture_output=True, text=True, env=environment, check=False
     )
     assert done.returncode == 2
-    assert done.stderr.endswith("\\xe9[/b]: expected a run's folder, found no run.toml in it\n")
+    assert done.stderr.endswith("\\xe9[/b]: folder is missing\n")
 
 
 def test_numba_gets_a_folder_where_it_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
