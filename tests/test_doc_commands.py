@@ -34,7 +34,8 @@ ELSEWHERE = ("make", "source")
 def blocks(page: str) -> Iterator[tuple[str, str]]:
     """Language and text of each block of a page."""
     for found in BLOCK.finditer((ROOT / page).read_text(encoding="utf-8")):
-        yield found.group(2), found.group(3)
+        # A line that ends in a backslash goes on.
+        yield found.group(2), re.sub(r"\\\n\s*", " ", found.group(3))
 
 
 def commands(text: str) -> Iterator[tuple[list[str], list[str]]]:
