@@ -19,6 +19,7 @@ from craternav_fg.cli.options import (
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
+    FocalSigmaOption,
     ForceOption,
     JsonOption,
     KnownAttitude,
@@ -27,8 +28,8 @@ from craternav_fg.cli.options import (
     require_kept,
     require_suffix,
 )
-from craternav_fg.cli.poses import show_pose
-from craternav_fg.cli.terminal import note, out, say
+from craternav_fg.cli.poses import focal_text, show_pose
+from craternav_fg.cli.terminal import note, out, say, warn
 from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
@@ -38,6 +39,7 @@ from craternav_fg.matching.identify.search import KnownAttitude as SearchAttitud
 from craternav_fg.matching.identify.search import identify as identify_rims
 from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
+from craternav_fg.resection.focal import FOCAL_SIGMA
 from craternav_fg.vision.detect import find_rims
 
 FloatArray = npt.NDArray[np.float64]
@@ -68,6 +70,7 @@ def identify(
         Path | None,
         typer.Option("--output", "-o", help="Write the rims with their CRATER_ID, for `craternav pose`."),
     ] = None,
+    focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA,
     body_radius_m: CatalogBodyOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -80,7 +83,7 @@ def identify(
         require_free(output, force=force)
     sensor = read_camera(camera)
     known = _attitude(attitude)
-    options = IdentifyOptions(altitudes_m=_altitudes(altitude_km))
+    options = IdentifyOptions(altitudes_m=_altitudes(altitude_km), focal_sigma=0.01 * focal_sigma_percent)
     ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     ready, index_note = load_or_build(path, craters)
@@ -95,6 +98,8 @@ def identify(
     else:
         _show(values)
     _require_answer(found)
+    for warning in found.warnings:
+        warn(warning)
 
 
 def _attitude(given: KnownAttitude) -> SearchAttitude | None:
@@ -160,6 +165,9 @@ def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str,
         "pose": pose,
         "log_probability_of_chance": found.log_chance,
         "sigma_px": found.sigma_px if found.identified else None,
+        "focal_scale": found.focal_scale if math.isfinite(found.focal_scale) else None,
+        "focal_scale_sigma": found.focal_scale_sigma if math.isfinite(found.focal_scale_sigma) else None,
+        "warnings": list(found.warnings),
         "seconds": found.seconds,
     }
 
@@ -177,6 +185,7 @@ def _show(values: dict[str, Any]) -> None:
         f"10^{chance:.1f}; {1e3 * values['seconds']:.0f} ms"
     )
     show_pose(values["pose"])
+    say(f"standard deviation of the rims' centres {values['sigma_px']:.2g} px{focal_text(values)}")
 
 
 def _require_answer(found: Identification) -> None:

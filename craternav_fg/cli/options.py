@@ -18,6 +18,10 @@ CameraOption = Annotated[Path, typer.Option(help="sensor.yaml of the camera.")]
 CatalogOption = Annotated[
     Path, typer.Option(help="Crater catalogue: imported (.parquet), or any table that can be imported.")
 ]
+FocalSigmaOption = Annotated[
+    float,
+    typer.Option(min=0.0, max=10.0, help="Standard deviation of the focal length; 0 for an exact one."),
+]
 CatalogBodyOption = Annotated[
     float | None,
     typer.Option(

@@ -15,16 +15,18 @@ from craternav_fg.cli.options import (
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
+    FocalSigmaOption,
     JsonOption,
     KnownAttitude,
     numbers_of,
 )
-from craternav_fg.cli.poses import show_pose
+from craternav_fg.cli.poses import focal_text, show_pose
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
+from craternav_fg.resection.focal import FOCAL_SIGMA, with_unknown_focal
 from craternav_fg.resection.problem import ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 
@@ -73,6 +75,15 @@ class RimNoise:
     edge_points: Annotated[
         int, typer.Option(min=6, max=100_000, help="Number of edge points of each ellipse.")
     ] = 60
+    sigma_ellipse_px: Annotated[
+        float | None,
+        typer.Option(
+            min=SIGMA_RANGE_PX[0],
+            max=SIGMA_RANGE_PX[1],
+            help="Standard deviation of an ellipse's centre, per coordinate, and of its semi-axes, instead "
+            "of that of edge points.",
+        ),
+    ] = None
 
 
 @app.command(epilog=example("pose matched.csv --camera sensor.yaml --catalog craters.parquet --robust"))
@@ -88,6 +99,7 @@ def pose(
     light: KnownSun,
     noise: RimNoise,
     robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and reject them.")] = False,
+    focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA,
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -101,6 +113,8 @@ def pose(
         matched, craters, sensor, attitude_wxyz=wxyz, attitude_sigma_deg=sigma_deg, sun=light.values()
     )
     result = solve_robustly(problem) if robust else solve_all(problem)
+    if focal_sigma_percent > 0.0:
+        result = with_unknown_focal(problem, result, 0.01 * focal_sigma_percent)
     values = as_plain_data(problem, result, craters.body)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))
@@ -125,6 +139,9 @@ def _show(values: dict[str, Any]) -> None:
         say(f"wrong matches, rejected: {', '.join(values['wrong'])}")
     for found in values["poses"]:
         show_pose(found, f"probability {found['probability']:.3f}: ")
+    if values["poses"]:
+        scatter = f"standard deviations of the rims times {values['sigma_scale']:.3g}"
+        say(f"{scatter}{focal_text(values)}")
 
 
 def _require_pose(result: ResectionResult) -> None:

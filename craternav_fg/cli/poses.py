@@ -31,3 +31,22 @@ def show_pose(pose: dict[str, Any], before: str = "") -> None:
     )
     say(f"  position in g {gP} m; sigma {sigma_m} m")
     say(f"  attitude gRb (w, x, y, z) {attitude}; sigma in b {sigma_deg} deg")
+
+
+def focal_text(values: dict[str, Any]) -> str:
+    """Say by how much the focal length that the rims show differs from the camera's; empty when unknown.
+
+    Parameters
+    ----------
+    values : dict
+        `focal_scale` and `focal_scale_sigma`.
+
+    Returns
+    -------
+    str
+        A clause.
+    """
+    if values["focal_scale"] is None or values["focal_scale_sigma"] is None:
+        return ""
+    difference = 100.0 * (values["focal_scale"] - 1.0)
+    return f"; focal length by the rims {difference:+.2g} +- {100.0 * values['focal_scale_sigma']:.2g} %"

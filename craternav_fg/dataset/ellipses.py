@@ -39,6 +39,11 @@ SIGMA = "sigma_px"
 NOT_CLASSIFIED = -1
 # Accepted standard deviations of edge points, px: beyond them the covariance of a fit is rounding errors.
 SIGMA_RANGE_PX = (1e-6, 1e3)
+# Rims that are all in the quarter of the image at the origin are of an image of half the size, if they are so
+# many (by chance once in 1e6) and fill so much of its width and height.
+_MIN_RIMS_OF_QUARTER, _FILLED_SHARE = 10, 0.8
+# Rotations of so many elongated rims, all of at most pi, are in radians: degrees are by chance once in 1e6.
+_MIN_TURNED_RIMS, _ELONGATED = 4, 1.05
 # Accepted semi-axes: a tenth of a pixel, to this many times the longer side of the image.
 _MIN_SEMI_AXIS_PX = 0.1
 _MAX_SEMI_AXIS_IMAGES = 10
@@ -88,7 +93,8 @@ def read_ellipses(path: Path, camera: Camera) -> FloatArray:
     Raises
     ------
     InputError
-        Naming file, line and column: a value out of range, a rim outside the image.
+        Naming file, line and column: a value out of range, a rim outside the image, rims that only fill the
+        quarter of the image at the origin, or rotations in radians.
     """
     return _ellipses(read_table(path, tuple(Column(name) for name in ELLIPSE), others=True), camera)
 
@@ -216,8 +222,10 @@ def _ellipses(table: Table, camera: Camera) -> FloatArray:
             f"found {table.columns[MINOR][row]:g}",
         )  # fmt: skip
     ellipses = table.numbers(*ELLIPSE)
+    _check_degrees(table, ellipses)
     ellipses[:, 4] = np.radians(ellipses[:, 4])
     _check_inside(table, ellipses, camera)
+    _check_size(table, ellipses, camera)
     return ellipses
 
 
@@ -241,3 +249,29 @@ def _check_inside(table: Table, ellipses_px: FloatArray, camera: Camera) -> None
             f"expected a rim that reaches into the {size[0]} x {size[1]} image, found its centre at "
             f"{centre[row, axis]:g}",
         )  # fmt: skip
+
+
+def _check_size(table: Table, ellipses_px: FloatArray, camera: Camera) -> None:
+    """Refuse ellipses (n, 5) that fill the quarter of the image at the origin, and no more."""
+    if len(ellipses_px) < _MIN_RIMS_OF_QUARTER:
+        return
+    quarter = 0.5 * np.array([camera.width_px, camera.height_px])
+    most = (ellipses_px[:, :2] + half_sides(chart_of_axes(ellipses_px))).max(axis=0)
+    if (most < quarter).all() and (most > _FILLED_SHARE * quarter).all():
+        raise InputError(
+            table.path,
+            f"expected rims all over the camera's {camera.width_px} x {camera.height_px} image, found all "
+            f"{len(ellipses_px)} in its first quarter: are they of an image of half the size?",
+        )
+
+
+def _check_degrees(table: Table, ellipses: FloatArray) -> None:
+    """Refuse rotations of ellipses (n, 5) that are in radians; those of circles mean nothing."""
+    turned = (ellipses[:, 2] > _ELONGATED * ellipses[:, 3]) & (ellipses[:, 4] != 0.0)
+    if turned.sum() >= _MIN_TURNED_RIMS and np.abs(ellipses[turned, 4]).max() <= np.pi:
+        raise InputError(
+            table.path,
+            f"expected rotations in degrees, found {turned.sum()} of elongated rims from "
+            f"{ellipses[turned, 4].min():.3g} to {ellipses[turned, 4].max():.3g}: they are in radians",
+            column=ROTATION,
+        )

@@ -16,7 +16,7 @@ from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.ellipses import MatchedEllipses, read_matched_ellipses
 from craternav_fg.dataset.measurements import ground_sun_direction
-from craternav_fg.ellipse import chart_of_axes, normalised_chart
+from craternav_fg.ellipse import axes_covariance, chart_of_axes, normalised_chart
 from craternav_fg.measurements import KnownAttitude, SunTilt
 from craternav_fg.resection.edge_fit import fit_covariance
 from craternav_fg.resection.problem import (
@@ -35,7 +35,14 @@ _SIGMA_RANGE_DEG = (1e-6, 360.0)
 
 
 def read_rims(
-    path: Path, camera: Camera, catalog_path: Path, body: Body | None, *, sigma_px: float, edge_points: int
+    path: Path,
+    camera: Camera,
+    catalog_path: Path,
+    body: Body | None,
+    *,
+    sigma_px: float,
+    edge_points: int,
+    sigma_ellipse_px: float | None = None,
 ) -> tuple[MatchedRims, Catalog, ImportReport]:
     """Read fitted ellipses with their craters.
 
@@ -55,6 +62,9 @@ def read_rims(
         Standard deviation of edge points for files without the column sigma_px.
     edge_points : int
         Number of edge points, all round the rim, to which each ellipse is taken to be fitted.
+    sigma_ellipse_px : float, optional
+        Standard deviation of each coordinate of an ellipse's centre and of each semi-axis, instead of that of
+        edge points.
 
     Returns
     -------
@@ -72,14 +82,19 @@ def read_rims(
     """
     matched = read_matched_ellipses(path, camera)
     catalog, report = _craters(matched, catalog_path, body)
-    sigmas = np.full(len(matched), sigma_px) if matched.sigmas_px is None else matched.sigmas_px
-    charts, _ = normalised_chart(chart_of_axes(matched.ellipses_px), camera)
-    covariances = np.array(
-        [
-            fit_covariance(chart, camera, float(sigma), edge_points)
-            for chart, sigma in zip(charts, sigmas, strict=True)
-        ]
-    )
+    charts_px = chart_of_axes(matched.ellipses_px)
+    charts, scale = normalised_chart(charts_px, camera)
+    if sigma_ellipse_px is not None:
+        covariances = np.array([axes_covariance(chart, sigma_ellipse_px) for chart in charts_px])
+        covariances *= np.outer(scale, scale)
+    else:
+        sigmas = np.full(len(matched), sigma_px) if matched.sigmas_px is None else matched.sigmas_px
+        covariances = np.array(
+            [
+                fit_covariance(chart, camera, float(sigma), edge_points)
+                for chart, sigma in zip(charts, sigmas, strict=True)
+            ]
+        )
     rims = MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances)
     return rims, catalog, report
 
@@ -167,8 +182,16 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body
         "rims": list(problem.rims.identifiers),
         "wrong": list(result.wrong),
         "warnings": list(result.warnings),
+        "sigma_scale": result.sigma_scale,
+        "focal_scale": _number(result.focal_scale),
+        "focal_scale_sigma": _number(result.focal_scale_sigma),
         "poses": [_pose(problem, pose, body) for pose in result.poses] if usable else [],
     }
+
+
+def _number(value: float) -> float | None:
+    """None for a number that JSON cannot carry."""
+    return value if np.isfinite(value) else None
 
 
 def _pose(problem: ResectionProblem, pose: PoseSolution, body: Body) -> dict[str, Any]:

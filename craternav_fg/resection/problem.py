@@ -363,6 +363,9 @@ class ResectionResult:
     sigma_scale : float
         Factor by which the standard deviations of the rims were multiplied, because their residuals show that
         they are too small.
+    focal_scale, focal_scale_sigma : float
+        Focal length that the rims alone show, over the camera's, and its standard deviation; NaN when it was
+        not estimated (see `focal.with_unknown_focal`).
     """
 
     status: Status
@@ -371,6 +374,8 @@ class ResectionResult:
     wrong: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     sigma_scale: float = 1.0
+    focal_scale: float = math.nan
+    focal_scale_sigma: float = math.nan
 
     @property
     def solved(self) -> bool:

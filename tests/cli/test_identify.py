@@ -75,8 +75,9 @@ def test_craters_and_pose(case, identify) -> None:
     assert found["seconds"] > 0.0
     # The index is loaded, and the attitude makes an answer more certain.
     w, x, y, z = 2.0 * frames.to_quaternion_wxyz(scene.gTb[:3, :3])
+    exact = ("--focal-sigma-percent", "0")
     code, output, errors = identify(
-        folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--attitude-sigma-deg", 1.5, "--json"
+        folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--attitude-sigma-deg", 1.5, "--json", *exact
     )
     assert (code, errors) == (0, "")
     known = json.loads(output)
@@ -84,6 +85,8 @@ def test_craters_and_pose(case, identify) -> None:
     assert known["log_probability_of_chance"] < found["log_probability_of_chance"] - 3.0
     code, output, _ = identify(folder / "rims.csv")
     assert code == 0
+    assert "standard deviation of the rims' centres" in output
+    assert "; focal length by the rims" in output
     assert f"of {len(found['rims'])} rims identified" in output
     assert all(name in output for name, _ in named)
 
@@ -131,11 +134,20 @@ def test_bad_input(case, identify, tmp_path) -> None:
     thin[2, 2:4] = [20.0, 0.01]
     write_rims(tmp_path / "outside.csv", outside)
     write_rims(tmp_path / "thin.csv", thin)
+    half, turned = case[2].ellipses_px.copy(), case[2].ellipses_px.copy()
+    half[:, :4] *= 0.5
+    write_rims(tmp_path / "half.csv", half)
+    # Degrees of a hundredth of a turn, as if in radians.
+    turned[:, 2:4] = [20.0, 15.0]
+    turned[:, 4] = np.radians(np.linspace(-1.5, 1.5, len(turned)))
+    write_rims(tmp_path / "radians.csv", turned)
     (tmp_path / "image.png").write_bytes(b"no image")
     for arguments, said in (
         ((few,), "too few rims: found 2 rims, expected 3 or more"),
         ((tmp_path / "outside.csv",), "outside.csv:3: ellipseCenterX(px): expected a rim that reaches into"),
         ((tmp_path / "thin.csv",), "thin.csv:4: ellipseSemiminor(px): expected 0.1 to"),
+        ((tmp_path / "half.csv",), "in its first quarter: are they of an image of half the size?"),
+        ((tmp_path / "radians.csv",), "radians.csv: ellipseRotation(deg): expected rotations in degrees"),
         ((tmp_path / "none.csv",), "none.csv: file is missing"),
         ((tmp_path / "image.png",), "image.png"),
         ((folder / "rims.csv", "--attitude", "1,2,3"), "--attitude: expected 4 numbers"),

@@ -16,6 +16,7 @@ from tests.cli.calls import Done, call, craternav
 from tests.resection.matched_files import CAMERA, MOON, Files, make_files
 
 Run = Callable[..., Done]
+EXACT_FOCAL = ("--focal-sigma-percent", "0")
 
 
 @pytest.fixture
@@ -40,10 +41,11 @@ def check_pose(pose: dict[str, object], gTb: np.ndarray, within_m: float = 1.0) 
 
 
 def test_a_pose_from_files(files: Files, run: Run) -> None:
-    done = run("--json")
+    done = run("--json", *EXACT_FOCAL)
     assert done.code == 0, done.err
     values = json.loads(done.out)
     assert values["status"] == "solved"
+    assert (values["sigma_scale"], values["focal_scale"]) == (1.0, None)
     (pose,) = values["poses"]
     check_pose(pose, files.gTb)
     latitude, longitude = np.degrees(frames.latitude_longitude(files.gTb[:3, 3]))
@@ -57,6 +59,32 @@ def test_a_pose_from_files(files: Files, run: Run) -> None:
     assert shown.code == 0
     assert f"latitude {pose['latitude_deg']:.5f}" in shown.out
     assert f"position in g {pose['position_m'][0]:.2f}" in shown.out
+
+
+def test_a_focal_length_that_few_rims_cannot_check_widens_the_pose(files: Files, run: Run) -> None:
+    exact = json.loads(run("--json", *EXACT_FOCAL).out)["poses"][0]
+    done = run("--json")
+    values = json.loads(done.out)
+    (warning,) = values["warnings"]
+    assert "these rims cannot check the camera's focal length" in warning
+    assert warning in done.err
+    (pose,) = values["poses"]
+    check_pose(pose, files.gTb, 5.0)
+    # 0.3 % of 50 km, where the rims do not tell.
+    added2 = np.sum(np.square(pose["position_sigma_m"])) - np.sum(np.square(exact["position_sigma_m"]))
+    assert 100.0 < np.sqrt(added2) < 160.0
+    assert abs(values["focal_scale"] - 1.0) < 0.1 * values["focal_scale_sigma"]
+    assert "focal length by the rims" in run().out
+
+
+def test_the_error_of_ellipses_instead_of_that_of_edge_points(files: Files, run: Run) -> None:
+    """Half a pixel of centre and axes is more than edge points of one pixel give."""
+    loose = json.loads(run("--json", "--sigma-ellipse-px", "0.5").out)["poses"][0]
+    tight = json.loads(run("--json", "--sigma-ellipse-px", "0.05", *EXACT_FOCAL).out)["poses"][0]
+    exact = json.loads(run("--json", "--sigma-ellipse-px", "0.5", *EXACT_FOCAL).out)["poses"][0]
+    tenfold = 10.0 * np.array(tight["position_sigma_m"])
+    np.testing.assert_allclose(exact["position_sigma_m"], tenfold, rtol=1e-3)
+    check_pose(loose, files.gTb)
 
 
 def test_a_lens_that_distorts_is_refused(files: Files, run: Run) -> None:
@@ -95,9 +123,8 @@ def test_what_was_skipped_and_assumed_of_a_catalogue_is_said(files: Files, run: 
 
 def test_one_rim_with_an_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
-    done = run(
-        "--attitude", quaternion, "--attitude-sigma-deg", "0", "--json", rims=files.rims(files.rows[0])
-    )
+    options = ("--attitude", quaternion, "--attitude-sigma-deg", "0", "--json", *EXACT_FOCAL)
+    done = run(*options, rims=files.rims(files.rows[0]))
     assert done.code == 0, done.err
     values = json.loads(done.out)
     check_pose(values["poses"][0], files.gTb)

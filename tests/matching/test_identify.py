@@ -37,6 +37,9 @@ from factors.kernels.gauss_newton import screw_between
 from tests.catalogs.population import power_law_population
 from tests.shared_data import shared
 
+# The camera of a simulated view is known exactly.
+EXACT_CAMERA = IdentifyOptions(focal_sigma=0.0)
+
 
 @pytest.fixture(scope="module")
 def synthetic() -> TripleIndex:
@@ -67,9 +70,9 @@ def answers(index, rng, count, true_rims, sigma_px, *, known=False, mirrored=Fal
         rims = scene.mirrored() if mirrored else scene.ellipses_px
         if not out:
             # What is compiled or put together at the first call is not what is measured.
-            identify(rims, scene.camera, index, attitude)
+            identify(rims, scene.camera, index, attitude, EXACT_CAMERA)
         began = time.process_time()
-        answer = identify(rims, scene.camera, index, attitude)
+        answer = identify(rims, scene.camera, index, attitude, EXACT_CAMERA)
         out.append((scene, replace(answer, seconds=time.process_time() - began)))
     return out
 
@@ -301,6 +304,26 @@ def test_pose_of_a_mounted_camera(synthetic) -> None:
     )
     known = KnownAttitude(scene.gTb[:3, :3] @ bTc[:3, :3].T)
     assert scene.agrees(identify(scene.ellipses_px, camera, synthetic, known).rows)
+
+
+@pytest.mark.parametrize("scale", [0.95, 0.99, 1.0, 1.01, 1.05])
+def test_a_wrong_focal_length_is_within_the_covariance_or_said(synthetic, scale) -> None:
+    rng, error, warned = np.random.default_rng(19), np.empty(6), 0
+    for k in range(15):
+        scene = random_view(
+            synthetic.catalog, ViewOptions(field_deg=(44.0, 60.0)[k % 2]), rng, true_rims=(6, 10_000)
+        )
+        camera = scene.camera
+        said = replace(camera, fx_px=scale * camera.fx_px, fy_px=scale * camera.fy_px)
+        answer = identify(scene.ellipses_px, said, synthetic)
+        if not answer.identified:
+            continue
+        screw_between(np.ascontiguousarray(answer.gTb), scene.gTb, error)
+        within = error @ np.linalg.solve(answer.covariance, error) < 30.0
+        assert within or answer.warnings
+        assert abs(np.log(answer.focal_scale * scale)) < 6.0 * answer.focal_scale_sigma
+        warned += any("contradict" in text for text in answer.warnings)
+    assert warned == 0 if scale == 1.0 else warned > 0 or abs(scale - 1.0) < 0.02
 
 
 def test_a_lens_that_distorts(synthetic) -> None:

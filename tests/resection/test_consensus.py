@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.resection.focal import fit_focal, with_unknown_focal
 from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 from craternav_fg.simulation.catalog_views import View, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
+from factors.kernels.gauss_newton import screw_between
 from tests.resection.matched_views import draw, is_right, matched, some_swapped
 
 Solver = Callable[[ResectionProblem], ResectionResult]
 FAULTS: dict[str, dict[str, Any]] = {
     "mirrored": {"mirrored": True},
     "shuffled": {},
+    "half-size image": {"image_scale": 0.5},
+    "f + 5 %": {"focal_scale": 1.05},
+    "f - 5 %": {"focal_scale": 0.95},
+    "f + 1 %": {"focal_scale": 1.01},
     "scaled craters": {"size_scale": 2.0},
     "other body": {"body_scale": 0.32},
     "other catalogue": {},
@@ -43,7 +49,7 @@ def silently_wrong(catalog: Catalog, fault: str, count: int, solver: Solver) -> 
     for k in range(count):
         view = draw(catalog, rng, k)
         problem = matched(catalog, view, rng, **FAULTS[fault], craters=craters_of(fault, catalog, view, rng))
-        result = solver(problem)
+        result = with_unknown_focal(problem, solver(problem))
         if result.status in (Status.SOLVED, Status.AMBIGUOUS):
             wrong += not is_right(result, view) and not result.warnings
     return wrong
@@ -120,3 +126,29 @@ def test_one_wrong_match_is_not_explained_by_a_larger_sigma(catalog: Catalog) ->
         )
         assert result.status is Status.NO_POSE
         assert "a wrong match, the wrong camera, or too small a sigma" in result.reason
+
+
+@pytest.mark.parametrize("focal_scale", [0.97, 1.0, 1.03])
+def test_the_focal_length_is_estimated_within_its_sigma(catalog: Catalog, focal_scale: float) -> None:
+    rng = np.random.default_rng(10)
+    off = []
+    for k in range(30):
+        view = draw(catalog, rng, k)
+        problem = matched(catalog, view, rng, focal_scale=focal_scale)
+        fit = fit_focal(problem, view.gTb, 0.05)
+        off.append((np.log(fit.scale) + np.log(focal_scale)) / fit.scale_sigma)
+    assert np.mean(np.square(off)) == pytest.approx(1.0, abs=0.7)
+
+
+def test_an_unknown_focal_length_keeps_the_covariance_consistent(catalog: Catalog) -> None:
+    """Each image by a camera whose focal length is off by the expected error."""
+    rng = np.random.default_rng(11)
+    nees = []
+    for k in range(60):
+        view = draw(catalog, rng, k)
+        problem = matched(catalog, view, rng, focal_scale=float(np.exp(0.003 * rng.normal())))
+        result = with_unknown_focal(problem, solve_all(problem), 0.003)
+        error = np.empty(6)
+        screw_between(np.ascontiguousarray(result.poses[0].gTb), view.gTb, error)
+        nees.append(error @ np.linalg.solve(result.poses[0].covariance, error))
+    assert 4.8 < np.mean(nees) < 7.4

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craternav_fg.resection.focal import FOCAL_SIGMA
+
 
 @dataclass(frozen=True)
 class IdentifyOptions:
@@ -31,6 +33,8 @@ class IdentifyOptions:
     log_ambiguity : float
         A second pose is ignored when its evidence is lower by more than this (a negative logarithm);
         otherwise the result is ambiguous.
+    focal_sigma : float
+        Relative standard deviation of the camera's focal length; 0 for an exact one, which is not checked.
     """
 
     altitudes_m: tuple[float, float] = (1e3, 2e6)
@@ -41,3 +45,4 @@ class IdentifyOptions:
     log_chance: float = float(np.log(1e-6))
     log_chance_attitude: float = float(np.log(1e-4))
     log_ambiguity: float = float(np.log(1e-3))
+    focal_sigma: float = FOCAL_SIGMA

@@ -1,5 +1,6 @@
 """Result of identification."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -43,6 +44,11 @@ class Identification:
         Standard deviation of the centres, estimated from the matched rims; NaN without an answer.
     seconds : float
         Elapsed time.
+    focal_scale, focal_scale_sigma : float
+        Focal length that the rims alone show, over the camera's, and its standard deviation; NaN without an
+        answer or when the focal length is exact.
+    warnings : tuple of str
+        One line each: that the rims contradict the camera's focal length, or cannot check it.
     """
 
     status: Status
@@ -55,6 +61,9 @@ class Identification:
     log_chance: float
     sigma_px: float
     seconds: float
+    focal_scale: float = math.nan
+    focal_scale_sigma: float = math.nan
+    warnings: tuple[str, ...] = ()
 
     @property
     def identified(self) -> bool:

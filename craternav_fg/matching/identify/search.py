@@ -27,6 +27,7 @@ from craternav_fg.matching.identify.hypothesis import (
     PoseLimits,
 )
 from craternav_fg.matching.identify.nadir import nadirs
+from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.refine import refine
 from craternav_fg.matching.identify.result import Identification, Status
@@ -42,6 +43,9 @@ from craternav_fg.matching.identify.triple_search import (
 )
 from craternav_fg.matching.identify.view import View, view_of
 from craternav_fg.measurements import KnownAttitude
+from craternav_fg.resection.focal import FocalFit, fit_focal, focal_warnings
+from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from factors.kernels.gauss_newton import screw
 
 __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
 
@@ -399,6 +403,7 @@ def _answer(
     covariance = refine(
         search.view, index.craters, search.prior, search.weight, expanded.gTc, expanded.match, expanded.sigma
     )
+    fit = _unknown_focal(expanded, search, covariance) if search.options.focal_sigma else None
     # From the camera's right twist to the body's.
     adjoint = frames.adjoint(camera.bTc)
     names = index.catalog.identifiers
@@ -415,7 +420,32 @@ def _answer(
         log_chance=-expanded.log_ratio,
         sigma_px=float(expanded.sigma[0]),
         seconds=time.perf_counter() - began,
+        focal_scale=np.nan if fit is None else fit.scale,
+        focal_scale_sigma=np.nan if fit is None else fit.scale_sigma,
+        warnings=(
+            () if fit is None else focal_warnings(fit.scale, fit.scale_sigma, search.options.focal_sigma)
+        ),
     )
+
+
+def _unknown_focal(expanded: _Expanded, search: _Search, covariance: FloatArray) -> FocalFit:
+    """Fit the focal length too: moves the pose and enlarges the covariance (6, 6) in place."""
+    view, craters = search.view, search.index.craters
+    matched = np.flatnonzero(expanded.match >= 0)
+    rows = expanded.match[matched]
+    scale = np.array([shape_scale(view, int(i), expanded.sigma) for i in matched])
+    sigma = np.column_stack([np.full((len(matched), 2), expanded.sigma[0]), *(scale[:, None],) * 3])
+    variance = (sigma / view.precision[matched]) ** 2
+    rims = MatchedRims(
+        tuple(map(str, rows)), craters.centres[rows], craters.axes[rows], view.charts[matched],
+        np.einsum("ni,ij->nij", variance, np.eye(5)),
+    )  # fmt: skip
+    known = search.limits.attitude
+    attitude = KnownAttitude(known, search.sigma_rad) if len(known) else None
+    fit = fit_focal(ResectionProblem(rims, attitude=attitude), expanded.gTc, search.options.focal_sigma)
+    covariance += fit.log_scale_sigma**2 * np.outer(fit.shift, fit.shift)
+    screw(expanded.gTc, fit.log_scale * fit.shift)
+    return fit
 
 
 def _no_answer(n: int, status: Status, reason: str, log_chance: float, began: float) -> Identification:
