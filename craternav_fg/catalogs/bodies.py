@@ -15,11 +15,18 @@ BODY = "BODY"
 BODY_RADIUS = "BODY_RADIUS_M"
 # Columns that name the body, in lower-case letters: ours, the USGS Gazetteer's, that of EPN-TAP.
 BODY_NAMES = ("body", "target", "targetname")
-# Radii of the spheres that catalogues refer to: the IAU's mean radii (Archinal et al. 2018, Celest. Mech.
-# 130, 22). Bodies on whose sphere catalogues do not agree, such as Mars and Ceres, are left out.
+# Mean radii of the IAU (Archinal et al. 2018, Celest. Mech. 130, 22): planets and dwarf planets, moons,
+# asteroids. Vesta's is that of Dawn's maps. A catalogue on another sphere, as most of Mars are (3396190 m),
+# states its radius or is read with --body-radius-m.
 SPHERES_M = {
     "Moon": 1737400.0,
     "Mercury": 2439400.0,
+    "Venus": 6051800.0,
+    "Earth": 6371008.4,
+    "Mars": 3389500.0,
+    "Ceres": 470000.0,
+    "Pluto": 1188300.0,
+    "Io": 1821490.0,
     "Europa": 1560800.0,
     "Ganymede": 2631200.0,
     "Callisto": 2410300.0,
@@ -28,12 +35,29 @@ SPHERES_M = {
     "Tethys": 531000.0,
     "Dione": 561400.0,
     "Rhea": 763500.0,
+    "Titan": 2574730.0,
     "Iapetus": 734300.0,
+    "Phoebe": 106500.0,
+    "Miranda": 235800.0,
+    "Ariel": 578900.0,
+    "Umbriel": 584700.0,
+    "Titania": 788900.0,
+    "Oberon": 761400.0,
+    "Triton": 1352600.0,
+    "Charon": 606000.0,
+    "Phobos": 11080.0,
+    "Deimos": 6200.0,
+    "Vesta": 255000.0,
+    "Ida": 15650.0,
+    "Mathilde": 26500.0,
+    "Eros": 8450.0,
 }
 _ALSO_CALLED = {"lunar": "Moon", "luna": "Moon"}
 _BY_NAME = {**{name.lower(): name for name in SPHERES_M}, **_ALSO_CALLED}
 # Identifiers of craters in Robbins (2018), a catalogue of the Moon.
 _ROBBINS = re.compile(r"\d\d-\d-\d{6}")
+# Shorter words of a file's name, such as io, are not taken for a body's.
+_MIN_NAME = 4
 # Identifiers that are looked at to recognise that catalogue.
 _SAMPLED_IDENTIFIERS = 200
 # Relative differences of radii up to which two spheres are the same, and two spheres are of one body.
@@ -132,7 +156,8 @@ def stated_body(
     sampled = identifiers[:: max(1, len(identifiers) // _SAMPLED_IDENTIFIERS)]
     if sampled and all(one is not None and _ROBBINS.fullmatch(one) for one in sampled):
         return StatedBody("Moon", SPHERES_M["Moon"], False, "its identifiers, those of Robbins (2018), say")
-    called = {_BY_NAME[word] for word in re.split(r"[^a-z]+", path.stem.lower()) if word in _BY_NAME}
+    words = re.split(r"[^a-z]+", path.stem.lower())
+    called = {_BY_NAME[word] for word in words if word in _BY_NAME and len(word) >= _MIN_NAME}
     if len(called) == 1:
         (known,) = called
         return StatedBody(known, SPHERES_M[known], False, "its name says")

@@ -73,18 +73,26 @@ def test_a_table_tells_its_body(tmp_path, text, name, found, by):
 
 def test_bodies_known_by_name():
     assert named_body("lunar").radius_m == 1737400.0
-    assert named_body("Ceres", 469700.0).name == "Ceres"
-    with pytest.raises(InputError, match=r"--body: expected --body-radius-m beside 'Ceres'"):
-        named_body("Ceres")
+    assert named_body("Ceres", 469700.0).radius_m == 469700.0
+    for name, radius_m in (("mars", 3389500.0), ("Ceres", 470e3), ("VESTA", 255e3), ("Charon", 606e3)):
+        assert named_body(name).radius_m == radius_m
+    with pytest.raises(InputError, match=r"--body: expected --body-radius-m beside 'Haumea'"):
+        named_body("Haumea")
+
+
+def test_short_words_of_a_file_name_are_no_body(tmp_path):
+    path = tmp_path / "craters_io.csv"
+    path.write_text("id,lat,lon,diam_km\nA,1,2,3\n")
+    assert import_catalog(path)[0].body.name == "Moon"
 
 
 def test_a_named_body_without_a_known_sphere(tmp_path):
-    path = written(tmp_path, "id,lat,lon,diam_km,Target\nA,1,2,3,Ceres\n")
-    with pytest.raises(InputError, match=r"is of Ceres, .* not known: give --body-radius-m"):
+    path = written(tmp_path, "id,lat,lon,diam_km,Target\nA,1,2,3,Haumea\n")
+    with pytest.raises(InputError, match=r"is of Haumea, .* not known: give --body-radius-m"):
         import_catalog(path)
-    with pytest.raises(InputError, match=r"\(Dione\), found one of Ceres, as Target says"):
+    with pytest.raises(InputError, match=r"\(Dione\), found one of Haumea, as Target says"):
         import_catalog(path, DIONE)
-    assert import_catalog(path, Body("ceres", 470e3, 1.0, (0.0, 0.0, 0.0)))[0].body.radius_m == 470e3
+    assert import_catalog(path, Body("haumea", 470e3, 1.0, (0.0, 0.0, 0.0)))[0].body.radius_m == 470e3
 
 
 def test_a_data_set_with_the_craters_of_another_body(folder):  # noqa: F811
