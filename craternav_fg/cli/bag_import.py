@@ -1,6 +1,7 @@
 """Commands that import recordings and calibrations of other programs."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import typer
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import warn_of
-from craternav_fg.cli.option_groups import never_replacing
+from craternav_fg.cli.option_groups import never_replacing, with_option_groups
 from craternav_fg.cli.options import JsonOption, numbers_of
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
@@ -30,6 +31,24 @@ FloatArray = npt.NDArray[np.float64]
 _CAMERA_RATE_HZ, _IMU_RATE_HZ = 1.0, 100.0
 
 
+@dataclass(frozen=True)
+class _Topics:
+    """Topics of a bag that has several of a kind."""
+
+    image_topic: Annotated[
+        str | None, typer.Option(help="Topic of the images.", show_default="the only one")
+    ] = None
+    imu_topic: Annotated[str | None, typer.Option(help="Topic of the IMU.", show_default="the only one")] = (
+        None
+    )
+    truth_topic: Annotated[
+        str | None, typer.Option(help="Topic of the true poses in g.", show_default="the only one")
+    ] = None
+    sun_topic: Annotated[
+        str | None, typer.Option(help="Topic of the sun's direction.", show_default="the only one")
+    ] = None
+
+
 @import_commands.command(
     "bag",
     epilog=example(
@@ -37,6 +56,7 @@ _CAMERA_RATE_HZ, _IMU_RATE_HZ = 1.0, 100.0
     ),
 )
 @never_replacing
+@with_option_groups
 def bag(
     path: Annotated[Path, typer.Argument(metavar="BAG", help=".bag, .mcap, or the folder of a rosbag2.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")],
@@ -45,6 +65,7 @@ def bag(
     ],
     catalog: Annotated[Path, typer.Option(help="Crater catalogue: imported, or any table that can be.")],
     imu: Annotated[Path, typer.Option(help="Noise of the IMU: sensor.yaml, or Kalibr's imu.yaml.")],
+    topics: _Topics,
     camera: Annotated[
         Path | None,
         typer.Option(
@@ -54,18 +75,6 @@ def bag(
     sun: Annotated[
         str | None,
         typer.Option(help="Direction towards the sun in g: x,y,z.", show_default="a topic of Vector3Stamped"),
-    ] = None,
-    image_topic: Annotated[
-        str | None, typer.Option(help="Topic of the images.", show_default="the only one")
-    ] = None,
-    imu_topic: Annotated[
-        str | None, typer.Option(help="Topic of the IMU.", show_default="the only one")
-    ] = None,
-    truth_topic: Annotated[
-        str | None, typer.Option(help="Topic of the true poses in g.", show_default="the only one")
-    ] = None,
-    sun_topic: Annotated[
-        str | None, typer.Option(help="Topic of the sun's direction.", show_default="the only one")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -79,7 +88,7 @@ def bag(
     options = BagOptions(
         body=body, catalog=craters, imu_noise=_noise(imu), initial=initial, camera=found,
         time_shift_s=shift_s, sun=_direction(sun),
-        image=image_topic, imu=imu_topic, truth=truth_topic, sun_topic=sun_topic,
+        image=topics.image_topic, imu=topics.imu_topic, truth=topics.truth_topic, sun_topic=topics.sun_topic,
     )  # fmt: skip
     report = import_bag(path, output, options)
     if report.skipped:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,6 +49,22 @@ FloatArray = npt.NDArray[np.float64]
 _ATTITUDE_SIGMA_DEG = (1e-3, 10.0)
 
 
+@dataclass(frozen=True)
+class _Searched:
+    """Which poses and focal lengths are searched."""
+
+    altitude_km: Annotated[
+        str | None, typer.Option(help="MIN,MAX altitude to search.", show_default="1,2000")
+    ] = None
+    focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA
+
+    @property
+    def options(self) -> IdentifyOptions:
+        """The same as the search takes it."""
+        altitudes_m = _altitudes(self.altitude_km)
+        return IdentifyOptions(altitudes_m=altitudes_m, focal_sigma=0.01 * self.focal_sigma_percent)
+
+
 @app.command(
     epilog=example("identify rims.csv --camera sensor.yaml --catalog craters.parquet -o matched.csv")
 )
@@ -59,9 +76,7 @@ def identify(
     camera: CameraOption,
     catalog: CatalogOption,
     attitude: KnownAttitude,
-    altitude_km: Annotated[
-        str | None, typer.Option(help="MIN,MAX altitude to search.", show_default="1,2000")
-    ] = None,
+    searched: _Searched,
     index: Annotated[
         Path | None,
         typer.Option(help="File of the catalogue's index.", show_default="in the user's cache"),
@@ -70,7 +85,6 @@ def identify(
         Path | None,
         typer.Option("--output", "-o", help="Write the rims with their CRATER_ID, for `craternav pose`."),
     ] = None,
-    focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA,
     body_radius_m: CatalogBodyOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -83,7 +97,7 @@ def identify(
         require_free(output, force=force)
     sensor = read_camera(camera)
     known = _attitude(attitude)
-    options = IdentifyOptions(altitudes_m=_altitudes(altitude_km), focal_sigma=0.01 * focal_sigma_percent)
+    options = searched.options
     ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     ready, index_note = load_or_build(path, craters)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import read_any_catalog
-from craternav_fg.cli.option_groups import never_replacing
+from craternav_fg.cli.option_groups import never_replacing, with_option_groups
 from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, numbers_of
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset import Dataset
@@ -48,12 +49,41 @@ AttitudeSigmaOption = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class _Stated:
+    """How well the states are known, and what moves the spacecraft."""
+
+    mu_m3_s2: MuOption = None
+    acceleration_density: AccelerationOption = 1e-5
+    position_sigma_m: PositionSigmaOption = 1000.0
+    attitude_sigma_deg: AttitudeSigmaOption = 0.1
+
+
+@dataclass(frozen=True)
+class _Kernels:
+    """What is asked of SPICE."""
+
+    meta_kernel: Annotated[list[Path], typer.Option(help="Kernel or meta-kernel; may be repeated.")]
+    spacecraft: Annotated[str, typer.Option(help="Name or number of the spacecraft.")]
+    instrument_frame: Annotated[str, typer.Option(help="Frame of the camera: x right, y down, z forward.")]
+    target: Annotated[str, typer.Option(help="Body in the images.")] = "MOON"
+    body_frame: Annotated[str, typer.Option(help="Body-fixed frame of the catalogue.")] = "IAU_MOON"
+
+    @property
+    def query(self) -> SpiceQuery:
+        """The same as the reader of kernels takes it."""
+        kernels = tuple(self.meta_kernel)
+        return SpiceQuery(kernels, self.spacecraft, self.instrument_frame, self.target, self.body_frame)
+
+
 @import_commands.command(epilog=example("import isis A.cub B.cub -o DATA --catalog craters.parquet"))
 @never_replacing
+@with_option_groups
 def isis(
     cubes: Annotated[list[Path], typer.Argument(help="ISIS cubes of one camera, after spiceinit.")],
     output: OutputOption,
     catalog: CatalogOption,
+    stated: _Stated,
     images: Annotated[
         list[Path] | None,
         typer.Option(help="Whole photographs in place of the cubes' pixels; may be repeated, with --times."),
@@ -61,20 +91,16 @@ def isis(
     times: Annotated[
         Path | None, typer.Option(help="CSV of the images' times: filename, utc (ISO 8601).")
     ] = None,
-    mu_m3_s2: MuOption = None,
-    acceleration_density: AccelerationOption = 1e-5,
-    position_sigma_m: PositionSigmaOption = 1000.0,
-    attitude_sigma_deg: AttitudeSigmaOption = 0.1,
     as_json: JsonOption = False,
 ) -> None:
     """Import ISIS cubes: pixels, camera, states, sun."""
     read = [read_cube(path) for path in cubes]
     camera, frames, pixels = _pixels(read, images, times)
-    body = with_gravity(read[0].body, mu_m3_s2)
+    body = with_gravity(read[0].body, stated.mu_m3_s2)
     craters, _ = read_any_catalog(catalog, body.radius_m)
     given = Imported(
-        frames, camera, body, craters, coast(acceleration_density),
-        position_sigma_m, math.radians(attitude_sigma_deg),
+        frames, camera, body, craters, coast(stated.acceleration_density),
+        stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     _finish(write_imported(output, given, pixels), as_json)
 
@@ -115,34 +141,27 @@ def images(
     )
 )
 @never_replacing
+@with_option_groups
 def spice(
     paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
     output: OutputOption,
     times: TimesOption,
     camera: CameraOption,
     catalog: CatalogOption,
-    meta_kernel: Annotated[list[Path], typer.Option(help="Kernel or meta-kernel; may be repeated.")],
-    spacecraft: Annotated[str, typer.Option(help="Name or number of the spacecraft.")],
-    instrument_frame: Annotated[str, typer.Option(help="Frame of the camera: x right, y down, z forward.")],
-    target: Annotated[str, typer.Option(help="Body in the images.")] = "MOON",
-    body_frame: Annotated[str, typer.Option(help="Body-fixed frame of the catalogue.")] = "IAU_MOON",
-    mu_m3_s2: MuOption = None,
-    acceleration_density: AccelerationOption = 1e-5,
-    position_sigma_m: PositionSigmaOption = 1000.0,
-    attitude_sigma_deg: AttitudeSigmaOption = 0.1,
+    kernels: _Kernels,
+    stated: _Stated,
     as_json: JsonOption = False,
 ) -> None:
     """Import plain images with states and sun from SPICE kernels."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
-    query = SpiceQuery(tuple(meta_kernel), spacecraft, instrument_frame, target, body_frame)
-    states, spin = camera_states(query, [frame.stamp_ns for frame in frames])
+    states, spin = camera_states(kernels.query, [frame.stamp_ns for frame in frames])
     craters, _ = read_any_catalog(catalog, None)
     known = Body(craters.body.name, craters.body.radius_m, 0.0, spin)
     frames = [ImportedFrame(f.path, f.stamp_ns, s) for f, s in zip(frames, states, strict=True)]
     given = Imported(
-        frames, sensor, with_gravity(known, mu_m3_s2), craters, coast(acceleration_density),
-        position_sigma_m, math.radians(attitude_sigma_deg),
+        frames, sensor, with_gravity(known, stated.mu_m3_s2), craters, coast(stated.acceleration_density),
+        stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     size = sensor.width_px, sensor.height_px
     _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)

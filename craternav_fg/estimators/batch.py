@@ -286,10 +286,15 @@ def build_graph(
         of_frames.append(index)
     for factor in () if own_factors is None else own_factors(problem, of_frames):
         graph.push_back(factor)
+    _add_missing(values, added)
+    return graph
+
+
+def _add_missing(values: gtsam.Values, added: gtsam.Values) -> None:
+    """Insert the vectors that values lack."""
     for key in added.keys():  # noqa: SIM118 (Values is no mapping)
         if not values.exists(key):
             values.insert(key, added.atVector(key))
-    return graph
 
 
 def _update_gravity(graph: FactorGraph, body: Body, values: gtsam.Values) -> bool:

@@ -117,17 +117,8 @@ def reconstruct(
     problems = _problems(descent, measured)
     check_logs(problems, dataset.path)
     times_s = {"front_end": time.perf_counter() - began}
-    trajectories: dict[str, Trajectory] = {}
-    failures: dict[str, str] = {}
-    for done, one in enumerate(chosen):
-        report(f"estimator {one.name}", done, len(chosen))
-        began = time.perf_counter()
-        try:
-            trajectories[one.name] = _estimate(one, problems, dataset.stamps_ns)
-        except (EstimationError, *NUMERICAL_ERRORS) as error:
-            failures[one.name] = f"{one.name}: {_one_line(error)}"
-        times_s[one.name] = time.perf_counter() - began
-    report("estimator", len(chosen), len(chosen))
+    trajectories, failures, estimation_s = _run(chosen, problems, dataset.stamps_ns, report)
+    times_s |= estimation_s
     if not trajectories:
         raise EstimationError("; ".join(failures.values()))
     options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
@@ -147,6 +138,25 @@ def reconstruct(
         predicted=measured.guides,
         ignored=dataset.ignored,
     )
+
+
+def _run(
+    chosen: Sequence[Estimator], problems: Sequence[Problem], stamps_ns: IntArray, report: Progress
+) -> tuple[dict[str, Trajectory], dict[str, str], dict[str, float]]:
+    """Run estimators: trajectories, why others failed, and how long each took, s."""
+    trajectories: dict[str, Trajectory] = {}
+    failures: dict[str, str] = {}
+    times_s: dict[str, float] = {}
+    for done, one in enumerate(chosen):
+        report(f"estimator {one.name}", done, len(chosen))
+        began = time.perf_counter()
+        try:
+            trajectories[one.name] = _estimate(one, problems, stamps_ns)
+        except (EstimationError, *NUMERICAL_ERRORS) as error:
+            failures[one.name] = f"{one.name}: {_one_line(error)}"
+        times_s[one.name] = time.perf_counter() - began
+    report("estimator", len(chosen), len(chosen))
+    return trajectories, failures, times_s
 
 
 def _with_sensors(dataset: Dataset, chosen: Sequence[str | Sensor] | None) -> Dataset:

@@ -135,7 +135,7 @@ def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.Monk
     low, high = measured["batch_ratio_spread"]
     assert low <= measured["batch_ratio"] <= high
     assert figure.read_bytes().startswith(b"\x89PNG")
-    table = CliRunner().invoke(app, ["bench", "-o", str(figure)])
+    table = CliRunner().invoke(app, ["bench", "-o", str(figure), "--force"])
     assert "online_mean_ratio" in table.stdout
 
 

@@ -36,7 +36,7 @@ def test_linear_algebra_of_each_process_has_one_thread() -> None:
 
 
 def test_an_error_of_a_file_comes_back_from_a_process_as_it_was() -> None:
-    with pytest.raises(InputError, match=r"no\.png: expected an image file") as caught:
+    with pytest.raises(InputError, match=r"no\.png: file is missing") as caught:
         run_all(read_foreign_image, [Path("no.png"), Path("no.png")], 2, "images", None)
     assert (caught.value.path, caught.value.line) == (Path("no.png"), None)
 
