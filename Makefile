@@ -34,7 +34,7 @@ demo: $(VENV)/.core  ## simulate a lunar descent, reconstruct it, compare the es
 	$(BIN)/craternav demo --force
 
 test: $(VENV)/.dev  ## run the tests and the notebooks, but for the slow ones
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Files in rotated order, not the largest first; the tests of a file share what they simulate.
 test-slow: $(VENV)/.dev  ## run slow tests for 25 minutes (SLOW_MIN), beginning elsewhere every hour
