@@ -187,14 +187,21 @@ def test_hard_set_ups_leave_sentences_without_nan(change: dict[str, object], tmp
 
 
 def test_processes_change_nothing() -> None:
-    alone = fig11_14_trials.simulate(SMALL, 2)
-    options = ReproduceOptions(trials=4, altitude_steps=2, workers=2)
     seen: list[tuple[int, int]] = []
-    together = fig11_14_trials.simulate(
-        options, 2, progress=lambda what, done, total: seen.append((done, total))
-    )
-    assert same(together, alone)
-    assert seen == [(1, 2), (2, 2)]
+    tables = [
+        fig11_14_trials.simulate(
+            ReproduceOptions(trials=4, altitude_steps=2, workers=workers), 2,
+            progress=lambda what, done, total: seen.append((done, total)),
+        )
+        for workers in (2, 3)
+    ]  # fmt: skip
+    assert same(*tables)
+    assert seen == [(1, 2), (2, 2)] * 2
+    # In this process other tests may have compiled kernels for other array layouts, which numba then takes:
+    # their sums are rounded in another order.
+    alone = fig11_14_trials.simulate(SMALL, 2)
+    for name in alone.column_names:
+        np.testing.assert_allclose(alone[name].to_numpy(), tables[0][name].to_numpy(), rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(
