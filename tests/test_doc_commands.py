@@ -107,7 +107,6 @@ def workspace(demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     """A folder as the pages expect it."""
     shutil.copytree(demo, tmp_path / "runs/demo")
     monkeypatch.chdir(tmp_path)
-    assert call("simulate", "measured_descent", "-o", "runs/data").code == 0
     tables(tmp_path)
     return tmp_path
 
@@ -136,6 +135,8 @@ def has_work(page: str) -> bool:
 @pytest.mark.usefixtures("workspace")
 @pytest.mark.parametrize("page", [page for page in PAGES if has_work(page)])
 def test_blocks_run(page: str) -> None:
+    if "-o runs/data" not in (ROOT / page).read_text(encoding="utf-8"):
+        assert call("simulate", "measured_descent", "-o", "runs/data").code == 0
     names: dict[str, object] = {}
     for language, text in blocks(page):
         file = re.match(r"# ([\w.]+\.toml)\n", text)
