@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.camera import Camera
 from craternav_fg.linalg import scaled_inverse
 from factors.kernels import conic
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -25,7 +25,8 @@ wide-angle, and fish-eye lenses, IEEE Transactions on Pattern Analysis and Machi
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.ndimage import spline_filter1d
 
 from craternav_fg.catalogs.bodies import SAME_BODY
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
 from craternav_fg.frames import latitude_longitude
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -14,6 +13,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.ellipse import half_sides, moments_kernel, pixel_chart, points_on, semi_axes_kernel
 from factors.kernels import conic
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.resection.problem import PoseSolution, ResectionProblem
 from craternav_fg.resection.solve_kernel import normal_equations
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import screw
 from factors.kernels.packed import CRATER, HEADER
 

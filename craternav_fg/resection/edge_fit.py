@@ -7,7 +7,6 @@ noise is known, and Gaussian along the rim's normal: for simulated edges, and fo
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import (
@@ -19,6 +18,7 @@ from craternav_fg.ellipse import (
     whiten_kernel,
     whitened_points,
 )
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert, solve
 from factors.kernels.rim import rim_distance
 

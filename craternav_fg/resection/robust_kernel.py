@@ -2,10 +2,10 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.resection.solve_kernel import minimise
 from craternav_fg.resection.start_kernel import start_at_attitude, start_pair
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import solve
 from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
 from factors.kernels.robust import NONE

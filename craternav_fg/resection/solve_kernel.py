@@ -6,9 +6,9 @@ attitude. Distances between poses are measured in standard deviations, by the in
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.resection.start_kernel import start_at_attitude, start_pair, starts_of_one
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import prior_terms, screw, screw_between, solve, substitute
 from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
 from factors.kernels.robust import NONE

@@ -14,9 +14,9 @@ an affine map A = B / d: B is the upper left 2 x 2 part of the rotation vRl, d t
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.ellipse import moments_kernel
+from factors.kernels.compiled import njit
 from factors.kernels.conic import chart_to_conic
 from factors.kernels.los import line_of_sight
 

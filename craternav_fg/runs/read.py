@@ -15,10 +15,10 @@ from craternav_fg.config import ResultSection, load_toml, read_json
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import present_name
 from craternav_fg.files import exists
-from craternav_fg.tables.parquet import read_parquet, require_finite
 from craternav_fg.runs import store
 from craternav_fg.runs.columns import check_names, list_values, with_present_names
 from craternav_fg.runs.schemas import COVARIANCES, RESIDUALS, RESIDUALS_OF_IMAGES, STATES
+from craternav_fg.tables.parquet import read_parquet, require_finite
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]

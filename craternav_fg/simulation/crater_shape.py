@@ -10,9 +10,9 @@ Cratering, 489-509.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.body import Body
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,7 +6,8 @@ with x, y its coordinates in the gnomonic plane. Grids are passed as in `terrain
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.crater_shape import (
@@ -37,6 +36,7 @@ from craternav_fg.simulation.crater_shape import (
     smoothstep,
 )
 from craternav_fg.simulation.relief import Relief
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]

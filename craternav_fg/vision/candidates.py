@@ -13,9 +13,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.vision import crater_profile
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]

@@ -5,8 +5,8 @@ Written out: numba takes seconds to compile the library functions.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import substitute
 
 FloatArray = npt.NDArray[np.float64]

@@ -2,10 +2,10 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, bicubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]

@@ -2,10 +2,10 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.vision.dense_kernel import factorised
 from craternav_fg.vision.ellipse_distance import signed_distance
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

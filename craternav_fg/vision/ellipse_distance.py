@@ -2,7 +2,8 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

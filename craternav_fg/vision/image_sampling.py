@@ -2,9 +2,9 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.vision.robust_scale import robust_sigma
+from factors.kernels.compiled import njit
 
 ImageArray = npt.NDArray[np.float32]
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.vision.image_sampling import bilinear
 from craternav_fg.vision.rim_geometry import distorts, rim_points, through_lens
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]

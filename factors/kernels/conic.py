@@ -11,7 +11,8 @@ a global, singularity-free parametrisation of all ellipses.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -5,7 +5,8 @@ Written out in loops: numba takes seconds to compile the library's linear algebr
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

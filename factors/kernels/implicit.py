@@ -14,8 +14,8 @@ pose is that of p alone. Formed as printed, D S_q D' has a condition number of u
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import (
     body_columns,
     camera_pose,

@@ -17,7 +17,8 @@ classical Runge-Kutta method, the rotation in closed form.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ the factor, and in between everything is a scalar.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import chart_slopes, moments
 from factors.kernels.robust import loss_and_weight
 from factors.kernels.validity import UNSEEN

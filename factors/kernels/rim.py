@@ -8,8 +8,8 @@ fitted with.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose, chart, chart_and_jacobian, rim_in_camera
 from factors.kernels.robust import apply_loss
 from factors.kernels.validity import unseen

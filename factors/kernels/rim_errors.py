@@ -2,8 +2,8 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import camera_pose, moments, rim_in_camera
 from factors.kernels.packed import CRATER, HEADER, shape_residuals
 from factors.kernels.robust import loss_and_weight

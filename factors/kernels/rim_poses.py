@@ -2,9 +2,9 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from factors.kernels import conic
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import move, prior_terms, solve
 from factors.kernels.sun import sun_tilt, wrap
 

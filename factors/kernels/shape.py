@@ -8,8 +8,8 @@ zeros").
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose
 
 FloatArray = npt.NDArray[np.float64]

@@ -7,7 +7,8 @@ angular velocity is that of the last gyro row.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

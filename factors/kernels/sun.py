@@ -2,8 +2,8 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose
 
 FloatArray = npt.NDArray[np.float64]

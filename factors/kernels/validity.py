@@ -23,8 +23,8 @@ holds NaN sees nothing.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns
 from factors.kernels.robust import apply_loss
 

@@ -8,11 +8,11 @@ right, and then other craters are foreshortened alike.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.matching.identify.noise import CHI2_2_MEDIAN, median
 from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
+from factors.kernels.compiled import njit
 from factors.kernels.conic import chart, rim_in_camera
 
 FloatArray = npt.NDArray[np.float64]

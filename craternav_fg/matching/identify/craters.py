@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.model import Catalog
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

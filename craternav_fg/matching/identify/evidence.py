@@ -10,7 +10,6 @@ from math import lgamma
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.ellipse import half_sides_kernel
@@ -26,6 +25,7 @@ from craternav_fg.matching.identify.noise import (
 )
 from craternav_fg.matching.identify.pose_fit import chart_errors
 from craternav_fg.matching.identify.view import View
+from factors.kernels.compiled import njit
 from factors.kernels.conic import chart, rim_in_camera
 
 FloatArray = npt.NDArray[np.float64]

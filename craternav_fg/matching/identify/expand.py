@@ -2,7 +2,6 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.matching.identify.craters import Craters
@@ -28,6 +27,7 @@ from craternav_fg.matching.identify.pose_fit import (
     pack_rims,
 )
 from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, CENTRE_SIGMA_SHARE, View
+from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert
 
 FloatArray = npt.NDArray[np.float64]

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.matching.identify.craters import Craters, density
 from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

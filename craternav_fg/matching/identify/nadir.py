@@ -6,10 +6,10 @@ It places each rim on the sphere and predicts its foreshortening; the misfit is 
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

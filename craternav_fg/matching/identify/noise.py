@@ -12,9 +12,9 @@ come from maps and irregular outlines; which of the two prevails is estimated fr
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, View
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

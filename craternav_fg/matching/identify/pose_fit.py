@@ -5,12 +5,12 @@ The residuals and their derivatives are those of the smoother's conic-shape fact
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.view import View
 from factors.kernels import packed
+from factors.kernels.compiled import njit
 from factors.kernels.conic import chart, rim_in_camera
 from factors.kernels.gauss_newton import prior_terms, screw, solve
 from factors.kernels.robust import HUBER

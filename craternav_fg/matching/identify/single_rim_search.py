@@ -6,7 +6,6 @@ then decides whether the hypothesis is kept.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.matching.identify.craters import Craters
@@ -26,6 +25,7 @@ from craternav_fg.matching.identify.hypothesis import (
 from craternav_fg.matching.identify.noise import INITIAL_AXIS_SHARE, shape_scale
 from craternav_fg.matching.identify.pose_fit import chart_errors
 from craternav_fg.matching.identify.view import View
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]

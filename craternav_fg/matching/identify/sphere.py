@@ -1,7 +1,8 @@
 """Intersection of lines of sight with a sphere around the body's centre."""
 
 import numpy as np
-from numba import njit
+
+from factors.kernels.compiled import njit
 
 
 @njit(cache=True, error_model="numpy")

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input, replacing
 from craternav_fg.matching.identify import kd_tree
 from craternav_fg.matching.identify.craters import Craters, craters_of, log_sizes
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.matching.identify.craters import Craters
@@ -27,6 +26,7 @@ from craternav_fg.matching.identify.kd_tree import Tree, nearest
 from craternav_fg.matching.identify.nadir import place
 from craternav_fg.matching.identify.triple_index import SIDE_UNIT, SIZE_UNIT, SMALLEST, describe
 from craternav_fg.matching.identify.view import View
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

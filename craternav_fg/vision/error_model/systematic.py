@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from craternav_fg.ellipse import axes_covariance, moments_kernel, semi_axes_kernel
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

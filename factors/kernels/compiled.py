@@ -1,0 +1,137 @@
+"""Compilation of kernels, with a cache that knows the sources of all that a kernel calls.
+
+numba's own cache is keyed by the kernel's file alone. It serves stale code when a kernel or a constant of
+another file changes, and fails when a module that it refers to has moved.
+"""
+
+import functools
+import hashlib
+import inspect
+import pickle
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache
+
+_ROOT = Path(__file__).resolve().parents[2]
+# `from package.module import names`; what is imported for type checkers only is indented.
+_IMPORT = re.compile(r"^from ((?:craternav_fg|factors)[\w.]*) import (?:\(([^)]*)\)|(.+))", re.MULTILINE)
+# What a cache raises whose modules have moved, or whose file was cut short.
+_UNREADABLE = (ImportError, AttributeError, EOFError, pickle.UnpicklingError)
+
+
+class _Cache(FunctionCache):
+    """Compiled versions of one kernel on disk."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file._source_stamp = sources_digest(Path(inspect.getfile(function)))
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Give the compiled version for a signature, None where there is none."""
+        try:
+            return super().load_overload(signature, context)
+        except _UNREADABLE:
+            self.flush()
+            return None
+
+    def filled(self) -> bool:
+        """Whether there is a compiled version of the present sources."""
+        try:
+            return bool(self._cache_file._load_index())
+        except _UNREADABLE:
+            return False
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function with numba when it is first called.
+
+    Parameters
+    ----------
+    **options
+        Of `numba.njit`. With `cache=True` the compiled code is kept on disk until its sources change.
+
+    Returns
+    -------
+    callable
+        The decorator.
+    """
+    cached = options.pop("cache", False)
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(**options)(function)
+        if cached:
+            dispatcher._cache = _Cache(function)
+        return dispatcher
+
+    return compiled
+
+
+def is_cached(kernel: Any) -> bool:
+    """Whether compiled code of a kernel is on disk and fresh.
+
+    Parameters
+    ----------
+    kernel : Dispatcher
+        What `njit` with `cache=True` made.
+
+    Returns
+    -------
+    bool
+    """
+    return bool(kernel._cache.filled())
+
+
+@functools.cache
+def sources_digest(file: Path) -> str:
+    """Digest of the sources that compiled code of a file depends on.
+
+    Parameters
+    ----------
+    file : Path
+
+    Returns
+    -------
+    str
+        Of the file, and of the files from which it imports kernels or constants, and so on.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(_closure(file.resolve())):
+        digest.update(_text(source).encode())
+    return digest.hexdigest()
+
+
+def _closure(file: Path) -> set[Path]:
+    found = {file}
+    waiting = [file]
+    while waiting:
+        new = _imported(waiting.pop()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+@functools.cache
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8")
+
+
+@functools.cache
+def _imported(file: Path) -> frozenset[Path]:
+    """Files from which a file imports what compiled code can use: kernels and constants."""
+    found = set()
+    for package, several, single in _IMPORT.findall(_text(file)):
+        for line in (several or single).split(","):
+            name = line.split("#")[0].split(" as ")[0].strip()
+            source = _file(f"{package}.{name}") or _file(package)
+            if source is not None and (name.isupper() or "njit" in _text(source)):
+                found.add(source)
+    return frozenset(found)
+
+
+def _file(module: str) -> Path | None:
+    path = _ROOT.joinpath(*module.split("."))
+    return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)

@@ -1,0 +1,91 @@
+"""Compiled code on disk follows the sources of all that a kernel calls."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from factors.kernels import compiled
+from factors.kernels.compiled import sources_digest
+
+ROOT = Path(__file__).resolve().parents[2]
+KERNELS = ROOT / "factors/kernels"
+
+CALLED = """
+from factors.kernels.compiled import njit
+
+FACTOR = 2.0
+
+@njit(cache=True)
+def scaled(x):
+    return FACTOR * x
+"""
+BETWEEN = """
+from factors.kernels.called import scaled
+from factors.kernels.compiled import njit
+
+@njit(cache=True)
+def both(x, y):
+    return scaled(x) + scaled(y)
+"""
+CALLING = """
+from factors.kernels.between import both
+from factors.kernels.compiled import is_cached, njit
+
+@njit(cache=True)
+def added(x):
+    return both(x, 1.0)
+
+if __name__ == "__main__":
+    import factors.kernels.calling as here
+    kept = is_cached(here.added)
+    print(kept, here.added(3.0))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package with three kernels, each of which calls the next."""
+    kernels = tmp_path / "factors/kernels"
+    kernels.mkdir(parents=True)
+    for name in ("__init__.py", "lazy.py", "numba_cache.py", "kernels/__init__.py", "kernels/compiled.py"):
+        shutil.copy(ROOT / "factors" / name, tmp_path / "factors" / name)
+    (kernels / "called.py").write_text(CALLED)
+    (kernels / "between.py").write_text(BETWEEN)
+    (kernels / "calling.py").write_text(CALLING)
+    return tmp_path
+
+
+def printed(package: Path) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "factors.kernels.calling"],
+        cwd=package, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_a_change_in_a_called_file_is_noticed(package: Path) -> None:
+    assert printed(package) == ["False", "8.0"]
+    assert printed(package) == ["True", "8.0"]
+    called = package / "factors/kernels/called.py"
+    called.write_text(CALLED.replace("FACTOR = 2.0", "FACTOR = 10.0"))
+    assert printed(package) == ["False", "40.0"]
+
+
+def test_a_module_that_moved_is_compiled_anew(package: Path) -> None:
+    printed(package)
+    kernels = package / "factors/kernels"
+    (kernels / "called.py").rename(kernels / "moved.py")
+    (kernels / "between.py").write_text(BETWEEN.replace("kernels.called", "kernels.moved"))
+    assert printed(package) == ["False", "8.0"]
+
+
+def test_the_digest_covers_called_files_and_no_others() -> None:
+    """The kernel of a frame's rims calls those of the chart; nothing of it calls that of the sun's tilt."""
+    files = {path.name for path in compiled._closure(KERNELS / "packed.py")}
+    assert {"packed.py", "conic.py", "compiled.py"} <= files
+    assert "sun.py" not in files
+    assert sources_digest(KERNELS / "packed.py") != sources_digest(KERNELS / "sun.py")
