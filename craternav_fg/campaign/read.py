@@ -218,7 +218,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
     except InputError as error:
         raise _of_trial(path, error) from None
     except ValidationError:
-        raise _damaged(path, "expected our metadata, found others") from None
+        raise _damaged(path, "expected metadata written by craternav, found others") from None
 
 
 def _table(path: Path, number: int) -> pa.Table:

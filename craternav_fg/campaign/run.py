@@ -194,7 +194,7 @@ def each_result(workers: Workers, tasks: dict[int, TrialTask]) -> Iterator[Trial
             running[workers.executor.submit(run_trial, tasks[number])] = number
         finished, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
         if not finished and not workers.connected():
-            raise CraternavError("the scheduler is lost; finished trials stay")
+            raise CraternavError("the scheduler is lost; finished trials are kept")
         for future in finished:
             number = running.pop(future)
             try:
@@ -206,7 +206,7 @@ def each_result(workers: Workers, tasks: dict[int, TrialTask]) -> Iterator[Trial
                     continue
                 result = failed(number, f"its worker died {MAX_WORKER_DEATHS} times")
             except CancelledError:
-                raise CraternavError("the scheduler is lost; finished trials stay") from None
+                raise CraternavError("the scheduler is lost; finished trials are kept") from None
             except CraternavError:
                 raise
             except Exception as error:

@@ -163,7 +163,7 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     latitude = _column(*where, "latitude", options.latitude, _LATITUDES)
     longitude = _column(*where, "longitude", options.longitude, _LONGITUDES)
     if _WEST.intersection(re.split(r"[^a-z]+", longitude.lower())):
-        problem = "expected longitudes to the east, this column's name says to the west"
+        problem = "expected longitudes positive east, this column's name says positive west"
         raise InputError(path, problem, line=line, column=longitude)
     size = _column(*where, "diameter", options.diameter, (*_DIAMETERS, *_ANGULAR_RADII, *_RADII))
     circle = (latitude, longitude, size)

@@ -171,7 +171,7 @@ def read_headers(path: Path) -> list[Header]:
         raise InputError(path, "expected a table with column names in its first line, found nothing", line=1)
     for number, line in first:
         if _CONTROLS.search(line):
-            raise InputError(path, "expected a table as text, found bytes that no text has", line=number)
+            raise InputError(path, "expected a table as text, found binary data", line=number)
         if b"\r" in line.rstrip(b"\r\n"):
             problem = "expected lines that end in a line feed, found a carriage return alone"
             raise InputError(path, problem, line=number)

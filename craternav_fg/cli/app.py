@@ -89,7 +89,7 @@ def options(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Tell each step, and where a known error is from.")
+        bool, typer.Option("--verbose", "-v", help="Print each step, and the traceback of a known error.")
     ] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print warnings, errors and JSON, and nothing else.")

@@ -63,7 +63,9 @@ def bag(
     description: Annotated[
         Path, typer.Option(help="dataset.toml with the body, and the initial state if known.")
     ],
-    catalog: Annotated[Path, typer.Option(help="Crater catalogue: imported, or any table that can be.")],
+    catalog: Annotated[
+        Path, typer.Option(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
+    ],
     imu: Annotated[Path, typer.Option(help="Noise of the IMU: sensor.yaml, or Kalibr's imu.yaml.")],
     topics: _Topics,
     camera: Annotated[
@@ -78,7 +80,7 @@ def bag(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a data set of a ROS bag: rosbag1, rosbag2 or MCAP (extra `ros`)."""
+    """Convert a ROS bag to a data set: rosbag1, rosbag2 or MCAP (extra `ros`)."""
     body, initial = read_description(description)
     craters, read = import_catalog(catalog, body)
     warn_of(catalog, read)
@@ -92,7 +94,7 @@ def bag(
     )  # fmt: skip
     report = import_bag(path, output, options)
     if report.skipped:
-        warn(f"{path}: {report.skipped} images left out, which the IMU's log does not cover")
+        warn(f"{path}: {report.skipped} images left out: the IMU log does not cover them")
     if as_json:
         values = {"dataset": str(output), "topics": report.topics, "frames": report.frames}
         more = {"skipped": report.skipped, "imu_samples": report.samples, "truth": report.truth}
@@ -109,9 +111,9 @@ def bag(
 def kalibr(
     path: Annotated[Path, typer.Argument(metavar="YAML", help="camchain.yaml or imu.yaml of Kalibr.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="sensor.yaml to write.")],
-    name: Annotated[str, typer.Option("--camera-name", help="Which camera of the chain.")] = "cam0",
+    name: Annotated[str, typer.Option("--camera-name", help="Camera of the chain.")] = "cam0",
 ) -> None:
-    """Make a sensor.yaml of a calibration by Kalibr: a camera's or an IMU's."""
+    """Convert Kalibr's calibration of a camera or an IMU to sensor.yaml."""
     if is_camchain(path):
         camera, shift_s = read_camchain(path, name)
         if shift_s:

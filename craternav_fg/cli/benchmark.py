@@ -27,7 +27,7 @@ class Subject(StrEnum):
 @app.command(epilog=example("bench detect-real --data ../shared/data"))
 def bench(
     subject: Annotated[
-        Subject, typer.Argument(help="Speed, or blind detection on real images that people annotated.")
+        Subject, typer.Argument(help="Speed, or blind detection on annotated real images.")
     ] = Subject.SPEED,
     data: Annotated[
         Path | None, typer.Option(help="Folder of the annotated images (detect-real).", show_default=False)
@@ -42,7 +42,7 @@ def bench(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure speed against GTSAM's own C++ factors, or detection against people's annotation."""
+    """Measure speed against GTSAM's own C++ factors, or detection against annotated images."""
     if subject is Subject.DETECT_REAL:
         _detect_real(_given(data), as_json)
         return

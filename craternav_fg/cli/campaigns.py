@@ -32,8 +32,8 @@ _COLUMNS = {
     "time_per_trial_s": "time\ns",
 }
 _LEGEND = (
-    "conv.: trials with final errors below 2 % of the altitude and 1 deg; mean, RMS: of the final errors\n"
-    "of position (m) and attitude (deg); RMS/PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
+    "conv.: trials with final errors below 2 % of the altitude and 1 deg; mean, RMS: of the final errors of\n"
+    "position (m) and attitude (deg); RMS/PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
     "averaged over the altitude; ANEES of the pose: 6 expected; time: of a trial"
 )
 
@@ -43,7 +43,7 @@ class Where:
     """Who runs the trials."""
 
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine.", show_default="one per core")
+        int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
     ] = None
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler whose workers run the trials instead.")
@@ -100,7 +100,7 @@ def _run(scenario: Scenario, folder: Path, options: CampaignOptions) -> dict[str
         with progress_bars() as report:
             return run_campaign(scenario, folder, options, report)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("finished trials stay, the same command resumes") from None
+        raise KeyboardInterrupt("finished trials are kept; the same command resumes") from None
 
 
 def _report_failures(failed: dict[int, str], trials: int) -> None:

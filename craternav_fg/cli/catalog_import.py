@@ -110,7 +110,7 @@ def import_(
         Path | None,
         typer.Option(help="Elevation model (GeoTIFF, longitude and latitude) for the heights of the rims."),
     ] = None,
-    dem_unit_m: Annotated[float, typer.Option(help="Unit of its heights, m.")] = 1.0,
+    dem_unit_m: Annotated[float, typer.Option(help="Length in metres of one unit of its heights.")] = 1.0,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

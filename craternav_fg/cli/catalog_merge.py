@@ -30,22 +30,26 @@ def merge_(
     catalogs: Annotated[list[Path], typer.Argument(help="Catalogues of one body, the preferred one first.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write: .parquet or .csv.")],
     place_share: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="Largest distance of one crater's centres, in radii.")
+        float,
+        typer.Option(min=0.01, max=1.0, help="Largest distance between centres of duplicates, in radii."),
     ] = 0.5,
     size_factor: Annotated[
-        float, typer.Option(min=1.01, max=3.0, help="Largest ratio of one crater's sizes.")
+        float, typer.Option(min=1.01, max=3.0, help="Largest ratio between sizes of duplicates.")
     ] = 1.4,
     dem: Annotated[
         Path | None, typer.Option(help="Elevation model (GeoTIFF) for the heights of the rims.")
     ] = None,
-    dem_unit_m: Annotated[float, typer.Option(min=1e-6, help="Unit of its heights, m.")] = 1.0,
+    dem_unit_m: Annotated[
+        float, typer.Option(min=1e-6, help="Length in metres of one unit of its heights.")
+    ] = 1.0,
     sources: Annotated[
-        Path | None, typer.Option(help="CSV to write: source of each crater, and the others that have it.")
+        Path | None,
+        typer.Option(help="CSV to write: source of each crater, and other catalogues that list it."),
     ] = None,
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Merge catalogues: each crater once, its best shape kept."""
+    """Merge catalogues; of duplicates, keep the best shape."""
     require_suffix(output, (SUFFIX, ".csv"))
     outputs = [output] if sources is None else [output, sources]
     require_kept(catalogs, outputs)

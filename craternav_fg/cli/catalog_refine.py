@@ -30,16 +30,16 @@ from craternav_fg.mapping.refine import Outcome, RefinedRims, RefineOptions, ref
 )
 def refine(
     catalog: Annotated[
-        Path, typer.Argument(help="Crater catalogue: imported (.parquet), or any table that can be imported.")
+        Path, typer.Argument(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
     ],
     dem: Annotated[Path, typer.Option(help="Elevation model (GeoTIFF, longitude and latitude).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write (.parquet).")],
-    dem_unit_m: Annotated[float, typer.Option(help="Unit of the model's heights, m.")] = 1.0,
+    dem_unit_m: Annotated[float, typer.Option(help="Length in metres of one unit of its heights.")] = 1.0,
     min_diameter_steps: Annotated[
-        float, typer.Option(min=4.0, help="Smallest diameter, in steps of the model.")
+        float, typer.Option(min=4.0, help="Smallest diameter to measure, in grid steps of the model.")
     ] = RefineOptions.min_diameter_steps,
     resolution_steps: Annotated[
-        float, typer.Option(min=0.1, help="Shortest length that the model resolves, in its steps.")
+        float, typer.Option(min=0.1, help="Shortest length that the model resolves, in grid steps.")
     ] = RefineOptions.resolution_steps,
     body_radius_m: CatalogBodyOption = None,
     force: ForceOption = False,

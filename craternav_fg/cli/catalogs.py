@@ -28,7 +28,7 @@ from craternav_fg.files import replacing
 from craternav_fg.plots.catalogs import draw_globe, draw_region
 
 CatalogArgument = Annotated[
-    Path, typer.Argument(help="Crater catalogue: imported (.parquet), or any table that can be imported.")
+    Path, typer.Argument(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
 ]
 
 _FIGURE_DPI = 130
@@ -39,7 +39,7 @@ def info(
     catalog: CatalogArgument,
     pairs: Annotated[
         Path | None,
-        typer.Option(help="CSV to write: pairs of craters that cross, or are probably one entered twice."),
+        typer.Option(help="CSV to write: pairs of crossing rims and of probable duplicates."),
     ] = None,
     reference: Annotated[
         Path | None,
@@ -76,7 +76,9 @@ def near(
     catalog: CatalogArgument,
     latitude_deg: Annotated[float, typer.Argument(min=-90.0, max=90.0, help="Latitude, positive north.")],
     longitude_deg: Annotated[float, typer.Argument(min=-180.0, max=360.0, help="Longitude, positive east.")],
-    distance_km: Annotated[float, typer.Option(min=0.0, help="Largest distance of a centre.")] = 50.0,
+    distance_km: Annotated[
+        float, typer.Option(min=0.0, help="Largest distance of a crater's centre.")
+    ] = 50.0,
     min_diameter_km: Annotated[float, typer.Option(min=0.0, help="Smallest diameter.")] = 0.0,
     count: Annotated[int, typer.Option(min=1, help="Largest number of craters.")] = 30,
     body_radius_m: CatalogBodyOption = None,
@@ -125,7 +127,9 @@ def plot(
     longitude_deg: Annotated[
         float | None, typer.Option(min=-180.0, max=360.0, help="Longitude of that centre.")
     ] = None,
-    distance_km: Annotated[float, typer.Option(min=0.001, help="From that centre to the border.")] = 200.0,
+    distance_km: Annotated[
+        float, typer.Option(min=0.001, help="Distance from that centre to the border of the region.")
+    ] = 200.0,
     body_radius_m: CatalogBodyOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -26,7 +26,7 @@ COMMANDS = {
     "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
     "compare": Command("Compare the estimators of one or more runs.", ("comparison",)),
     "evaluate": Command(
-        "Check a run: against an elevation model, against stated states, by leaving frames out.",
+        "Check a run against an elevation model, a-priori states, or frames left out.",
         ("evaluation",),
     ),
     "report": Command("Write a report: one interactive HTML page that needs no network.", ("report",)),
@@ -51,15 +51,15 @@ COMMANDS = {
     "pose": Command(
         "Compute the lander's pose from the matched rims of one image, without an initial guess.", ("pose",)
     ),
-    "estimators": Command("List the estimators, those of other packages too.", ("listing",)),
-    "sensors": Command("List the sensors, those of other packages too.", ("listing",)),
+    "estimators": Command("List the estimators, including those of other packages.", ("listing",)),
+    "sensors": Command("List the sensors, including those of other packages.", ("listing",)),
     "scenarios": Command("List the built-in scenarios.", ("listing",)),
     "reproduce": Command(
         "Reproduce figures and tables of Tian et al. (2019), with a verdict on each number.",
         ("reproduction",),
     ),
     "bench": Command(
-        "Measure speed against GTSAM's own C++ factors, or detection against people's annotation.",
+        "Measure speed against GTSAM's own C++ factors, or detection against annotated images.",
         ("benchmark",),
     ),
 }

@@ -83,7 +83,7 @@ def simulate(
     lost: Annotated[
         bool,
         typer.Option(
-            "--lost", help="Leave out the initial state: a reconstruction must identify the craters."
+            "--lost", help="Leave out the initial state: `reconstruct` must then identify the craters."
         ),
     ] = False,
     force: ForceOption = False,
@@ -113,7 +113,7 @@ class Choice:
     ] = None
     rims: Annotated[
         str | None,
-        typer.Option(help=f"How the smoothers measure rims: one of {', '.join(RIM_MODELS)}."),
+        typer.Option(help=f"Measurement model of the rims in the smoothers: one of {', '.join(RIM_MODELS)}."),
     ] = None
     config: Annotated[Path | None, typer.Option(help="Options of front end and estimators (TOML).")] = None
 

@@ -50,7 +50,7 @@ def detect(
     method: Annotated[
         Method,
         typer.Option(
-            help="Template of a lit crater, its candidates judged by rules or by a network, or Canny edges."
+            help="Template candidates, checked by rules (template) or by a network (learned); or Canny edges."
         ),
     ] = Method.TEMPLATE,
     min_radius_px: Annotated[
@@ -58,7 +58,11 @@ def detect(
     ] = BlindOptions.min_radius_px,
     min_quality: Annotated[
         float,
-        typer.Option(min=0.0, max=1.0, help="Smallest quality of a rim; less finds more, also false ones."),
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Smallest quality of a rim; a lower limit finds more rims, also false ones.",
+        ),
     ] = BlindOptions.min_quality,
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -13,7 +13,7 @@ EstimatorOption = Annotated[
         "--estimator",
         "-e",
         metavar="NAME[,NAME...]",
-        help=f"Of {', '.join(ESTIMATORS)}; may be repeated.",
+        help=f"Estimators to run, of {', '.join(ESTIMATORS)}; may be repeated.",
         show_default=f"all but {', '.join(ON_REQUEST)}",
         autocompletion=completing(estimators),
     ),

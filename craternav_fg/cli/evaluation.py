@@ -25,7 +25,8 @@ from craternav_fg.trajectory import Trajectory
 
 RunArgument = Annotated[Path, typer.Argument(help="Folder of a run.")]
 NameOption = Annotated[
-    str | None, typer.Option("--estimator", "-e", help="Of the run.", show_default="the run's first")
+    str | None,
+    typer.Option("--estimator", "-e", help="Estimator of the run.", show_default="the run's first"),
 ]
 FIGURE = "dem_check.png"
 
@@ -34,7 +35,9 @@ FIGURE = "dem_check.png"
 def dem_(
     run: RunArgument,
     dem: Annotated[Path, typer.Option(help="Elevation model (GeoTIFF) of the ground in the images.")],
-    dem_unit_m: Annotated[float, typer.Option(min=1e-6, help="Unit of its heights, m.")] = 1.0,
+    dem_unit_m: Annotated[
+        float, typer.Option(min=1e-6, help="Length in metres of one unit of its heights.")
+    ] = 1.0,
     name: NameOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -81,13 +84,13 @@ def dem_(
         )  # fmt: skip
     out.print(table)
     mean = float(np.mean([one.altitude_m for one in checks]))
-    say(f"{name}: the elevation model puts the altitude {mean:.0f} m from the estimate (mean)")
+    say(f"{name}: estimated less best altitude on the elevation model: mean {mean:.0f} m")
     say(f"{run / 'figures' / FIGURE}")
 
 
 @evaluate_commands.command("apriori", epilog=example("evaluate apriori runs/first"))
 def apriori(run: RunArgument, name: NameOption = None, as_json: JsonOption = False) -> None:
-    """Compare a run with the states that came along with its data set, such as SPICE's."""
+    """Compare a run with the a-priori states of its data set, such as those from SPICE."""
     result = read_run(run)
     name, trajectory = _trajectory(result, name)
     _finish(name, offsets(trajectory, _stated(result)), "stated states", as_json)
@@ -98,11 +101,13 @@ def apriori(run: RunArgument, name: NameOption = None, as_json: JsonOption = Fal
 )
 def leave_out(
     data: Annotated[Path, typer.Argument(help="Folder of the data set.")],
-    name: Annotated[str, typer.Option("--estimator", "-e", help="That predicts.")] = "smoother",
+    name: Annotated[
+        str, typer.Option("--estimator", "-e", help="Estimator that predicts the frames.")
+    ] = "smoother",
     config: Annotated[Path | None, typer.Option(help="Options of front end and estimators (TOML).")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Predict each frame from the others, and compare with where its own rims put it."""
+    """Predict each frame from the others, and compare with the position from its own rims."""
     file = None if config is None else OptionsFile(config)
     one = estimator(name) if file is None else file.estimator(name)
     with progress_bars() as report:

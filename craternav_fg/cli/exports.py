@@ -38,7 +38,9 @@ class BagFormat(StrEnum):
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
 ChosenOption = Annotated[
     str | None,
-    typer.Option("--estimator", "-e", help="Whose trajectory; or truth.", show_default="the run's first"),
+    typer.Option(
+        "--estimator", "-e", help="Estimator of the trajectory, or truth.", show_default="the run's first"
+    ),
 ]
 
 
@@ -48,7 +50,9 @@ def bag(
     folder: Annotated[Path, typer.Argument(metavar="DATA|RUN", help="Folder of a data set or a run.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="File (rosbag1) or folder (others).")],
     kind: Annotated[BagFormat, typer.Option("--format", help="Format of the bag.")] = BagFormat.ROSBAG2,
-    compressed: Annotated[bool, typer.Option("--compressed", help="Images as PNG: CompressedImage.")] = False,
+    compressed: Annotated[
+        bool, typer.Option("--compressed", help="Write images as PNG (CompressedImage).")
+    ] = False,
 ) -> None:
     """Write a data set as a ROS bag, and a run's trajectories with it (extra `ros`)."""
     run = read_run(folder) if (folder / MARKER).is_file() else None
@@ -95,7 +99,9 @@ def tum(
 @never_replacing
 def kitti(
     run: RunArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="File to write; the times go beside it.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File to write; the times go into a second one beside it.")
+    ],
     estimator: ChosenOption = None,
 ) -> None:
     """Write poses of the camera relative to the first one in KITTI format."""
@@ -110,7 +116,7 @@ def map_(
     run: RunArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .geojson or .kml.")],
     estimator: ChosenOption = None,
-    every: Annotated[int, typer.Option(min=1, help="Footprint of every so many frames.")] = 1,
+    every: Annotated[int, typer.Option(min=1, help="Write the footprint of every Nth frame.")] = 1,
 ) -> None:
     """Write ground track and image footprints for a geographic information system."""
     require_suffix(output, (".geojson", ".kml"))

@@ -54,7 +54,7 @@ class _Searched:
     """Which poses and focal lengths are searched."""
 
     altitude_km: Annotated[
-        str | None, typer.Option(help="MIN,MAX altitude to search.", show_default="1,2000")
+        str | None, typer.Option(help="Lowest and highest altitude to search.", show_default="1,2000")
     ] = None
     focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA
 
@@ -79,7 +79,9 @@ def identify(
     searched: _Searched,
     index: Annotated[
         Path | None,
-        typer.Option(help="File of the catalogue's index.", show_default="in the user's cache"),
+        typer.Option(
+            help="Index of the catalogue; built when the file is missing.", show_default="in the user's cache"
+        ),
     ] = None,
     output: Annotated[
         Path | None,

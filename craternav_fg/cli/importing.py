@@ -39,7 +39,10 @@ MuOption = Annotated[
 ]
 AccelerationOption = Annotated[
     float,
-    typer.Option(min=1e-12, help="White noise of the acceleration that the motion model lacks, m/s^2/√Hz."),
+    typer.Option(
+        min=1e-12,
+        help="White-noise density of the accelerations that the motion model leaves out, m/s^2/√Hz.",
+    ),
 ]
 PositionSigmaOption = Annotated[
     float, typer.Option(min=1e-3, help="Stated standard deviation per axis of the states' positions, m.")
@@ -86,7 +89,9 @@ def isis(
     stated: _Stated,
     images: Annotated[
         list[Path] | None,
-        typer.Option(help="Whole photographs in place of the cubes' pixels; may be repeated, with --times."),
+        typer.Option(
+            help="Uncropped photographs in place of the cubes' pixels; may be repeated; needs --times."
+        ),
     ] = None,
     times: Annotated[
         Path | None, typer.Option(help="CSV of the images' times: filename, utc (ISO 8601).")

@@ -23,7 +23,7 @@ CAMERA_AND_IMU = {
 
 @app.command(epilog=example("estimators --json"))
 def estimators(as_json: JsonOption = False) -> None:
-    """List the estimators, those of other packages too."""
+    """List the estimators, including those of other packages."""
     found = {}
     for name, make in all_estimators().items():
         if name in DESCRIPTIONS:
@@ -36,7 +36,7 @@ def estimators(as_json: JsonOption = False) -> None:
 
 @app.command(epilog=example("sensors --json"))
 def sensors(as_json: JsonOption = False) -> None:
-    """List the sensors, those of other packages too."""
+    """List the sensors, including those of other packages."""
     found = {
         name: f"{_sentence(kind)} (mav0/{name}0; {_package(kind)})" for name, kind in all_sensors().items()
     }

@@ -16,11 +16,11 @@ FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 CameraOption = Annotated[Path, typer.Option(help="sensor.yaml of the camera.")]
 CatalogOption = Annotated[
-    Path, typer.Option(help="Crater catalogue: imported (.parquet), or any table that can be imported.")
+    Path, typer.Option(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
 ]
 FocalSigmaOption = Annotated[
     float,
-    typer.Option(min=0.0, max=10.0, help="Standard deviation of the focal length; 0 for an exact one."),
+    typer.Option(min=0.0, max=10.0, help="Standard deviation of the focal length; 0 if exact."),
 ]
 CatalogBodyOption = Annotated[
     float | None,
@@ -31,7 +31,7 @@ CatalogBodyOption = Annotated[
         show_default="that of the file, else the Moon's",
     ),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a result that is there.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class KnownAttitude:
     ] = None
     attitude_sigma_deg: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Its standard deviation per axis; 0 for an exact one. Needed with it."),
+        typer.Option(min=0.0, help="Standard deviation of --attitude per axis; 0 if exact."),
     ] = None
 
     def values(self) -> tuple[list[float], float] | None:

@@ -39,11 +39,14 @@ class KnownSun:
         str | None,
         typer.Option(
             metavar="TILT,SIGMA",
-            help="Angle of the direction towards the sun on the ground amid the rims, from the image's x "
-            "axis towards its y axis, and its standard deviation. Needed with --sun.",
+            help="Direction towards the sun in the image, on the ground between the rims: angle from the "
+            "x axis towards the y axis, and its standard deviation. Needs --sun.",
         ),
     ] = None
-    sun: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="Direction towards the sun in g.")] = None
+    sun: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Direction towards the sun in g; needed with --sun-tilt-deg."),
+    ] = None
 
     def values(self) -> list[float] | None:
         """Tilt, its sigma (deg) and direction; None without them.
@@ -69,7 +72,7 @@ class RimNoise:
         typer.Option(
             min=SIGMA_RANGE_PX[0],
             max=SIGMA_RANGE_PX[1],
-            help="Standard deviation of the edge points, for files without a column sigma_px.",
+            help="Standard deviation of edge points, for files without a column sigma_px.",
         ),
     ] = 1.0
     edge_points: Annotated[
@@ -80,8 +83,8 @@ class RimNoise:
         typer.Option(
             min=SIGMA_RANGE_PX[0],
             max=SIGMA_RANGE_PX[1],
-            help="Standard deviation of an ellipse's centre, per coordinate, and of its semi-axes, instead "
-            "of that of edge points.",
+            help="Standard deviation of an ellipse's semi-axes and of each coordinate of its centre, in "
+            "place of that of edge points.",
         ),
     ] = None
 

@@ -49,7 +49,7 @@ class Amount:
         int, typer.Option(help="Trials of figs. 15 to 18, of lag and of ablation (10 at the most).")
     ] = 30
     seed: Annotated[int, typer.Option(help="Seed; the same seed gives the same result.")] = 1
-    workers: Annotated[int, typer.Option(help="Processes.")] = 2
+    workers: Annotated[int, typer.Option(help="Number of processes.")] = 2
 
 
 @app.command(epilog=example("reproduce fig02 fig11 --trials 100 -o runs/reproduce"))

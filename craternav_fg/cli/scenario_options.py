@@ -19,7 +19,7 @@ SeedOption = Annotated[
 ]
 TrialOption = Annotated[
     int | None,
-    typer.Option("--trial", min=0, help="Number of a campaign's trial, whose random numbers are taken."),
+    typer.Option("--trial", min=0, help="Trial of a campaign: use its random numbers."),
 ]
 
 

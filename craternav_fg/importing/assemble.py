@@ -112,11 +112,13 @@ def in_order(frames: Sequence[ImportedFrame]) -> list[ImportedFrame]:
     ordered = sorted(frames, key=lambda frame: frame.stamp_ns)
     for one, other in itertools.pairwise(ordered):
         if one.stamp_ns == other.stamp_ns:
-            raise InputError(other.path, f"expected another time than that of {one.path}")
+            raise InputError(other.path, f"expected each time once, {one.path} has the same")
     names = [frame.path.stem for frame in ordered]
     for k, name in enumerate(names):
         if name in names[:k]:
-            raise InputError(ordered[k].path, f"expected another name than {ordered[names.index(name)].path}")
+            raise InputError(
+                ordered[k].path, f"expected each name once, {ordered[names.index(name)].path} has the same"
+            )
     return ordered
 
 

@@ -51,7 +51,9 @@ def of_cubes(cubes: Sequence[Cube]) -> tuple[Camera, list[ImportedFrame], list[I
             raise InputError(cube.path, f"expected {expected}, found {other.width_px} x {other.height_px}")
         off = np.abs(np.subtract(_intrinsics(one), _intrinsics(other))).max()
         if off > _SAME_CAMERA_PX:
-            problem = f"is a crop of another place than {first.path} ({off:.0f} px off): give --images"
+            problem = (
+                f"shows another part of the photograph than {first.path} ({off:.0f} px apart): give --images"
+            )
             raise InputError(cube.path, problem)
     frames = [ImportedFrame(cube.path, cube.stamp_ns, cube.state) for cube in cubes]
     images = grey_levels([cube.pixels() for cube in cubes], BIT_DEPTH)

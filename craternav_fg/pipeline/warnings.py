@@ -17,20 +17,21 @@ FloatArray = npt.NDArray[np.float64]
 
 # Share of outliers among all rims above which an estimator's trajectory is not to be trusted.
 MAX_OUTLIER_SHARE = 0.5
-# Uses no rims, so that they need not agree with it.
+# It uses no rims, so they need not agree with it.
 _UNAIDED = "dead_reckoning"
-# Mean squares per dimension, of innovations and of residuals, that are far from 1, and how unlikely chance
-# makes them. On sound measurements a thousand and more come to 0.97 to 1.05; those in images are no more
-# than approximately white.
+# Limits of the mean square per dimension (expected 1) of innovations and residuals, and the probability below
+# which chance does not explain one. On sound data, a thousand and more give 0.97 to 1.05; the errors of rims
+# in images are only approximately white, so their limit is wider.
 MIN_SQUARE, MAX_SQUARE, MAX_SQUARE_IN_IMAGES = 0.6, 1.1, 1.5
 IMPROBABLE = 1e-7
 # Mean of a residual's component, in sigmas and in its own standard deviations.
 MAX_MEAN, MAX_MEAN_SIGMAS = 0.5, 6.0
-# Sigmas of an outlier, and their largest share that is told as such.
+# Distance of an outlier in sigmas, and the largest share of samples that is reported as outliers.
 OUTLIER_SIGMAS, MAX_SENSOR_OUTLIER_SHARE = 7.0, 0.3
-# Norm of the three errors of attitude, position, velocity or a bias in the prior's sigmas: 1 in 70,000.
+# Norm of the three errors of attitude, position, velocity or a bias, in sigmas of the prior: chance exceeds
+# it once in 70,000.
 MAX_PRIOR_SIGMAS = 5.0
-# Distance of a sensor from the body's origin that no lander has.
+# No lander carries a sensor farther than this from its body origin.
 MAX_LEVER_ARM_M = 50.0
 # What to check when the innovations of a sensor are too large.
 _SENSOR_CHECKS = {
@@ -42,7 +43,7 @@ _OTHER_CHECKS = "its units, T_BS and noise in sensor.yaml"
 # What to check when the first state leaves its prior.
 _PRIOR_CHECKS = {
     "attitude": "the quaternion's order (w, x, y, z), T_BS",
-    "position": "longitudes and latitudes in the catalogue, the place and its sigma",
+    "position": "longitudes and latitudes in the catalogue, the initial position and its sigma",
     "velocity": "its frame (it is relative to the rotating body) and its sigma",
     "gyro bias": "unit and scale of the gyro, T_BS of the camera",
     "accelerometer bias": "unit and scale of the accelerometer, gravity, T_BS of the camera",
@@ -62,7 +63,7 @@ def failed_estimators(failures: Mapping[str, str]) -> list[str]:
     -------
     list of str
     """
-    return [f"no trajectory of {message}" for message in failures.values()]
+    return [f"no trajectory from {message}" for message in failures.values()]
 
 
 def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> list[str]:
@@ -137,7 +138,7 @@ def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
     rest = float(inside / max(part.dimension[sigmas <= OUTLIER_SIGMAS].sum(), 1))
     limit = MAX_SQUARE_IN_IMAGES if images else MAX_SQUARE
     if 0.0 < share < MAX_SENSOR_OUTLIER_SHARE and rest < limit < part.mean:
-        return f"{100.0 * share:.2g} % of its samples are beyond {OUTLIER_SIGMAS:g} sigma: outliers"
+        return f"{100.0 * share:.2g} % of its samples are outliers (beyond {OUTLIER_SIGMAS:g} sigma)"
     if not improbable(part.mean, size, IMPROBABLE):
         return ""
     if part.mean > limit:
@@ -148,7 +149,7 @@ def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
     if part.mean < MIN_SQUARE and not images:
         return (
             f"agrees with what {name} predicts better than the stated noise allows (NIS per dimension "
-            f"{part.mean:.3g}, expected 1): a noise is stated too large, or in another unit"
+            f"{part.mean:.3g}, expected 1): the stated noise is too large or in another unit"
         )
     return ""
 
@@ -186,8 +187,8 @@ def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float) -> list[str]
         if what == "attitude" and as_xyzw < min(0.6 * away, MAX_PRIOR_SIGMAS):
             check = "the quaternion's order: read as x, y, z, w it agrees, and w, x, y, z is expected"
         out.append(
-            f"the {'initial ' if 'bias' not in what else ''}{what} is {away:.2g} sigma off at the smoothed "
-            f"trajectory; check {check}"
+            f"the smoothed trajectory is {away:.2g} sigma from the "
+            f"{'initial ' if 'bias' not in what else 'prior of the '}{what}; check {check}"
         )
     return out
 
@@ -226,7 +227,9 @@ def unknown_sensors(ignored: Sequence[str]) -> list[str]:
     """
     if not ignored:
         return []
-    return [f"not used: mav0/{', mav0/'.join(ignored)}: no sensor of this name is known (craternav sensors)"]
+    return [
+        f"not used: mav0/{', mav0/'.join(ignored)}: unknown sensor (`craternav sensors` lists the known ones)"
+    ]
 
 
 def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
@@ -245,7 +248,7 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     """
     out = []
     if origin == "replaced":
-        out.append("the images contradict the initial state: replaced by one from identified craters")
+        out.append("the images contradict the initial state: it was replaced by one from identified craters")
     if reinitialised_at:
         out.append(
             "track was lost, and craters identified later contradict the IMU: re-initialised at frame "
@@ -279,7 +282,7 @@ def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None) -> 
     if missed.any():
         out.append(
             f"no rim was found in {_count(missed)} that should show catalogue craters; {_IMU_ALONE}; if this "
-            "happens often, check the IMU's units and axes, the body"
+            "happens often, check the body and the IMU's units and axes"
         )
     others = empty & ~missed
     if others.any():

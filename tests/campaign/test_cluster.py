@@ -100,7 +100,7 @@ def test_a_lost_scheduler_ends_the_run_and_finished_trials_stay(cluster: Cluster
         with Client(cluster.address, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=60.0)
         thread = after_trials(tmp_path / "c", 2, cluster.scheduler)
-        with pytest.raises(CraternavError, match="the scheduler is lost; finished trials stay"):
+        with pytest.raises(CraternavError, match="the scheduler is lost; finished trials are kept"):
             montecarlo(small_scenario(), tmp_path / "c", options(1000, scheduler=cluster.address))
         thread.join()
     finally:

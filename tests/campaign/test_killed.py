@@ -99,7 +99,7 @@ def test_ctrl_c_ends_in_one_line_and_finished_trials_stay(
     out, said = campaign.communicate(timeout=30.0)
     assert campaign.returncode == 130
     assert out == ""
-    assert said == "craternav: interrupted; finished trials stay, the same command resumes\n"
+    assert said == "craternav: interrupted; finished trials are kept; the same command resumes\n"
     assert group_is_gone(campaign.pid)
     expected = contents(undisturbed)
     found = contents(folder)

@@ -118,7 +118,7 @@ def test_sizes_that_are_radii(tmp_path):
             r"craters\.csv: .* text, found one in UTF-16: save it in UTF-8",
         ),
         (b"PAR1\x15", r"craters\.csv: .* a Parquet file: its name must end in \.parquet"),
-        (b"\x89PNG\r\n\x1a\n\0\0", r"craters\.csv:2: expected a table as text, found bytes that no text has"),
+        (b"\x89PNG\r\n\x1a\n\0\0", r"craters\.csv:2: expected a table as text, found binary data"),
         (b"id,lat,lon,diam\rA,1,2,3\r", r"craters\.csv:1: .* line feed, found a carriage return alone"),
         (b"\n \n", r"craters\.csv:1: .* column names in its first line, found nothing"),
         (

@@ -92,7 +92,7 @@ def test_crops_lie_where_the_label_says_in_the_photographs(frame):
 
 
 def test_crops_of_other_places_are_no_data_set():
-    with pytest.raises(InputError, match=r"crop of another place than .*: give --images"):
+    with pytest.raises(InputError, match=r"shows another part of the photograph than .*: give --images"):
         of_cubes([read_cube(path) for path in _cubes()])
 
 
