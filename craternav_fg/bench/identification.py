@@ -9,6 +9,7 @@ from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.simulation.catalog_views import View, ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 
+# Noise of the rims' centres, and fields of view, from the narrow to the wide.
 NOISES_PX = (0.0, 1.0, 3.0, 6.0)
 FIELDS_DEG = (44.0, 60.0)
 # Views with fewer true craters are not timed.

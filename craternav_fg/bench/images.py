@@ -21,6 +21,7 @@ from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 
 FloatArray = npt.NDArray[np.float64]
 
+# From the start of a descent to its last phase.
 ALTITUDES_M = (100e3, 30e3, 10e3, 2e3)
 # Frames timed at each altitude, a tenth of the altitude apart; the first ones build the grids.
 FRAMES = 4

@@ -23,6 +23,7 @@ from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
+# Time between frames; noise of the IMU.
 NOISE = ImuNoise(2.0e-5, 3.4e-4, 2e-8, 3e-7)  # LN-200S class
 PERIOD_S = 1.0
 # Few IMU rows per frame: preintegration costs both sides the same and would hide the difference.

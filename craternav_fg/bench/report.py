@@ -63,8 +63,10 @@ class Sizes:
     views: int
 
 
+# In the order of the fields of `Sizes`; `FULL` adds 10,000 online frames, which take minutes.
 QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200, 3, 100)
 FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000, 6, 1000)
+# Lag of the fixed-lag smoother that is timed: the default of `fixed_lag`.
 LAG_S = 30.0
 
 

@@ -18,6 +18,7 @@ from factors.kernels.gauss_newton import screw
 
 FloatArray = npt.NDArray[np.float64]
 
+# Edge points of a rim, as in the simulations of the paper's cases.
 EDGE_POINTS = 60
 # Standard deviations of the start for both sides, rad and m: about those of a single rim's pose.
 START_SIGMA = np.repeat([np.radians(2.0), 1e3], 3)

@@ -41,6 +41,7 @@ from craternav_fg.vision.image_sampling import noise_level
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
+# Seed of the first scene.
 _SEED = 200
 # What these images give where another value is kept.
 _CORRELATION_WEIGHT, _SIZE_FACTOR, _CONTRAST_FACTOR = 21.7, 1.035, 1.58

@@ -13,12 +13,12 @@ from craternav_fg.errors import EstimationError
 FloatArray = npt.NDArray[np.float64]
 
 # Step of the differences, in units of the unknowns: far above rounding, far below where costs bend.
-_STEP = 0.02
+_DIFFERENCE = 0.02
 # The search ends where Newton's step would change the cost by less: a tenth of a standard error. So many
 # steps follow the quasi-Newton search at most.
-_TOLERANCE, _NEWTON_STEPS = 5e-3, 10
+_COST_TOLERANCE, _NEWTON_STEPS = 5e-3, 10
 # Gradient of the cost, per unit of the unknowns, with which the quasi-Newton search ends.
-_GRADIENT = 0.1
+_MAX_GRADIENT = 0.1
 _CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _SIGNS = (1.0, -1.0, -1.0, 1.0)
 
@@ -104,14 +104,14 @@ def estimate(
     def total(unknowns: FloatArray) -> float:
         return float(of(unknowns).sum())
 
-    found = minimize(total, start, method="BFGS", options={"gtol": _GRADIENT})
+    found = minimize(total, start, method="BFGS", options={"gtol": _MAX_GRADIENT})
     best = np.asarray(found.x, dtype=np.float64)
     for _ in range(_NEWTON_STEPS):
         gradients, hessian = _derivatives(of, best)
         if not np.linalg.eigvalsh(hessian)[0] > 0.0:
             break
         step = np.linalg.solve(hessian, gradients.sum(axis=1))
-        if 0.5 * step @ gradients.sum(axis=1) < _TOLERANCE:
+        if 0.5 * step @ gradients.sum(axis=1) < _COST_TOLERANCE:
             inverse, groups = np.linalg.inv(hessian), gradients.shape[1]
             covariance = inverse @ (gradients @ gradients.T) @ inverse * groups / (groups - 1)
             slopes = np.array([p.slope(u) for p, u in zip(parameters, best, strict=True)])
@@ -125,13 +125,13 @@ def _derivatives(
     costs: Callable[[FloatArray], FloatArray], unknowns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Differentiate each group's cost, (p, groups), and the sum of the costs twice, (p, p)."""
-    steps = _STEP * np.eye(len(unknowns))
-    gradients = [(costs(unknowns + step) - costs(unknowns - step)) / (2.0 * _STEP) for step in steps]
+    steps = _DIFFERENCE * np.eye(len(unknowns))
+    gradients = [(costs(unknowns + step) - costs(unknowns - step)) / (2.0 * _DIFFERENCE) for step in steps]
     hessian = np.empty((len(unknowns), len(unknowns)))
     for i, one in enumerate(steps):
         for j, other in enumerate(steps[: i + 1]):
             corners = [costs(unknowns + a * one + b * other).sum() for a, b in _CORNERS]
-            hessian[i, j] = hessian[j, i] = np.dot(_SIGNS, corners) / (4.0 * _STEP**2)
+            hessian[i, j] = hessian[j, i] = np.dot(_SIGNS, corners) / (4.0 * _DIFFERENCE**2)
     return np.array(gradients), hessian
 
 

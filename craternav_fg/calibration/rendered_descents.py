@@ -29,6 +29,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _SCENARIOS = ("lunar_descent", "bennu_descent")
+# Per scenario: descents, frames of each, first trial (tests use others), and range of the sun's elevation.
 _DESCENTS = 8
 _FRAMES = 11
 _FIRST_TRIAL = 900
@@ -40,6 +41,7 @@ _UNIT = CorrelatedErrorOptions(
     crater_share=1.0, excess_white_share=0.0, camera_shift_px=1.0, sun_shift_px=1.0, stretch_px=1.0,
     stretch_share=1.0, size_px=1.0, size_share=1.0, brightness_share=1.0,
 )  # fmt: skip
+# Column of the brightness error in the roots of the shared errors.
 _BRIGHTNESS = 7
 
 

@@ -20,6 +20,7 @@ from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 
 FloatArray = npt.NDArray[np.float64]
 
+# Seed; samples, and points of each, from which the moments are taken.
 _SEED = 600
 _SAMPLES, _POINTS = 20_000, 400
 # Rims, their points, deviation of the outline in radii and error of the points, px, and seen share.

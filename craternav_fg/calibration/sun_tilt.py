@@ -20,6 +20,7 @@ from factors.kernels.sun import wrap
 
 FloatArray = npt.NDArray[np.float64]
 
+# First seed and number of the scenes (tests use other seeds), and their angles off nadir.
 _FIRST_SEED, _SCENES = 7000, 30
 _NADIR_DEG, _OBLIQUE_DEG = (0.0, 0.0), (20.0, 40.0)
 # Without floors; then with one of 1 rad each, which tells the scale of both.

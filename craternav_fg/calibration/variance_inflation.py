@@ -30,12 +30,14 @@ from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
+# Trials that no test uses.
 _FIRST_TRIAL, _TRIALS = 700, 30
 # White error of an edge point, px: as the scatter of rendered rims has it.
 _EDGE_SIGMA_PX = 0.15
 _IMU_RATE_HZ = 20.0
 # ANEES is interpolated between these, whose logarithms are evenly spaced.
 _INFLATIONS = np.array([2.0, 3.0, 4.5, 6.75])
+# ANEES of a consistent pose.
 _CONSISTENT = 6.0
 
 

@@ -9,9 +9,10 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import NoReturn
 
-WRONG = 2
+# Exit code of a known error, that of typer for wrong usage.
+KNOWN_ERROR_CODE = 2
 # Added to the number of a signal: the exit code that a shell expects.
-_SIGNALLED = 128
+_SIGNAL_CODE = 128
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
@@ -27,7 +28,7 @@ def one_line_endings() -> Iterator[None]:
     def stop(number: int, _frame: FrameType | None) -> None:
         if received:
             # The second time at once, whatever is left behind.
-            os._exit(_SIGNALLED + number)
+            os._exit(_SIGNAL_CODE + number)
         received.append(number)
         raise KeyboardInterrupt
 
@@ -51,7 +52,7 @@ def one_line_endings() -> Iterator[None]:
         line = _known(error)
         if line is None:
             raise
-        _end(line, WRONG)
+        _end(line, KNOWN_ERROR_CODE)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -83,7 +84,7 @@ def _end_by(number: int, error: BaseException | None) -> NoReturn:
             line += f"; {error}"
             break
         error = error.__cause__ or error.__context__
-    _end(line, _SIGNALLED + number)
+    _end(line, _SIGNAL_CODE + number)
 
 
 def _end(line: str, code: int) -> NoReturn:

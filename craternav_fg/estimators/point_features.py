@@ -18,6 +18,7 @@ from craternav_fg.sensors.point_features import FeatureTracks
 FloatArray = npt.NDArray[np.float64]
 
 LETTER = "l"
+# Two would triangulate a point without checking it.
 LEAST_OBSERVATIONS = 3
 # Parallax from which a track becomes a variable, and largest misfit of an observation then, in its sigmas.
 PARALLAX_SIGMAS = 20.0

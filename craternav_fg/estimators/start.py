@@ -21,6 +21,7 @@ from craternav_fg.measurements import FrameMeasurement
 
 FloatArray = npt.NDArray[np.float64]
 
+# Factors of the measurement noise in successive optimisations: large first, so that a poor prior converges.
 ANNEALING_SCALES = (300.0, 30.0, 3.0, 1.0)
 
 

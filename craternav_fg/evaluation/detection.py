@@ -19,6 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+# Of the challenge's rules: standard deviation of a rim's error, and the 99 % quantile of chi-square with 4
+# degrees of freedom.
 SIGMA_PX = 0.85
 GATE_CHI2 = 13.277
 

@@ -15,7 +15,14 @@ from craternav_fg.ellipse import points_on
 from craternav_fg.errors import CraternavError
 from craternav_fg.files import replacing
 from craternav_fg.plots.style import colour
-from craternav_fg.reports.recording import GREY, JPEG_QUALITY, REACH_ALTITUDES, YELLOW, catalogue_rims
+from craternav_fg.reports.recording import (
+    GREY,
+    JPEG_QUALITY,
+    REACH_ALTITUDES,
+    YELLOW,
+    catalogue_rims,
+    local_level,
+)
 from craternav_fg.runs.columns import list_values
 from craternav_fg.runs.read import Run, read_residuals
 
@@ -59,16 +66,9 @@ def write_mcap(run: Run, path: Path) -> None:
         foxglove.open_mcap(temporary, allow_overwrite=True, context=context),
     ):
         recording = _Recording(context)
-        gRe, gO = _level(run, dataset)
+        gRe, gO = local_level(run, dataset)
         recording.scene(run, dataset, gRe, gO)
         recording.frames(run, dataset, gRe, gO)
-
-
-def _level(run: Run, dataset: Dataset) -> tuple[FloatArray, FloatArray]:
-    """Local level axes and their origin in g."""
-    first = next(iter(run.trajectories.values())).gP[0]
-    lat, lon = frames.latitude_longitude(first)
-    return frames.east_north_up(lat, lon), first * (dataset.body.radius_m / np.linalg.norm(first))
 
 
 class _Recording:

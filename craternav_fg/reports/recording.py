@@ -53,9 +53,7 @@ def write_recording(run: Run, path: Path) -> None:
         raise CraternavError("recordings need rerun: pip install -e '.[viewer]'") from None
     dataset = Dataset.open(run.dataset)
     first = next(iter(run.trajectories.values()))
-    lat, lon = frames.latitude_longitude(first.gP[0])
-    gRe = frames.east_north_up(lat, lon)
-    gO = first.gP[0] * (dataset.body.radius_m / np.linalg.norm(first.gP[0]))
+    gRe, gO = local_level(run, dataset)
 
     def local_km(gP: FloatArray) -> FloatArray:
         return 1e-3 * (gP - gO) @ gRe
@@ -121,6 +119,26 @@ def _log_frames(
             f"{lander}/camera/image/rims",
             rr.LineStrips2D(list(outlines), colors=[YELLOW], labels=identifiers[rows].tolist()),
         )
+
+
+def local_level(run: Run, dataset: Dataset) -> tuple[FloatArray, FloatArray]:
+    """Give the local level axes of a recording: east, north, up at the first estimate's ground point.
+
+    Parameters
+    ----------
+    run : Run
+    dataset : Dataset
+
+    Returns
+    -------
+    gRe : ndarray, shape (3, 3)
+        Rotation from the level axes to g.
+    gO : ndarray, shape (3,)
+        Ground point in g, m.
+    """
+    first = next(iter(run.trajectories.values())).gP[0]
+    lat, lon = frames.latitude_longitude(first)
+    return frames.east_north_up(lat, lon), first * (dataset.body.radius_m / np.linalg.norm(first))
 
 
 def catalogue_rims(catalog: Catalog, gO: FloatArray, reach_m: float) -> FloatArray:

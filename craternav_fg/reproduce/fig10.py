@@ -8,7 +8,7 @@ from craternav_fg.ellipse import axes_of_chart, pixel_chart
 from craternav_fg.evaluation.detection import match
 from craternav_fg.reproduce import image_plots
 from craternav_fg.reproduce.canny_rim import canny_edges, canny_rim
-from craternav_fg.reproduce.guided_accuracy import NEAR, measure
+from craternav_fg.reproduce.guided_accuracy import USUAL_ERROR, measure
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.results import Reproduction, known, number
 from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED, image_row
@@ -34,7 +34,7 @@ def fig10(options: ReproduceOptions) -> Reproduction:
     """
     one = four_craters(options.seed)
     true = one.ellipses_px
-    frame, _ = measure(one, SINGLE_IMAGE, NEAR, np.random.default_rng(options.seed))
+    frame, _ = measure(one, SINGLE_IMAGE, USUAL_ERROR, np.random.default_rng(options.seed))
     by_canny = [chart for row in one.craters if (chart := canny_rim(one, int(row))) is not None]
     found = {
         CANNY: axes_of_chart(np.array(by_canny).reshape(-1, 5)),

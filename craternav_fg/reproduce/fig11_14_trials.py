@@ -41,6 +41,7 @@ METHODS = (*PAPERS, EFFICIENT)
 # Methods that need a third crater.
 OF_THREE = (CENTRES, EDGES_PRINTED, EDGES)
 
+# Trials of a task for a process.
 _BATCH = 25
 # Errors drawn from the bound's Gaussian in each trial, for the mean of their length.
 _DRAWS = 200

@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 # The bias of the sizes is taken over the rims below this semi-minor axis: a bias in px is largest there.
 SMALL_PX = 60.0
 # First seed of the images that are kept for tests; the front end was set up with seeds 200 to 530.
-HELD_OUT = 2000
+HELD_OUT_SEED = 2000
 # Position errors across the optical axis move the image as rotations do: nearly all are left to those.
 _ACROSS_VARIANCE = 1e-4
 
@@ -44,8 +44,9 @@ class PredictionError:
     covariance_scale: float = 1.0
 
 
-NEAR = PredictionError()
-FAR = PredictionError(30.0, 0.03)
+# Errors of a tracked lander, and of one that has nearly lost track.
+USUAL_ERROR = PredictionError()
+LARGE_ERROR = PredictionError(30.0, 0.03)
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ def rim_errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> R
 
 
 def accuracy(
-    scenes: Sequence[Scene], error: PredictionError = NEAR, options: GuidedOptions | None = None
+    scenes: Sequence[Scene], error: PredictionError = USUAL_ERROR, options: GuidedOptions | None = None
 ) -> dict[str, float]:
     """Errors of the rims over all scenes, their chi-square and the share of rims measured.
 
@@ -206,7 +207,7 @@ def sun_tilts(scenes: Sequence[Scene]) -> dict[str, float]:
     rng = np.random.default_rng(0)
     errors = []
     for one in scenes:
-        sun = measure(one, GuidedOptions(), NEAR, rng)[0].sun
+        sun = measure(one, GuidedOptions(), USUAL_ERROR, rng)[0].sun
         if sun is not None:
             x, y, _ = one.camera.gTc(one.gTb)[:3, :3].T @ sun.direction
             error = float(np.angle(np.exp(1j * (sun.tilt_rad - np.arctan2(y, x)))))

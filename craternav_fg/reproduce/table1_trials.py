@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from craternav_fg.evaluation.detection import match
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.reproduce.guided_accuracy import FAR, NEAR, PredictionError, measure
+from craternav_fg.reproduce.guided_accuracy import LARGE_ERROR, USUAL_ERROR, PredictionError, measure
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED, METHODS
@@ -31,7 +31,7 @@ FloatArray = npt.NDArray[np.float64]
 # Sets of images. Fine and irregular outlines, and overlapping craters on rough terrain, from a tilted camera;
 # a camera at nadir and 30 deg from it, for sun tilts; single craters at 4x zoom, for the rim crests.
 FINE, IRREGULAR, HARD, NADIR, TILTED, CREST = "fine", "irregular", "hard", "nadir", "tilted", "crest"
-# Guided measurement from a prediction that is `FAR` off.
+# Guided measurement from a prediction with the errors `LARGE_ERROR`.
 GUIDED_FAR = "guided_far"
 GROUNDS = {
     FINE: Ground(),
@@ -48,11 +48,11 @@ DETECTORS: Mapping[str, Mapping[str, Callable[[npt.NDArray[np.uint8]], FoundRims
     TILTED: {},
 }
 PREDICTIONS: Mapping[str, Mapping[str, PredictionError]] = {
-    FINE: {GUIDED: NEAR, GUIDED_FAR: FAR},
-    IRREGULAR: {GUIDED: NEAR},
+    FINE: {GUIDED: USUAL_ERROR, GUIDED_FAR: LARGE_ERROR},
+    IRREGULAR: {GUIDED: USUAL_ERROR},
     HARD: {},
-    NADIR: {GUIDED: NEAR},
-    TILTED: {GUIDED: NEAR},
+    NADIR: {GUIDED: USUAL_ERROR},
+    TILTED: {GUIDED: USUAL_ERROR},
 }
 MEASURED = (*METHODS, GUIDED_FAR)
 ERRORS = ("x_px", "y_px", "semi_major_px", "semi_minor_px")

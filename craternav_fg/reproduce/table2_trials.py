@@ -10,7 +10,7 @@ from craternav_fg.ellipse import axes_of_chart, normalised_chart, pixel_chart
 from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.detection import match
 from craternav_fg.reproduce.canny_rim import canny_rim
-from craternav_fg.reproduce.guided_accuracy import NEAR, measure
+from craternav_fg.reproduce.guided_accuracy import USUAL_ERROR, measure
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED
@@ -28,6 +28,7 @@ COEFFICIENTS = "ABCDEF"
 # Suffix of a column: the same rim moved to the optical axis.
 CENTRAL = "_central"
 
+# Images of a task for a process.
 _BATCH = 8
 # Windows are smaller than whole images: finer grids reach as far as they.
 _TERRAIN = TerrainOptions(cells=1024)
@@ -90,7 +91,7 @@ def _blind(one: Scene, ellipse: FloatArray) -> FloatArray | None:
 
 
 def _guided(one: Scene, rng: np.random.Generator) -> FloatArray | None:
-    frame, _ = measure(one, SINGLE_IMAGE, NEAR, rng)
+    frame, _ = measure(one, SINGLE_IMAGE, USUAL_ERROR, rng)
     return pixel_chart(frame.rims.chart, one.camera)[0] if len(frame.rims) else None
 
 

@@ -16,6 +16,7 @@ PoseEquations = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 ROTATION, TRANSLATION = slice(0, 3), slice(3, 6)
 EVERYTHING = slice(0, 6)
+# Far more than a convergent minimisation takes.
 _MAX_ITERATIONS = 100
 # Relative decrease of the cost at which the minimisation has converged.
 _MIN_DECREASE = 1e-12

@@ -24,6 +24,7 @@ from craternav_fg.tables import Column
 FloatArray = npt.NDArray[np.float64]
 
 QUATERNION = ("q_IS_w", "q_IS_x", "q_IS_y", "q_IS_z")
+# Largest deviation of a quaternion's length from 1: rounding of numbers with five digits.
 UNIT_TOLERANCE = 1e-4
 
 

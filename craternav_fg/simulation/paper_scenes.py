@@ -25,6 +25,7 @@ from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 
 FloatArray = npt.NDArray[np.float64]
 
+# The scene of fig. 10; the paper prints none of these numbers.
 FOUR_CRATERS_ALTITUDE_M = 20e3
 # East, north, semi-axes, m, and angle, rad, largest first; assumed, as the paper prints none of its own.
 _FOUR_CRATERS = np.array(
@@ -49,6 +50,7 @@ _SUN_ELEVATION_DEG = (10.0, 50.0)
 _MIN_AXIS_RATIO = 0.75
 # A window holds this multiple of the rim's extent and this margin: the front end needs terrain around it.
 _WINDOW_SCALE, _WINDOW_MARGIN_PX = 1.5, 80.0
+# Draws of a crater until its rim is whole in the image.
 _TRIES = 1000
 
 

@@ -18,6 +18,7 @@ from craternav_fg.training.network import train
 from craternav_fg.training.scenes import scene
 from craternav_fg.vision.judge import WEIGHTS, Network
 
+# Seed of the shipped weights, which 100 scenes gave; scenes rendered by default.
 SEED = 7
 SCENES = 120
 

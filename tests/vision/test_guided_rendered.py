@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from craternav_fg.reproduce.guided_accuracy import FAR, HELD_OUT, accuracy, sun_tilts
+from craternav_fg.reproduce.guided_accuracy import HELD_OUT_SEED, LARGE_ERROR, accuracy, sun_tilts
 from craternav_fg.simulation.scenes import IRREGULAR, Ground, scene
 
 
 @pytest.fixture(scope="module")
 def plain():
-    return [scene(HELD_OUT + k) for k in range(2)]
+    return [scene(HELD_OUT_SEED + k) for k in range(2)]
 
 
 def check_fine(figures):
@@ -36,11 +36,11 @@ def test_fine_rims(plain):
 
 
 def test_fine_rims_from_a_prediction_thirty_pixels_and_three_percent_off(plain):
-    check_fine(accuracy(plain, FAR))
+    check_fine(accuracy(plain, LARGE_ERROR))
 
 
 def test_irregular_outlines():
-    figures = accuracy([scene(HELD_OUT + 100 + k, IRREGULAR) for k in range(2)])
+    figures = accuracy([scene(HELD_OUT_SEED + 100 + k, IRREGULAR) for k in range(2)])
     assert figures["rims"] >= 20
     check_irregular(figures)
 
@@ -54,15 +54,15 @@ def test_the_sun_from_craters(plain):
 
 @pytest.mark.slow
 def test_many_images():
-    plain = [scene(HELD_OUT + k) for k in range(24)]
+    plain = [scene(HELD_OUT_SEED + k) for k in range(24)]
     check_fine(accuracy(plain))
-    lost = accuracy(plain, FAR)
+    lost = accuracy(plain, LARGE_ERROR)
     assert lost["fit_rate"] >= 0.98
     check_fine(lost)
-    rough = [scene(HELD_OUT + 100 + k, IRREGULAR) for k in range(24)]
+    rough = [scene(HELD_OUT_SEED + 100 + k, IRREGULAR) for k in range(24)]
     irregular = accuracy(rough)
     check_irregular(irregular)
-    check_irregular(accuracy(rough, FAR))
+    check_irregular(accuracy(rough, LARGE_ERROR))
     assert 0.7 < irregular["chi2_5"] < 1.3
 
 
@@ -72,7 +72,7 @@ def test_many_images():
 @pytest.mark.parametrize(("tilt_deg", "rms_deg", "rms_sigmas"), [(0.0, 0.76, 0.54), (30.0, 1.75, 0.38)])
 def test_the_sun_in_sixty_frames(tilt_deg, rms_deg, rms_sigmas):
     ground = Ground(tilt_deg=(tilt_deg, tilt_deg), size_px=512)
-    figures = sun_tilts([scene(HELD_OUT + 200 + k, ground) for k in range(60)])
+    figures = sun_tilts([scene(HELD_OUT_SEED + 200 + k, ground) for k in range(60)])
     assert figures["tilt_share"] > 0.9
     # A root mean square of n errors has the relative standard error 1 / sqrt(2 n); three of the difference.
     margin = 3.0 * np.sqrt(0.5 / 60 + 0.5 / 180)

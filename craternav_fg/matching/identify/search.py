@@ -53,12 +53,13 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
+# A hypothesis is formed from a triple.
 _MIN_RIMS = 3
 # Ellipses closer than this in centre and axes, px, are one rim given twice.
 _SAME_PX = 0.05
 # Images with at least so many rims determine the vertical well: one estimate is used, and all noise levels
 # are tried with it before the vertical is varied. With fewer rims, all verticals are tried per noise level.
-_MANY_RIMS = 15
+_MIN_RIMS_OF_ONE_NADIR = 15
 # Rims, the largest first, from which the vertical is estimated, and altitudes over the body's radius that are
 # tried for it: the foreshortening depends only weakly on the altitude.
 _NADIR_RIMS = 40
@@ -78,7 +79,7 @@ _MAX_RIMS = 1500
 # differ little, and an expansion costs less than a look-up.
 _LOOKED_UP = 12
 _KEPT_OF_TRIPLES = 24
-_EXPANDED = 4
+_EXPANDED_PER_ROUND = 4
 _MIN_SCORE = 4.0
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
 _SINGLE_RIMS = 8
@@ -314,7 +315,7 @@ def _by_triples(search: _Search) -> list[_Expanded]:
                 view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
                 triples[start : start + _LOOKED_UP], search.order, noise, candidates, search.limits, best,
             )  # fmt: skip
-            expanded, enough = search.expand_best(best, _EXPANDED, _MIN_SCORE, noise)
+            expanded, enough = search.expand_best(best, _EXPANDED_PER_ROUND, _MIN_SCORE, noise)
             if enough:
                 return expanded[-1:]
             found += expanded
@@ -339,12 +340,12 @@ def _stages(search: _Search) -> list[tuple[FloatArray, int, float, int]]:
     view, options = search.view, search.options
     plausible = search.plausible
     largest = plausible[np.argsort(-view.radius_px[plausible])[:_NADIR_RIMS]]
-    models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MANY_RIMS else 2)
+    models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MIN_RIMS_OF_ONE_NADIR else 2)
     models = models[np.argsort(misfits)]
     tried = [(model, options.triples) for model in models]
     tried += [(model, options.triples // _RING_DIVISOR) for model in _around(models[0])]
     levels = list(zip(options.noise_levels_px, options.candidates, strict=True))
-    if search.n >= _MANY_RIMS:
+    if search.n >= _MIN_RIMS_OF_ONE_NADIR:
         return [(*model, *level) for model in tried for level in levels]
     return [(*model, *level) for level in levels for model in tried]
 
@@ -374,7 +375,7 @@ def _by_single_rims(search: _Search, found: list[_Expanded]) -> list[_Expanded]:
             )  # fmt: skip
             # With few rims, all that was kept is expanded once no further rim is tried.
             last = start + 1 >= len(rims) or left < len(index.catalog)
-            count = len(best) if last and search.n < _MANY_RIMS else _EXPANDED
+            count = len(best) if last and search.n < _MIN_RIMS_OF_ONE_NADIR else _EXPANDED_PER_ROUND
             expanded, enough = search.expand_best(best, count, -np.inf, noise)
             if enough:
                 return expanded[-1:]
