@@ -324,7 +324,7 @@ def whitened_points(points: FloatArray, chart: FloatArray) -> FloatArray:
     points : ndarray, shape (..., 2)
         In the chart's coordinates.
     chart : ndarray, shape (5,)
-        Of the ellipse.
+        Chart of the ellipse.
 
     Returns
     -------
@@ -342,7 +342,7 @@ def unwhitened_points(points: FloatArray, chart: FloatArray) -> FloatArray:
     points : ndarray, shape (..., 2)
         Dimensionless, as `whitened_points` gives them.
     chart : ndarray, shape (5,)
-        Of the ellipse.
+        Chart of the ellipse.
 
     Returns
     -------

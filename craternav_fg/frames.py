@@ -160,7 +160,7 @@ def rotate_position_block(covariance: FloatArray, aRb: FloatArray) -> FloatArray
     Parameters
     ----------
     covariance : ndarray, shape (6, 6)
-        Of (rotation vector, rad; position in b, m).
+        Covariance of (rotation vector, rad; position in b, m).
     aRb : ndarray, shape (3, 3)
         Rotation from b to a.
 

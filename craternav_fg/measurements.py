@@ -70,7 +70,7 @@ class RimSet:
         Ellipse charts in normalised image coordinates, see `ellipse`; the first two are the centre of the
         image ellipse, which is not the image of the crater's centre.
     covariance : ndarray, shape (n, 5, 5)
-        Of the whole error of each chart.
+        Covariance of the whole error of each chart.
     quality : RimQuality or None
         None when the rims were not measured in an image.
     correlated : ndarray, shape (n, 5, 5), optional
@@ -181,7 +181,7 @@ class CentreSet:
     points : ndarray, shape (n, 2)
         Normalised image coordinates.
     covariance : ndarray, shape (n, 2, 2)
-        Of the points.
+        Covariance of the points.
     """
 
     craters: IntArray

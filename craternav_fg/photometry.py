@@ -50,7 +50,7 @@ def flat_terrain_brightness(
     Returns
     -------
     brightness : ndarray, shape (n,)
-        Of flat terrain, up to a common factor; 0 where the sun or the camera is below the horizon.
+        Brightness of flat terrain, up to a common factor; 0 where the sun or the camera is below the horizon.
     slope_contrast : ndarray, shape (n, 3)
         Vectors G = (dI/dmu0 s + dI/dmu v) / I, tangent to the ground: a height gradient grad h changes the
         brightness by the share -G . grad h. Zero where the brightness is.

@@ -89,7 +89,7 @@ class Trajectory:
     velocity_covariance : ndarray, shape (k, 3, 3), or None
         In g, m^2/s^2.
     bias_covariance : ndarray, shape (k, 6, 6), or None
-        Of the gyro bias, (rad/s)^2, then the accelerometer bias, (m/s^2)^2, in b.
+        Covariance of the gyro bias, (rad/s)^2, then the accelerometer bias, (m/s^2)^2, in b.
     rim_weights : tuple of ndarray, or None
         For each stamp, the weights (n,) of the measured rims' matches: 1 accepted, 0 rejected as wrong. None
         when the estimator accepts all.

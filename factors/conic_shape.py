@@ -26,7 +26,7 @@ class ChartError:
     Attributes
     ----------
     key : int
-        Of the variable, a vector of length m.
+        Key of the variable, a vector of length m.
     rims : sequence of int, length k
         Rows of the rims that it moves.
     roots : array_like, shape (k, 5, m)
@@ -67,7 +67,7 @@ def conic_shape_factor(
     charts : array_like, shape (n, 5)
         Measured images in the ellipse chart, normalised coordinates.
     covariances : array_like, shape (n, 5, 5)
-        Of the charts.
+        Covariances of the charts.
     loss : Loss
         Applied to each crater's 5-dimensional norm.
     mounting_key : int, optional

@@ -41,7 +41,7 @@ def crater_centre_factor(
     points : array_like, shape (n, 2)
         Centres of the image ellipses, normalised.
     covariances : array_like, shape (n, 2, 2)
-        Of the points.
+        Covariances of the points.
     loss : Loss
         Applied to each crater's 2-dimensional norm.
     mounting_key : int, optional

@@ -25,7 +25,7 @@ class LineOfSight(NamedTuple):
     direction : ndarray, shape (3,)
         Unit vector in c.
     covariance : ndarray, shape (3, 3)
-        Of the direction in c; rank 2, as there is no error along it.
+        Covariance of the direction in c; rank 2, as there is no error along it.
     """
 
     direction: FloatArray
@@ -40,7 +40,7 @@ def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) ->
     chart : ndarray, shape (5,)
         Measured image of the rim: an ellipse chart, normalised.
     covariance : ndarray, shape (5, 5)
-        Of the chart.
+        Covariance of the chart.
     n_c : ndarray, shape (3,)
         Outward normal of the rim's plane in c, a unit vector.
 

@@ -311,14 +311,14 @@ def state_factor(
     Parameters
     ----------
     keys : tuple of int
-        Of the pose `gTb`, the velocity and the IMU's bias.
+        Keys of the pose `gTb`, the velocity and the IMU's bias.
     rows : int
         Length m of the residual, at least 1.
     evaluate : callable
         evaluate(gTb, gV, imu_bias, bias) gives the whitened residual (m,) and the Jacobians in the four:
         of the pose for the right twist [w, rho], of the IMU's bias in GTSAM's order.
     bias_key : int or None
-        Of a vector.
+        Key of a vector.
     loss : Loss
         On the norm of the residual.
 

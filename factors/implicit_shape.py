@@ -47,7 +47,7 @@ def implicit_shape_factor(
     charts : array_like, shape (n, 5)
         Measured images in the ellipse chart, normalised coordinates: q is the unit-norm conic of each.
     covariances : array_like, shape (n, 5, 5)
-        Of the charts: S_q follows by the conic's derivative, and has rank 5.
+        Covariances of the charts: S_q follows by the conic's derivative, and has rank 5.
     loss : Loss
         Applied to each crater's 5-dimensional norm.
     mounting_key : int, optional

@@ -47,7 +47,7 @@ def shape_beside_los_factor(
     charts : array_like, shape (n, 5)
         Measured images in the ellipse chart, normalised image coordinates of c.
     covariances : array_like, shape (n, 5, 5)
-        Of the charts, in their units squared.
+        Covariances of the charts, in their units squared.
     gRc_nominal : array_like, shape (3, 3)
         Attitude of the camera in g at which the line of sight's noise is evaluated, without a unit.
     loss : Loss

@@ -33,7 +33,7 @@ def state_measurement_factor(
     Parameters
     ----------
     keys : tuple of int
-        Of the pose `gTb`, the velocity in g and the IMU's bias (`gtsam.imuBias.ConstantBias`).
+        Keys of the pose `gTb`, the velocity in g and the IMU's bias (`gtsam.imuBias.ConstantBias`).
     gyro : ndarray, shape (3,)
         Measured angular velocity in b, rad/s; less the gyro's bias it is the state's.
     rows : int

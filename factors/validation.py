@@ -18,7 +18,7 @@ def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (...,)
         In any unit.
     shape : tuple of int
@@ -57,7 +57,7 @@ def length(name: str, value: Sequence[npt.ArrayLike]) -> int:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : sequence of array_like, shape (n, ...)
         One array per crater, in any unit.
 
@@ -83,7 +83,7 @@ def count(name: str, value: npt.ArrayLike) -> int:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (n, ...)
         In any unit.
 
@@ -112,7 +112,7 @@ def charts(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (n, 5)
         Ellipse charts, normalised.
     n : int
@@ -140,7 +140,7 @@ def whitening(name: str, covariances: npt.ArrayLike, n: int, m: int) -> FloatArr
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     covariances : array_like, shape (n, m, m)
     n, m : int
 
@@ -176,7 +176,7 @@ def rotation(name: str, value: npt.ArrayLike) -> FloatArray:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (3, 3)
         Rotation between any frames.
 
@@ -202,7 +202,7 @@ def unit_vectors(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (n, 3)
         Directions in any frame.
     n : int
@@ -232,7 +232,7 @@ def pose(name: str, value: npt.ArrayLike) -> FloatArray:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (4, 4)
         Pose of any frame in another, m.
 
@@ -258,7 +258,7 @@ def rim_axes(name: str, value: npt.ArrayLike, n: int) -> FloatArray:
     Parameters
     ----------
     name : str
-        Of the field, for the error.
+        Name of the field, for the error message.
     value : array_like, shape (n, 2, 3)
         Semi-axes a l1 and b l2 in any frame, m.
     n : int

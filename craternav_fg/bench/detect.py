@@ -18,7 +18,7 @@ def detect_ms(images: int = 6) -> dict[str, float]:
     Parameters
     ----------
     images : int
-        Of each kind, 1024 x 1024 px.
+        Number of each kind, 1024 x 1024 px.
 
     Returns
     -------

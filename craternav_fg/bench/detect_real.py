@@ -33,7 +33,7 @@ class Annotated(NamedTuple):
     Attributes
     ----------
     kind : str
-        Of the images: they are scored together.
+        Kind of the images: they are scored together.
     path : Path
     circles_px : ndarray, shape (n, 3)
         What people marked in the image: centre x, y and radius.

@@ -21,7 +21,7 @@ def guided_costs(images: int = 6) -> dict[str, float]:
     Parameters
     ----------
     images : int
-        Of each kind, 1024 x 1024 px.
+        Number of each kind, 1024 x 1024 px.
 
     Returns
     -------

@@ -79,7 +79,7 @@ def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
     Parameters
     ----------
     frames_number : int
-        Of images, one a second.
+        Number of images, one a second.
     craters : int
         In each.
     seed : int

@@ -33,19 +33,19 @@ class Sizes:
     Attributes
     ----------
     frames : tuple of int
-        Of the batch optimiser's scaling.
+        Frames of the batch optimiser's scaling.
     craters : tuple of int
         In a frame, of the factor's scaling.
     batch_frames : int
-        Of the batch ratio, 5 craters each.
+        Frames of the batch ratio, 5 craters each.
     online_frames : int
-        Of the online run, 10 craters each.
+        Frames of the online run, 10 craters each.
     lag_frames : int
-        Of the fixed-lag run, 10 craters each.
+        Frames of the fixed-lag run, 10 craters each.
     online_runs : int
         Repetitions of both.
     resection_problems : int
-        Of the resection solver, of each size.
+        Problems of the resection solver, of each size.
     images : int
         In which rims are detected and measured, of each kind of terrain.
     views : int

@@ -42,7 +42,7 @@ class Parameter:
     scale : Scale
         Logarithm: positive. Logit: a share, 0 to 1.
     unit : float
-        Of a linear scale: about the standard error that is expected.
+        Unit of a linear scale: about the standard error that is expected.
     """
 
     start: float

@@ -27,7 +27,7 @@ class Regenerated:
     Attributes
     ----------
     name : str
-        Of the constant, with its unit.
+        Name of the constant, with its unit.
     shipped : float
     value : float
         Regenerated.

@@ -85,7 +85,7 @@ class Campaign:
     failed : dict of int to str
         Trials without a result, and why.
     failures : dict of int to dict
-        Of every other trial, the estimators that gave no trajectory, and why.
+        For every other trial, the estimators that gave no trajectory, and why.
     times_s : dict of int to dict
         Wall times of the steps of each trial, where they are known.
     wall_s : float

@@ -60,11 +60,11 @@ def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
     Parameters
     ----------
     table : pyarrow.Table
-        Of a `Campaign`.
+        Table of a `Campaign`.
     name : str
         An estimator, or one of the bounds.
     column : str
-        Of `craternav_fg.campaign.trial.SCHEMA`.
+        Column of `craternav_fg.campaign.trial.SCHEMA`.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
     Parameters
     ----------
     table : pyarrow.Table
-        Of a `Campaign`.
+        Table of a `Campaign`.
     name : str
         Estimator.
 

@@ -68,7 +68,7 @@ class TrialTask:
     ----------
     scenario : Scenario
     number : int
-        Of the trial; with the scenario's seed it determines all randomness.
+        Number of the trial; with the scenario's seed it determines all randomness.
     estimators : tuple of str
         Names.
     versions : mapping of str to str

@@ -130,7 +130,7 @@ def stated_body(
     columns : mapping of str to sequence
         Columns that were read; `BODY_RADIUS_M` and one that names the body are used.
     identifiers : sequence of str or None
-        Of the craters.
+        Identifiers of the craters.
 
     Returns
     -------

@@ -63,7 +63,7 @@ def row_faults(values: Sequence[FloatArray], names: Sequence[str], radius_m: flo
     names : sequence of str
         Names of the first five columns, or of latitude, longitude and diameter for a catalogue of circles.
     radius_m : float
-        Of the body.
+        Radius of the body.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def identifier_faults(identifiers: Sequence[str | None], name: str) -> Faults:
     ----------
     identifiers : sequence of str or None
     name : str
-        Of their column.
+        Name of their column.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def write_pairs(path: Path, catalog: Catalog, found: Overlaps) -> None:
     path : Path
     catalog : Catalog
     found : Overlaps
-        Of the catalogue.
+        Overlaps of the catalogue.
     """
     pairs = np.concatenate([found.duplicates, found.crossings])
     kinds = ["duplicate"] * len(found.duplicates) + ["crossing"] * len(found.crossings)
@@ -186,11 +186,11 @@ def implausible_sizes(
     Parameters
     ----------
     latitude_deg, longitude_deg : ndarray, shape (n,)
-        Of the rims' centres.
+        Coordinates of the rims' centres.
     diameter_m : ndarray, shape (n,)
         Major diameters.
     radius_m : float
-        Of the body.
+        Radius of the body.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def wrong_unit(radius_m: float) -> str:
     Parameters
     ----------
     radius_m : float
-        Of the body.
+        Radius of the body.
     """
     return f"wrong unit (km, m) of the sizes or of the body's radius, {radius_m:.9g} m, or another body"
 

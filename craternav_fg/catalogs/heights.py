@@ -44,7 +44,7 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     ----------
     catalog : Catalog
     dem : Dem
-        Of the catalogue's body.
+        Elevation model of the catalogue's body.
 
     Returns
     -------

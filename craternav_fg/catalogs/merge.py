@@ -96,7 +96,7 @@ def same_craters(one: Catalog, other: Catalog, options: MergeOptions = MergeOpti
     Parameters
     ----------
     one, other : Catalog
-        Of one body.
+        Catalogues of one body.
     options : MergeOptions
 
     Returns
@@ -135,9 +135,9 @@ def merge(parts: Sequence[Catalog], names: Sequence[str], options: MergeOptions 
     Parameters
     ----------
     parts : sequence of Catalog
-        Of one body, the preferred first.
+        Catalogues of one body, the preferred first.
     names : sequence of str
-        Of the sources: they precede identifiers that stand in two of them.
+        Names of the sources: they precede identifiers that stand in two of them.
     options : MergeOptions
 
     Returns
@@ -181,7 +181,7 @@ def difference(one: Catalog, other: Catalog, options: MergeOptions = MergeOption
     Parameters
     ----------
     one, other : Catalog
-        Of one body.
+        Catalogues of one body.
     options : MergeOptions
 
     Returns
@@ -217,7 +217,7 @@ def write_sources(path: Path, merged: Merged, names: Sequence[str]) -> None:
     path : Path
     merged : Merged
     names : sequence of str
-        Of the sources.
+        Names of the sources.
     """
     also = [" ".join(names[k] for k in others) for others in merged.also_in]
     write_table(path, _COLUMNS, [merged.catalog.identifiers, [names[k] for k in merged.source], also])

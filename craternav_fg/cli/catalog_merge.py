@@ -113,7 +113,7 @@ def show_against(values: dict[str, Any] | None, name: str) -> None:
     ----------
     values : dict or None
     name : str
-        Of the catalogue that is the reference.
+        Name of the catalogue that is the reference.
     """
     if values is None:
         return

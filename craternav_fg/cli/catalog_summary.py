@@ -25,7 +25,7 @@ def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, A
     ----------
     catalog : Catalog
     overlaps : Overlaps
-        Of its craters.
+        Overlaps of its craters.
     body_by : str
         What the body is known by, see `ImportReport`.
 

@@ -9,7 +9,7 @@ class Command(NamedTuple):
     Attributes
     ----------
     help : str
-        Of the command.
+        Help text of the command.
     modules : tuple of str
         In `craternav_fg.cli`.
     """

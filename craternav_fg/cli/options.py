@@ -113,7 +113,7 @@ def require_free(path: Path, *, force: bool) -> None:
     Parameters
     ----------
     path : Path
-        Of the result.
+        Path of the result.
     force : bool
         Whether it may be replaced.
 

@@ -90,7 +90,7 @@ def table_of_numbers(first: str, headings: Iterable[str]) -> Table:
     first : str
         Heading of the first column.
     headings : iterable of str
-        Of the others.
+        Headings of the others.
 
     Returns
     -------

@@ -21,7 +21,7 @@ class AprioriStates:
     Attributes
     ----------
     states : Trajectory
-        Of b.
+        Trajectory of the body frame b.
     position_sigma_m, attitude_sigma_rad : float
         Their stated standard deviations per axis.
     """

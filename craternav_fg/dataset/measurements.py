@@ -53,10 +53,10 @@ def write_measurements(folder: Path, frames: Sequence[FrameMeasurement], catalog
     Parameters
     ----------
     folder : Path
-        Of the data set; it must exist.
+        Folder of the data set; it must exist.
     frames : sequence of FrameMeasurement
     catalog : Catalog
-        Of the rims' craters.
+        Catalogue of the rims' craters.
 
     Raises
     ------
@@ -82,9 +82,9 @@ def read_measurements(
     Parameters
     ----------
     folder : Path
-        Of the data set.
+        Folder of the data set.
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames, increasing.
+        Stamps of the frames, increasing.
     catalog : Catalog
     sun : SunVectors
     prior_gP : ndarray, shape (3,), or None

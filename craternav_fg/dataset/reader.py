@@ -49,7 +49,7 @@ class Dataset(Recording):
     path : Path
         Its folder.
     image_paths : tuple of Path, length k
-        Of the frames' images; they need not exist when there are `measurements`.
+        Paths of the frames' images; they need not exist when there are `measurements`.
     ignored : tuple of str
         Folders below `mav0` that no sensor known here reads.
     """

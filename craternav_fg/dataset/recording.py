@@ -29,7 +29,7 @@ class Recording:
     body : Body
     camera : Camera
     catalog : Catalog
-        Of the craters on the body.
+        Catalogue of the craters on the body.
     imu : ImuLog or None
         None when there is none; `motion` is then given.
     imu_noise : ImuNoise or None
@@ -39,7 +39,7 @@ class Recording:
     sun : SunVectors
         `sun.at(stamp_ns)` is the unit vector towards the sun in g.
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames, strictly increasing.
+        Stamps of the frames, strictly increasing.
     truth : Trajectory or None
         For evaluation only; None when it is not known.
     measurements : tuple of FrameMeasurement, length k, or None

@@ -66,7 +66,7 @@ def write_rims(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
     path : Path
     frames : sequence of FrameMeasurement
     catalog : Catalog
-        Of their craters.
+        Catalogue of their craters.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
     ----------
     path : Path
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames, increasing.
+        Stamps of the frames, increasing.
     catalog : Catalog
 
     Returns
@@ -147,7 +147,7 @@ def write_arcs(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
     path : Path
     frames : sequence of FrameMeasurement
     catalog : Catalog
-        Of their craters.
+        Catalogue of their craters.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[ArcSet]
     ----------
     path : Path
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames, increasing.
+        Stamps of the frames, increasing.
     catalog : Catalog
 
     Returns

@@ -206,7 +206,7 @@ def lens_of(name: str) -> str | None:
     Parameters
     ----------
     name : str
-        Of EuRoC, Kalibr, ROS or OpenCV.
+        Name in EuRoC, Kalibr, ROS or OpenCV.
 
     Returns
     -------

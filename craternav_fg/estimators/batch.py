@@ -160,7 +160,7 @@ def optimum(
     values : gtsam.Values
         Initial values of all states: those of the frames, and those between.
     intervals : sequence of ImuInterval
-        Of an earlier graph of these states, which is then no longer used.
+        Intervals of an earlier graph of these states, which is then no longer used.
     own_factors : callable, optional
         See `BatchSmoother`.
 
@@ -223,10 +223,11 @@ def build_graph(
     problem : Problem
     options : GraphOptions
     values : gtsam.Values
-        Of all states: those of the frames, and those between. Further variables that are missing are added:
-        errors of rims as zero.
+        Values of all states: those of the frames, and those between. Further variables that are missing are
+        added: errors of rims as zero.
     intervals : sequence of ImuInterval
-        Of an earlier graph of these states, which is then no longer used. They need no preintegration.
+        Intervals of an earlier graph of these states, which is then no longer used. They need no
+        preintegration.
     own_factors : callable, optional
         See `BatchSmoother`.
 
@@ -324,11 +325,11 @@ def trajectory(
     problem : Problem
     options : GraphOptions
     graph : gtsam.NonlinearFactorGraph
-        Of the whole descent.
+        Graph of the whole descent.
     values : gtsam.Values
         Its optimum.
     state_indices : list of int
-        Of the frames' states.
+        Indices of the frames' states.
 
     Returns
     -------

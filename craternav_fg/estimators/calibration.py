@@ -31,21 +31,22 @@ class Calibration:
     Attributes
     ----------
     mounting_sigma_rad : float
-        Of the camera's rotation relative to the body, per axis.
+        Standard deviation of the camera's rotation relative to the body, per axis.
     time_offset_sigma_s : float
-        Of the camera-IMU time offset, from an image's stamp to its exposure, the same for all images.
+        Standard deviation of the camera-IMU time offset, from an image's stamp to its exposure, the same for
+        all images.
     map_place_sigma : float
-        Of a crater's place on the map, east and north, as a share of its mean radius.
+        Standard deviation of a crater's place on the map, east and north, as a share of its mean radius.
     map_height_sigma : float
-        Of its rim's height, as a share of its mean radius.
+        Standard deviation of its rim's height, as a share of its mean radius.
     map_size_sigma : float
-        Of its semi-axes, each as a share of itself.
+        Standard deviation of its semi-axes, each as a share of itself.
     focal_sigma : float
-        Of the focal length, as a share of it.
+        Standard deviation of the focal length, as a share of it.
     principal_point_sigma_px : float
-        Of the principal point, per coordinate.
+        Standard deviation of the principal point, per coordinate.
     radial_sigma : float
-        Of the radial distortion k1.
+        Standard deviation of the radial distortion k1.
     """
 
     mounting_sigma_rad: float = 0.0

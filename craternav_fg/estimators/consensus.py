@@ -69,7 +69,7 @@ def robust_track(problem: Problem, limit2: float, options: GraphOptions = GraphO
     limit2 : float
         Squared whitened norm, 5 degrees of freedom, beyond which a rim does not agree.
     options : GraphOptions
-        Of the start.
+        Options of the start.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def agreeing(
     usable : ndarray of bool, shape (n,)
         The others agree with nothing.
     covariance : ndarray, shape (6, 6)
-        Of the predicted pose.
+        Covariance of the predicted pose.
     limit2 : float
         Squared norm beyond which a rim does not agree.
 

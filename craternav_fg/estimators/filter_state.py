@@ -46,8 +46,8 @@ class FilterState:
     bias : ndarray, shape (6,)
         Gyro (rad/s), accelerometer (m/s^2), in b.
     covariance : ndarray, shape (18 + b, 18 + b)
-        Of the errors of attitude (rotation vector in b, R_true = R exp(phi)), position and velocity
-        (in g), angular velocity (in b), gyro bias, accelerometer bias, sensors' biases; truth minus
+        Covariance of the errors of attitude (rotation vector in b, R_true = R exp(phi)), position and
+        velocity (in g), angular velocity (in b), gyro bias, accelerometer bias, sensors' biases; truth minus
         mean.
     sensor_bias : ndarray, shape (b,)
         Biases of the sensors beside the IMU, each in its sensor's unit.
@@ -68,7 +68,7 @@ class FilterState:
         delta : ndarray, shape (18 + b,)
             Correction, in the units of the error state.
         covariance : ndarray, shape (18 + b, 18 + b)
-            Of the error about `delta`, in the coordinates of this state.
+            Covariance of the error about `delta`, in the coordinates of this state.
 
         Returns
         -------

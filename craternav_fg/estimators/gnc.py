@@ -57,7 +57,7 @@ class GncOptions:
         Factor by which the control parameter grows each round; Yang et al. use 1.4. A smaller one is slower
         and follows the optimum more closely.
     graph : GraphOptions
-        Of the last optimisation, on the inliers; its loss is not used before.
+        Options of the last optimisation, on the inliers; its loss is not used before.
     """
 
     inlier_probability: float = 0.999
@@ -82,11 +82,11 @@ class _Decided:
     Attributes
     ----------
     weights : list of ndarray
-        Of each frame's matches: 1 inlier, 0 outlier.
+        Weights of each frame's matches: 1 inlier, 0 outlier.
     values : gtsam.Values
         Near the optimum with these weights.
     poses : list of ndarray, shape (4, 4)
-        Of the body in g at each frame's exposure.
+        Poses of the body in g at each frame's exposure.
     intervals : list of ImuInterval
     """
 

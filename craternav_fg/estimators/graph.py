@@ -75,14 +75,14 @@ class ImuInterval:
     Attributes
     ----------
     index : int
-        Of the state at its beginning.
+        Index of the state at its beginning.
     midpoint : ndarray, shape (3,)
         Point in g, m, at which gravity is evaluated.
     pim : gtsam.PreintegratedCombinedMeasurements
     params : gtsam.PreintegrationCombinedParams
         The factor's own, gravity among them.
     slot : int
-        Of the factor in a solver.
+        Slot of the factor in a solver.
     """
 
     index: int
@@ -186,7 +186,7 @@ def add_frame(
     descent : Descent
     options : GraphOptions
     key : int
-        Of the pose at the exposure.
+        Key of the pose at the exposure.
     frame : FrameMeasurement
     noise_scale : float
         Factor on all standard deviations.
@@ -243,7 +243,7 @@ def add_imu(
     graph : FactorGraph
     descent : Descent
     index : int
-        Of the state at the beginning.
+        Index of the state at the beginning.
     begin_ns, end_ns : int
         The interval.
     midpoint : ndarray, shape (3,)
@@ -294,7 +294,7 @@ def insert_state(values: gtsam.Values, index: int, state: gtsam.NavState, bias: 
     ----------
     values : gtsam.Values
     index : int
-        Of the state.
+        Index of the state.
     state : gtsam.NavState
     bias : ndarray, shape (6,)
         Gyro (rad/s), then accelerometer (m/s^2), in b.
@@ -311,7 +311,7 @@ def state_at(values: gtsam.Values, index: int) -> tuple[FloatArray, FloatArray, 
     ----------
     values : gtsam.Values
     index : int
-        Of the state.
+        Index of the state.
 
     Returns
     -------

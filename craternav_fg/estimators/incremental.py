@@ -147,7 +147,7 @@ class Isam:
         graph : gtsam.NonlinearFactorGraph
         values : gtsam.Values
         time_s : float
-            Of the new variables.
+            Time of the new variables.
         drop : sequence of int
             Slots of factors to remove.
 

@@ -31,7 +31,7 @@ def initial_values(
     -------
     values : gtsam.Values
     state_indices : list of int
-        Of the frames' states.
+        Indices of the frames' states.
     """
     at_frames = [*_states_before(problem, start), *states]
     values = gtsam.Values()

@@ -56,7 +56,7 @@ def noise_inflation(
     residual : ndarray, shape (n, m)
         Whitened, measured minus predicted.
     covariance : ndarray, shape (k, k)
-        Of the prior's error.
+        Covariance of the prior's error.
     limit : float
         Largest normalised innovation, in sigmas.
 

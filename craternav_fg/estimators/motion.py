@@ -80,7 +80,7 @@ def add_motion(
     descent : Descent
         With a motion model.
     index : int
-        Of the state at the beginning.
+        Index of the state at the beginning.
     begin_ns, end_ns : int
         The interval.
     state : (ndarray, ndarray, ndarray)

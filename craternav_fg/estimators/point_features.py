@@ -158,7 +158,7 @@ class FeatureStates:
         values : gtsam.Values
             Gets the points that are new.
         number : int
-            Of the frame's state.
+            Index of the frame's state.
         stamp_ns : int
         pose : callable
             Estimate of a state's pose gTb (4, 4) by its number; None when it is no variable any more.

@@ -46,7 +46,7 @@ def rim_factors(
         The ellipse chart; eq. (19), whitened; the line of sight of the true centre, eq. (11); that with what
         (19) says beside it; points of the fitted ellipse; the image ellipse's centre, taken for the crater's.
     key : int
-        Of the pose gTb.
+        Key of the pose gTb.
     camera : Camera
     catalog : Catalog
     rims : RimSet

@@ -35,9 +35,9 @@ def bias_key(number: int, size: int) -> int | None:
     Parameters
     ----------
     number : int
-        Of the sensor.
+        Number of the sensor.
     size : int
-        Of its bias; it is the key's letter.
+        Size of its bias; it is the key's letter.
 
     Returns
     -------
@@ -61,11 +61,11 @@ class Sample:
     ----------
     sensor : Sensor
     row : int
-        Of its log.
+        Row of its log.
     bias : slice
-        Of the sensor's bias among those of all sensors.
+        Place of the sensor's bias among those of all sensors.
     key : int or None
-        Of its bias in a graph; None when it has none.
+        Key of its bias in a graph; None when it has none.
     """
 
     sensor: Sensor
@@ -163,12 +163,12 @@ def add_sensors(
     samples : sequence of Sample
         At this stamp.
     number : int
-        Of the state.
+        Index of the state.
     stamp_ns : int
     holds : callable, optional
         Whether the solver has a variable already.
     weights : sequence of float, optional
-        Of the samples, in place of their sensors' robust losses; a sample of weight 0 is left out.
+        Weights of the samples, in place of their sensors' robust losses; a sample of weight 0 is left out.
     """
     for number_of, sample in enumerate(samples):
         root = 1.0 if weights is None else float(np.sqrt(weights[number_of]))
@@ -259,7 +259,7 @@ def innovation_weight(
     residual : ndarray, shape (m,)
         Whitened, measured less predicted.
     covariance : ndarray, shape (18 + b, 18 + b)
-        Of the prediction, in the units of the error state.
+        Covariance of the prediction, in the units of the error state.
     gate_sigmas : float
 
     Returns

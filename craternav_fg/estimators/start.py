@@ -82,7 +82,7 @@ def make_problem(
     frames : sequence of FrameMeasurement
         At least one.
     options : GraphOptions
-        Of the start.
+        Options of the start.
 
     Returns
     -------

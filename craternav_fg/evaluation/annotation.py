@@ -23,9 +23,9 @@ class Matches:
     quality : ndarray, shape (n,)
         Probabilities of the detections.
     radius_px : ndarray, shape (n,)
-        Of the detections.
+        Radii of the detections.
     marked_radius_px : ndarray, shape (n,)
-        Of the marked craters; NaN for a detection that is none.
+        Radii of the marked craters; NaN for a detection that is none.
     centre_error_px : ndarray, shape (n,)
         Distance of the centres; NaN likewise.
     all_marked_px : ndarray, shape (m,)

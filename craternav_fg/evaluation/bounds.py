@@ -42,7 +42,7 @@ class PosteriorBound:
     Attributes
     ----------
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames.
+        Stamps of the frames.
     filtered : ndarray, shape (k, 6, 6)
         From the data up to each frame: for `online`, `fixed_lag`, `ekf`. Attitude (rotation vector in b,
         rad), then position (in g, m), as `Trajectory.pose_covariance`.
@@ -113,9 +113,9 @@ def posterior_bound(
     ----------
     descent : Descent
     frames : sequence of FrameMeasurement
-        Of a measurement, its crater and its covariance are used, not its value: linearisation and a rim's
-        covariance are those at the truth. Every match counts as right. Edge points of arcs are used where
-        they were measured.
+        Measurements; of each, its crater and its covariance are used, not its value: linearisation and a
+        rim's covariance are those at the truth. Every match counts as right. Edge points of arcs are used
+        where they were measured.
     truth : Trajectory
         At the frames' stamps, with the true biases.
     rim_errors : RimErrorOptions, optional

@@ -59,7 +59,7 @@ def mean_interval(
     count : int
         Number of them.
     probability : float
-        Of the interval.
+        Probability of the interval.
 
     Returns
     -------
@@ -80,11 +80,11 @@ def anees_by_altitude(
     nees : ndarray, shape (trials, k)
         Normalised estimation errors squared of each trial's frames, without a unit.
     altitude_m : ndarray, shape (k,)
-        Of the frames.
+        Altitudes of the frames.
     edges_m : sequence of float
         Falling altitudes; a frame is in the bin whose lower edge it is not below. Empty bins are left out.
     dimension : int
-        Of the errors.
+        Dimension of the errors.
 
     Returns
     -------

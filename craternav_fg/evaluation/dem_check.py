@@ -73,7 +73,7 @@ def shaded(
         Unit vector towards the sun in g.
     dem : Dem
     radius_m : float
-        Of the sphere above which its heights count.
+        Radius of the sphere above which the model's heights are given.
     step_px : int
         Side of the square blocks of pixels that get one value each.
 
@@ -139,7 +139,7 @@ def check_against_dem(
     dem : Dem
         That covers the ground in view.
     radius_m : float
-        Of the sphere above which its heights count.
+        Radius of the sphere above which the model's heights are given.
     step_px : int
         Side of the blocks of pixels that are compared.
 

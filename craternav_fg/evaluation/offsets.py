@@ -31,7 +31,7 @@ class Offsets:
     frames : ndarray of int, shape (k,)
         Indices of the frames.
     enu_m : ndarray, shape (k, 3)
-        Of the position, m, along east, north, up of the reference's place in g.
+        Difference of the positions, m, along east, north and up in g at the reference's position.
     sigma_m : ndarray, shape (k, 3)
         Standard deviations that are claimed, m, along the same directions in g.
     attitude_rad : ndarray, shape (k, 3)

@@ -31,9 +31,9 @@ class ResidualSummary:
     Attributes
     ----------
     count : int
-        Of samples.
+        Number of samples.
     mean : ndarray, shape (d,)
-        Of each component, in sigmas.
+        Mean of each component, in sigmas.
     square : float
         Mean square of a component: 1 or a little less when the noise is as stated.
     """
@@ -51,7 +51,7 @@ def prior_sigmas(initial: InitialState, trajectory: Trajectory) -> dict[str, flo
     initial : InitialState
         At the trajectory's first stamp.
     trajectory : Trajectory
-        Of a smoother.
+        Trajectory of a smoother.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def improbable(mean_square: float, dimension: int, probability: float) -> bool:
     dimension : int
         Number of squares.
     probability : float
-        Of either side.
+        Probability of either side.
 
     Returns
     -------

@@ -77,7 +77,7 @@ class TrackInformation:
         Parameters
         ----------
         k : int
-            Of the frame.
+            Index of the frame.
 
         Returns
         -------
@@ -91,9 +91,9 @@ class TrackInformation:
         Parameters
         ----------
         information : ndarray, shape (n, n)
-            Of all unknowns, changed in place.
+            Information of all unknowns, changed in place.
         k : int
-            Of the frame.
+            Index of the frame.
         first : mapping of int to int
             Where the unknowns of each track's point begin.
         sigmas : ndarray, shape (15,)

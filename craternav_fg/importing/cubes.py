@@ -27,7 +27,7 @@ def of_cubes(cubes: Sequence[Cube]) -> tuple[Camera, list[ImportedFrame], list[I
     Parameters
     ----------
     cubes : sequence of Cube
-        Of one camera: uncropped, or cropped at one place of the image.
+        Cubes of one camera: uncropped, or cropped at one place of the image.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def of_photographs(
     Returns
     -------
     camera : Camera
-        Of the images, by scaling that of the cubes' whole photographs.
+        Camera of the images, by scaling that of the cubes' whole photographs.
     frames : list of ImportedFrame
         In the order of time.
     images : list of ndarray of uint8 or uint16, shape (height, width)

@@ -43,9 +43,9 @@ class Cube:
     stamp_ns : int
         UTC of the start time, ns since 1970 without leap seconds.
     camera : Camera
-        Of the cube's own pixels.
+        Camera of the cube's own pixels.
     parent : Camera
-        Of the whole image that the cube was cropped from or reduced, in its full resolution.
+        Camera of the whole image that the cube was cropped from or reduced, in its full resolution.
     body : Body
         Its gravity is not in a cube: `mu_m3_s2` is 0.
     state : CameraState

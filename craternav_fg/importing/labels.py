@@ -72,7 +72,7 @@ class CubeLabel:
         Returns
         -------
         keywords : dict
-            Of the table.
+            Keywords of the table.
         rows : ndarray, shape (n, m)
             In the units of the table.
 

@@ -48,7 +48,7 @@ class BagOptions:
     ----------
     body : Body
     catalog : Catalog
-        Of the craters on the body.
+        Catalogue of the craters on the body.
     imu_noise : ImuNoise
     initial : InitialState or None
         At the stamp of the first image that is kept.
@@ -89,7 +89,7 @@ class BagReport:
     skipped : int
         Images left out, because the IMU's log does not cover them.
     samples : int
-        Of the IMU.
+        Number of samples of the IMU.
     truth : bool
         Whether there is a trajectory for comparison.
     """
@@ -109,7 +109,7 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
     path : Path
         A `.bag` or `.mcap` file, or the folder of a rosbag2.
     folder : Path
-        Of the data set; replaced when it is empty or a data set.
+        Folder of the data set; replaced when it is empty or a data set.
     options : BagOptions
 
     Returns

@@ -164,7 +164,7 @@ def image_of(path: Path, message: Any) -> ImageArray:
     Parameters
     ----------
     path : Path
-        Of the bag, for messages.
+        Path of the bag, for messages.
     message : object
 
     Returns
@@ -211,7 +211,7 @@ def camera_of(path: Path, message: Any, bTc: FloatArray, bit_depth: int) -> Came
     Parameters
     ----------
     path : Path
-        Of the bag, for messages.
+        Path of the bag, for messages.
     message : object
     bTc : ndarray, shape (4, 4)
         Mounting: pose of the camera in b, m.

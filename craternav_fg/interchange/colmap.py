@@ -21,7 +21,7 @@ def write_colmap(folder: Path, trajectory: Trajectory, camera: Camera, names: tu
         Its frame g becomes COLMAP's world, m.
     camera : Camera
     names : tuple of str, length k
-        Of the images.
+        Names of the images.
 
     Raises
     ------

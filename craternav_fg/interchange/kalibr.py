@@ -145,7 +145,7 @@ def camchain_yaml(camera: Camera, topic: str) -> str:
     ----------
     camera : Camera
     topic : str
-        Of its images in a bag.
+        Topic of its images in a bag.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def kalibr_imu_yaml(noise: ImuNoise, rate_hz: float, topic: str) -> str:
     rate_hz : float
         Nominal rate of the log.
     topic : str
-        Of the log in a bag.
+        Topic of the log in a bag.
 
     Returns
     -------

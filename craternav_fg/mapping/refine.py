@@ -115,7 +115,8 @@ class RefinedRims:
         Refined rims, and the others as they were.
     outcomes : tuple of Outcome, length n
     covariance : ndarray, shape (n, 5, 5)
-        Of the rim's chart in the tangent plane, east and north from the rim's centre: m, and logarithms.
+        Covariance of the rim's chart in the tangent plane, east and north from the rim's centre: m, and
+        logarithms.
     height_sigma_m : ndarray, shape (n,)
         Standard deviation of the rim's height.
     tilt_rad : ndarray, shape (n, 2)
@@ -193,7 +194,7 @@ def refine_on_dem(
     ----------
     catalog : Catalog
     dem : Dem
-        Of the catalogue's body.
+        Elevation model of the catalogue's body.
     options : RefineOptions, optional
     progress : callable, optional
         Called with the number of craters done and of all.

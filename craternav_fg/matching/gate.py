@@ -46,8 +46,8 @@ class Matches:
     gTb : ndarray, shape (4, 4)
         Predicted pose, updated by the matched rims.
     pose_covariance : ndarray, shape (6, 6)
-        Of the attitude error (rotation vector in b, rad) and the position error in g, m. It contains prior
-        and rims: use it as a guide, and not together with measurements of the same image.
+        Covariance of the attitude error (rotation vector in b, rad) and the position error in g, m. It
+        contains prior and rims: use it as a guide, and not together with measurements of the same image.
     distance2 : float
         Squared Mahalanobis norm of the matched rims' residuals and of the correction together.
     """
@@ -75,15 +75,15 @@ def match_rims(
     charts : ndarray, shape (n, 5)
         Ellipse charts in normalised image coordinates.
     covariances : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariances of the charts.
     camera : Camera
         Without distortion.
     catalog : Catalog
     gTb : ndarray, shape (4, 4)
         Predicted pose of the body.
     pose_covariance : ndarray, shape (6, 6)
-        Of the prediction, positive definite: attitude error (rotation vector in b, rad), position error in g,
-        m. The standard deviation of the position should be at most about half the altitude.
+        Covariance of the prediction, positive definite: attitude error (rotation vector in b, rad), position
+        error in g, m. The standard deviation of the position should be at most about half the altitude.
     options : GateOptions
 
     Returns

@@ -120,9 +120,9 @@ class GateSearch:
     prior : ndarray, shape (4, 4)
         Predicted pose gTb.
     covariance : ndarray, shape (6, 6)
-        Of the prediction: attitude (rotation vector in b, rad), position in g, m.
+        Covariance of the prediction: attitude (rotation vector in b, rad), position in g, m.
     charts : ndarray, shape (n, 5)
-        Of the rims, normalised image coordinates.
+        Charts of the rims, normalised image coordinates.
     rows : ndarray of int, shape (m,)
         Rows of the catalogue of the craters that the image may show.
     gate : float

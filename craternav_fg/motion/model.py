@@ -34,7 +34,7 @@ class Motion:
     name : str
         "coast", "white_acceleration" or "white_jerk".
     kind : int
-        Of `factors.kernels.motion`.
+        Number of the model in `factors.kernels.motion`.
     acceleration_density : float
         White noise of the acceleration, m/s^2/sqrt(Hz).
     jerk_density : float
@@ -89,7 +89,7 @@ class Motion:
         rows : (ndarray, ndarray)
             Durations (m,), s, and angular velocities (m, 3) in b, rad/s, from which the bias is subtracted.
         noise : ImuNoise
-            Of the gyro and the process.
+            Noise of the gyro and the process.
 
         Returns
         -------

@@ -114,7 +114,7 @@ def initial_from_fix(stamp_ns: int, fix: PoseFix, gV: FloatArray, velocity_sigma
     Parameters
     ----------
     stamp_ns : int
-        Of the pose's frame.
+        Stamp of the pose's frame.
     fix : PoseFix
     gV : ndarray, shape (3,)
         Velocity relative to g, in g, m/s.

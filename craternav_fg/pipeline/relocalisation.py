@@ -102,7 +102,7 @@ class Relocaliser:
         Parameters
         ----------
         index : int
-            Of the frame. Its image is used, or its rims when the data set holds the measurements.
+            Index of the frame. Its image is used, or its rims when the data set holds the measurements.
 
         Returns
         -------
@@ -129,7 +129,7 @@ class Relocaliser:
         Parameters
         ----------
         index : int
-            Of the frame.
+            Index of the frame.
         gTb : ndarray, shape (4, 4)
             Predicted pose of the body in g, m.
         pose_covariance : ndarray, shape (6, 6)

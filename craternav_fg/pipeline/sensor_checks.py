@@ -31,7 +31,7 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
     ----------
     problems : sequence of Problem
     folder : Path
-        Of the data set, for messages.
+        Folder of the data set, for messages.
 
     Raises
     ------

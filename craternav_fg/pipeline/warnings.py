@@ -99,11 +99,11 @@ def inconsistent_sensors(
     Parameters
     ----------
     name : str
-        Of the filter.
+        Name of the filter.
     innovations : Innovations or None
         Its innovations, if it ran.
     residuals : mapping of str to ResidualSummary
-        Of a smoother, by sensor; empty without one.
+        Residuals of a smoother, by sensor; empty without one.
     images : bool
         Whether rims and sun tilts were measured in images. Most of their errors are common to all frames;
         so their innovations are smaller than their noise, and their residuals have a mean.

@@ -25,7 +25,7 @@ def draw_rims(
     ----------
     frames : sequence of FrameMeasurement, length k
     poses : ndarray, shape (k, 4, 4)
-        Of the body in g, m.
+        Poses of the body in g, m.
     camera : Camera
     catalog : Catalog
 

@@ -73,7 +73,7 @@ def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, rad
     ----------
     catalog : Catalog
     latitude_rad, longitude_rad : float
-        Of the place.
+        Coordinates of the place.
     radius_m : float
         From the place to the border.
 

@@ -78,7 +78,7 @@ def overlay(dataset: Dataset, result: Reconstruction, index: int) -> Overlay:
         With images.
     result : Reconstruction
     index : int
-        Of the frame.
+        Index of the frame.
 
     Returns
     -------

@@ -259,7 +259,7 @@ class GroundTrack:
     first, ahead, pole : ndarray, shape (3,)
         Unit vectors in g: to the first position, along the track there, and to the left of it.
     radius_km : float
-        Of the body's sphere.
+        Radius of the body's sphere.
     """
 
     first: FloatArray

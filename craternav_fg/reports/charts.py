@@ -57,7 +57,7 @@ def line(x: Iterable[Any], y: Iterable[Any], name: str, axis: int = 1, **more: A
     ----------
     x, y : iterable of float
     name : str
-        Of the series: the buttons of the page show and hide it.
+        Name of the series: the buttons of the page show and hide it.
     axis : int
         Which of the panels.
     more : object
@@ -89,7 +89,7 @@ def panels(titles: Sequence[str], heights: Sequence[float], *, logarithmic: bool
     Parameters
     ----------
     titles : sequence of str
-        Of the vertical axes, from the top.
+        Titles of the vertical axes, from the top.
     heights : sequence of float
         Relative.
     logarithmic : bool
@@ -274,7 +274,7 @@ def residual_chart(residuals: pa.Table, first_stamp_ns: int, name: str) -> Chart
     first_stamp_ns : int
         Zero of the time axis.
     name : str
-        Of the estimator.
+        Name of the estimator.
 
     Returns
     -------

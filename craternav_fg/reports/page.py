@@ -145,7 +145,7 @@ class Page:
     series : sequence of (str, str)
         Name and colour of each estimator, which the reader can show and hide in all charts and tables.
     times_s : sequence of float
-        Of the frames, for the slider; empty without one.
+        Times of the frames, for the slider; empty without one.
     """
 
     title: str

@@ -106,7 +106,7 @@ def shows_overconfidence(name: str, anees: float | None) -> bool:
     Parameters
     ----------
     name : str
-        Of the estimator: baselines are known for it.
+        Name of the estimator: baselines are known for it.
     anees : float or None
 
     Returns

@@ -40,8 +40,8 @@ def inline_svg(figure: Figure, name: str) -> Markup:
     ----------
     figure : Figure
     name : str
-        Of the drawing, unique in the page: the identifiers of its parts begin with it. Lower-case letters,
-        digits and hyphens.
+        Name of the drawing, unique in the page: the identifiers of its parts begin with it. Lower-case
+        letters, digits and hyphens.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def mark(axes: Iterable[Axes], names: Iterable[str]) -> None:
     ----------
     axes : iterable of Axes
     names : iterable of str
-        Of the series. A label may continue after the name: `smoother (mean 6.1)`.
+        Names of the series. A label may continue after the name: `smoother (mean 6.1)`.
     """
     known = list(names)
     for number, line in enumerate(line for panel in axes for line in panel.get_lines()):

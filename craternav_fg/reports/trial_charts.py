@@ -22,7 +22,7 @@ def trial_blocks(campaign: Campaign, names: list[str]) -> list[Block]:
     ----------
     campaign : Campaign
     names : list of str
-        Of the estimators; by the first one trials are worse or better.
+        Names of the estimators; the trials are ordered by the errors of the first one.
 
     Returns
     -------

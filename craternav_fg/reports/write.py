@@ -26,7 +26,7 @@ def report(folder: Path | str | Sequence[Path | str], output: Path | str | None 
     Parameters
     ----------
     folder : Path or str, or a sequence of them
-        Of the run or the campaign, or of several runs.
+        Folder of the run or the campaign, or of several runs.
     output : Path or str, optional
         The page; `report.html` in the folder, or in the first one, by default.
 

@@ -99,7 +99,7 @@ def fig03(data: pa.Table) -> Reproduction:
     Parameters
     ----------
     data : pyarrow.Table
-        Of `simulate`.
+        See `simulate`.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def fig04(data: pa.Table) -> Reproduction:
     Parameters
     ----------
     data : pyarrow.Table
-        Of `simulate`.
+        See `simulate`.
 
     Returns
     -------

@@ -232,7 +232,7 @@ def compared_with_three(
     Parameters
     ----------
     conditions : mapping of float to Condition
-        Of two craters, by altitude, km.
+        Conditions of two craters, by altitude, km.
     three : pyarrow.Table
         Trials of three craters.
     options : ReproduceOptions

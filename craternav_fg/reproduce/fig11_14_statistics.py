@@ -41,7 +41,7 @@ class Condition:
     Parameters
     ----------
     data : pyarrow.Table
-        Of `fig11_14_trials.simulate`.
+        See `fig11_14_trials.simulate`.
     altitude_m, noise_px : float
     unit : {"m", "deg"}
         Position or attitude.

@@ -49,7 +49,7 @@ def draw_up(name: str, data: pa.Table) -> Reproduction:
     name : str
         fig15 to fig18.
     data : pyarrow.Table
-        Of `fig15_18_trials.simulate`.
+        See `fig15_18_trials.simulate`.
 
     Returns
     -------

@@ -175,7 +175,7 @@ class Descents:
     Parameters
     ----------
     data : pyarrow.Table
-        Of `simulate`.
+        See `simulate`.
     unit : {"m", "deg"}
         Position or attitude.
     """

@@ -57,9 +57,9 @@ class RimErrors:
     ----------
     centre_px : ndarray, shape (n, 2)
     axes_px : ndarray, shape (n, 2)
-        Of the semi-major and the semi-minor axis.
+        Errors of the semi-major and the semi-minor axis.
     chi2 : ndarray, shape (n,)
-        Of the chart, five degrees of freedom.
+        Chi-square of the chart, five degrees of freedom.
     minor_px : ndarray, shape (n,)
         True semi-minor axes.
     expected : int
@@ -87,7 +87,7 @@ def predicted(one: Scene, error: PredictionError, rng: np.random.Generator) -> t
     gTb : ndarray, shape (4, 4)
         Predicted pose.
     covariance : ndarray, shape (6, 6)
-        Of the rotation in b, rad, and of the position in g, m.
+        Covariance of the rotation in b, rad, and of the position in g, m.
     """
     shift_rad = error.shift_px / one.camera.focal_px
     range_m = one.range_m

@@ -180,7 +180,7 @@ def draw_rows(rows: Sequence[Row]) -> Figure:
     Parameters
     ----------
     rows : sequence of Row
-        Of `image_row`.
+        See `image_row`.
 
     Returns
     -------

@@ -68,7 +68,7 @@ class Reproduction:
     Attributes
     ----------
     name : str
-        Of the figure, such as fig02.
+        Name of the figure, such as fig02.
     title : str
         One line.
     rows : sequence of Row

@@ -65,7 +65,7 @@ class Kept:
     few_rims_rms_m : float
         The same over the frames with one or two rims; NaN without such frames.
     anees : float
-        Of the pose, 6 expected.
+        ANEES of the pose, 6 expected.
     anees_by_altitude : tuple of float
         In the bins of `BINS_KM`.
     from_chart_sigmas : float
@@ -123,7 +123,7 @@ def evaluate(data: pa.Table) -> dict[tuple[RimModel, str], Kept]:
     Parameters
     ----------
     data : pyarrow.Table
-        Of `rim_models`.
+        See `rim_models`.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def note(kept: dict[tuple[RimModel, str], Kept], trials: int) -> str:
     Parameters
     ----------
     kept : dict of (str, str) to Kept
-        Of `evaluate`.
+        See `evaluate`.
     trials : int
 
     Returns

@@ -76,7 +76,7 @@ def reproduce(
     Parameters
     ----------
     names : sequence of str
-        Of `FIGURES` and `OTHERS`.
+        Names from `FIGURES` and `OTHERS`.
     options : ReproduceOptions
     progress : callable, optional
 

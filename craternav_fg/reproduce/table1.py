@@ -31,7 +31,7 @@ def errors_px(rims: pa.Table, kind: str, method: str) -> FloatArray:
     Parameters
     ----------
     rims : pyarrow.Table
-        Of `Sets`.
+        See `Sets`.
     kind, method : str
 
     Returns

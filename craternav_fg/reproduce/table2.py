@@ -32,7 +32,7 @@ def table2(data: pa.Table, options: ReproduceOptions) -> Reproduction:
     Parameters
     ----------
     data : pyarrow.Table
-        Of `table2_trials.simulate`.
+        See `table2_trials.simulate`.
     options : ReproduceOptions
 
     Returns

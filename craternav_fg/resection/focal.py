@@ -137,7 +137,7 @@ def with_unknown_focal(
     ----------
     problem : ResectionProblem
     result : ResectionResult
-        Of `solve` or `solve_robustly`.
+        Result of `solve` or `solve_robustly`.
     sigma : float
         Relative standard deviation of the camera's focal length.
 

@@ -54,7 +54,7 @@ class MatchedRims:
     chart : ndarray, shape (n, 5)
         Measured ellipse charts in normalised image coordinates (see `RimSet`).
     covariance : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariance of the charts.
     whitening : ndarray, shape (n, 5, 5)
         Lower triangular W with W S W' = 1, S the covariance; computed here.
 
@@ -327,7 +327,7 @@ class PoseSolution:
     cost : float
         Squared norm of all whitened residuals that were minimised, those of prior and sun included.
     probability : float
-        Of this pose among those found.
+        Probability of this pose among those found.
     """
 
     gTb: FloatArray

@@ -44,7 +44,7 @@ class RobustOptions:
         Factors on the standard deviations of the rims that are tried. The first is used when it makes more
         than half of the rims agree, else the one with the most evidence.
     solve : SolveOptions
-        Of the solution from the rims that agree.
+        Options of the solution from the rims that agree.
     """
 
     gate: float = 30.0

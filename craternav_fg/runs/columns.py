@@ -39,7 +39,7 @@ def list_values(column: pa.ChunkedArray) -> FloatArray | None:
     Parameters
     ----------
     column : pyarrow.ChunkedArray, shape (n,)
-        Of fixed-size lists of d numbers.
+        Column of fixed-size lists of d numbers.
 
     Returns
     -------

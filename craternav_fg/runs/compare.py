@@ -47,7 +47,7 @@ def from_reference_m(run: Run, name: str) -> float | None:
     ----------
     run : Run
     name : str
-        Of the estimator.
+        Name of the estimator.
 
     Returns
     -------

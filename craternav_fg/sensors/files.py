@@ -31,12 +31,12 @@ def read_sensor(
     Parameters
     ----------
     folder : Path
-        Of the data set.
+        Folder of the data set.
     kind : type
         The sensor's class.
     surroundings : Surroundings
     begin_ns, end_ns : int
-        Of the descent: stamps outside are refused.
+        Begin and end of the descent: stamps outside are refused.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def write_sensor(folder: Path, sensor: Sensor) -> None:
     Parameters
     ----------
     folder : Path
-        Of the data set.
+        Folder of the data set.
     sensor : Sensor
     """
     here = folder / folder_of(sensor.name)

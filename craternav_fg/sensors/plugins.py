@@ -15,7 +15,7 @@ class Plugin:
     Attributes
     ----------
     name : str
-        Of the entry point.
+        Name of the entry point.
     package : str
         Whose it is.
     value : object
@@ -37,7 +37,7 @@ def plugins(group: str) -> Iterator[Plugin]:
     Parameters
     ----------
     group : str
-        Of entry points, such as "craternav_fg.sensors".
+        Group of entry points, such as "craternav_fg.sensors".
 
     Yields
     ------

@@ -67,7 +67,7 @@ class FeatureTracks:
     ----------
     settings : FeatureSettings
     stamps_ns : ndarray of int, shape (n,)
-        Of the observations, not decreasing: stamps of frames, ns.
+        Stamps of the observations, not decreasing: stamps of frames, ns.
     tracks : ndarray of int, shape (n,)
         Which ground point each is of, a number without meaning.
     points_px : ndarray, shape (n, 2)
@@ -102,7 +102,7 @@ def read_features(folder: Path, camera: Camera, frames_ns: IntArray) -> FeatureT
     Parameters
     ----------
     folder : Path
-        Of the data set.
+        Folder of the data set.
     camera : Camera
     frames_ns : ndarray of int, shape (k,)
         Stamps of the frames, ns.
@@ -150,7 +150,7 @@ def write_features(folder: Path, tracks: FeatureTracks) -> None:
     Parameters
     ----------
     folder : Path
-        Of the data set.
+        Folder of the data set.
     tracks : FeatureTracks
     """
     here = folder / FOLDER

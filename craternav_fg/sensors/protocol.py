@@ -169,7 +169,7 @@ class Sensor(ABC):
         Parameters
         ----------
         row : int
-            Of the sample.
+            Row of the sample.
         state : SensorState
         bias : ndarray, shape (b,)
             In the unit of `bias_sigmas`.
@@ -216,7 +216,7 @@ class Sensor(ABC):
         Parameters
         ----------
         row : int
-            Of the sample.
+            Row of the sample.
 
         Returns
         -------
@@ -249,7 +249,7 @@ class Sensor(ABC):
         Parameters
         ----------
         settings : SensorSettings
-            Of this sensor's class.
+            Settings of this sensor's class.
         states : sequence of SensorState
             True states at the samples, n of them.
         surroundings : Surroundings

@@ -79,7 +79,7 @@ class Velocimeter(Sensor):
         row : int
         state : SensorState
         bias : ndarray, shape (k,) or (0,)
-            Of each beam, m/s.
+            Bias of each beam, m/s.
 
         Returns
         -------
@@ -108,7 +108,7 @@ class Velocimeter(Sensor):
         ----------
         state : SensorState
         bias : ndarray, shape (k,) or (0,)
-            Of each beam, m/s.
+            Bias of each beam, m/s.
         rng : numpy.random.Generator
 
         Returns

@@ -111,7 +111,7 @@ def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
     path : Path
         For messages.
     text : str
-        Of the file, to find the line.
+        Text of the file, to find the line.
     data : tuple of float
         Row by row.
 

@@ -39,7 +39,7 @@ class ViewOptions:
     field_deg : float
         Field of view across the square image.
     largest_tilt_deg : float
-        Of the optical axis from nadir; the tilt is uniform from 0.
+        Largest angle of the optical axis from nadir; the tilt is uniform from 0.
     sigma_px : float
         Noise of each coordinate of a centre. That of each semi-axis is half of it, and at most a tenth of
         the axis.

@@ -103,7 +103,7 @@ def flat_axes(semi_major: float, semi_minor: float, angle_rad: float) -> FloatAr
     ----------
     semi_major, semi_minor : float
     angle_rad : float
-        Of the major axis, from x towards y.
+        Direction of the major axis, from x towards y.
 
     Returns
     -------
@@ -200,7 +200,7 @@ def random_triple(rng: np.random.Generator, altitude: float, tilt_rad: float) ->
     altitude : float
         In radii.
     tilt_rad : float
-        Of the optical axis from nadir.
+        Angle of the optical axis from nadir.
 
     Returns
     -------

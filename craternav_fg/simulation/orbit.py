@@ -29,7 +29,7 @@ class Orbit(Track):
     model : MotionModel
         Without a gyro.
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames, from 0.
+        Stamps of the frames, from 0.
     rng : numpy.random.Generator
     """
 

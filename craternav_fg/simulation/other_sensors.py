@@ -35,7 +35,7 @@ def simulate_sensors(
     surroundings : Surroundings
         The true ones.
     begin_ns, end_ns : int
-        Of the log.
+        Begin and end of the log.
     rng : numpy.random.Generator
 
     Returns
@@ -81,7 +81,7 @@ def simulate_tracks(
         `[sensors]` of the scenario.
     camera : Camera
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames, ns.
+        Stamps of the frames, ns.
     gTb : ndarray, shape (k, 4, 4)
         True poses of the body in g, m.
     surroundings : Surroundings

@@ -60,7 +60,7 @@ def four_craters(seed: int) -> Scene:
     Parameters
     ----------
     seed : int
-        Of the clutter and the sensor noise.
+        Seed of the clutter and the sensor noise.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def single_crater(rng: np.random.Generator, altitude_m: float, seed: int) -> Sin
     rng : Generator
     altitude_m : float
     seed : int
-        Of the terrain.
+        Seed of the terrain.
 
     Returns
     -------

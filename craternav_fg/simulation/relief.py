@@ -41,7 +41,7 @@ class ReliefOptions:
     coarsest_m : float
         Lattice spacing of the coarsest octave, rounded down to a power of two.
     seed : int
-        Of the lattice values.
+        Seed of the lattice values.
     """
 
     slope: float = 0.012

@@ -37,7 +37,7 @@ class Hapke:
     single_scattering_albedo : float
         Share of the light that a grain scatters, above 0 and below 1.
     asymmetry : float
-        Of the Henyey-Greenstein phase function: below 0 the grains scatter back.
+        Asymmetry of the Henyey-Greenstein phase function: below 0 the grains scatter back.
     opposition_amplitude, opposition_width : float
         B0 and h of the surge of brightness near zero phase.
     """

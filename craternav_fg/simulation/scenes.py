@@ -42,11 +42,11 @@ class Ground:
     Attributes
     ----------
     density, separation : float
-        Of the craters, see `CraterFieldOptions`.
+        Density and separation of the craters, see `CraterFieldOptions`.
     slope : float
         Roughness of the terrain, see `ReliefOptions`.
     irregularity : float
-        Of the outlines, see `TerrainOptions`.
+        Irregularity of the outlines, see `TerrainOptions`.
     tilt_deg : tuple of float
         Smallest and largest tilt of the camera from nadir.
     size_px : int

@@ -33,7 +33,7 @@ def sensor_plan(name: str, table: Mapping[str, Any]) -> tuple[type[Sensor], Sens
     Parameters
     ----------
     name : str
-        Of the sensor.
+        Name of the sensor.
     table : mapping
         As read.
 

@@ -49,7 +49,7 @@ class World:
     camera : Camera
         With its true mounting.
     stamps_ns : ndarray of int, shape (k,)
-        Of the frames.
+        Stamps of the frames.
     sun : SunVectors
     relief : Relief or None
         None where the scenario has no terrain.

@@ -134,7 +134,7 @@ class Table:
         Parameters
         ----------
         column : str
-            Of integers.
+            Column of integers.
 
         Raises
         ------

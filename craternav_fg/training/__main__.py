@@ -30,7 +30,7 @@ def collect(folder: Path, number: int) -> Path | None:
     ----------
     folder : Path
     number : int
-        Of the scene: determines it.
+        Number of the scene, which determines it.
 
     Returns
     -------

@@ -30,7 +30,7 @@ class Examples(NamedTuple):
     Attributes
     ----------
     inputs : ndarray of float32, shape (n, k)
-        Of `judge.features`, dimensionless.
+        See `judge.features`, dimensionless.
     wanted : ndarray, shape (n,)
         Probabilities: 1 for a crater, 0 for none.
     """

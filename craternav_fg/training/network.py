@@ -26,7 +26,7 @@ class TrainingOptions:
         Units of the hidden layers.
     epochs, batch : int
     rate : float
-        Of learning at the start; it falls to zero by a cosine.
+        Learning rate at the start; it falls to zero by a cosine.
     weight_decay : float
     dropout : float
         Share of the inputs that are left out at random.

@@ -66,7 +66,7 @@ def judge(
     Parameters
     ----------
     edges : EdgePoints
-        Of n points.
+        n points.
     chart_px : ndarray, shape (5,)
         Predicted rim, chart in pixels.
     minor_px : float

@@ -106,7 +106,7 @@ class BlindOptions:
     min_quality_sun_unknown : float
         The same when there are too few candidates to agree.
     fit : FitOptions
-        Of the ellipse fit, with the systematic floor.
+        Options of the ellipse fit, with the systematic floor.
 
     Raises
     ------
@@ -165,7 +165,7 @@ class FoundRims:
     charts_px : ndarray, shape (n, 5)
         The same as ellipse charts in pixels.
     covariance_px : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariances of the charts.
     quality : ndarray, shape (n,)
         0 to 1: approximate probability, on rendered ground, that it is a crater's rim.
     local_sun_angles_rad : ndarray, shape (n,)
@@ -349,9 +349,9 @@ def gather(
     ----------
     fits : list of RimFit
     quality, local_sun_angles_rad : list of float
-        Of each rim, see `FoundRims`.
+        Quality and direction towards the sun of each rim, see `FoundRims`.
     sun_angle_rad : float
-        Of the image.
+        Direction towards the sun in the image.
     """
     order = np.argsort(-np.array(quality), kind="stable")
     charts = np.array([fits[i].chart_px for i in order]).reshape(-1, 5)

@@ -104,7 +104,7 @@ class RimFit:
     chart : ndarray, shape (5,)
         Ellipse chart in normalised image coordinates, bias removed.
     errors : RimErrors
-        Of the chart.
+        Errors of the chart.
     chart_px : ndarray, shape (5,)
         The same ellipse as a chart in pixels.
     rms_px : float

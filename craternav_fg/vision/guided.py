@@ -98,8 +98,8 @@ class GuidedFrontEnd:
         gTb : ndarray, shape (4, 4)
             Predicted pose of the body in g.
         pose_covariance : ndarray, shape (6, 6)
-            Of the prediction, positive definite: attitude error (rotation vector in b, rad), position error
-            in g, m.
+            Covariance of the prediction, positive definite: attitude error (rotation vector in b, rad),
+            position error in g, m.
         sun_g : ndarray, shape (3,)
             Unit vector towards the sun in g.
 

@@ -41,17 +41,18 @@ class GuidedOptions:
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     edges : EdgeOptions
-        Of the edge points.
+        Options of the edge points.
     fit : FitOptions
-        Of the ellipse fit, with the systematic floor and the expected deviation of outlines from ellipses.
+        Options of the ellipse fit, with the systematic floor and the expected deviation of outlines from
+        ellipses.
     correlated_errors : CorrelatedErrorOptions
         Errors that are correlated over frames or over rims.
     arcs : ArcOptions
-        Of rims that are seen in part.
+        Options of rims that are seen in part.
     sun : SunOptions
-        Of the sun's tilt.
+        Options of the sun's tilt.
     points : PointTrackOptions
-        Of points tracked from image to image; none by default.
+        Options of points tracked from image to image; none by default.
     """
 
     min_semi_minor_px: float = 12.0

@@ -51,7 +51,7 @@ class Network:
         Parameters
         ----------
         inputs : ndarray of float32, shape (n, inputs)
-            Of `features`, dimensionless.
+            See `features`, dimensionless.
 
         Returns
         -------
@@ -90,7 +90,7 @@ def features(image: Float32Array, candidates: Candidates, sun_angles_rad: FloatA
     image : ndarray of float32, shape (H, W)
         Brightness, 0 to 255, finite.
     candidates : Candidates
-        Of n craters.
+        n candidates.
     sun_angles_rad : ndarray, shape (n,)
         Direction towards the sun in the image at each.
 
@@ -154,7 +154,7 @@ def crater_probability(image: Float32Array, candidates: Candidates, sun_angles_r
     image : ndarray of float32, shape (H, W)
         Brightness, 0 to 255, finite.
     candidates : Candidates
-        Of n craters.
+        n candidates.
     sun_angles_rad : ndarray, shape (n,)
         Direction towards the sun in the image at each.
 

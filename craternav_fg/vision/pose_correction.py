@@ -35,14 +35,14 @@ def corrected_pose(
     residual : ndarray, shape (n, k)
         Measured minus predicted at `pose`.
     covariance : ndarray, shape (n, k, k)
-        Of the measurements.
+        Covariance of the measurements.
 
     Returns
     -------
     gTb : ndarray, shape (4, 4)
         Maximum a posteriori pose under a redescending loss.
     covariance : ndarray, shape (6, 6)
-        Of its right twist.
+        Covariance of its right twist.
     """
     Rt = predicted[:3, :3].T
     moved = np.concatenate([frames.rotation_log(Rt @ pose[:3, :3]), Rt @ (pose[:3, 3] - predicted[:3, 3])])

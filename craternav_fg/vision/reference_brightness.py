@@ -34,7 +34,7 @@ class ReferenceBrightness:
         Brightness, 0 to 255.
     camera : Camera
     radius_m : float
-        Of the ground's sphere about the origin of g.
+        Radius of the ground's sphere about the origin of g.
     gTb : ndarray, shape (4, 4)
         Predicted pose of the body in g.
     sun_g : ndarray, shape (3,)

@@ -28,11 +28,11 @@ class FittedRims:
     Attributes
     ----------
     predicted : PredictedRims
-        Of n rims.
+        Predictions of n rims.
     charts : ndarray, shape (n, 5)
         Measured ellipse charts in normalised image coordinates.
     errors : RimErrors
-        Of the charts.
+        Errors of the charts.
     quality : RimQuality
     """
 

@@ -27,7 +27,7 @@ def fuse_updates(
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
-        Of the common prior.
+        Covariance of the common prior.
     updates : sequence of LinearMeasurement
         One per sub-filter, at least one, all on the same k first states.
     rule : {"exact", "paper-fed-back", "covariance-intersection"}
@@ -40,7 +40,7 @@ def fuse_updates(
     delta : ndarray, shape (n,)
         Correction of the prior's mean, in the units of the error state.
     covariance : ndarray, shape (n, n)
-        Of the fused estimate.
+        Covariance of the fused estimate.
 
     References
     ----------

@@ -29,7 +29,7 @@ class DetectedRims:
     charts : ndarray, shape (n, 5)
         The same in normalised image coordinates.
     covariance : ndarray, shape (n, 5, 5)
-        Of `charts`.
+        Covariance of `charts`.
     sunward_rad : ndarray, shape (n,)
         Direction in the image, from x towards y, in which each crater's wall is darkest.
     """

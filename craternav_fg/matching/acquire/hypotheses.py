@@ -35,7 +35,7 @@ class Prior:
     gTb : ndarray, shape (4, 4)
         Pose.
     covariance : ndarray, shape (6, 6)
-        Of the attitude error (rotation vector in b, rad) and the position error in g, m.
+        Covariance of the attitude error (rotation vector in b, rad) and the position error in g, m.
     """
 
     gTb: FloatArray
@@ -73,7 +73,7 @@ class Rims:
     charts : ndarray, shape (n, 5)
         Ellipse charts in normalised image coordinates.
     covariance : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariance of the charts.
     weights : ndarray, shape (n, 5, 5)
         Inverses of the covariances.
     sunward_rad : ndarray, shape (n,)

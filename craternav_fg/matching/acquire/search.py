@@ -49,7 +49,7 @@ class AcquireOptions:
     Attributes
     ----------
     detect : BlindOptions
-        Of the detection of rims.
+        Options of the detection of rims.
     seeds : int
         Number of rims, the largest first, that are taken for each crater in turn.
     hypotheses : int
@@ -92,8 +92,9 @@ class Acquisition:
     gTb : ndarray, shape (4, 4)
         Pose of the body.
     pose_covariance : ndarray, shape (6, 6)
-        Of the attitude error (rotation vector in b, rad) and the position error in g, m. It contains prior
-        and image: use it to guide a detector, and not together with measurements of the same image.
+        Covariance of the attitude error (rotation vector in b, rad) and the position error in g, m. It
+        contains prior and image: use it to guide a detector, and not together with measurements of the same
+        image.
     score : float
         Minus the decimal logarithm of the expected number of poses, among all tried, that explain as many
         rims by chance.
@@ -127,8 +128,9 @@ def acquire(
     gTb : ndarray, shape (4, 4)
         Predicted pose.
     pose_covariance : ndarray, shape (6, 6)
-        Of the prediction: attitude error (rotation vector in b, rad), position error in g, m. The standard
-        deviation of the position must be a small share of the altitude; the attitude may be almost unknown.
+        Covariance of the prediction: attitude error (rotation vector in b, rad), position error in g, m. The
+        standard deviation of the position must be a small share of the altitude; the attitude may be almost
+        unknown.
     sun_g : ndarray, shape (3,)
         Unit vector towards the sun in g.
     options : AcquireOptions, optional
@@ -170,7 +172,7 @@ def image_spread_px(camera: Camera, radius_m: float, gTb: FloatArray, pose_covar
     ----------
     camera : Camera
     radius_m : float
-        Of the body.
+        Radius of the body.
     gTb : ndarray, shape (4, 4)
         Predicted pose.
     pose_covariance : ndarray, shape (6, 6)

@@ -36,7 +36,7 @@ class Identification:
     gTc, gTb : ndarray, shape (4, 4)
         Pose of the camera and of the body in g; NaN without an answer.
     covariance : ndarray, shape (6, 6)
-        Of the body's pose, for its right twist [w, rho] in b, rad and m; NaN without an answer.
+        Covariance of the body's pose, for its right twist [w, rho] in b, rad and m; NaN without an answer.
     log_chance : float
         Natural logarithm of an upper bound on the probability that chance explains the rims as well, over
         all poses that were searched. Without an answer, that of the best pose found.

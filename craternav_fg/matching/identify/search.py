@@ -239,7 +239,7 @@ def identify(
         the lens.
     camera : Camera
     index : TripleIndex
-        Of the catalogue.
+        The catalogue's index.
     attitude : KnownAttitude, optional
         One that is known exactly is used with a standard deviation of 1e-5 rad.
     options : IdentifyOptions

@@ -121,7 +121,7 @@ def angles(seen: PaperRims, position: FloatArray) -> tuple[FloatArray, FloatArra
     ----------
     seen : PaperRims
     position : ndarray, shape (3,)
-        Of the camera in g, m.
+        Position of the camera in g, m.
 
     Returns
     -------

@@ -140,7 +140,7 @@ def correlated_roots(
     Parameters
     ----------
     errors : RimErrors
-        Of n rims.
+        Errors of n rims.
     rows : ndarray of int, shape (n,)
         The rims' craters in the catalogue.
     gTb : ndarray, shape (4, 4)
@@ -217,7 +217,7 @@ def split(
     Parameters
     ----------
     errors : RimErrors
-        Of n rims, scaled by the frame's variance factor.
+        Errors of n rims, scaled by the frame's variance factor.
     variance_factor : float
         See `frame_scatter.variance_factor`.
     rows, gTb, sun_g, camera, catalog, options
@@ -226,7 +226,7 @@ def split(
     Returns
     -------
     covariance : ndarray, shape (n, 5, 5)
-        Of the whole error.
+        Covariance of the whole error.
     correlated, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
         Roots of the time-correlated and the shared part of it.
     """
