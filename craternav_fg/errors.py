@@ -36,7 +36,7 @@ class InputError(CraternavError):
         self.column = column
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by its text and attributes: the text holds all arguments, so it cannot be composed anew."""
+        """Pickle by its text and attributes: the text holds all arguments, so it cannot be composed again."""
         return self.__class__.__new__, (self.__class__, *self.args), self.__dict__
 
 

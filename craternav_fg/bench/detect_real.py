@@ -1,4 +1,4 @@
-"""Blind detection against people's annotation of real images; the images are not shipped."""
+"""Scores of blind detection on annotated real images, which are not shipped."""
 
 import csv
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Blind detection: the quality of a rim, and what candidates tell of size, contrast and light.
+"""Blind detection: quality of a rim; size, contrast and illumination direction from candidates.
 
 The quality is a logistic regression of right and wrong fits: of candidates on smooth, irregular and textured
 cratered ground, on rough ground without craters, and on noise. These three kinds of image count alike.

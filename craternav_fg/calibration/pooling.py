@@ -1,4 +1,4 @@
-"""How long a crater's usual covariance is remembered, and how much the first frame counts for it.
+"""Memory of a crater's pooled covariance, and how many frames its prior counts for.
 
 What a fit claims, beside the other rims of its frame, is modelled as a part that belongs to the crater and
 fades as its image changes, and a part that is new in each frame. The prior of the best mean over frames

@@ -1,4 +1,4 @@
-"""By how much the variance of correlated errors is inflated by who takes them as white.
+"""Variance inflation for estimators that treat correlated errors as white.
 
 The filter is run on simulated descents whose rims err as the error model says: white, time-correlated and
 shared. The inflation sought is that with which its mean squared normalised error is what it should be.

@@ -1,4 +1,4 @@
-"""Columns of crater catalogues: the names of ours, and recognition of those of others."""
+"""Columns of crater catalogues: our names, and recognition of the names in third-party tables."""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Catalogue files: tables with the columns of Robbins (2018), tables of others, and our own store."""
+"""Catalogue files: tables with the columns of Robbins (2018), third-party tables, and our own store."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Tables as others write them: any separator, a preamble, broken lines that are skipped and counted."""
+"""Third-party tables: any separator, a preamble, broken lines that are skipped and counted."""
 
 import csv
 import io

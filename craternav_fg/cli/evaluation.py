@@ -1,4 +1,4 @@
-"""Commands that check a reconstruction by other means: an elevation model, stated states, its own frames."""
+"""Commands that check a reconstruction: against an elevation model, a-priori states, or its own frames."""
 
 import json
 from pathlib import Path
@@ -93,7 +93,7 @@ def apriori(run: RunArgument, name: NameOption = None, as_json: JsonOption = Fal
     """Compare a run with the a-priori states of its data set, such as those from SPICE."""
     result = read_run(run)
     name, trajectory = _trajectory(result, name)
-    _finish(name, offsets(trajectory, _stated(result)), "stated states", as_json)
+    _finish(name, offsets(trajectory, _stated(result)), "a-priori states", as_json)
 
 
 @evaluate_commands.command(
@@ -127,7 +127,7 @@ def _trajectory(run: Run, name: str | None) -> tuple[str, Trajectory]:
 def _stated(run: Run) -> Trajectory:
     stated = Dataset.open(run.dataset).apriori
     if stated is None:
-        raise InputError(run.dataset, "expected a data set with stated states (mav0/state_apriori0)")
+        raise InputError(run.dataset, "expected a data set with a-priori states (mav0/state_apriori0)")
     return stated.states
 
 

@@ -1,4 +1,4 @@
-"""Commands that import images of others as data sets."""
+"""Commands that import images from other sources as data sets."""
 
 import json
 import math

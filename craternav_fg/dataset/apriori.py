@@ -1,4 +1,4 @@
-"""States of the lander that somebody else stated, such as an ephemeris: for comparison, not truth."""
+"""A-priori states of the lander, such as an ephemeris: for comparison, not as truth."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AprioriStates:
-    """Stated states at the frames.
+    """A-priori states at the frames.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class _Sigmas(Section):
 
 
 def read_sigmas(path: Path) -> tuple[float, float]:
-    """Read the standard deviations of stated states.
+    """Read the standard deviations of a-priori states.
 
     Parameters
     ----------

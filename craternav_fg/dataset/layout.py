@@ -107,7 +107,7 @@ over all frames, in steps of at most 0.1 s::
 
     #timestamp,p_RS_R_x [m],...,q_RS_w [],...,v_RS_R_x [m s^-1],...,b_w_RS_S_x [rad s^-1],...
 
-`mav0/state_apriori0/data.csv` (optional): states that somebody else stated, such as an ephemeris, with the
+`mav0/state_apriori0/data.csv` (optional): a-priori states, such as an ephemeris, with the
 columns of the truth; for comparison only. `sensor.yaml` beside it has their standard deviations per axis::
 
     sensor_type: apriori

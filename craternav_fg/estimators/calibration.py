@@ -26,7 +26,7 @@ LEVER_SIGMA_M = 1e-3
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is estimated beside the trajectory: prior standard deviations, 0 for what is taken as known.
+    """Parameters estimated beside the trajectory: prior standard deviations; with 0 one is taken as known.
 
     Attributes
     ----------

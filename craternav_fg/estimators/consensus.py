@@ -1,4 +1,4 @@
-"""A start and first states that many wrong matches do not spoil.
+"""A start and first states that are robust against many wrong matches.
 
 Two rims of an image determine the pose with four redundant measurements, so two wrong matches hardly ever
 agree with each other and the prior. Pairs of the first frames are tried. Each pair that agrees gives a start;

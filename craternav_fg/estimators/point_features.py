@@ -172,7 +172,7 @@ class FeatureStates:
             if track in self._variables and known is not None:
                 graph.push_back(self._factor(number, key, u))
             else:
-                # A point that the solver gave up begins anew.
+                # A point that the solver gave up starts again.
                 self._variables.discard(track)
                 self._waiting.setdefault(track, []).append((number, u))
                 self._begin(graph, values, track, key, pose, known)

@@ -1,6 +1,6 @@
 """Check of poses against an elevation model: shaded ground correlated with the photograph.
 
-The model, the sun and the law of reflectance know nothing of craters or of their catalogue. Around the
+The model, the sun and the law of reflectance do not depend on craters or on their catalogue. Around the
 estimated pose the altitude, a shift of the image and its rotation are sought that correlate best. A shift of
 the image may be a tilt or a shift of the camera alike, so only the altitude is compared with the estimate.
 """

@@ -1,4 +1,4 @@
-"""Offsets of a trajectory from stated states, and of each frame from what the others predict."""
+"""Offsets of a trajectory from a-priori states, and of each frame from its prediction by the others."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-# Prior of a frame that is located by itself: its rims decide.
+# Prior of a frame whose pose is estimated alone: so wide that its rims decide.
 _WIDE_ATTITUDE_RAD, _WIDE_POSITION_M = 0.1, 2e4
 # Fewer rims do not locate a frame by themselves.
 _MIN_RIMS = 6

@@ -1,7 +1,7 @@
 """Consistency without truth: the initial state and each sensor's residuals at a smoothed trajectory.
 
-A smoother bends the states until all data fit. What it bends most tells what is wrong: the initial state and
-the biases leave their priors, or a sensor's residuals have a mean, or are larger or smaller than their noise.
+A smoother fits the states to all data. Wrong data then show: the initial state or a bias leaves its prior, or
+a sensor's residuals have a mean, or are larger or smaller than their noise.
 """
 
 from collections.abc import Mapping, Sequence

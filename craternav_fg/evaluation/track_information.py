@@ -1,4 +1,4 @@
-"""What the tracked points of a descent tell of its poses, for the posterior Cramér-Rao bound."""
+"""Information of a descent's tracked points about its poses, for the posterior Cramér-Rao bound."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Images of others as data sets: ISIS cubes, SPICE kernels, plain images with a table of times.
+"""Images from other sources as data sets: ISIS cubes, SPICE kernels, plain images with a table of times.
 
 `labels` reads an ISIS label and its tables, `isis` a cube, `cubes` many, `spice` the state of a camera from
 kernels, `images` plain images and their times; `assemble` makes the data set. There is no IMU: a motion model

@@ -24,7 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraState:
-    """State of a camera at an image, as somebody else has it.
+    """State of a camera at an image, as SPICE or an ISIS cube gives it.
 
     Attributes
     ----------

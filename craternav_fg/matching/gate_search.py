@@ -4,7 +4,7 @@
    initial pose.
 2. The maximum a posteriori pose of each pair is computed, and the other rims that it explains are counted.
 3. The best poses are expanded: rims and craters are assigned globally under the gate of the pose, the pose is
-   estimated anew from them, and so on until the assignment no longer changes.
+   re-estimated from them, and so on until the assignment no longer changes.
 4. How many wrong poses would explain as many rims by chance is estimated; the search ends when that is small.
 """
 
@@ -39,7 +39,7 @@ _REACH_FACTOR = 3.0
 _BORDER_FACTOR = 1.05
 # Least separation of two rims, rad, that counts for the accuracy of the roll that they give.
 _MIN_SEPARATION_RAD = 0.05
-# Rounds in which an expanded pose is estimated anew.
+# Rounds in which an expanded pose is re-estimated.
 _MAX_EXPANSIONS = 4
 # Rounds of line of sight and range: each depends on the other when the prediction is poor.
 _START_ROUNDS = 3
@@ -359,7 +359,7 @@ class GateSearch:
         )  # fmt: skip
 
     def _expand(self, gTb: FloatArray, covariance: FloatArray) -> ExpandedPose | None:
-        """Assign rims to craters and estimate the pose anew, in turn, until the assignment stays."""
+        """Assign rims to craters and re-estimate the pose, in turn, until the assignment stays."""
         rims, craters = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
         for _ in range(_MAX_EXPANSIONS):
             distances2 = self.distances2(gTb, covariance)

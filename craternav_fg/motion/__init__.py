@@ -1,4 +1,4 @@
-"""Motion models: how the lander moves between images when no accelerometer tells.
+"""Motion models: how the lander moves between images without an accelerometer.
 
 `model` is the interface that estimators use in place of IMU preintegration; `coast`, `white_acceleration` and
 `white_jerk` are the models, `gravity` the field in which `coast` falls, `settings` the table `[motion]` of

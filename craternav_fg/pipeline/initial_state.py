@@ -1,4 +1,4 @@
-"""An initial state from images: two located frames and the motion between them.
+"""An initial state from images: two pose fixes and the motion between them.
 
 The two poses and the IMU, or the motion model, give the velocity, and so an initial state for a data set
 that has none. The estimators measure the same images themselves, so the state must not count as another
@@ -48,7 +48,7 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     Returns
     -------
     InitialState
-        At the first frame's stamp, from the first two frames that were located.
+        At the first frame's stamp, from the first two frames with a pose fix.
 
     Raises
     ------

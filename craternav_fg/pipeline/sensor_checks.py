@@ -1,4 +1,4 @@
-"""Logs that the other sensors refute as they are, and confirm with a usual mistake undone."""
+"""Logs in a wrong unit or order: the other sensors contradict them, and confirm them once corrected."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

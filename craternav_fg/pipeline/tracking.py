@@ -283,6 +283,6 @@ def shared_error(sun: SunTilt | None, count: int) -> SunTilt | None:
     Returns
     -------
     SunTilt or None
-        So many of these weigh together as one of those given.
+        `count` of these have together the weight of the given tilt.
     """
     return None if sun is None else replace(sun, sigma_rad=np.sqrt(count) * sun.sigma_rad)

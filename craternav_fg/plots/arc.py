@@ -1,4 +1,4 @@
-"""Figures of an arc of few frames: rims without their photographs, offsets from stated states."""
+"""Figures of an arc of few frames: rims without their photographs, offsets from a-priori states."""
 
 from collections.abc import Sequence
 

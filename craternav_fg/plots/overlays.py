@@ -27,7 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 # A contact sheet has so many frames, in so many columns.
 SHEET_FRAMES = 12
 _SHEET_COLUMNS = 4
-# Okabe and Ito's colours, bright on dark ground, told apart by hue and by line.
+# Okabe and Ito's colours, bright on dark ground, distinguished by hue and by line.
 MEASURED, PREDICTED, CATALOGUE, SUN = "#F0E442", "#D55E00", "#56B4E9", "#FFFFFF"
 # In the overview, whose images may be bright.
 _SUN_ON_BRIGHT = "#D55E00"

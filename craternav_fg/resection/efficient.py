@@ -218,7 +218,7 @@ def largest_cost(problem: ResectionProblem, options: SolveOptions) -> float:
 def _misfit(problem: ResectionProblem, options: SolveOptions, gTb: FloatArray, cost: float) -> str:
     """Describe the misfit of the best pose, and name what is probably wrong.
 
-    The residuals at the best pose do not tell: a weak source gives way to a strong wrong one. A source is
+    The residuals at the best pose do not show it: a weak source gives way to a strong wrong one. A source is
     blamed when all others agree without it.
     """
     sources = {"prior": problem.prior, "attitude": problem.attitude, "sun": problem.sun}

@@ -1,4 +1,4 @@
-"""Scale of the focal length as a seventh unknown: is the camera's right, and what does its error cost.
+"""Scale of the focal length as a seventh unknown: check of the camera's value, effect of its error.
 
 An error of the focal length moves the camera nearer to the ground or farther away. Only perspective, the
 ground's curvature and tilted views tell the two apart, so the prior of the focal length often decides.

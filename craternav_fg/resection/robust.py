@@ -89,7 +89,7 @@ def solve_robustly(problem: ResectionProblem, options: RobustOptions = RobustOpt
         found = _consensus(problem.inflated(scale), least, options)
         if best is None or found.log_evidence > best.log_evidence:
             best = _scaled_to_residuals(problem, found, scale, least, options)
-        if scale == options.sigma_scales[0] and _settled(found, options):
+        if scale == options.sigma_scales[0] and _majority_agrees(found, options):
             break
     assert best is not None
     result, left_out = best.result, int(np.sum(~best.members))
@@ -133,7 +133,7 @@ def solve_all(problem: ResectionProblem, options: RobustOptions = RobustOptions(
     return scaled if scaled.sigma_scale > 1.0 and not scaled.wrong else result
 
 
-def _settled(found: _Consensus, options: RobustOptions) -> bool:
+def _majority_agrees(found: _Consensus, options: RobustOptions) -> bool:
     """Whether more than half of the rims agree as closely as expected, or there is no evidence to compare."""
     if found.log_evidence == np.inf:
         return True

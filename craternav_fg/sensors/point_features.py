@@ -1,7 +1,7 @@
 """Point features: image points of unknown ground points, followed from frame to frame without a map.
 
-They tell how the lander moved between frames, not where it is: what bridges a stretch without craters. Their
-factor is the reprojection of a ground point that is estimated along (`estimators.point_features`); the filter
+They determine the motion between frames but not the position, and so bridge stretches without craters. Their
+factor is the reprojection of an estimated ground point (`estimators.point_features`); the filter
 eliminates the ground point (`estimators.ekf.point_features`).
 """
 

@@ -1,6 +1,6 @@
 """What a sensor is: its files, its measurement equation and its simulation, in one class.
 
-A sensor of one's own derives from `Sensor` and says
+Your own sensor derives from `Sensor` and defines
 
 - `name`: its folder is `mav0/NAME0`;
 - `Settings`: the keys of its `sensor.yaml` (a subclass of `SensorSettings`);
@@ -196,7 +196,7 @@ class Sensor(ABC):
         """
 
     def outlier(self, values: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw what the sensor says when it fails: each value off by up to half of itself.
+        """Draw a faulty sample: each value is wrong by up to half of itself.
 
         Parameters
         ----------
@@ -226,12 +226,12 @@ class Sensor(ABC):
         return None
 
     def misreadings(self) -> dict[str, FloatArray]:
-        """Give the log as it should have been, had one of the usual mistakes been made in writing it.
+        """Undo each of the usual mistakes of a log, such as a wrong unit or order.
 
         Returns
         -------
         dict of str to ndarray
-            By what was written in place of what was expected, and in which column: values (n, c).
+            Corrected values (n, c) by the text of the mistake: column, what was expected and found.
         """
         return {}
 

@@ -122,7 +122,7 @@ class Velocimeter(Sensor):
         return np.asarray(speeds + self._sigmas(speeds) * rng.standard_normal(len(speeds)))
 
     def outlier(self, values: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw one beam anew, anywhere within twice the largest speed; see `Sensor.outlier`.
+        """Redraw one beam anywhere within twice the largest speed; see `Sensor.outlier`.
 
         Parameters
         ----------

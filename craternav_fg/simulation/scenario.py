@@ -45,7 +45,7 @@ def simulate(
         Replaced when it is empty or a data set.
     trial : int, optional
         Number of a Monte Carlo trial: with the scenario's seed it determines all random numbers; listed
-        craters are then drawn anew if the list says so.
+        craters are then redrawn if the list says so.
     with_initial : bool
         Whether the data set has an initial state.
     progress : callable, optional

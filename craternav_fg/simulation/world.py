@@ -99,7 +99,7 @@ def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> 
     rng : Generator
         Terrain and craters.
     trial : bool
-        Whether this is a trial of a Monte Carlo campaign: listed craters are then drawn anew if the list
+        Whether this is a trial of a Monte Carlo campaign: listed craters are then redrawn if the list
         says so.
 
     Returns
@@ -141,7 +141,7 @@ def _track(scenario: Scenario, body: Body, stamps: npt.NDArray[np.int64], rng: n
 
 
 def trial_craters(craters: AnyCraters, rng: np.random.Generator) -> AnyCraters:
-    """Draw the craters of one trial: those of a list with `trials` anew, all others unchanged."""
+    """Draw the craters of one trial: those of a list with `trials` again, all others unchanged."""
     if not isinstance(craters, CraterList) or craters.trials is None:
         return craters
     n = len(craters.crater)

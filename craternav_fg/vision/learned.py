@@ -1,7 +1,7 @@
 """Blind detection by a learned judgement: worn, overlapped and shadowed craters, which the rules refuse.
 
 Candidates come from the matched filter with a low threshold, and their common direction towards the sun as in
-`detect`. A network that has seen rendered ground alone tells how probable each is a crater (`judge`); of
+`detect`. A network that has seen rendered ground alone estimates how probable each is a crater (`judge`); of
 several candidates of one crater the most probable stays. Where the rim can be traced, the ellipse is measured
 as in `detect`. Where it cannot, the candidate's circle is given, with a covariance to match.
 """

@@ -1,4 +1,4 @@
-"""Offsets from stated states, and leaving frames out."""
+"""Offsets from a-priori states, and leaving frames out."""
 
 from dataclasses import replace
 

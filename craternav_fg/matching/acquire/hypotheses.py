@@ -198,7 +198,7 @@ def expand_inliers(
     prior: Prior, hypotheses: Hypotheses, k: int, bTc: FloatArray, craters: Craters, rims: Rims,
     reach: FloatArray,
 ) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
-    """Estimate a hypothesis anew from the rims that agree with it, with more rims in each round.
+    """Re-estimate a hypothesis from the rims that agree with it, with more rims in each round.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ The algorithm, in order, with the module of each step:
 5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when
    triples gave no answer.
 6. `expand`: the best poses are refined by Gauss-Newton (`pose_fit`) on all rims that they explain, and rims
-   and craters are associated anew, until the pairs no longer change. The noise of the rims is estimated
+   and craters are re-associated, until the pairs no longer change. The noise of the rims is estimated
    from their residuals (`noise`).
 7. `evidence`: the pose is believed when so many agreeing rims are improbable by chance over all poses that
    were searched. Two poses of similar evidence are ambiguous.

@@ -175,7 +175,7 @@ class _Search:
         return out, False
 
     def best_variation(self, expanded: _Expanded) -> _Expanded:
-        """Expand anew from the pairs in each half of the image, and with each noise level; return the best.
+        """Expand again from the pairs in each half of the image, and with each noise level; return the best.
 
         Pairs that suit the noise assumed at first are kept, and wrong pairs on one side of the image distort
         the pose there: both are overcome from another start.

@@ -77,7 +77,7 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
     relative = [fx * l11 / AXIS_SIGMA_PX, below, fy * l22 / AXIS_SIGMA_PX]
     precision = np.stack([fx / centre_px, fy / centre_px, *relative], axis=-1)
     edge = camera.pinhole.pixels(camera.normalised(camera.border_px(_BORDER_POINTS)))
-    # Compiled code is compiled anew for each memory layout: all arrays are C-ordered.
+    # Kernels are compiled again for each memory layout: all arrays are C-ordered.
     ordered = np.ascontiguousarray
     return View(
         directions=ordered(rays / length[:, None]),
