@@ -20,7 +20,6 @@ from factors.kernels import conic, rim, robust, shape, sun
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-MeasurementModel = Literal["chart", "implicit", "los", "los+shape", "points", "centre"]
 NoiseModel = Literal["measured", "fixed"]
 
 # Covariance of (A, ..., F) in 4.2.3, taken for conics with |q| = 1. Table 2 gives A and C errors of
@@ -51,7 +50,7 @@ def linearise_rims(
     camera: Camera,
     catalog: Catalog,
     *,
-    model: MeasurementModel,
+    model: RimModel,
     noise: NoiseModel,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Linearise the rims of a frame at a pose.
@@ -64,16 +63,17 @@ def linearise_rims(
         n measured rims.
     camera : Camera
     catalog : Catalog
-    model : {"chart", "implicit", "los", "los+shape", "points", "centre"}
-        Ellipse chart, or eq. (19) as an implicit measurement (Soatto): innovation -h, noise D S D'.
+    model : {"chart", "eq19", "los", "los+shape", "points", "centre"}
+        What is compared, see `rim_factors`.
     noise : {"measured", "fixed"}
-        Each rim's own covariance, or the paper's Qn.
+        Each rim's own covariance, or the paper's Qn: of the chart, or of eq. (19) as an implicit measurement
+        (Soatto), with innovation -h and noise D Qn D'. The other models have their own covariance alone.
 
     Returns
     -------
-    A : ndarray, shape (n, 5, 6)
+    A : ndarray, shape (n, m, 6)
         Whitened derivatives in the errors of attitude (in b) and position (in g).
-    residual : ndarray, shape (n, 5)
+    residual : ndarray, shape (n, m)
         Whitened, measured minus predicted.
     usable : ndarray of bool, shape (n,)
         Rims that are visible ellipses from this pose; the others have zero rows.
@@ -83,7 +83,9 @@ def linearise_rims(
     Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (19), (25);
     docs/equations.md.
     """
-    if model != "chart" and model != "implicit":
+    # The whitening of eq. (19) turns with the pose, by as much as a rim's own noise tells of the pose: a
+    # filter that holds it at the prediction diverges. The smoothers' factor differentiates it.
+    if model != "chart" and not (model == "eq19" and noise == "fixed"):
         return _of_factors(model, gTb, rims, camera, catalog)
     n = len(rims)
     rows = rims.craters
@@ -97,15 +99,11 @@ def linearise_rims(
             inverse = np.asarray(np.linalg.pinv(conics_of_charts(rims.chart)[1]), dtype=np.float64)
             covariance = inverse @ PAPER_NOISE @ np.swapaxes(inverse, 1, 2)
     else:
-        conics, J = conics_of_charts(rims.chart)
+        conics, _ = conics_of_charts(rims.chart)
         semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
         h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
         innovation = -h
-        if noise == "fixed":
-            of_conic = np.broadcast_to(PAPER_NOISE, (n, 6, 6))
-        else:
-            of_conic = J @ rims.covariance @ np.swapaxes(J, 1, 2)
-        covariance = D @ of_conic @ np.swapaxes(D, 1, 2)
+        covariance = D @ PAPER_NOISE @ np.swapaxes(D, 1, 2)
     A = np.zeros((n, 5, 6))
     residual = np.zeros((n, 5))
     if usable.any():

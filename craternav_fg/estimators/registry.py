@@ -13,7 +13,6 @@ from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper
 from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.linearisation import MeasurementModel
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.rim_models import RimModel
 from craternav_fg.sensors.plugins import plugins
@@ -43,7 +42,7 @@ def _online_of(rims: RimModel, name: str) -> Callable[[], Estimator]:
     return lambda: OnlineSmoother(GraphOptions(rims=rims), name)
 
 
-def _ekf_of(measurement: MeasurementModel, name: str) -> Callable[[], Estimator]:
+def _ekf_of(measurement: RimModel, name: str) -> Callable[[], Estimator]:
     return lambda: DistributedEkf(name, EkfOptions(measurement=measurement))
 
 
@@ -59,7 +58,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "online_los": _online_of("los", "online_los"),
     "fixed_lag": FixedLagSmoother,
     "ekf": ekf,
-    "ekf_eq19": _ekf_of("implicit", "ekf_eq19"),
+    "ekf_eq19": _ekf_of("eq19", "ekf_eq19"),
     "ekf_los": _ekf_of("los", "ekf_los"),
     "ekf_paper": ekf_paper,
     "centre_smoother": _centre_smoother,

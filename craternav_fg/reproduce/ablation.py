@@ -15,7 +15,8 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import DistributedEkf, ekf_paper
 from craternav_fg.estimators.ekf.fusion import Rule
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.linearisation import MeasurementModel, NoiseModel
+from craternav_fg.estimators.linearisation import NoiseModel
+from craternav_fg.estimators.rim_models import RimModel
 from craternav_fg.evaluation.metrics import errors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.plots.style import COLOURS
@@ -28,7 +29,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Medians of more trials change little; each trial is run with eleven estimators.
 MAX_TRIALS = 10
-MODELS: dict[MeasurementModel, str] = {"implicit": "eq. (19)", "chart": "ellipse chart"}
+MODELS: dict[RimModel, str] = {"eq19": "eq. (19)", "chart": "ellipse chart"}
 NOISES: dict[NoiseModel, str] = {"fixed": "one Qn", "measured": "own noise"}
 FUSIONS: dict[Rule | str, str] = {"paper": "eq. (29)", "exact": "prior counted once"}
 # The centre of a rim is taken for the image of the crater's centre, or for the centre of the ellipse.

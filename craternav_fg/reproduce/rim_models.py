@@ -20,7 +20,6 @@ from craternav_fg.estimators.basins import POSE, steps_to_optimum
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.linearisation import MeasurementModel
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.evaluation.consistency import anees_by_altitude
@@ -46,10 +45,6 @@ ENOUGH_RIMS = 3
 # Starting poses around the truth at a frame: their number, turn, and shift as a share of the altitude.
 _STARTS, _TURN_RAD, _SHIFT = 24, np.radians(10.0), 0.1
 _NUMBERS = ("trial", "altitude_m", "rims", "error_m", "nees", "from_chart_sigmas", "frame_s", "basin")
-_EKF_MODELS: dict[RimModel, MeasurementModel] = {
-    "chart": "chart", "eq19": "implicit", "los": "los", "los+shape": "los+shape", "points": "points",
-    "centre": "centre",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -258,7 +253,7 @@ def _estimators(model: RimModel) -> dict[str, Estimator]:
     return {
         "smoother": BatchSmoother(options),
         "online": OnlineSmoother(options),
-        "ekf": DistributedEkf("ekf", EkfOptions(measurement=_EKF_MODELS[model])),
+        "ekf": DistributedEkf("ekf", EkfOptions(measurement=model)),
     }
 
 

@@ -176,7 +176,7 @@ def test_run_toml_tells_how_it_was_made(demo: tuple[Path, subprocess.CompletedPr
     description = tomllib.loads((run / "run.toml").read_text())
     assert description["estimators"] == list(DEFAULT)
     assert description["options"]["centre_smoother"]["rims"] == "centre"
-    assert description["options"]["ekf_paper"]["measurement"] == "implicit"
+    assert description["options"]["ekf_paper"]["measurement"] == "eq19"
     assert description["options"]["front_end"]["fit"]["floor_px"] > 0.0
     assert description["versions"]["gtsam"].startswith("4.3")
 

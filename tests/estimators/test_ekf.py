@@ -138,7 +138,7 @@ def test_a_correction_carries_the_covariance_to_the_new_attitude():
 
 
 @pytest.mark.parametrize("noise", ["measured", "fixed"])
-def test_implicit_and_chart_measurements_agree_near_the_truth(world, problem, noise):
+def test_eq19_and_chart_measurements_agree_near_the_truth(world, problem, noise):
     # EQUATIONS: whitened by its own covariance, (19) is the conic residual: same information, same sign.
     frame = problem.frames[3]
     rng = np.random.default_rng(0)
@@ -148,7 +148,7 @@ def test_implicit_and_chart_measurements_agree_near_the_truth(world, problem, no
     exact = RimSet(*world.seen[3], frame.rims.covariance)
     forms = [
         linearise_rims(T, exact, problem.camera, problem.catalog, model=model, noise=noise)
-        for model in ("chart", "implicit")
+        for model in ("chart", "eq19")
     ]
     steps = np.repeat([1e-3, 30.0], 3)
     infos = [np.einsum("nki,nkj->ij", A, A) * np.outer(steps, steps) for A, _, _ in forms]
@@ -163,7 +163,7 @@ def test_whitened_rows_have_unit_noise(world, problem):
     rows, charts = world.seen[2]
     S = np.array([rim_covariance(y) for y in charts])
     T = world.gTb[2]
-    for model in ("chart", "implicit"):
+    for model in ("chart", "eq19"):
         samples = []
         for _ in range(300):
             y = drawn(charts, S, rng)

@@ -11,10 +11,12 @@ from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.linearisation import linearise_rims
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.registry import estimator
 from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
 from tests import descents
@@ -84,7 +86,7 @@ def test_every_model_works_in_batch_online_with_a_lag_and_in_the_filter(
     p, truth = descent
     frames = p.frames[:20] if with_sun else [replace(frame, sun=None) for frame in p.frames[:20]]
     short = replace(p, frames=frames)
-    of_filter = EkfOptions(measurement="implicit" if model == "eq19" else model)
+    of_filter = EkfOptions(measurement=model)
     for one in (
         BatchSmoother(GraphOptions(rims=model)),
         OnlineSmoother(GraphOptions(rims=model)),
@@ -95,6 +97,40 @@ def test_every_model_works_in_batch_online_with_a_lag_and_in_the_filter(
         last = np.linalg.norm(found.gP[-1] - truth.gP[19])
         # Centres are off by what perspective moves them.
         assert last < (2000.0 if model == "centre" else 200.0), (model, one.name)
+
+
+@pytest.mark.parametrize("model", RIM_MODELS)
+def test_the_filter_uses_the_slope_of_its_residual(
+    descent: tuple[Problem, Trajectory], model: RimModel
+) -> None:
+    # With the noise of real rims: a whitening that turns with the pose is a part of the slope.
+    p, truth = descent
+    rims, gTb, step = p.frames[0].rims, truth.gTb[0], 1e-2
+
+    def residual(shift: np.ndarray) -> np.ndarray:
+        moved = gTb.copy()
+        moved[:3, 3] += shift
+        return linearise_rims(moved, rims, p.camera, p.catalog, model=model, noise="measured")[1]
+
+    A, _, usable = linearise_rims(gTb, rims, p.camera, p.catalog, model=model, noise="measured")
+    assert usable.all()
+    slope = [(residual(-step * e) - residual(step * e)) / (2 * step) for e in np.eye(3)]
+    np.testing.assert_allclose(A[:, :, 3:], np.stack(slope, axis=-1), atol=1e-4 * np.abs(A[:, :, 3:]).max())
+
+
+@pytest.fixture(scope="module")
+def far(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    """The paper's third case: three craters from 100 km on, and a start that is kilometres off."""
+    p, _ = descents.problem(tmp_path_factory.mktemp("far"), load_scenario("paper_case3"), 0)
+    return replace(p, frames=p.frames[:100])
+
+
+@pytest.mark.parametrize("model", SAME)
+def test_the_filter_follows_the_chart_from_a_wide_start(far: Problem, model: RimModel) -> None:
+    chart, found = (
+        DistributedEkf("ekf", EkfOptions(measurement=one)).estimate(far) for one in ("chart", model)
+    )
+    assert apart_sigmas(chart, found) < 0.3
 
 
 # Dimension of a rim's residual. That of a centre is not zero at the truth: perspective moves it.
@@ -118,7 +154,9 @@ def test_chi_square_at_the_truth_is_the_dimension(
     assert abs(chi2 / freedom - 1.0) < 3.5 * np.sqrt(2.0 / freedom)
 
 
-@pytest.mark.parametrize("name", ["smoother_eq19", "online_eq19", "smoother_los", "online_los", "ekf_los"])
+@pytest.mark.parametrize(
+    "name", ["smoother_eq19", "online_eq19", "smoother_los", "online_los", "ekf_eq19", "ekf_los"]
+)
 def test_the_named_estimators_measure_what_their_names_say(name: str) -> None:
     one: Estimator = estimator(name)
     assert one.name == name

@@ -15,13 +15,13 @@ from craternav_fg.estimators.ekf.point_features import FeatureWindow
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import (
     LinearMeasurement,
-    MeasurementModel,
     NoiseModel,
     linearise_arcs,
     linearise_rims,
     linearise_sun,
 )
 from craternav_fg.estimators.measurement_weighting import noise_inflation, with_predicted_covariances
+from craternav_fg.estimators.rim_models import RimModel
 from craternav_fg.estimators.sensor_bank import SensorBank, innovation_weight, linearise_sample
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -37,10 +37,11 @@ class EkfOptions:
 
     Attributes
     ----------
-    measurement : {"chart", "implicit", "los", "los+shape", "points", "centre"}
-        Ellipse chart, or eq. (19) as an implicit measurement, eq. (25).
+    measurement : {"chart", "eq19", "los", "los+shape", "points", "centre"}
+        How rims are compared with the prediction, as by the smoothers.
     noise : {"measured", "fixed"}
-        Each rim's own covariance, evaluated at the predicted measurement, or the paper's Qn for all of them.
+        Each rim's own covariance, evaluated at the predicted measurement, or the paper's Qn for all of them;
+        with "eq19" the latter is the paper's implicit measurement, eq. (25).
     fusion : {"exact", "paper", "paper-fed-back", "covariance-intersection"}
         "exact" counts the prior that sub-filters share once. "paper" lets them run on by themselves and
         publishes eq. (29). "paper-fed-back" writes eq. (29) back into them in every frame, which makes them
@@ -57,7 +58,7 @@ class EkfOptions:
         Factor on the variance of time-correlated errors, which the filter treats as white.
     """
 
-    measurement: MeasurementModel = "chart"
+    measurement: RimModel = "chart"
     noise: NoiseModel = "measured"
     fusion: Fusion = "exact"
     iterations: int = 2
@@ -308,7 +309,7 @@ def ekf_paper() -> DistributedEkf:
     return DistributedEkf(
         "ekf_paper",
         EkfOptions(
-            measurement="implicit",
+            measurement="eq19",
             noise="fixed",
             fusion="paper",
             iterations=1,
