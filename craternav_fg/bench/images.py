@@ -1,18 +1,16 @@
 """Cost of rendering an image by altitude and samples per pixel: time and memory."""
 
-import resource
-import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
+from craternav_fg.bench.timing import peak_mb
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
@@ -25,7 +23,6 @@ FloatArray = npt.NDArray[np.float64]
 ALTITUDES_M = (100e3, 30e3, 10e3, 2e3)
 # Frames timed at each altitude, a tenth of the altitude apart; the first ones build the grids.
 FRAMES = 4
-PROC_STATUS = Path("/proc/self/status")
 
 
 def render_costs() -> dict[str, float]:
@@ -72,7 +69,7 @@ def _costs(altitudes_m: Sequence[float], count: int) -> dict[str, float]:
         "render_s": float(np.mean(seconds[1])),
         "render_2x2_s": float(np.mean(seconds[2])),
         "render_altitude_ratio": max(seconds[1]) / min(seconds[1]),
-        "render_peak_mb": _peak_mb(),
+        "render_peak_mb": peak_mb(),
     }
 
 
@@ -92,14 +89,3 @@ def _frame_s(
         position = (renderer.terrain.body.radius_m + altitude_m) * enu[:, 2] + offset
         renderer.render(frames.pose(looking, position), sun, rng)
     return (time.perf_counter() - began) / count
-
-
-def _peak_mb() -> float:
-    """Peak memory of this process since its program began, MB."""
-    # On Linux getrusage passes a parent's peak on to the child, even to one that runs another program.
-    if PROC_STATUS.exists():
-        (line,) = (line for line in PROC_STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
-        return int(line.split()[1]) * 1.024e-3
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # Bytes on macOS, KiB elsewhere.
-    return peak / 1e6 if sys.platform == "darwin" else peak * 1.024e-3

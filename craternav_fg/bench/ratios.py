@@ -1,7 +1,7 @@
 """Ratios of cost, each from one run in which both sides alternate."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import gtsam
@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import L, X
 
 from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
-from craternav_fg.bench.timing import seconds_of
+from craternav_fg.bench.timing import cpu_and_wall_s, seconds_of
 from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
@@ -35,7 +35,9 @@ class Ratio:
     median, low, high : float
         Over the repetitions: median, 10 % and 90 % points.
     ours_us, reference_us : float
-        Median costs, microseconds.
+        Median processor time, microseconds.
+    wall : float
+        Median ratio of the times on the wall, which other programs disturb.
     """
 
     median: float
@@ -43,36 +45,38 @@ class Ratio:
     high: float
     ours_us: float
     reference_us: float
+    wall: float
 
 
 def interleaved(ours: Callable[[], object], reference: Callable[[], object], repetitions: int) -> Ratio:
     """Time two functions alternately; each pair of calls gives one ratio."""
     ours(), reference()
-    seconds = np.array([[seconds_of(ours), seconds_of(reference)] for _ in range(repetitions)])
-    return summary(seconds[:, 0] / seconds[:, 1], seconds[:, 0], seconds[:, 1])
+    pairs = [(cpu_and_wall_s(ours), cpu_and_wall_s(reference)) for _ in range(repetitions)]
+    ours_s, reference_s = np.array(pairs).transpose(1, 0, 2)
+    return summary(ours_s, reference_s)
 
 
-def summary(ratios: FloatArray, ours_s: FloatArray, reference_s: FloatArray) -> Ratio:
-    """Summarise ratios and times.
+def summary(ours_s: FloatArray, reference_s: FloatArray) -> Ratio:
+    """Summarise the times of repetitions.
 
     Parameters
     ----------
-    ratios : ndarray, shape (n,)
-        Ours over the reference.
-    ours_s, reference_s : ndarray, shape (n,)
-        Times.
+    ours_s, reference_s : ndarray, shape (n, 2)
+        Processor time and time on the wall of each repetition.
 
     Returns
     -------
     Ratio
     """
-    low, median, high = np.percentile(ratios, [10, 50, 90])
+    cpu, wall = (ours_s / reference_s).T
+    low, median, high = np.percentile(cpu, [10, 50, 90])
     return Ratio(
-        float(median),
-        float(low),
-        float(high),
-        1e6 * float(np.median(ours_s)),
-        1e6 * float(np.median(reference_s)),
+        median=float(median),
+        low=float(low),
+        high=float(high),
+        ours_us=1e6 * float(np.median(ours_s[:, 0])),
+        reference_us=1e6 * float(np.median(reference_s[:, 0])),
+        wall=float(np.median(wall)),
     )
 
 
@@ -112,7 +116,7 @@ def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 10
             )
     ratio = interleaved(lambda: ours.linearize(values), lambda: reference.linearize(values), repetitions)
     frames = len(problem.frames)
-    return Ratio(ratio.median, ratio.low, ratio.high, ratio.ours_us / frames, ratio.reference_us / frames)
+    return replace(ratio, ours_us=ratio.ours_us / frames, reference_us=ratio.reference_us / frames)
 
 
 def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
@@ -147,8 +151,8 @@ class Online:
 
     Attributes
     ----------
-    ours_s, reference_s : ndarray, shape (frames - 1,)
-        From the frame's measurement to the newest state and its covariance.
+    ours_s, reference_s : ndarray, shape (frames - 1, 2)
+        From the frame's measurement to the newest state and its covariance: processor time, time on the wall.
     """
 
     ours_s: FloatArray
@@ -158,7 +162,7 @@ class Online:
     def flatness(self) -> float:
         """Mean cost of the last tenth of the frames over that of the first."""
         tenth = max(1, len(self.ours_s) // 10)
-        return float(self.ours_s[-tenth:].mean() / self.ours_s[:tenth].mean())
+        return float(self.ours_s[-tenth:, 0].mean() / self.ours_s[:tenth, 0].mean())
 
 
 def online(bench: Bench, lag_s: float | None = None) -> Online:
@@ -169,10 +173,8 @@ def online(bench: Bench, lag_s: float | None = None) -> Online:
     reference = Reference(bench, solvers[1])
     seconds = []
     for frame in bench.problem.frames[1:]:
-        seconds.append(
-            (seconds_of(lambda frame=frame: session.update(frame)), seconds_of(reference.update))  # type: ignore[misc]
-        )
-    ours_s, reference_s = np.array(seconds).T
+        seconds.append((cpu_and_wall_s(partial(session.update, frame)), cpu_and_wall_s(reference.update)))
+    ours_s, reference_s = np.array(seconds).transpose(1, 0, 2)
     return Online(ours_s, reference_s)
 
 

@@ -219,7 +219,7 @@ def cluster(address: str) -> Iterator[Workers]:
         from distributed import Client, KilledWorker
         from distributed.comm import connect, get_address_host_port
     except ImportError:
-        raise CraternavError("--scheduler needs Dask: pip install -e '.[cluster]'") from None
+        raise CraternavError("--scheduler needs Dask: pip install 'craternav_fg[cluster]'") from None
     try:
         get_address_host_port(address)
     except (ValueError, TypeError) as error:

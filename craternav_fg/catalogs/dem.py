@@ -114,7 +114,7 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
     try:
         import rasterio
     except ImportError:
-        raise CraternavError("elevation models need rasterio: pip install -e '.[geo]'") from None
+        raise CraternavError("elevation models need rasterio: pip install 'craternav_fg[geo]'") from None
     check_input(path, SizeLimit.RASTER)
     try:
         with warnings.catch_warnings():

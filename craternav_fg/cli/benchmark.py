@@ -10,6 +10,7 @@ import typer
 
 from craternav_fg.bench import detect_real
 from craternav_fg.bench import report as bench_report
+from craternav_fg.bench.compare import MOVED, Change, changes, read_benchmark
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import FIGURE_SUFFIXES, ForceOption, JsonOption, require_free, require_suffix
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits
@@ -39,6 +40,10 @@ def bench(
         bool,
         typer.Option("--full", help="Also run the online estimator over 10,000 frames: minutes longer."),
     ] = False,
+    compare: Annotated[
+        Path | None,
+        typer.Option(help="JSON of an earlier benchmark: say what moved beyond noise.", show_default=False),
+    ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -48,20 +53,37 @@ def bench(
         return
     require_suffix(output, FIGURE_SUFFIXES)
     require_free(output, force=force)
+    before = None if compare is None else read_benchmark(compare)
     with progress_bars() as report:
         result = bench_report.run(bench_report.FULL if full else bench_report.QUICK, report)
     bench_report.write_figure(result, output)
+    found = [] if before is None else changes(before, result.json())
     if as_json:
-        out.print_json(json.dumps(result.json()))
+        moved = {MOVED: [asdict(one) for one in found if one.moved]} if before is not None else {}
+        out.print_json(json.dumps({**result.json(), **moved}))
         return
-    table = table_of_numbers("ratio", ("median", "10 %", "90 %", "ours us", "C++ us"))
+    table = table_of_numbers("ratio", ("median", "10 %", "90 %", "wall", "ours us", "C++ us"))
     for name, ratio in result.ratios.items():
-        numbers = (ratio.median, ratio.low, ratio.high, ratio.ours_us, ratio.reference_us)
+        numbers = (ratio.median, ratio.low, ratio.high, ratio.wall, ratio.ours_us, ratio.reference_us)
         table.add_row(name, *map(three_digits, numbers))
     out.print(table)
     for name, value in result.scalars.items():
         say(f"{name}: {three_digits(value)}")
     say(f"figure: {output}")
+    if before is not None:
+        _show(found)
+
+
+def _show(found: list[Change]) -> None:
+    """Print what moved since an earlier benchmark."""
+    table = table_of_numbers("moved", ("before", "now", "now/before"))
+    moved = [one for one in found if one.moved]
+    for one in moved:
+        share = one.now / one.before if one.before else None
+        table.add_row(one.name, three_digits(one.before), three_digits(one.now), three_digits(share))
+    if moved:
+        out.print(table)
+    say(f"{len(moved)} of {len(found)} numbers moved by more than noise")
 
 
 def _given(data: Path | None) -> Path:

@@ -147,9 +147,11 @@ def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) 
     stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
     catalog = replace(given.catalog, body=given.body)
     states = states_at(frames, given.body)
+    # The states are those of the camera, which is b then.
+    camera = given.camera if states is None else replace(given.camera, bTc=np.eye(4))
     recording = Recording(
         body=given.body,
-        camera=given.camera,
+        camera=camera,
         catalog=catalog,
         imu=None,
         imu_noise=None,

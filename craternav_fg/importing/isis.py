@@ -76,7 +76,7 @@ class Cube:
         try:
             import rasterio
         except ImportError:
-            raise CraternavError("ISIS cubes need pvl and rasterio: pip install -e '.[isis]'") from None
+            raise CraternavError("ISIS cubes need pvl, rasterio: pip install 'craternav_fg[isis]'") from None
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)

@@ -127,7 +127,7 @@ def read_label(path: Path) -> CubeLabel:
     try:
         import pvl
     except ImportError:
-        raise CraternavError("ISIS cubes need pvl and rasterio: pip install -e '.[isis]'") from None
+        raise CraternavError("ISIS cubes need pvl, rasterio: pip install 'craternav_fg[isis]'") from None
     data = read_bytes(path, SizeLimit.RASTER)
     head = data[:_MAX_LABEL_BYTES]
     end = _END.search(head)

@@ -89,7 +89,7 @@ def _loaded(kernels: Sequence[Path]) -> Iterator[Any]:
     try:
         import spiceypy
     except ImportError:
-        raise CraternavError("SPICE kernels need spiceypy: pip install -e '.[spice]'") from None
+        raise CraternavError("SPICE kernels need spiceypy: pip install 'craternav_fg[spice]'") from None
     try:
         for path in kernels:
             if not path.is_file():

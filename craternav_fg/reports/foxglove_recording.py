@@ -58,7 +58,7 @@ def write_mcap(run: Run, path: Path) -> None:
     try:
         import foxglove
     except ImportError:
-        raise CraternavError("MCAP recordings need foxglove-sdk: pip install -e '.[viewer]'") from None
+        raise CraternavError("MCAP needs foxglove-sdk: pip install 'craternav_fg[viewer]'") from None
     dataset = Dataset.open(run.dataset)
     context = foxglove.Context()
     with (

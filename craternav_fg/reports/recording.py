@@ -50,7 +50,7 @@ def write_recording(run: Run, path: Path) -> None:
     try:
         import rerun as rr
     except ImportError:
-        raise CraternavError("recordings need rerun: pip install -e '.[viewer]'") from None
+        raise CraternavError("recordings need rerun: pip install 'craternav_fg[viewer]'") from None
     dataset = Dataset.open(run.dataset)
     first = next(iter(run.trajectories.values()))
     gRe, gO = local_level(run, dataset)

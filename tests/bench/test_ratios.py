@@ -101,7 +101,8 @@ def test_exponent() -> None:
 
 
 def test_flatness_compares_the_last_tenth_with_the_first() -> None:
-    seconds = np.concatenate([np.full(10, 2.0), np.full(80, 9.0), np.full(10, 3.0)])
+    cpu = np.concatenate([np.full(10, 2.0), np.full(80, 9.0), np.full(10, 3.0)])
+    seconds = np.stack([cpu, np.ones(100)], axis=1)
     assert_allclose(ratios.Online(seconds, seconds).flatness, 1.5)
 
 
@@ -134,9 +135,16 @@ def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.Monk
         assert np.isfinite(measured[name])
     low, high = measured["batch_ratio_spread"]
     assert low <= measured["batch_ratio"] <= high
+    assert measured["batch_ratio_wall"] > 0.0
+    assert measured["bench_cpu_s"] > 0.0
+    assert measured["bench_peak_mb"] > 50.0
     assert figure.read_bytes().startswith(b"\x89PNG")
-    table = CliRunner().invoke(app, ["bench", "-o", str(figure), "--force"])
+    before = {**measured, "pipeline_ms": 2.0 * measured["pipeline_ms"]}
+    (tmp_path / "before.json").write_text(json.dumps(before))
+    arguments = ["bench", "-o", str(figure), "--force", "--compare", str(tmp_path / "before.json")]
+    table = CliRunner().invoke(app, arguments)
     assert "online_mean_ratio" in table.stdout
+    assert "1 of " in table.stdout
 
 
 def test_a_figure_of_no_known_kind_is_refused_before_anything_is_measured(tmp_path: Path) -> None:

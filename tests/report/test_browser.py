@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from axe_core_python.selenium import Axe
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -201,8 +202,17 @@ def test_dark_and_light(browser: webdriver.Chrome) -> None:
     assert (value(browser, ground), value(browser, text)) == light
 
 
+def test_axe_finds_no_barrier_light_or_dark(browser: webdriver.Chrome) -> None:
+    browser.set_script_timeout(300)
+    for chart in ("errors", "consistency", "track", "scene"):
+        drawn(browser, chart)
+    for _ in ("light", "dark"):
+        found = Axe().run(browser)["violations"]
+        assert [(one["impact"], one["id"], one["nodes"][0]["html"][:200]) for one in found] == []
+        click(browser, browser.find_element(By.CSS_SELECTOR, ".theme"))
+
+
 def test_everything_that_can_be_used_has_a_name_and_a_size(browser: webdriver.Chrome) -> None:
-    """What axe calls serious: controls without a name, pictures without a text, a page without a language."""
     controls = "document.querySelectorAll('button, input, select, summary, a, [role=region]')"
     nameless = f"""Array.from({controls}).filter(e =>
         !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length ||

@@ -15,7 +15,7 @@ from tests.cli.calls import call
 
 
 def test_a_recording_holds_trajectories_craters_camera_and_rims(made_run: Path, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="needs rerun: pip install -e '.[viewer]'")
+    pytest.importorskip("rerun", reason="needs rerun: pip install 'craternav_fg[viewer]'")
     path = tmp_path / "run.rrd"
     write_recording(read_run(made_run), path)
     command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
@@ -25,7 +25,7 @@ def test_a_recording_holds_trajectories_craters_camera_and_rims(made_run: Path, 
 
 
 def test_a_mcap_recording_holds_map_camera_and_rims_at_the_stamps(made_run: Path, tmp_path: Path) -> None:
-    pytest.importorskip("foxglove", reason="needs foxglove-sdk: pip install -e '.[viewer]'")
+    pytest.importorskip("foxglove", reason="needs foxglove-sdk: pip install 'craternav_fg[viewer]'")
     path = tmp_path / "run.mcap"
     run = read_run(made_run)
     write_mcap(run, path)
@@ -49,7 +49,7 @@ def test_a_mcap_recording_holds_map_camera_and_rims_at_the_stamps(made_run: Path
 
 
 def test_the_command_tells_the_viewer_by_the_suffix(made_run: Path, tmp_path: Path) -> None:
-    pytest.importorskip("foxglove", reason="needs foxglove-sdk: pip install -e '.[viewer]'")
+    pytest.importorskip("foxglove", reason="needs foxglove-sdk: pip install 'craternav_fg[viewer]'")
     page, recording = tmp_path / "r.html", tmp_path / "run.mcap"
     done = call("report", made_run, "-o", page, "--recording", recording)
     assert done.code == 0, done.err
@@ -61,9 +61,9 @@ def test_without_the_library_the_error_says_what_to_install(
     made_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(CraternavError, match=r"pip install -e .\.\[viewer\]"):
+    with pytest.raises(CraternavError, match=r"pip install 'craternav_fg\[viewer\]'"):
         write_recording(read_run(made_run), tmp_path / "run.rrd")
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(CraternavError, match=r"pip install -e .\.\[viewer\]"):
+    with pytest.raises(CraternavError, match=r"pip install 'craternav_fg\[viewer\]'"):
         write_mcap(read_run(made_run), tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())
