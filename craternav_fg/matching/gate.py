@@ -97,11 +97,11 @@ def match_rims(
     if not len(charts):
         return nothing
     search = GateSearch(charts, covariances, camera, catalog, gTb, pose_covariance, options)
-    found = search.run()
+    found, tried = search.run()
     if not found:
         return nothing
     best = found[0]
-    if search.by_chance(best) > options.chance:
+    if search.by_chance(best, tried) > options.chance:
         return nothing
     rivals = [one for one in found[1:] if best.score - one.score < options.ambiguity]
     if any(not _compatible(best, one) for one in rivals):

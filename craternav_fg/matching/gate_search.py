@@ -9,6 +9,7 @@
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -111,6 +112,24 @@ class ExpandedPose:
     score: float
 
 
+class Tried(NamedTuple):
+    """What a search has tried, from which follows how many poses chance makes.
+
+    Attributes
+    ----------
+    allowed : ndarray of int, shape (h, 4)
+        Pairs of rim and crater, twice, that the prediction allows.
+    solved : ndarray of int, shape (t, 4)
+        Those of them that gave a pose so far.
+    possible_rims : int
+        Number of rims that some crater in reach could be.
+    """
+
+    allowed: IntArray
+    solved: IntArray
+    possible_rims: int
+
+
 class GateSearch:
     """Search of one image.
 
@@ -138,8 +157,6 @@ class GateSearch:
         self.covariance = pose_covariance
         self.charts = np.ascontiguousarray(charts, dtype=np.float64)
         self.gate = float(chdtri(COMPONENTS, 1.0 - options.probability))
-        self._tried = self._allowed_pairs = np.empty((0, 4), dtype=np.int64)
-        self._possible = len(charts)
         self._information = scaled_inverse(pose_covariance)
         self._bTc = camera.bTc
         self._noise = covariances + relative_covariance(self.charts, options.floor_share)
@@ -174,10 +191,17 @@ class GateSearch:
         rows = catalog.index.in_view(gPc, axis, float(np.cos(min(field, np.pi))), reach)
         return np.sort(rows), turn_rad, position_m
 
-    def run(self) -> list[ExpandedPose]:
-        """Find poses that explain rims, the best first."""
-        pairs, starts = self._hypotheses()
-        self._allowed_pairs = pairs
+    def run(self) -> tuple[list[ExpandedPose], Tried]:
+        """Find poses that explain rims.
+
+        Returns
+        -------
+        found : list of ExpandedPose
+            The best first.
+        tried : Tried
+        """
+        pairs, starts, possible_rims = self._hypotheses()
+        tried = Tried(pairs, pairs[:0], possible_rims)
         limit = chdtri(2 * COMPONENTS, 1.0 - self.options.probability)
         found: list[ExpandedPose] = []
         for begin in range(0, len(pairs), _CHUNK):
@@ -189,7 +213,7 @@ class GateSearch:
             keep = np.flatnonzero(cost < limit)
             if not len(keep):
                 continue
-            self._tried = np.concatenate([self._tried, some[keep]])
+            tried = tried._replace(solved=np.concatenate([tried.solved, some[keep]]))
             gTb, covariance = gTb[keep], np.ascontiguousarray(scaled_inverse(information[keep]))
             explained = rim_poses.support(
                 gTb, covariance, self._bTc, self._centres, self._axes, self.charts, self._noise, self._bounds
@@ -199,14 +223,14 @@ class GateSearch:
                 if expanded is not None:
                     found.append(expanded)
             found.sort(key=lambda one: -one.score)
-            if found and self.by_chance(found[0]) <= self.options.chance:
+            if found and self.by_chance(found[0], tried) <= self.options.chance:
                 break
-        return found
+        return found, tried
 
-    def _hypotheses(self) -> tuple[IntArray, FloatArray]:
+    def _hypotheses(self) -> tuple[IntArray, FloatArray, int]:
         """Pairs (h, 4) of rim and crater, twice, that the prediction allows, and initial poses gTb (h, 4, 4).
 
-        A single rim is paired with itself.
+        A single rim is paired with itself. Last comes the number of rims that some crater in reach could be.
         """
         off = np.abs(self._log_solid[:, None] - self._log_solid_of_craters)
         off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m / np.maximum(self._range_m, 1.0))
@@ -214,7 +238,7 @@ class GateSearch:
         chord = np.linalg.norm(toward[:, None] - self._sight, axis=2)
         aside = self._turn_rad + self._position_m / self._range_m + _CENTRE_ERROR_RAD
         allowed = (off < off_limit) & (2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) < aside)
-        self._possible = int(np.count_nonzero(allowed.any(axis=1)))
+        possible_rims = int(np.count_nonzero(allowed.any(axis=1)))
         seeds = np.argsort(-(self.charts[:, 2] + self.charts[:, 4]), kind="stable")
         seeds = seeds[allowed[seeds].any(axis=1)][: self.options.seeds]
         pairs, attitudes, costs = [], [], []
@@ -226,10 +250,10 @@ class GateSearch:
                 attitudes.append(gRc)
                 costs.append(cost)
         if not pairs:
-            return np.empty((0, 4), dtype=np.int64), np.empty((0, 4, 4))
+            return np.empty((0, 4), dtype=np.int64), np.empty((0, 4, 4)), possible_rims
         pair, gRc, cost = np.concatenate(pairs), np.concatenate(attitudes), np.concatenate(costs)
         order = np.argsort(cost, kind="stable")[: self.options.hypotheses]
-        return pair[order], self._starts(pair[order], gRc[order])
+        return pair[order], self._starts(pair[order], gRc[order]), possible_rims
 
     def _starts(self, pairs: IntArray, gRc: FloatArray) -> FloatArray:
         """Compute initial poses gTb (h, 4, 4) from camera attitudes (h, 3, 3); sizes give the ranges."""
@@ -375,12 +399,13 @@ class GateSearch:
         score = float(np.sum(self.gate - distances2[rims, craters]))
         return ExpandedPose(gTb, covariance, distances2, rims, craters, score)
 
-    def by_chance(self, best: ExpandedPose) -> float:
+    def by_chance(self, best: ExpandedPose, tried: Tried) -> float:
         """Estimate how many of the other poses tried would explain as many rims by chance.
 
         Parameters
         ----------
         best : ExpandedPose
+        tried : Tried
 
         Returns
         -------
@@ -393,7 +418,7 @@ class GateSearch:
         def others(pairs: IntArray) -> int:
             return int(np.count_nonzero(~(crater_of[pairs[:, ::2]] == pairs[:, 1::2]).all(axis=1)))
 
-        rivals = max(others(self._tried), _PAIR_CHANCE * others(self._allowed_pairs))
+        rivals = max(others(tried.solved), _PAIR_CHANCE * others(tried.allowed))
         charts, H, seen = conic.chart_jacobian(best.gTb, self._bTc, self._centres, self._axes)
         seen[seen] = (np.abs(charts[seen, :2]) < self._bounds).all(axis=1)
         H = H[seen, :2]
@@ -405,7 +430,7 @@ class GateSearch:
         if confirming < 1:
             return float(rivals)
         # Only rims that some crater in reach could be can confirm a pose.
-        ways = comb(max(self._possible - 2, confirming), confirming)
+        ways = comb(max(tried.possible_rims - 2, confirming), confirming)
         return float(rivals * ways * share**confirming)
 
 
