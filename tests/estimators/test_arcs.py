@@ -49,7 +49,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Prob
 
 
 @pytest.mark.parametrize("make", [BatchSmoother, OnlineSmoother, FixedLagSmoother, ekf, GncSmoother])
-def test_arcs_inform_and_are_weighed_honestly(
+def test_arcs_inform_and_stay_consistent(
     trials: list[tuple[Problem, Problem, Trajectory]], make: Callable[[], Estimator]
 ) -> None:
     ends, gains = [], []

@@ -1,4 +1,4 @@
-"""Mounting and image delay estimated along: found, honest, and not there unless asked for."""
+"""Mounting and time offset as variables: found, consistent, and absent unless asked for."""
 
 from pathlib import Path
 
@@ -51,7 +51,7 @@ def pose_nees(t: Trajectory, truth: Trajectory) -> float:
     return float(nees(errors(t, truth).pose, t.pose_covariance)[-1])
 
 
-def test_a_wrong_mounting_is_found_and_the_pose_is_honest_again(
+def test_a_wrong_mounting_is_found_and_the_pose_is_consistent_again(
     mounted: list[tuple[Problem, Trajectory]], tmp_path: Path
 ) -> None:
     poses, believed, untold = [], [], []
@@ -75,7 +75,9 @@ def test_a_wrong_mounting_is_found_and_the_pose_is_honest_again(
     assert low < np.mean(np.sum(believed, axis=1)) < high
 
 
-def test_a_delay_is_found_and_the_pose_is_honest_again(delayed: list[tuple[Problem, Trajectory]]) -> None:
+def test_a_time_offset_is_found_and_the_pose_is_consistent_again(
+    delayed: list[tuple[Problem, Trajectory]],
+) -> None:
     poses, believed, rms = [], [], []
     for p, truth in delayed:
         t = smooth(p, Calibration(time_offset_sigma_s=DELAY_S))
@@ -93,7 +95,7 @@ def test_a_delay_is_found_and_the_pose_is_honest_again(delayed: list[tuple[Probl
     assert max(rms) < 0.9 * DELAY_S
 
 
-def test_errors_of_the_map_are_found_and_the_pose_is_honest_again(
+def test_errors_of_the_map_are_found_and_the_pose_is_consistent_again(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     share = 0.02

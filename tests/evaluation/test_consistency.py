@@ -52,12 +52,12 @@ def scaled(p: Problem, rims: float = 1.0, sun: float = 1.0) -> Problem:
 
 def test_nis_names_the_sensor_that_claims_too_much(world: World) -> None:
     some = problems(world)[:4]
-    honest = pooled(some)
+    unchanged = pooled(some)
     rims = pooled([scaled(p, rims=2.0) for p in some])
     sun = pooled([scaled(p, sun=2.0) for p in some])
     assert rims.of(RIMS).mean > 2.0
     assert sun.of(SUN).mean > 2.5
-    assert sun.of(RIMS).mean == pytest.approx(honest.of(RIMS).mean, rel=0.05)
+    assert sun.of(RIMS).mean == pytest.approx(unchanged.of(RIMS).mean, rel=0.05)
     # A gyro that turns by more than its prior allows: only predictions fail.
     better = [
         dataclasses.replace(p, imu=dataclasses.replace(p.imu, gyro=p.imu.gyro + np.radians(0.02)))

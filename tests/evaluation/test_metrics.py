@@ -68,7 +68,7 @@ def test_trajectory_errors_are_evo_s() -> None:
     assert m.ate_m == pytest.approx(of_evo(evo_metrics.APE(part)), rel=1e-9)
 
 
-def test_nees_of_honest_errors_is_chi_square() -> None:
+def test_nees_of_consistent_errors_is_chi_square() -> None:
     """Covariances that mix microradians and kilometres, as a pose's do."""
     rng = np.random.default_rng(2)
     n = 4000

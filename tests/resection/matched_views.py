@@ -1,6 +1,6 @@
 """Rims of simulated views, all matched, with one fault each: what a consensus must not believe."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,30 +22,41 @@ def draw(catalog: Catalog, rng: np.random.Generator, index: int) -> View:
     return random_view(catalog, options, rng, true_rims=(12, 100))
 
 
+@dataclass(frozen=True)
+class Faults:
+    """Faults of image, camera, catalogue or stated noise; none by default."""
+
+    mirrored: bool = False
+    image_scale: float = 1.0
+    shift_px: float = 0.0
+    focal_scale: float = 1.0
+    size_scale: float = 1.0
+    body_scale: float = 1.0
+    said_sigma_px: float = EDGE_SIGMA_PX
+
+
 def matched(
-    catalog: Catalog, view: View, rng: np.random.Generator, *, mirrored: bool = False,
-    image_scale: float = 1.0, shift_px: float = 0.0, focal_scale: float = 1.0,
-    size_scale: float = 1.0, body_scale: float = 1.0, said_sigma_px: float = EDGE_SIGMA_PX,
+    catalog: Catalog, view: View, rng: np.random.Generator, faults: Faults = Faults(),
     craters: np.ndarray | None = None,
 ) -> ResectionProblem:  # fmt: skip
-    """Give the problem of a view with edge noise, and with faults of image, camera or catalogue."""
+    """Give the problem of a view with edge noise and faults."""
     camera = view.camera
     true, _ = normalised_chart(chart_of_axes(view.ellipses_px), camera)
     spread = np.linalg.cholesky(chart_covariance(true, camera, EDGE_SIGMA_PX, EDGE_POINTS))
     charts = true + (spread @ rng.normal(size=(len(true), 5, 1)))[..., 0]
     ellipses = axes_of_chart(pixel_chart(charts, camera))
-    if mirrored:
+    if faults.mirrored:
         ellipses[:, 0] = camera.width_px - 1 - ellipses[:, 0]
         ellipses[:, 4] *= -1.0
-    ellipses[:, :4] *= image_scale
-    ellipses[:, :2] += shift_px
-    said = scaled_focal(camera, focal_scale)
+    ellipses[:, :4] *= faults.image_scale
+    ellipses[:, :2] += faults.shift_px
+    said = scaled_focal(camera, faults.focal_scale)
     charts, _ = normalised_chart(chart_of_axes(ellipses), said)
     rows = view.craters if craters is None else craters
     rims = MatchedRims(
-        tuple(map(str, range(len(rows)))), body_scale * catalog.centres[rows],
-        size_scale * catalog.axes[rows],
-        charts, chart_covariance(charts, said, said_sigma_px, EDGE_POINTS),
+        tuple(map(str, range(len(rows)))), faults.body_scale * catalog.centres[rows],
+        faults.size_scale * catalog.axes[rows],
+        charts, chart_covariance(charts, said, faults.said_sigma_px, EDGE_POINTS),
     )  # fmt: skip
     return ResectionProblem(rims)
 

@@ -1,7 +1,6 @@
 """Rims that agree by chance, or are all wrong alike, are no pose; many wrong matches still are one."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,19 +12,19 @@ from craternav_fg.resection.robust import solve_all, solve_robustly
 from craternav_fg.simulation.catalog_views import View, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 from factors.kernels.gauss_newton import screw_between
-from tests.resection.matched_views import draw, is_right, matched, some_swapped
+from tests.resection.matched_views import Faults, draw, is_right, matched, some_swapped
 
 Solver = Callable[[ResectionProblem], ResectionResult]
-FAULTS: dict[str, dict[str, Any]] = {
-    "mirrored": {"mirrored": True},
-    "shuffled": {},
-    "half-size image": {"image_scale": 0.5},
-    "f + 5 %": {"focal_scale": 1.05},
-    "f - 5 %": {"focal_scale": 0.95},
-    "f + 1 %": {"focal_scale": 1.01},
-    "scaled craters": {"size_scale": 2.0},
-    "other body": {"body_scale": 0.32},
-    "other catalogue": {},
+FAULTS: dict[str, Faults] = {
+    "mirrored": Faults(mirrored=True),
+    "shuffled": Faults(),
+    "half-size image": Faults(image_scale=0.5),
+    "f + 5 %": Faults(focal_scale=1.05),
+    "f - 5 %": Faults(focal_scale=0.95),
+    "f + 1 %": Faults(focal_scale=1.01),
+    "scaled craters": Faults(size_scale=2.0),
+    "other body": Faults(body_scale=0.32),
+    "other catalogue": Faults(),
 }
 
 
@@ -48,7 +47,7 @@ def silently_wrong(catalog: Catalog, fault: str, count: int, solver: Solver) -> 
     wrong = 0
     for k in range(count):
         view = draw(catalog, rng, k)
-        problem = matched(catalog, view, rng, **FAULTS[fault], craters=craters_of(fault, catalog, view, rng))
+        problem = matched(catalog, view, rng, FAULTS[fault], craters_of(fault, catalog, view, rng))
         result = with_unknown_focal(problem, solver(problem))
         if result.status in (Status.SOLVED, Status.AMBIGUOUS):
             wrong += not is_right(result, view) and not result.warnings
@@ -71,7 +70,7 @@ def test_no_fault_of_a_thousand_is_believed_in_silence(catalog: Catalog, fault: 
 def test_mirrored_rims_are_no_pose(catalog: Catalog) -> None:
     rng = np.random.default_rng(6)
     for k in range(20):
-        result = solve_robustly(matched(catalog, draw(catalog, rng, k), rng, mirrored=True))
+        result = solve_robustly(matched(catalog, draw(catalog, rng, k), rng, Faults(mirrored=True)))
         assert result.status is Status.NO_POSE
         assert result.poses == ()
 
@@ -109,7 +108,7 @@ def test_too_small_a_sigma_is_found_from_the_residuals(
     rng = np.random.default_rng(8)
     for k in range(15):
         view = draw(catalog, rng, k)
-        result = solver(matched(catalog, view, rng, said_sigma_px=1.0 / factor))
+        result = solver(matched(catalog, view, rng, Faults(said_sigma_px=1.0 / factor)))
         assert result.status is Status.SOLVED
         assert is_right(result, view)
         assert result.wrong == ()
@@ -134,7 +133,7 @@ def test_the_focal_length_is_estimated_within_its_sigma(catalog: Catalog, focal_
     off = []
     for k in range(30):
         view = draw(catalog, rng, k)
-        problem = matched(catalog, view, rng, focal_scale=focal_scale)
+        problem = matched(catalog, view, rng, Faults(focal_scale=focal_scale))
         fit = fit_focal(problem, view.gTb, 0.05)
         off.append((np.log(fit.scale) + np.log(focal_scale)) / fit.scale_sigma)
     assert np.mean(np.square(off)) == pytest.approx(1.0, abs=0.7)
@@ -146,7 +145,7 @@ def test_an_unknown_focal_length_keeps_the_covariance_consistent(catalog: Catalo
     nees = []
     for k in range(60):
         view = draw(catalog, rng, k)
-        problem = matched(catalog, view, rng, focal_scale=float(np.exp(0.003 * rng.normal())))
+        problem = matched(catalog, view, rng, Faults(focal_scale=float(np.exp(0.003 * rng.normal()))))
         result = with_unknown_focal(problem, solve_all(problem), 0.003)
         error = np.empty(6)
         screw_between(np.ascontiguousarray(result.poses[0].gTb), view.gTb, error)
