@@ -17,13 +17,13 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
+    AttitudeOptions,
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
     FocalSigmaOption,
     ForceOption,
     JsonOption,
-    KnownAttitude,
     numbers_of,
     require_free,
     require_kept,
@@ -35,8 +35,7 @@ from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.matching.identify.search import Identification, IdentifyOptions
-from craternav_fg.matching.identify.search import KnownAttitude as SearchAttitude
+from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
 from craternav_fg.matching.identify.search import identify as identify_rims
 from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
@@ -75,7 +74,7 @@ def identify(
     ],
     camera: CameraOption,
     catalog: CatalogOption,
-    attitude: KnownAttitude,
+    attitude: AttitudeOptions,
     searched: _Searched,
     index: Annotated[
         Path | None,
@@ -118,7 +117,7 @@ def identify(
         warn(warning)
 
 
-def _attitude(given: KnownAttitude) -> SearchAttitude | None:
+def _attitude(given: AttitudeOptions) -> KnownAttitude | None:
     values = given.values()
     if values is None:
         return None
@@ -129,7 +128,7 @@ def _attitude(given: KnownAttitude) -> SearchAttitude | None:
     q = np.array(wxyz)
     # Scaled first, as the squares of very large or small numbers are not finite.
     q /= np.abs(q).max()
-    return SearchAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
+    return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
 
 
 def _altitudes(text: str | None) -> tuple[float, float]:

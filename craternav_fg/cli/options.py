@@ -35,7 +35,7 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing 
 
 
 @dataclass(frozen=True)
-class KnownAttitude:
+class AttitudeOptions:
     """Attitude that another sensor gives."""
 
     attitude: Annotated[

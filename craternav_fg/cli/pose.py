@@ -12,12 +12,12 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import body_of_radius, warn_of
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
+    AttitudeOptions,
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
     FocalSigmaOption,
     JsonOption,
-    KnownAttitude,
     numbers_of,
 )
 from craternav_fg.cli.poses import focal_text, show_pose
@@ -98,7 +98,7 @@ def pose(
     ],
     camera: CameraOption,
     catalog: CatalogOption,
-    attitude: KnownAttitude,
+    attitude: AttitudeOptions,
     light: KnownSun,
     noise: RimNoise,
     robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and reject them.")] = False,
