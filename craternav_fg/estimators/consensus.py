@@ -110,11 +110,11 @@ def _minimal_sets(
 
 
 def _start(
-    problem: Problem, number: int, pair: npt.NDArray[np.int64], limit2: float, options: GraphOptions
+    problem: Problem, index: int, pair: npt.NDArray[np.int64], limit2: float, options: GraphOptions
 ) -> Start | None:
     """Start from two rims of a frame and those that agree with them; None when the two do not agree."""
-    frame = problem.frames[number]
-    before = [replace(f, rims=RimSet.empty()) for f in problem.frames[:number]]
+    frame = problem.frames[index]
+    before = [replace(f, rims=RimSet.empty()) for f in problem.frames[:index]]
 
     def start(rows: npt.NDArray[np.int64] | BoolArray) -> Start:
         return find_start(problem, [*before, replace(frame, rims=frame.rims.take(rows))], options)

@@ -82,7 +82,7 @@ class _Snapshot:
 
     Attributes
     ----------
-    number : int
+    index : int
         Index of the state.
     size, slots : int
         Number of variables, tracked points left out, and of factor slots of the tree at that time.
@@ -90,7 +90,7 @@ class _Snapshot:
         Gaussian of the state and of the biases, from all factors so far.
     """
 
-    number: int
+    index: int
     size: int
     slots: int
     prior: gtsam.LinearContainerFactor
@@ -364,7 +364,7 @@ def _since(
         points = [key for key in keys if key >> INDEX_BITS == ord(POINT)]
         if points and not states:
             alone[points[0]] = factor
-        elif slot < snapshot.slots or min(states, default=snapshot.number) < snapshot.number:
+        elif slot < snapshot.slots or min(states, default=snapshot.index) < snapshot.index:
             continue
         elif points:
             of_points.setdefault(points[0], []).append(factor)

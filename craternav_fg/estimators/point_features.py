@@ -136,7 +136,7 @@ class FeatureStates:
         self._bTc = gtsam.Pose3(camera.bTc)
         huber = gtsam.noiseModel.mEstimator.Huber.Create(tracks.settings.loss_sigmas)
         self._noise = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(2, self._sigma))
-        # By track: observations (state's number, image point) that wait for parallax.
+        # By track: observations (index of the state, image point) that wait for parallax.
         self._waiting: dict[int, list[tuple[int, FloatArray]]] = {}
         self._variables: set[int] = set()
         self._last_ns = dict(zip(tracks.tracks.tolist(), tracks.stamps_ns.tolist(), strict=True))
@@ -145,7 +145,7 @@ class FeatureStates:
         self,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
-        number: int,
+        index: int,
         stamp_ns: int,
         pose: Callable[[int], FloatArray | None],
         point: Callable[[int], FloatArray | None],
@@ -157,11 +157,11 @@ class FeatureStates:
         graph : gtsam.NonlinearFactorGraph
         values : gtsam.Values
             Gets the points that are new.
-        number : int
+        index : int
             Index of the frame's state.
         stamp_ns : int
         pose : callable
-            Estimate of a state's pose gTb (4, 4) by its number; None when it is no variable any more.
+            Estimate of a state's pose gTb (4, 4) by its index; None when it is no variable any more.
         point : callable
             Estimate of a ground point (3,) in g, m, by its key; None when it is no variable.
         """
@@ -170,11 +170,11 @@ class FeatureStates:
             key = int(gtsam.symbol(LETTER, track))
             known = values.atPoint3(key) if values.exists(key) else point(key)
             if track in self._variables and known is not None:
-                graph.push_back(self._factor(number, key, u))
+                graph.push_back(self._factor(index, key, u))
             else:
                 # A point that the solver gave up starts again.
                 self._variables.discard(track)
-                self._waiting.setdefault(track, []).append((number, u))
+                self._waiting.setdefault(track, []).append((index, u))
                 self._begin(graph, values, track, key, pose, known)
             if self._last_ns[track] == stamp_ns:
                 self._variables.discard(track)
@@ -209,7 +209,7 @@ class FeatureStates:
         for n, u, _ in seen:
             graph.push_back(self._factor(n, key, u))
 
-    def _factor(self, number: int, key: int, u: FloatArray) -> gtsam.NonlinearFactor:
+    def _factor(self, index: int, key: int, u: FloatArray) -> gtsam.NonlinearFactor:
         return gtsam.GenericProjectionFactorCal3_S2(
-            u, self._noise, X(number), key, UNIT_CALIBRATION, False, False, self._bTc
+            u, self._noise, X(index), key, UNIT_CALIBRATION, False, False, self._bTc
         )

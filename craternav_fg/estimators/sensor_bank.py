@@ -144,7 +144,7 @@ def add_sensors(
     values: gtsam.Values,
     descent: Descent,
     samples: Sequence[Sample],
-    number: int,
+    index: int,
     stamp_ns: int,
     holds: Callable[[int], bool] | None = None,
     weights: Sequence[float] | None = None,
@@ -162,7 +162,7 @@ def add_sensors(
     descent : Descent
     samples : sequence of Sample
         At this stamp.
-    number : int
+    index : int
         Index of the state.
     stamp_ns : int
     holds : callable, optional
@@ -196,7 +196,7 @@ def add_sensors(
 
         loss = Loss() if weights is not None else Loss(LOSSES[settings.loss], settings.loss_sigmas)
         gyro = gyro_at(descent, stamp_ns)
-        keys = (int(X(number)), int(V(number)), int(B(number)))
+        keys = (int(X(index)), int(V(index)), int(B(index)))
         graph.push_back(state_measurement_factor(keys, gyro, sensor.rows, measure, key, loss))
 
 

@@ -71,8 +71,8 @@ class TrackInformation:
         self._points[track] = point
         self._unit_m[track] = PRIOR_SHARE * float(np.linalg.norm(point - gTc[-1, :3, 3]))
 
-    def alive(self, k: int) -> list[int]:
-        """Tracks that were seen at frame k or before, and will be seen then or later.
+    def alive(self, index: int) -> list[int]:
+        """Tracks that were seen at a frame or before, and will be seen then or later.
 
         Parameters
         ----------
@@ -83,28 +83,28 @@ class TrackInformation:
         -------
         list of int
         """
-        return [track for track, (first, last) in self._span.items() if first <= k <= last]
+        return [track for track, (first, last) in self._span.items() if first <= index <= last]
 
-    def add(self, information: FloatArray, k: int, first: Mapping[int, int], sigmas: FloatArray) -> None:
+    def add(self, information: FloatArray, index: int, first: Mapping[int, int], sigmas: FloatArray) -> None:
         """Add the information of a frame's observations.
 
         Parameters
         ----------
         information : ndarray, shape (n, n)
             Information of all unknowns, changed in place.
-        k : int
+        index : int
             Index of the frame.
         first : mapping of int to int
             Where the unknowns of each track's point begin.
         sigmas : ndarray, shape (15,)
             Units of the lander's state.
         """
-        mine = np.flatnonzero(self._rows == k)
+        mine = np.flatnonzero(self._rows == index)
         if not len(mine):
             return
         names = self._tracks[mine].tolist()
         gL = np.array([self._points[track] for track in names])
-        gTb = np.broadcast_to(self._gTb[k], (len(mine), 4, 4))
+        gTb = np.broadcast_to(self._gTb[index], (len(mine), 4, 4))
         _, of_point, of_pose = linearise_points(gL, gTb, self._u[mine], self._camera, self._sigma)
         of_pose = of_pose * sigmas[_POSE]
         for track, in_point, in_pose in zip(names, of_point, of_pose, strict=True):
