@@ -76,7 +76,7 @@ class TrackInformation:
 
         Parameters
         ----------
-        k : int
+        index : int
             Index of the frame.
 
         Returns
