@@ -1,7 +1,6 @@
 """Command that imports tables of craters into one catalogue."""
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -24,7 +23,14 @@ from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import assumed_body, body_of_radius, skipped_lines
 from craternav_fg.cli.catalog_summary import MAX_LISTED, show, summarise
 from craternav_fg.cli.option_groups import with_option_groups
-from craternav_fg.cli.options import ForceOption, JsonOption, require_free, require_kept, require_suffix
+from craternav_fg.cli.options import (
+    DemUnitOption,
+    ForceOption,
+    JsonOption,
+    require_free,
+    require_kept,
+    require_suffix,
+)
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.errors import InputError
 
@@ -110,7 +116,7 @@ def import_(
         Path | None,
         typer.Option(help="Elevation model (GeoTIFF, longitude and latitude) for the heights of the rims."),
     ] = None,
-    dem_unit_m: Annotated[float, typer.Option(help="Length in metres of one unit of its heights.")] = 1.0,
+    dem_unit_m: DemUnitOption = 1.0,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -118,7 +124,6 @@ def import_(
     require_suffix(output, (SUFFIX, ".csv"))
     require_kept(tables, [output])
     require_free(output, force=force)
-    _check_unit(dem_unit_m)
     radius_m = given.body_radius_m
     body = body_of_radius(radius_m) if given.body is None else named_body(given.body, radius_m)
     parts = [_read(path, body, columns.options(), alone=len(tables) == 1) for path in tables]
@@ -141,11 +146,6 @@ def import_(
         _show_part(part)
     show(values)
     say(f"{output}")
-
-
-def _check_unit(unit_m: float) -> None:
-    if not (math.isfinite(unit_m) and unit_m > 0.0):
-        raise InputError("--dem-unit-m", f"expected metres, more than 0, found {unit_m}")
 
 
 def _read(path: Path, body: Body | None, names: ImportOptions, *, alone: bool) -> _Table:

@@ -16,7 +16,13 @@ from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.option_groups import never_replacing
-from craternav_fg.cli.options import CatalogBodyOption, JsonOption, require_kept, require_suffix
+from craternav_fg.cli.options import (
+    CatalogBodyOption,
+    DemUnitOption,
+    JsonOption,
+    require_kept,
+    require_suffix,
+)
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
@@ -39,9 +45,7 @@ def merge_(
     dem: Annotated[
         Path | None, typer.Option(help="Elevation model (GeoTIFF) for the heights of the rims.")
     ] = None,
-    dem_unit_m: Annotated[
-        float, typer.Option(min=1e-6, help="Length in metres of one unit of its heights.")
-    ] = 1.0,
+    dem_unit_m: DemUnitOption = 1.0,
     sources: Annotated[
         Path | None,
         typer.Option(help="CSV to write: source of each crater, and other catalogues that list it."),

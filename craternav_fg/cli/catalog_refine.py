@@ -14,6 +14,7 @@ from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.options import (
     CatalogBodyOption,
+    DemUnitOption,
     ForceOption,
     JsonOption,
     require_free,
@@ -34,7 +35,7 @@ def refine(
     ],
     dem: Annotated[Path, typer.Option(help="Elevation model (GeoTIFF, longitude and latitude).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write (.parquet).")],
-    dem_unit_m: Annotated[float, typer.Option(help="Length in metres of one unit of its heights.")] = 1.0,
+    dem_unit_m: DemUnitOption = 1.0,
     min_diameter_steps: Annotated[
         float, typer.Option(min=4.0, help="Smallest diameter to measure, in grid steps of the model.")
     ] = RefineOptions.min_diameter_steps,

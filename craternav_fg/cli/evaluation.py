@@ -9,7 +9,7 @@ import typer
 
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.cli.app import evaluate_commands, example
-from craternav_fg.cli.options import JsonOption
+from craternav_fg.cli.options import DemUnitOption, JsonOption
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
@@ -35,9 +35,7 @@ FIGURE = "dem_check.png"
 def dem_(
     run: RunArgument,
     dem: Annotated[Path, typer.Option(help="Elevation model (GeoTIFF) of the ground in the images.")],
-    dem_unit_m: Annotated[
-        float, typer.Option(min=1e-6, help="Length in metres of one unit of its heights.")
-    ] = 1.0,
+    dem_unit_m: DemUnitOption = 1.0,
     name: NameOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -31,6 +31,22 @@ CatalogBodyOption = Annotated[
         show_default="that of the file, else the Moon's",
     ),
 ]
+
+
+def _metres(value: float) -> float:
+    if not (np.isfinite(value) and value > 0.0):
+        raise InputError("--dem-unit-m", f"expected metres, more than 0, found {value}")
+    return value
+
+
+DemUnitOption = Annotated[
+    float,
+    typer.Option(
+        "--dem-unit-m",
+        callback=_metres,
+        help="Length in metres of one unit of the elevation model's heights.",
+    ),
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
 
 

@@ -160,3 +160,20 @@ def test_known_errors_are_one_line_and_leave_nothing(imported, tmp_path):
         assert match in done.err
         assert done.err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("unit", ["0", "-1", "nan", "inf"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("catalog", "import", "a.csv"),
+        ("catalog", "merge", "a.csv", "b.csv", "-o", "c.parquet"),
+        ("catalog", "refine", "a.csv", "-o", "c.parquet"),
+        ("evaluate", "dem", "run"),
+    ],
+    ids=" ".join,
+)
+def test_a_unit_of_heights_that_is_no_length_is_refused(command, unit):
+    done = call(*command, "--dem", "model.tif", "--dem-unit-m", unit)
+    assert done.code == 2
+    assert done.err.startswith("craternav: --dem-unit-m: expected metres, more than 0, found")
