@@ -92,7 +92,7 @@ def test_a_table_below_its_description(tmp_path):
 def test_longitudes_to_the_west(tmp_path):
     # A mirror image of the body: nothing would ever be identified on it.
     path = written(tmp_path, "id,lat,Lon_W,diam_km\nA,20,200,12\n")
-    refused(path, r"craters\.csv:1: Lon_W: expected longitudes to the east", longitude="Lon_W")
+    refused(path, r"craters\.csv:1: Lon_W: expected longitudes positive east", longitude="Lon_W")
 
 
 def test_columns_of_robbins_in_small_letters(tmp_path):
