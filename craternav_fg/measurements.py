@@ -15,6 +15,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 # A predicted shape farther than this from the measured one, in standard deviations, is not believed.
 EXPECTED_SIGMAS = 5.0
+# Most unknowns of a rim's time-correlated error: five in the rim's plane, and its height.
+CORRELATED_SIZE = 6
 # Unknowns of the error that all rims of a descent share, see `vision.error_model.correlated`.
 SHARED_SIZE = 8
 
@@ -73,10 +75,10 @@ class RimSet:
         Covariance of the whole error of each chart.
     quality : RimQuality or None
         None when the rims were not measured in an image.
-    correlated : ndarray, shape (n, 5, 5), optional
-        Root A of the time-correlated part A A' of the covariance. The error is A z, with a z per crater that
-        hardly changes from frame to frame, so the columns belong to directions fixed to the ground. None when
-        no such part is known.
+    correlated : ndarray, shape (n, 5, m), optional
+        Root A of the time-correlated part A A' of the covariance, with m of 5 or 6. The error is A z, with a
+        z per crater that hardly changes from frame to frame, so the columns belong to directions fixed to the
+        ground: five in the rim's plane, and its height. None when no such part is known.
     shared : ndarray, shape (n, 5, 8), optional
         Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
         None when no such part is known.

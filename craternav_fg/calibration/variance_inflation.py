@@ -107,7 +107,7 @@ def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[
         new = np.sqrt(1.0 - options.crater_share) * np.linalg.cholesky(floors)
         error = shared @ common + np.einsum("nij,nj->ni", new, rng.standard_normal((len(rows), 5)))
         for i, crater in enumerate(rows.tolist()):
-            state = rng.standard_normal(5)
+            state = np.asarray(rng.standard_normal(kept.shape[2]))
             if crater in states:
                 before, chart = states[crater]
                 correlation = np.exp(-float(shape_change(chart, charts[i])) / RimErrorOptions().decay)

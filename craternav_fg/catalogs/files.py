@@ -11,6 +11,7 @@ from craternav_fg.catalogs.bodies import BODY, BODY_RADIUS, resolve_body, stated
 from craternav_fg.catalogs.columns import (
     ANGLE,
     ELLIPSE,
+    ERROR_COLUMNS,
     HEIGHT,
     ID,
     LATITUDE,
@@ -20,11 +21,12 @@ from craternav_fg.catalogs.columns import (
     ImportOptions,
 )
 from craternav_fg.catalogs.importing import ImportReport, import_table
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX, is_store, read_parquet, write_parquet
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
-from craternav_fg.tables import Column, read_table, write_table
+from craternav_fg.tables import Column, Table, read_table, write_table
 
 # Further columns of the published file, which may be there and are not read.
 _PUBLISHED = (
@@ -50,6 +52,7 @@ _COLUMNS: Sequence[Column] = (
     Column(HEIGHT, optional=True),
     Column(BODY, "text", optional=True),
     Column(BODY_RADIUS, optional=True),
+    *(Column(name, optional=True) for name in ERROR_COLUMNS),
 )
 
 
@@ -62,7 +65,8 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         Store, or table with the columns CRATER_ID, LAT_ELLI_IMG and LON_ELLI_IMG (deg, east positive),
         DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
         north), and optionally RIM_HEIGHT_M (above the sphere, 0 without it), BODY and BODY_RADIUS_M (the same
-        in all rows). Other published columns are not read.
+        in all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and RIM_HEIGHT_SIGMA_M
+        (all or none, see `MapErrors`). Other published columns are not read.
     body : Body
         Which the catalogue must be of.
 
@@ -93,6 +97,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         row = min(faults)
         table.fail(row, *faults[row])
     return Catalog(
+        errors=_errors(table),
         identifiers=tuple(table.columns[ID]),
         latitude_rad=np.radians(latitude),
         longitude_rad=np.radians(longitude),
@@ -168,6 +173,26 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
         BODY: [catalog.body.name] * n,
         BODY_RADIUS: np.full(n, catalog.body.radius_m),
     }
-    written = [column for column in _COLUMNS if column.name != BODY or catalog.body.name.strip()]
+    left_out = set() if catalog.body.name.strip() else {BODY}
+    if catalog.errors is None:
+        left_out |= set(ERROR_COLUMNS)
+    else:
+        data |= {name: getattr(catalog.errors, key) for name, key in ERROR_COLUMNS.items()}
+    written = [column for column in _COLUMNS if column.name not in left_out]
     with replacing(path) as temporary:
         write_table(temporary, written, [data[column.name] for column in written])
+
+
+def _errors(table: Table) -> MapErrors | None:
+    """Read the standard deviations of the rims, None when the table has none."""
+    there = [name for name in ERROR_COLUMNS if name in table.columns]
+    if not there:
+        return None
+    for name in ERROR_COLUMNS:
+        if name not in there:
+            raise InputError(table.path, f"expected this column beside {there[0]}", column=name)
+    for name in ERROR_COLUMNS:
+        wrong = np.flatnonzero(~(table.columns[name] >= 0.0))
+        if len(wrong):
+            table.fail(int(wrong[0]), name, f"expected 0 or more, found {table.columns[name][wrong[0]]:g}")
+    return MapErrors(*(table.columns[name] for name in ERROR_COLUMNS))

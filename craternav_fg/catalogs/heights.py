@@ -12,6 +12,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # Points of a rim at which the elevation model is read.
 _RIM_POINTS = 24
+# Of these, so many count as independent: neighbours on a rim are high or low together.
+_INDEPENDENT_POINTS = 4.0
 # Largest height above or below the sphere, in radii: even small, irregular bodies keep within it.
 _MAX_HEIGHT_RADII = 0.4
 
@@ -39,6 +41,7 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     """Set the heights of rims to the mean of an elevation model along them.
 
     A model much coarser than a crater does not resolve its rim: the height is then that of the surroundings.
+    Where the catalogue states errors, those of the heights follow from the scatter along the rim.
 
     Parameters
     ----------
@@ -52,11 +55,18 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     """
     gRl = catalog.gRl
     radius_m = catalog.body.radius_m
-    total = np.zeros(len(catalog))
+    total, squares = np.zeros(len(catalog)), np.zeros(len(catalog))
     for turn in np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False):
         # Direction of a rim point from the body's centre: the rim's plane is level at its own centre.
         x = np.cos(turn) * catalog.semi_major_m / radius_m
         y = np.sin(turn) * catalog.semi_minor_m / radius_m
         point = gRl[:, :, 2] + x[:, None] * gRl[:, :, 0] + y[:, None] * gRl[:, :, 1]
-        total += dem.heights_m(point / np.linalg.norm(point, axis=1, keepdims=True))
-    return replace(catalog, height_m=total / _RIM_POINTS)
+        heights = dem.heights_m(point / np.linalg.norm(point, axis=1, keepdims=True))
+        total += heights
+        squares += heights**2
+    mean_m = total / _RIM_POINTS
+    errors = catalog.errors
+    if errors is not None:
+        scatter_m = np.sqrt(np.maximum(squares / _RIM_POINTS - mean_m**2, 0.0))
+        errors = replace(errors, height_m=scatter_m / np.sqrt(_INDEPENDENT_POINTS))
+    return replace(catalog, height_m=mean_m, errors=errors)

@@ -2,7 +2,7 @@
 
 Two entries are one crater when their centres lie within a share of the larger radius and their sizes agree
 within a factor, and neither has a better partner. What is kept is an ellipse where a source has one, else the
-entry of the source that comes first.
+entry of the source that comes first. How far the sources lie apart tells how far each may be off.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from craternav_fg import frames
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.tables import Column, write_table
@@ -51,6 +52,7 @@ class Merged:
     Attributes
     ----------
     catalog : Catalog
+        With errors, if its sources state some or share enough craters to show them.
     source : ndarray of int, shape (n,)
         Index of the source of each crater.
     also_in : tuple of tuple of int, length n
@@ -154,6 +156,9 @@ def merge(parts: Sequence[Catalog], names: Sequence[str], options: MergeOptions 
         if abs(part.body.radius_m - first.body.radius_m) > _RADIUS_TOLERANCE * first.body.radius_m:
             expected = f"a sphere of {first.body.radius_m:.9g} m, as in {names[0]}"
             raise InputError(name, f"expected {expected}, found {part.body.radius_m:.9g} m")
+    if all(part.errors is None for part in parts):
+        parts = _with_errors(parts, options)
+        first = parts[0]
     catalog, source = first, np.zeros(len(first), dtype=np.int64)
     also: list[tuple[int, ...]] = [()] * len(first)
     for k, part in enumerate(parts[1:], 1):
@@ -173,6 +178,26 @@ def merge(parts: Sequence[Catalog], names: Sequence[str], options: MergeOptions 
         source = np.append(source, np.full(len(new), k))
         also += [()] * len(new)
     return Merged(catalog, source, tuple(also))
+
+
+def _with_errors(parts: Sequence[Catalog], options: MergeOptions) -> list[Catalog]:
+    """Give catalogues the errors that their differences show: those of place and size grow with the radius.
+
+    A difference has the errors of both. They cannot be told apart, so each source gets all of it, and the
+    first source the least of its differences from the others.
+    """
+    found = [difference(parts[0], part, options) for part in parts[1:]]
+    shares = [(float(one.shift_share.max()), one.scale_sigma) for one in found if one is not None]
+    if not shares:
+        return list(parts)
+    own = [None if one is None else (float(one.shift_share.max()), one.scale_sigma) for one in found]
+    out = []
+    for part, share in zip(parts, [min(shares), *own], strict=True):
+        place, size = share or max(shares)
+        radius_m = np.sqrt(part.semi_major_m * part.semi_minor_m)
+        errors = MapErrors(place * radius_m, np.full(len(part), size), np.zeros(len(part)))
+        out.append(replace(part, errors=errors))
+    return out
 
 
 def difference(one: Catalog, other: Catalog, options: MergeOptions = MergeOptions()) -> Difference | None:
@@ -233,7 +258,11 @@ def _replaced(catalog: Catalog, part: Catalog, pairs: IntArray) -> Catalog:
     for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m"):
         values[name] = getattr(catalog, name).copy()
         values[name][pairs[:, 0]] = getattr(part, name)[pairs[:, 1]]
-    return replace(catalog, **values)
+    errors = catalog.errors
+    if errors is not None or part.errors is not None:
+        there = part.errors or MapErrors.zeros(len(part))
+        errors = (errors or MapErrors.zeros(len(catalog))).replaced(pairs[:, 0], there.take(pairs[:, 1]))
+    return replace(catalog, errors=errors, **values)
 
 
 def _robust_sigma(values: FloatArray) -> FloatArray:

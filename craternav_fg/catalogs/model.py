@@ -10,6 +10,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.ellipse import half_sides, moments_kernel, pixel_chart, points_on, semi_axes_kernel
 from factors.kernels import conic
@@ -45,6 +46,8 @@ class Catalog:
         Height of the rim's plane above the sphere, at the rim's centre.
     body : Body
         Body with these craters.
+    errors : MapErrors or None
+        How far the rims may be off; None when the catalogue does not say.
     """
 
     identifiers: tuple[str, ...]
@@ -55,6 +58,7 @@ class Catalog:
     angle_rad: FloatArray
     height_m: FloatArray
     body: Body
+    errors: MapErrors | None = None
 
     def __len__(self) -> int:
         return len(self.identifiers)
@@ -75,6 +79,7 @@ class Catalog:
             self.angle_rad[rows],
             self.height_m[rows],
             self.body,
+            None if self.errors is None else self.errors.take(rows),
         )
 
     @classmethod
@@ -84,7 +89,7 @@ class Catalog:
         Parameters
         ----------
         parts : sequence of Catalog
-            One or more; their identifiers must differ.
+            One or more; their identifiers must differ. Where only some state errors, the others are exact.
         """
         numbers = {
             name: np.concatenate([getattr(part, name) for part in parts])
@@ -93,7 +98,10 @@ class Catalog:
             )
         }  # fmt: skip
         identifiers = tuple(name for part in parts for name in part.identifiers)
-        return cls(identifiers, body=parts[0].body, **numbers)
+        errors = None
+        if any(part.errors is not None for part in parts):
+            errors = MapErrors.joined([part.errors or MapErrors.zeros(len(part)) for part in parts])
+        return cls(identifiers, body=parts[0].body, errors=errors, **numbers)
 
     @cached_property
     def gRl(self) -> FloatArray:

@@ -11,6 +11,7 @@ import pyarrow.compute as pa_compute
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import StatedBody, resolve_body
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.tables import parquet
@@ -29,13 +30,17 @@ _SCHEMA = pa.schema(
         *(parquet.filled(name, pa.float64()) for name in _NUMBERS),
     ]
 )
+# Optional: standard deviations, by the name in `MapErrors`; all or none.
+_ERRORS = {"place_m": "sigma_place_m", "size": "sigma_size", "height_m": "sigma_height_m"}
+_ERROR_SCHEMA = pa.schema([parquet.filled(name, pa.float64()) for name in _ERRORS.values()])
 
 
 def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLike] | None = None) -> None:
     """Write a catalogue; numbers read back exactly.
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
-    north; height_m, of the rim above the sphere. Body and format are in the file's metadata.
+    north; height_m, of the rim above the sphere; sigma_place_m, sigma_size and sigma_height_m where the
+    catalogue states errors. Body and format are in the file's metadata.
 
     Parameters
     ----------
@@ -55,7 +60,10 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     about = {"format": FORMAT, "body": ordered.body.name, "radius_m": float(ordered.body.radius_m)}
     arrays = [pa.array(ordered.identifiers, pa.string())]
     arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
-    more = {name: pa.array(np.asarray(column)[order].tolist()) for name, column in (beside or {}).items()}
+    stated = ordered.errors
+    own = {} if stated is None else {name: getattr(stated, key) for key, name in _ERRORS.items()}
+    more = {name: pa.array(values) for name, values in own.items()}
+    more |= {name: pa.array(np.asarray(column)[order].tolist()) for name, column in (beside or {}).items()}
     fields = [*_SCHEMA, *(pa.field(name, column.type) for name, column in more.items())]
     schema = pa.schema(fields, metadata={_KEY: json.dumps(about).encode()})
     arrays += more.values()
@@ -81,14 +89,15 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
         When the file is not such a store or of another body, or a value is out of range.
     """
     body, _ = resolve_body(path, body, _stated(path))
-    table = parquet.read_parquet(path, _SCHEMA, other_columns=True)
+    table = parquet.read_parquet(path, _SCHEMA, optional=_ERROR_SCHEMA, other_columns=True)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
     if pa_compute.count_distinct(table[_ID]).as_py() != len(table):
         raise InputError(path, "expected each identifier once, found one again", column=_ID)
     values = {name: np.ascontiguousarray(table[name].to_numpy(), dtype=np.float64) for name in _NUMBERS}
     _check(path, values, body)
-    return Catalog(identifiers=tuple(table[_ID].to_pylist()), body=body, **values)
+    errors = _errors(path, table)
+    return Catalog(identifiers=tuple(table[_ID].to_pylist()), body=body, errors=errors, **values)
 
 
 def is_store(path: Path) -> bool:
@@ -108,6 +117,22 @@ def is_store(path: Path) -> bool:
         When it cannot be opened, or is no Parquet file.
     """
     return parquet.read_parquet_metadata(path, _KEY) is not None
+
+
+def _errors(path: Path, table: pa.Table) -> MapErrors | None:
+    """Read the standard deviations of the rims, None when the file has none."""
+    there = [name for name in _ERRORS.values() if name in table.column_names]
+    if not there:
+        return None
+    found = {}
+    for key, name in _ERRORS.items():
+        if name not in there:
+            raise InputError(path, f"expected this column beside {there[0]}", column=name)
+        values = np.ascontiguousarray(table[name].to_numpy(), dtype=np.float64)
+        if not ((values >= 0.0) & (values < np.inf)).all():
+            raise InputError(path, "expected finite numbers of 0 or more", column=name)
+        found[key] = values
+    return MapErrors(**found)
 
 
 def _stated(path: Path) -> StatedBody:

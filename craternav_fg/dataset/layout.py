@@ -49,7 +49,8 @@ dataset.toml then. Other columns of the published file may be there and are not 
     CRATER_ID,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_ELLI_MAJOR_IMG,DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG,RIM_HEIGHT_M
     01-1-000002,60.81,183.047,27.32,26.98,81.36,12.5
 
-A large catalogue may be given as `craters.parquet` in its place, as `craternav catalog import` writes it.
+PLACE_SIGMA_M, SIZE_SIGMA (a share) and RIM_HEIGHT_SIGMA_M, all or none, say how far each rim may be off. A
+large catalogue may be given as `craters.parquet` in its place, as `craternav catalog import` writes it.
 
 `sun.csv`: unit vectors towards the sun in g; one row, or rows over all frames, interpolated between::
 
@@ -117,9 +118,10 @@ columns of the truth; for comparison only. `sensor.yaml` beside it has their sta
 `rims.parquet` (optional): measured rims, one row per rim; when it is there, no image is read. Columns:
 `timestamp` (int64, a frame's), `crater_id` (string, in the catalogue), `chart` (5 doubles) and `covariance`
 (25 doubles, row by row), see `craternav_fg.measurements.RimSet`. Optional are the roots of the correlated
-parts of the covariance, row by row: `correlated` (5 x 5 doubles) and `shared` (5 x 8 doubles); and how well
-the rim was seen (doubles, all or none of them): `slope_contrast`, `found_share`, `arc_share`, `rms_px`,
-`outline_share`, see `RimQuality`. An optional value may be null for all rims of a frame.
+parts of the covariance, row by row: `correlated` (5 x 5 doubles), beside it `correlated_height` (5 doubles),
+and `shared` (5 x 8 doubles); and how well the rim was seen (doubles, all or none of them):
+`slope_contrast`, `found_share`, `arc_share`, `rms_px`, `outline_share`, see `RimQuality`. An optional value
+may be null for all rims of a frame.
 
 `arcs.parquet` (optional, beside it): edge points of rims that are seen in part, one row per rim. Columns:
 `timestamp`, `crater_id`, `points` (a list of pairs of doubles, normalised image coordinates), `sigmas` (a

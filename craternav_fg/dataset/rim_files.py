@@ -31,7 +31,7 @@ _RIMS = pa.schema(
     ]
 )
 # Roots of the correlated parts of the covariance, with their columns.
-_ROOTS = {"correlated": 5, "shared": SHARED_SIZE}
+_ROOTS = {"correlated": 5, "correlated_height": 1, "shared": SHARED_SIZE}
 _QUALITY = tuple(field.name for field in fields(RimQuality))
 _PART_SHAPES: dict[str, tuple[int, ...]] = {
     **{name: (5, width) for name, width in _ROOTS.items()},
@@ -80,7 +80,7 @@ def write_rims(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
         "covariance": _vectors(np.concatenate([rims.covariance for rims in sets]), 25),
     }
     for name, width in _ROOTS.items():
-        roots = [getattr(rims, name) for rims in sets]
+        roots = [_root(rims, name) for rims in sets]
         if any(A is not None for A in roots):
             full = [
                 np.zeros((len(rims), 5, width)) if A is None else A
@@ -134,6 +134,9 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
     for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
         seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
         roots = {name: seen.pop(name) for name in _ROOTS if name in seen}
+        if "correlated_height" in roots and "correlated" in roots:
+            both = roots["correlated"], roots.pop("correlated_height")
+            roots["correlated"] = np.concatenate(both, axis=2)
         quality = RimQuality(**seen) if seen else None
         out.append(RimSet(craters[own], charts[own], covariances[own], quality, **roots))
     return out
@@ -226,6 +229,16 @@ class _Part:
 
     values: FloatArray
     known: BoolArray
+
+
+def _root(rims: RimSet, name: str) -> FloatArray | None:
+    """Root (n, 5, m) of a part of the covariance as the file has it: the error of the height by itself."""
+    if name == "shared" or rims.correlated is None:
+        return rims.shared if name == "shared" else None
+    of_height = rims.correlated[:, :, 5:]
+    if name == "correlated":
+        return rims.correlated[:, :, :5]
+    return of_height if of_height.any() else None
 
 
 def _key_columns(

@@ -17,12 +17,12 @@ import numpy.typing as npt
 
 from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
-from craternav_fg.measurements import SHARED_SIZE, RimSet
+from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, RimSet
 from factors.conic_shape import ChartError
 
 FloatArray = npt.NDArray[np.float64]
 
-ERROR_LETTER, ERROR_SIZE = "r", 5
+ERROR_LETTER = "r"
 SHARED_KEY: int = gtsam.symbol("s", 0)
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
@@ -98,6 +98,8 @@ class RimErrorStates:
         """
         out: list[ChartError] = []
         if rims.correlated is not None:
+            roots = np.zeros((len(rims), 5, CORRELATED_SIZE))
+            roots[:, :, : rims.correlated.shape[2]] = rims.correlated
             for i, crater in enumerate(rims.craters.tolist()):
                 chart = rims.chart[i]
                 track = self._rims.get(crater)
@@ -112,7 +114,7 @@ class RimErrorStates:
                     key = self._next(None if track is None else track.key, change, graph, values)
                     track = _Track(key, chart)
                     self._rims[crater] = track
-                out.append(ChartError(track.key, [i], rims.correlated[i : i + 1]))
+                out.append(ChartError(track.key, [i], roots[i : i + 1]))
         if rims.shared is not None and len(rims):
             if not self._shared or (holds is not None and not holds(SHARED_KEY)):
                 self._shared = True
@@ -127,10 +129,10 @@ class RimErrorStates:
     ) -> int:
         key: int = gtsam.symbol(ERROR_LETTER, self._count)
         self._count += 1
-        values.insert(key, np.zeros(ERROR_SIZE))
+        values.insert(key, np.zeros(CORRELATED_SIZE))
         correlation = 0.0 if before is None else float(np.exp(-change / self._options.decay))
-        noise = gtsam.noiseModel.Isotropic.Sigma(ERROR_SIZE, np.sqrt(1.0 - correlation * correlation))
-        unit, zero = np.eye(ERROR_SIZE), np.zeros(ERROR_SIZE)
+        noise = gtsam.noiseModel.Isotropic.Sigma(CORRELATED_SIZE, np.sqrt(1.0 - correlation * correlation))
+        unit, zero = np.eye(CORRELATED_SIZE), np.zeros(CORRELATED_SIZE)
         point = gtsam.Values()
         point.insert(key, zero)
         if before is None:

@@ -15,14 +15,14 @@ from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.correlated_errors import ERROR_SIZE, VARIANCE_INFLATION, RimErrorOptions
+from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import transition
 from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
 from craternav_fg.evaluation.track_information import POINT_SIZE, TrackInformation
 from craternav_fg.linalg import square_root, whitening
-from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
+from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -214,15 +214,17 @@ class _AugmentedState:
     @property
     def size(self) -> int:
         """Dimension of the state with the further unknowns."""
-        return _SIZE + self._shared + ERROR_SIZE * len(self.first) + POINT_SIZE * len(self.first_of_point)
+        return (
+            _SIZE + self._shared + CORRELATED_SIZE * len(self.first) + POINT_SIZE * len(self.first_of_point)
+        )
 
     def _enter(self, k: int) -> None:
         """Begin with the craters and points of frame k, and keep those that will be seen again."""
         charts = {**self._charts, **self._seen[k]}
         self._charts = {crater: chart for crater, chart in charts.items() if self._last[crater] >= k}
         begin = _SIZE + self._shared
-        self.first = {crater: begin + ERROR_SIZE * i for i, crater in enumerate(self._charts)}
-        begin += ERROR_SIZE * len(self.first)
+        self.first = {crater: begin + CORRELATED_SIZE * i for i, crater in enumerate(self._charts)}
+        begin += CORRELATED_SIZE * len(self.first)
         alive = [] if self._tracks is None else self._tracks.alive(k)
         self.first_of_point = {track: begin + POINT_SIZE * i for i, track in enumerate(alive)}
 
@@ -239,7 +241,7 @@ class _AugmentedState:
             if crater in columns:
                 change = float(shape_change(before[crater], self._charts[crater]))
                 correlation = np.exp(-change / self._decay)
-            for j in range(ERROR_SIZE):
+            for j in range(CORRELATED_SIZE):
                 if crater in columns:
                     whole[row + j, columns[crater] + j] = correlation
                 noise[row + j, row + j] = 1.0 - correlation * correlation
@@ -275,7 +277,7 @@ def _information(
         J[:, _POSE] = A[i] * sigmas[_POSE]
         if rims.correlated is not None:
             first = augmented.first[int(rims.craters[i])]
-            J[:, first : first + ERROR_SIZE] = W[i] @ rims.correlated[i]
+            J[:, first : first + rims.correlated.shape[2]] = W[i] @ rims.correlated[i]
         if rims.shared is not None:
             J[:, _SIZE : _SIZE + SHARED_SIZE] = W[i] @ rims.shared[i]
         rows.append(J)

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.catalogs.dem import Dem
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import (
     axes_covariance,
@@ -112,7 +113,8 @@ class RefinedRims:
     Attributes
     ----------
     catalog : Catalog
-        Refined rims, and the others as they were.
+        Refined rims, and the others as they were, with errors: of refined rims those of the fit, of the
+        others what the refined ones show of the catalogue.
     outcomes : tuple of Outcome, length n
     covariance : ndarray, shape (n, 5, 5)
         Covariance of the rim's chart in the tangent plane, east and north from the rim's centre: m, and
@@ -344,7 +346,7 @@ def _scaled(chart: FloatArray, factor: float) -> FloatArray:
 def _collected(catalog: Catalog, enu: FloatArray, found: list[_Rim | Outcome]) -> RefinedRims:
     """Put the results of all craters together."""
     n = len(catalog)
-    values = {
+    values: dict[str, Any] = {
         name: getattr(catalog, name).copy()
         for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
     }
@@ -360,9 +362,38 @@ def _collected(catalog: Catalog, enu: FloatArray, found: list[_Rim | Outcome]) -
         covariance[row], tilt[row], shift[row] = rim.covariance, rim.tilt_rad, (x, y)
         log_size[row] = 0.5 * np.log(a * b / (catalog.semi_major_m[row] * catalog.semi_minor_m[row]))
         height_sigma[row], scatter[row], depth[row] = rim.height_sigma_m, rim.scatter_m, rim.depth_m
+    values["errors"] = _errors(catalog, covariance, height_sigma, shift, log_size)
     outcomes = tuple(Outcome.REFINED if isinstance(rim, _Rim) else rim for rim in found)
     refined = replace(catalog, **values)
     return RefinedRims(refined, outcomes, covariance, height_sigma, tilt, scatter, depth, shift, log_size)
+
+
+def _errors(
+    catalog: Catalog,
+    covariance: FloatArray,
+    height_sigma: FloatArray,
+    shift: FloatArray,
+    log_size: FloatArray,
+) -> MapErrors:
+    """Errors of refined rims, and of the others: as the catalogue states, or as refinement shows."""
+    errors = catalog.errors
+    rows = np.flatnonzero(np.isfinite(log_size))
+    if not len(rows):
+        return errors or MapErrors.zeros(len(catalog))
+    variances = np.diagonal(covariance[rows], axis1=1, axis2=2)
+    if errors is None:
+        radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+        place = float(_robust_rms(shift[rows] / radius_m[rows, None]).max())
+        size = float(_robust_rms(log_size[rows, None])[0])
+        errors = MapErrors(place * radius_m, np.full(len(catalog), size), np.zeros(len(catalog)))
+    place_m = np.sqrt(0.5 * (variances[:, 0] + variances[:, 1]))
+    size_share = np.sqrt(0.5 * (variances[:, 2] + variances[:, 4]))
+    return errors.replaced(rows, MapErrors(place_m, size_share, height_sigma[rows]))
+
+
+def _robust_rms(values: FloatArray) -> FloatArray:
+    """Estimate root mean squares (m,) of columns (n, m) from the median of their sizes."""
+    return np.asarray(1.4826 * np.median(np.abs(values), axis=0))
 
 
 def _rims(found: list[_Rim | Outcome]) -> Iterator[tuple[int, _Rim]]:

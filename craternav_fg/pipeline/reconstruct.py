@@ -29,7 +29,7 @@ from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
-from craternav_fg.vision.point_tracks import track_points
+from craternav_fg.vision.point_tracks import GroundMotion, track_points
 from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
@@ -222,7 +222,9 @@ def _tracks(dataset: Dataset, measured: _Measured, limits: GuidedOptions, report
             yield dataset.image(k)
         report("tracked points", len(dataset), len(dataset))
 
-    return track_points(images(), measured.frames, dataset.camera, limits.points)
+    guides = measured.guides
+    motion = None if guides is None else GroundMotion(guides, dataset.body.radius_m)
+    return track_points(images(), measured.frames, dataset.camera, limits.points, motion)
 
 
 def _left_out(frame: FrameMeasurement, without: Sequence[str]) -> FrameMeasurement:

@@ -17,7 +17,7 @@ from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import judge
-from craternav_fg.vision.error_model.correlated import arc_sigma_px, in_plane_slopes, map_covariance, split
+from craternav_fg.vision.error_model.correlated import arc_sigma_px, map_covariance, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -237,8 +237,7 @@ class GuidedFrontEnd:
 
     def _of_map(self, rows: IntArray, gTb: FloatArray) -> FloatArray:
         """Covariance (n, 5, 5) of charts from the catalogue's errors."""
-        slopes = in_plane_slopes(rows, gTb, self.camera, self.catalog)
-        return map_covariance(slopes, self.options.correlated_errors)
+        return map_covariance(rows, gTb, self.camera, self.catalog, self.options.correlated_errors)
 
     def _visible(self, gTb: FloatArray, margin_px: float) -> IntArray:
         least = self.options.min_semi_minor_px

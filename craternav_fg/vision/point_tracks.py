@@ -2,15 +2,20 @@
 
 Corners away from measured rims are tracked into the next image and back again. A point that does not come
 back to where it began is lost. A track ends after some frames, as the errors of its steps add up.
+
+Between photographs from orbit a point moves by a quarter of the image, far more than the tracker finds. Where
+the poses are known roughly, it therefore searches near the place that they predict for a point of the sphere.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import FrameMeasurement
@@ -64,6 +69,45 @@ class PointTrackOptions:
     quality: float = 0.02
 
 
+@dataclass(frozen=True)
+class GroundMotion:
+    """Motion of the ground's image from frame to frame, as rough poses predict it.
+
+    Attributes
+    ----------
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g at the frames, m.
+    radius_m : float
+        Radius of the sphere that stands for the ground.
+    """
+
+    gTb: FloatArray
+    radius_m: float
+
+    def predicted(self, camera: Camera, index: int, points_px: FloatArray) -> FloatArray:
+        """Predict where points of one image are in the next.
+
+        Parameters
+        ----------
+        camera : Camera
+        index : int
+            Of the next frame.
+        points_px : ndarray, shape (n, 2)
+            px, in the frame before.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            px; NaN for points beside the body or not in front of the camera.
+        """
+        before, after = camera.gTc(self.gTb[index - 1]), camera.gTc(self.gTb[index])
+        seen = camera.normalised(points_px)
+        ground, hit = ground_points(before[:3, :3], before[:3, 3], seen, self.radius_m)
+        x, y, z = ((ground - after[:3, 3]) @ after[:3, :3]).T
+        z = np.where(hit & (z > 0.0), z, np.nan)
+        return np.asarray(camera.pixels(np.stack([x / z, y / z], axis=-1)))
+
+
 class PointTracker:
     """Follows points through the images of a descent.
 
@@ -71,9 +115,15 @@ class PointTracker:
     ----------
     camera : Camera
     options : PointTrackOptions
+    motion : GroundMotion, optional
+        Without it points are searched where they were in the image before.
     """
 
-    def __init__(self, camera: Camera, options: PointTrackOptions) -> None:
+    def __init__(
+        self, camera: Camera, options: PointTrackOptions, motion: GroundMotion | None = None
+    ) -> None:
+        self._motion = motion
+        self._index = 0
         self._camera = camera
         self._options = options
         self._before: Image | None = None
@@ -106,24 +156,36 @@ class PointTracker:
             self._ages = self._ages[sound] + 1
         self._begin(grey, frame)
         self._before = grey
+        self._index += 1
         return self._names.copy(), self._points.astype(np.float64)
 
     def _tracked(self, before: Image, grey: Image) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Points (n, 2) in the next image, and which of them come back to where they began."""
-        window, levels = (self._options.window_px,) * 2, self._options.levels
+        tracker: dict[str, Any] = {
+            "winSize": (self._options.window_px,) * 2,
+            "maxLevel": self._options.levels,
+            "criteria": CRITERIA,
+            "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
+        }
         start = self._points.reshape(-1, 1, 2)
-        ahead, there, difference = cv2.calcOpticalFlowPyrLK(
-            before, grey, start, np.empty_like(start), winSize=window, maxLevel=levels, criteria=CRITERIA
-        )
-        back, again, _ = cv2.calcOpticalFlowPyrLK(
-            grey, before, ahead, np.empty_like(start), winSize=window, maxLevel=levels, criteria=CRITERIA
-        )
+        guess = self._guess(start)
+        known = np.isfinite(guess[:, 0]).all(axis=1)
+        guess[~known] = start[~known]
+        ahead, there, difference = cv2.calcOpticalFlowPyrLK(before, grey, start, guess.copy(), **tracker)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(grey, before, ahead, ahead + (start - guess), **tracker)
         away = np.linalg.norm((back - start)[:, 0], axis=1)
         found = np.asarray(ahead[:, 0], dtype=np.float32)
         inside = self._camera.contains(found.astype(np.float64), margin_px=0.5 * self._options.window_px)
         alike = difference[:, 0] < LARGEST_DIFFERENCE * CONTRAST
         sound = (there[:, 0] == 1) & (again[:, 0] == 1) & (away < self._options.return_px)
-        return found, np.asarray(sound & alike & inside)
+        return found, np.asarray(sound & alike & inside & known)
+
+    def _guess(self, start: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Predict the points (n, 1, 2) in the next image."""
+        if self._motion is None:
+            return start.copy()
+        points = self._motion.predicted(self._camera, self._index, start[:, 0].astype(np.float64))
+        return points.astype(np.float32).reshape(-1, 1, 2)
 
     def _begin(self, grey: Image, frame: FrameMeasurement) -> None:
         """Begin tracks at corners away from points, rims and the border."""
@@ -155,6 +217,7 @@ def track_points(
     frames: Sequence[FrameMeasurement],
     camera: Camera,
     options: PointTrackOptions,
+    motion: GroundMotion | None = None,
 ) -> FeatureTracks:
     """Track points through the images of a descent.
 
@@ -166,13 +229,15 @@ def track_points(
         Their stamps and rims.
     camera : Camera
     options : PointTrackOptions
+    motion : GroundMotion, optional
+        Motion from frame to frame that rough poses predict.
 
     Returns
     -------
     FeatureTracks
         Of points that are seen in two frames or more.
     """
-    tracker = PointTracker(camera, options)
+    tracker = PointTracker(camera, options, motion)
     found = [tracker.follow(image, frame) for image, frame in zip(images, frames, strict=True)]
     stamps = np.repeat([frame.stamp_ns for frame in frames], [len(names) for names, _ in found])
     tracks = np.concatenate([names for names, _ in found])

@@ -16,7 +16,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.ellipse import chart_of_axes
 from craternav_fg.frames import up
-from craternav_fg.mapping.refine import Outcome, refine_on_dem
+from craternav_fg.mapping.refine import Outcome, RefineOptions, refine_on_dem
 from tests.cli.calls import call
 from tests.shared_data import shared
 
@@ -104,6 +104,20 @@ def errors(found, truth):
         for x, y, c in ((east, north, found), (0.0 * east, 0.0 * north, truth))
     ]
     return charts[0] - charts[1]
+
+
+def test_the_refined_catalogue_states_its_errors(worlds):
+    """Refined rims those of their fit; the others 10 % and 5 % of the radius, as the world was made."""
+    one = worlds[0]
+    found = refine_on_dem(one.circles, read_dem(one.path), RefineOptions(min_diameter_steps=25.0))
+    stated, radius = found.catalog.errors, one.circles.semi_major_m
+    place_m = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)[:, :2].mean(axis=1))
+    np.testing.assert_allclose(stated.place_m[found.refined], place_m[found.refined])
+    np.testing.assert_allclose(stated.height_m[found.refined], found.height_sigma_m[found.refined])
+    rest = ~found.refined
+    assert rest.any()
+    np.testing.assert_allclose(stated.place_m[rest] / radius[rest], 0.1, rtol=0.4)
+    np.testing.assert_allclose(stated.size[rest], 0.05, rtol=0.5)
 
 
 def test_refined_rims_are_closer_and_as_uncertain_as_they_say(worlds):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.error_model.outline import unseen_deviation
@@ -121,3 +122,34 @@ def test_scaling_multiplies_every_part_of_the_variance():
     rest = scaled.systematic - scaled.brightness_root[:, :, None] * scaled.brightness_root[:, None, :]
     before = errors.systematic - errors.brightness_root[:, :, None] * errors.brightness_root[:, None, :]
     assert np.allclose(rest, 4.0 * before)
+
+
+def test_errors_that_the_catalogue_states_are_added_crater_by_crater(view):
+    """A step of a standard deviation of one crater's height changes its chart by what is added."""
+    gTb, sun, camera, catalog = view
+    count = len(catalog)
+    none, height = np.zeros(count), np.zeros(count)
+    height[3] = 150.0
+    stated = dataclasses.replace(catalog, errors=MapErrors(none, none, height))
+    options = CorrelatedErrorOptions()
+    rows = np.arange(count)
+    covariance, correlated, _ = split(claimed(count), 1.0, rows, gTb, sun, camera, stated, options)
+    without, kept, _ = split(claimed(count), 1.0, rows, *view, options)
+    added = covariance - without
+    assert np.abs(np.delete(added, 3, axis=0)).max() < 1e-18
+    raised = dataclasses.replace(catalog, height_m=catalog.height_m + height)
+    charts = [project_rims(gTb, camera.bTc, one.centres, one.axes)[0][3] for one in (catalog, raised)]
+    step = charts[1] - charts[0]
+    np.testing.assert_allclose(added[3], np.outer(step, step), rtol=0.1, atol=0.02 * np.max(step**2))
+    # It stays with the crater, in a direction of its own.
+    np.testing.assert_allclose(correlated[3, :, 5], step, rtol=0.05, atol=0.02 * np.max(np.abs(step)))
+    np.testing.assert_allclose(correlated[:, :, :5], kept[:, :, :5], rtol=1e-12)
+    placed = dataclasses.replace(catalog, errors=MapErrors(0.05 * radius(catalog), none + 0.02, none))
+    shares = CorrelatedErrorOptions(map_place_share=0.05, map_size_share=0.02)
+    told, *_ = split(claimed(count), 1.0, rows, gTb, sun, camera, placed, options)
+    assumed, *_ = split(claimed(count), 1.0, rows, *view, shares)
+    np.testing.assert_allclose(told, assumed, rtol=1e-12, atol=1e-18)
+
+
+def radius(catalog):
+    return np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
 from craternav_fg.estimators.point_features import linearise_points, lines_of_sight, triangulated
@@ -13,7 +14,7 @@ from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.guided_options import GuidedOptions
-from craternav_fg.vision.point_tracks import PointTrackOptions, track_points
+from craternav_fg.vision.point_tracks import GroundMotion, PointTrackOptions, track_points
 
 OPTIONS = PointTrackOptions(count=60)
 
@@ -101,3 +102,21 @@ def test_reconstruction_uses_them_when_asked_to(data: Dataset) -> None:
     away = np.linalg.norm(found.gP[-1] - data.truth.gP[-1])
     assert away < 4.0 * np.sqrt(np.trace(found.pose_covariance[-1, 3:, 3:]))
     assert result.options["front_end"]["points"]["count"] == OPTIONS.count
+
+
+def test_rough_poses_lead_to_points_that_have_moved_far(data: Dataset) -> None:
+    """Two images 12 s apart: the ground moves by a fifth of the image, and the poses are 100 m wrong."""
+    assert data.truth is not None
+    ends = [0, 3]
+    pair = [data.image(k) for k in ends], [bare(data)[k] for k in ends]
+    gTb = data.truth.gTb[ends].copy()
+    gTb[1, :3, 3] += 100.0 * frames.up(np.array(0.3), np.array(1.0))
+    options = replace(OPTIONS, levels=1)
+    motion = GroundMotion(gTb, data.body.radius_m)
+    led, lost = (track_points(*pair, data.camera, options, one) for one in (motion, None))
+    assert len(led.tracks) >= 10
+    assert len(led.tracks) > 2 * len(lost.tracks)
+    first, second = (led.at(int(data.stamps_ns[k]))[1] for k in ends)
+    expected = GroundMotion(data.truth.gTb[ends], data.body.radius_m).predicted(data.camera, 1, first)
+    assert np.median(np.linalg.norm(second - expected, axis=1)) < 6.0
+    assert np.median(np.linalg.norm(second - first, axis=1)) > 60.0

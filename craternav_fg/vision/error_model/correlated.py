@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SHARED_SIZE
 from craternav_fg.vision.error_model.systematic import RimErrors
@@ -23,8 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 # Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
-# growth along l2. The third column, a shift along the normal, is left out.
-_IN_PLANE = [0, 1, 3, 4, 5]
+# growth along l2. The other column is a shift along the normal.
+_IN_PLANE, _HEIGHT = [0, 1, 3, 4, 5], 2
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,11 @@ class CorrelatedErrorOptions:
     arc_px, arc_share : float
         Time-correlated shift that the edge points of an arc share: px, and share of the radius.
     map_place_share, map_size_share : float
-        Standard deviations of the catalogue: of each coordinate of a crater's place, and of each semi-axis.
-        Both are errors that a crater keeps. Real catalogues of circles have several per cent.
+        Standard deviations of the catalogue beside those that it states (`Catalog.errors`): of each
+        coordinate of a crater's place, and of each semi-axis. Both are errors that a crater keeps. Real
+        catalogues of circles have several per cent.
+    map_height_m : float
+        The same of the height of a rim's plane, m: a coarse elevation model smooths a rim.
     """
 
     crater_share: float = 0.7
@@ -79,22 +83,46 @@ class CorrelatedErrorOptions:
     arc_share: float = 0.004
     map_place_share: float = 0.0
     map_size_share: float = 0.0
-
-    @property
-    def map_variances(self) -> FloatArray:
-        """Variances (5,) of a crater's errors on the map, in radii, in the columns of `in_plane_slopes`."""
-        place2, size2 = self.map_place_share**2, self.map_size_share**2
-        # The shear of independent errors of axes whose directions are arbitrary.
-        return np.array([place2, place2, size2, 0.5 * size2, size2])
+    map_height_m: float = 0.0
 
 
-def map_covariance(slopes: FloatArray, options: CorrelatedErrorOptions) -> FloatArray:
+def map_variances(rows: IntArray, catalog: Catalog, options: CorrelatedErrorOptions) -> FloatArray:
+    """Variances of craters' errors on the map: those that the catalogue states, and those of the options.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (n,)
+        The craters in the catalogue.
+    catalog : Catalog
+    options : CorrelatedErrorOptions
+
+    Returns
+    -------
+    ndarray, shape (n, 6)
+        In the order and the units of `ground_slopes`: shifts in radii, growths as shares.
+    """
+    radius_m = np.sqrt(catalog.semi_major_m[rows] * catalog.semi_minor_m[rows])
+    one = np.ones(len(rows))
+    assumed = MapErrors(
+        options.map_place_share * radius_m, options.map_size_share * one, options.map_height_m * one
+    )
+    out = assumed.variances(radius_m)
+    return out if catalog.errors is None else out + catalog.errors.take(rows).variances(radius_m)
+
+
+def map_covariance(
+    rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog, options: CorrelatedErrorOptions
+) -> FloatArray:
     """Covariance of rims' charts from the errors of their craters on the map.
 
     Parameters
     ----------
-    slopes : ndarray, shape (n, 5, 5)
-        From `in_plane_slopes`.
+    rows : ndarray of int, shape (n,)
+        The rims' craters in the catalogue.
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g, m.
+    camera : Camera
+    catalog : Catalog
     options : CorrelatedErrorOptions
 
     Returns
@@ -102,7 +130,9 @@ def map_covariance(slopes: FloatArray, options: CorrelatedErrorOptions) -> Float
     ndarray, shape (n, 5, 5)
         In normalised image coordinates.
     """
-    return np.asarray((slopes * options.map_variances) @ np.swapaxes(slopes, 1, 2))
+    slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    variances = map_variances(rows, catalog, options)
+    return np.asarray((slopes * variances[:, None]) @ np.swapaxes(slopes, 1, 2))
 
 
 def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
@@ -153,16 +183,20 @@ def correlated_roots(
 
     Returns
     -------
-    correlated, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
+    correlated, shared : ndarray, shapes (n, 5, 6), (n, 5, 8)
         As in `RimSet`.
     """
     brightness = errors.brightness_root
-    slopes = in_plane_slopes(rows, gTb, camera, catalog)
+    every = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    slopes = every[:, :, _IN_PLANE]
     inverse = np.linalg.inv(slopes)
     own = errors.systematic - options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
     on_ground = options.crater_share * inverse @ own @ np.swapaxes(inverse, 1, 2)
-    on_ground = on_ground + np.diag(options.map_variances)
-    correlated = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
+    of_map = map_variances(rows, catalog, options)
+    on_ground = on_ground + of_map[:, _IN_PLANE, None] * np.eye(len(_IN_PLANE))
+    in_plane = slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, 1, 2)))
+    of_height = every[:, :, [_HEIGHT]] * np.sqrt(of_map[:, [_HEIGHT], None])
+    correlated = np.concatenate([in_plane, of_height], axis=2)
     shared = slopes @ _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
     shared[:, :, 7] = np.sqrt(options.brightness_share) * brightness
     return correlated, shared
@@ -227,7 +261,7 @@ def split(
     -------
     covariance : ndarray, shape (n, 5, 5)
         Covariance of the whole error.
-    correlated, shared : ndarray, shapes (n, 5, 5), (n, 5, 8)
+    correlated, shared : ndarray, shapes (n, 5, 6), (n, 5, 8)
         Roots of the time-correlated and the shared part of it.
     """
     correlated, shared = correlated_roots(errors, rows, gTb, sun_g, camera, catalog, options)
@@ -235,7 +269,7 @@ def split(
     # The time-correlated part of the fit and the shared brightness are in the covariance already, the other
     # shared parts and the errors of the map are new.
     covariance = errors.covariance + shared @ np.swapaxes(shared, 1, 2)
-    covariance += map_covariance(in_plane_slopes(rows, gTb, camera, catalog), options)
+    covariance += map_covariance(rows, gTb, camera, catalog, options)
     covariance -= options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
     covariance = covariance + options.excess_white_share * (variance_factor - 1.0) * errors.systematic
     return covariance, correlated, shared

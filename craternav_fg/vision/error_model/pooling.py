@@ -98,7 +98,9 @@ class PooledErrors:
             return rims
         slopes = in_plane_slopes(rims.craters, gTb, self._camera, self._catalog)
         inverse = np.linalg.inv(slopes)
-        root = inverse @ rims.correlated
+        # The error of the height is the map's alone: no frame estimates it.
+        in_plane, of_height = rims.correlated[:, :, :5], rims.correlated[:, :, 5:]
+        root = inverse @ in_plane
         correlated = root @ np.swapaxes(root, 1, 2)
         white = inverse @ rims.uncorrelated_covariance @ np.swapaxes(inverse, 1, 2)
         prior = correlated.mean(axis=0), white.mean(axis=0)
@@ -107,7 +109,7 @@ class PooledErrors:
             self._pools[crater] = pool
             correlated[i] = pool.correlated / pool.weight
             white[i] = _at_least(pool.white / pool.weight, white[i])
-        roots = slopes @ np.linalg.cholesky(correlated)
+        roots = np.concatenate([slopes @ np.linalg.cholesky(correlated), of_height], axis=2)
         covariance = slopes @ white @ np.swapaxes(slopes, 1, 2) + roots @ np.swapaxes(roots, 1, 2)
         if rims.shared is not None:
             covariance = covariance + rims.shared @ np.swapaxes(rims.shared, 1, 2)
