@@ -74,3 +74,10 @@ Not fitted but chosen, each with its reason where it stands:
   limits of chance. They are as wide as images and catalogues of all kinds are, not as one set of data.
 - Relocalisation, tracking, GNC and all numerical limits of the estimators.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

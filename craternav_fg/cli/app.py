@@ -29,6 +29,8 @@ class _Lazy(TyperGroup):
 app = typer.Typer(
     cls=_Lazy,
     help="Reconstruct a planetary landing from crater rims and an IMU.",
+    epilog="Results go below ./runs; -o names another place, and import and export need it. What is there is "
+    "replaced by --force alone.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -34,7 +34,9 @@ from craternav_fg.files import replacing
 @never_replacing
 def merge_(
     catalogs: Annotated[list[Path], typer.Argument(help="Catalogues of one body, the preferred one first.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write: .parquet or .csv.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Catalogue to write: .parquet or .csv.")
+    ] = Path("runs/merged.parquet"),
     place_share: Annotated[
         float,
         typer.Option(min=0.01, max=1.0, help="Largest distance between centres of duplicates, in radii."),

@@ -34,7 +34,9 @@ def refine(
         Path, typer.Argument(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
     ],
     dem: Annotated[Path, typer.Option(help="Elevation model (GeoTIFF, longitude and latitude).")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write (.parquet).")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write (.parquet).")] = Path(
+        "runs/refined.parquet"
+    ),
     dem_unit_m: DemUnitOption = 1.0,
     min_diameter_steps: Annotated[
         float, typer.Option(min=4.0, help="Smallest diameter to measure, in grid steps of the model.")

@@ -40,6 +40,7 @@ MuOption = Annotated[
 AccelerationOption = Annotated[
     float,
     typer.Option(
+        "--acceleration-density-m-s2-sqrt-hz",
         min=1e-12,
         help="White-noise density of the accelerations that the motion model leaves out, m/s^2/√Hz.",
     ),

@@ -1,5 +1,7 @@
 """Data sets on disk, in the EuRoC/ASL layout; `layout` describes every file with an example."""
 
+from typing import TYPE_CHECKING
+
 from craternav_fg.dataset.measurements import ground_sun_direction
 from craternav_fg.dataset.reader import Dataset
 from craternav_fg.dataset.recording import Recording
@@ -7,3 +9,8 @@ from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.dataset.writer import write_dataset
 
 __all__ = ["Dataset", "Recording", "SunVectors", "ground_sun_direction", "write_dataset"]
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

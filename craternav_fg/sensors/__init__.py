@@ -4,3 +4,10 @@ A sensor is one class in one module (see `protocol.Sensor`): the folder `mav0/NA
 one measurement function that the factor and the Kalman filters share, and its simulation. `registry` finds
 those of other packages by their entry points.
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

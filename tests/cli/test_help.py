@@ -46,3 +46,12 @@ def test_the_table_of_commands_tells_what_their_help_tells() -> None:
     assert {name: command.help for name, command in GROUP.commands.items()} == {
         name: command.help for name, command in table.COMMANDS.items()
     }
+
+
+def test_results_go_below_runs_and_imports_and_exports_need_a_place() -> None:
+    for names, command in COMMANDS.items():
+        for output in (one for one in command.params if one.name == "output"):
+            assert output.required == (names[0] in ("import", "export")), names
+            # Without a default nothing is written, or beside what is shown.
+            assert output.required or output.default is None or output.default.parts[0] == "runs", names
+    assert "below ./runs" in " ".join(call("--help").out.split())

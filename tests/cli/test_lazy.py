@@ -1,6 +1,7 @@
 """What the command line and the package import before anything is computed."""
 
 import ast
+import importlib
 import os
 import pkgutil
 import subprocess
@@ -81,3 +82,9 @@ def test_no_module_hides_a_public_name() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'reconstuct'"):
         _ = craternav_fg.reconstuct
+
+
+def test_every_module_is_an_attribute_of_its_package() -> None:
+    for package in pkgutil.walk_packages(craternav_fg.__path__, "craternav_fg."):
+        if package.ispkg and package.name != "craternav_fg.cli":
+            assert hasattr(importlib.import_module(package.name), "__getattr__"), package.name

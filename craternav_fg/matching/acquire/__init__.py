@@ -8,3 +8,10 @@
 
 `search` runs these steps (`search.acquire`).
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)

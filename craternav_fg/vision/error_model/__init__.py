@@ -51,3 +51,10 @@ Arcs of rims, of which too little is seen for an ellipse, take the same way with
 point: `vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` (step 6),
 `ArcSet.inflate_correlated` (step 9).
 """
+
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:
+    from factors.lazy import submodules
+
+    __getattr__ = submodules(__name__)
