@@ -24,18 +24,13 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.rim_models import RIM_MODELS
-from craternav_fg.evaluation.innovations import RIMS, SUN
 from craternav_fg.files import replacing_folder
 from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.pipeline.reconstruct import Progress
 from craternav_fg.runs.execute import execute_run
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
-from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
 from craternav_fg.simulation.scenario_file import load_scenario
-
-# What the camera measures, as `--without` names it.
-OF_CAMERA = (RIMS, SUN)
 
 
 @app.command(epilog=example("demo -o runs/demo --seed 7"))
@@ -109,7 +104,10 @@ class Choice:
     estimators: EstimatorOption = None
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="SENSOR", help="Leave out a sensor, or rims, or sun; may be repeated."),
+        typer.Option(
+            metavar="SENSOR",
+            help="Leave out a sensor, rims, sun or features; several by commas, or repeated.",
+        ),
     ] = None
     rims: Annotated[
         str | None,
@@ -148,14 +146,14 @@ def reconstruct(
     chosen = _estimators(names_of(choice.estimators, DEFAULT), file, choice.rims)
     _check_folders(folder_of_data, output)
     require_free(output, force=force)
-    dataset = _left_out(Dataset.open(folder_of_data), choice.without or ())
+    dataset = Dataset.open(folder_of_data)
     every = overlay_every or int(overlays)
     _check_overlays(folder_of_data, dataset, every)
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
         summary = execute_run(
             dataset, folder, chosen, label=str(folder_of_data.resolve()), began_s=began_s, progress=report,
             overlay_every=every, front_end=None if file is None else file.front_end,
-            without=[name for name in OF_CAMERA if name in (choice.without or ())],
+            without=names_of(choice.without, ()),
         )  # fmt: skip
     show_run(output, summary, as_json)
 
@@ -184,19 +182,6 @@ def _estimators(names: Sequence[str], file: OptionsFile | None, rims: str | None
         if isinstance(one, BatchSmoother | OnlineSmoother | FixedLagSmoother):
             one.options = replace(one.options, rims=rims)
     return chosen
-
-
-def _left_out(dataset: Dataset, without: Sequence[str]) -> Dataset:
-    """Take sensors out of a data set."""
-    there = [sensor.name for sensor in dataset.sensors]
-    there += [] if dataset.features is None else [FEATURES]
-    there += OF_CAMERA
-    for name in without:
-        if name not in there:
-            has = ", ".join(there)
-            raise InputError("--without", f"the data set has no sensor {name!r}; it has {has}")
-    kept = tuple(sensor for sensor in dataset.sensors if sensor.name not in without)
-    return replace(dataset, sensors=kept, features=None if FEATURES in without else dataset.features)
 
 
 def _check_folders(data: Path, output: Path) -> None:

@@ -6,19 +6,13 @@ from collections.abc import Mapping
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say
+from craternav_fg.estimators.instruments import CAMERA_AND_IMU
 from craternav_fg.estimators.registry import DESCRIPTIONS, ON_REQUEST
 from craternav_fg.estimators.registry import estimators as all_estimators
-from craternav_fg.evaluation.innovations import IMU, RIMS, SUN
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.registry import sensors as all_sensors
 from craternav_fg.simulation.scenario_file import built_in_scenarios
-
-CAMERA_AND_IMU = {
-    RIMS: "Crater rims: ellipses in images, or as measured (mav0/cam0, rims.parquet; craternav_fg)",
-    SUN: "The sun's tilt in images, or as measured (mav0/cam0, sun_tilts.csv; craternav_fg)",
-    IMU: "Gyro and accelerometer (mav0/imu0; craternav_fg)",
-}
 
 
 @app.command(epilog=example("estimators --json"))
@@ -40,7 +34,7 @@ def sensors(as_json: JsonOption = False) -> None:
     found = {
         name: f"{_sentence(kind)} (mav0/{name}0; {_package(kind)})" for name, kind in all_sensors().items()
     }
-    found.update(CAMERA_AND_IMU)
+    found.update({one.name: _sentence(type(one)) for one in CAMERA_AND_IMU})
     found[FEATURES] = f"{_sentence(FeatureTracks)} (mav0/{FEATURES}0; craternav_fg)"
     _show(found, as_json)
 

@@ -14,19 +14,15 @@ import numpy.typing as npt
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.filter_state import POSE, FilterState
-from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
-from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
-from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
+from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.instruments import IMU, RIMS, SUN, instruments
 from craternav_fg.evaluation.consistency import mean_interval
-from craternav_fg.linalg import whitening
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-IMU, RIMS, SUN = SENSORS = ("imu", "rims", "sun")
-# Singular value of a frame's rows, in units of the prediction's sigma, below which a direction is unobserved.
-_MIN_SINGULAR_VALUE = 1e-3
+# In the order in which they are told, before the other sensors.
+SENSORS = (IMU, RIMS, SUN)
 
 
 @dataclass(frozen=True)
@@ -117,58 +113,17 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
     values: list[float] = []
     sizes: list[int] = []
     first = problem.start.frame
-    bank = SensorBank(problem.sensors)
+    every = instruments(problem)
     for state, (before, frame) in zip(
         states[first:], itertools.pairwise(problem.frames[first:]), strict=False
     ):
         predicted = filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
-        # The errors of one frame, time-correlated ones included.
-        seen = frame.inflate_correlated(1.0)
-        gTb, P = predicted.gTb, predicted.covariance[POSE, POSE]
-        camera, catalog = problem.camera, problem.catalog
-        A, residual, usable = linearise_rims(
-            gTb,
-            with_predicted_covariances(frame, gTb, camera, catalog).rims,
-            camera,
-            catalog,
-            model="chart",
-            noise="measured",
-        )
-        parts = [(RIMS, a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
-        parts += [(RIMS, one.A, one.residual) for one in linearise_arcs(gTb, seen.arcs, camera, catalog)]
-        sun = linearise_sun(gTb, frame.sun, camera)
-        if sun is not None:
-            parts.append((SUN, sun.A, sun.residual))
-        for sample in bank.at(frame.stamp_ns):
-            rows = linearise_sample(sample, predicted, np.zeros(len(predicted.covariance)), frame.stamp_ns)
-            _, whitened = _whitened(*rows, predicted.covariance)
-            sensor.append(sample.sensor.name)
-            stamps.append(frame.stamp_ns)
-            values.append(float(np.sum(whitened**2)))
-            sizes.append(len(whitened))
-        if not parts:
-            continue
-        all_rows = (np.concatenate([a for _, a, _ in parts]), np.concatenate([r for _, _, r in parts]))
-        found = [(name, float(np.sum(_whitened(a, r, P)[1] ** 2)), len(r)) for name, a, r in parts]
-        found.append((IMU, *_along_prediction(*_whitened(*all_rows, P))))
-        for name, nis, size in found:
-            sensor.append(name)
-            stamps.append(frame.stamp_ns)
-            values.append(nis)
-            sizes.append(size)
+        for one in every:
+            for nis, size in one.nis(predicted, frame, problem):
+                sensor.append(one.name)
+                stamps.append(frame.stamp_ns)
+                values.append(nis)
+                sizes.append(size)
     return Innovations(
         tuple(sensor), np.array(stamps, dtype=np.int64), np.array(values), np.array(sizes, dtype=np.int64)
     )
-
-
-def _whitened(A: FloatArray, residual: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows (m, 6) in units of the prediction's sigmas, and innovations (m,), both of unit covariance."""
-    W = whitening(A @ P @ A.T + np.eye(len(A)))
-    return W @ A * np.sqrt(np.diag(P)), W @ residual
-
-
-def _along_prediction(rows: FloatArray, innovation: FloatArray) -> tuple[float, int]:
-    """Part of the innovation that errors of the prediction can cause: its square and its dimension."""
-    U, strengths, _ = np.linalg.svd(rows, full_matrices=False)
-    U = U[:, strengths > _MIN_SINGULAR_VALUE]
-    return float(np.sum((U.T @ innovation) ** 2)), U.shape[1]

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.instruments import RIMS, SUN
 from craternav_fg.estimators.linearisation import linearise_sun
 from craternav_fg.estimators.sensor_bank import SensorBank, gyro_at
 from craternav_fg.evaluation.residuals import poses_at_exposure, rim_residuals
@@ -20,8 +21,6 @@ from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import InitialState, Trajectory
 
 FloatArray = npt.NDArray[np.float64]
-
-RIMS, SUN = "rims", "sun"
 
 
 @dataclass(frozen=True)

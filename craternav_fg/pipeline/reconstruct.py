@@ -13,11 +13,11 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Estimator, Problem
+from craternav_fg.estimators.instruments import CAMERA_AND_IMU, IMU, RIMS, SUN
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
-from craternav_fg.evaluation.innovations import RIMS, SUN
-from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
+from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.result import Reconstruction
@@ -82,8 +82,9 @@ def reconstruct(
     sensors : sequence of str or Sensor, optional
         Which of the data set's sensors beside camera and IMU are used, by name; a sensor of one's own as it
         is. All of the data set's by default. "features" are its tracked points.
-    without : sequence of {"rims", "sun"}, optional
-        What the camera measures but the estimators are not given; the front end still tracks by it.
+    without : sequence of str, optional
+        Names of sensors, "rims", "sun" or "features" that the estimators are not given; the front end still
+        tracks by what the camera measures.
     front_end : GuidedOptions, optional
         How rims are measured in images.
     progress : callable, optional
@@ -100,11 +101,8 @@ def reconstruct(
     InputError
         When the data set is wrong, a sensor's log in a wrong unit, or an image cannot be read.
     """
-    unknown = sorted({*without} - {RIMS, SUN})
-    if unknown:
-        raise EstimationError(f"without: expected {RIMS} or {SUN}, found {unknown[0]!r}")
     chosen = [estimator(one) if isinstance(one, str) else one for one in estimators]
-    dataset = _with_sensors(data if isinstance(data, Dataset) else Dataset.open(data), sensors)
+    dataset = _with_sensors(data if isinstance(data, Dataset) else Dataset.open(data), sensors, without)
     report = progress or _silent
     began = time.perf_counter()
     relocaliser = Relocaliser(dataset)
@@ -159,16 +157,33 @@ def _run(
     return trajectories, failures, times_s
 
 
-def _with_sensors(dataset: Dataset, chosen: Sequence[str | Sensor] | None) -> Dataset:
-    """Keep the chosen sensors of a data set, and add those of one's own.
+def _with_sensors(dataset: Dataset, chosen: Sequence[str | Sensor] | None, without: Sequence[str]) -> Dataset:
+    """Keep the chosen sensors of a data set, add those of one's own, and leave out others.
 
     Raises
     ------
     EstimationError
         When the data set has no sensor of a name.
     """
-    if chosen is None:
-        return dataset
+    if chosen is not None:
+        dataset = _with_chosen(dataset, chosen)
+    names = [sensor.name for sensor in dataset.sensors]
+    names += [] if dataset.features is None else [FEATURES]
+    for name in without:
+        if name == IMU:
+            raise EstimationError(
+                "without: the states follow each other by the IMU; a data set without one says in [motion] "
+                "how the lander moves"
+            )
+        if name not in (*names, RIMS, SUN):
+            has = ", ".join((*names, RIMS, SUN))
+            raise EstimationError(f"without: the data set has no sensor {name!r}; it has {has}")
+    kept = tuple(sensor for sensor in dataset.sensors if sensor.name not in without)
+    return replace(dataset, sensors=kept, features=None if FEATURES in without else dataset.features)
+
+
+def _with_chosen(dataset: Dataset, chosen: Sequence[str | Sensor]) -> Dataset:
+    """Keep the chosen sensors, and add those of one's own."""
     there: dict[str, Sensor] = {sensor.name: sensor for sensor in dataset.sensors}
     names = [*there, *([] if dataset.features is None else [FEATURES])]
     for one in chosen:
@@ -228,10 +243,11 @@ def _tracks(dataset: Dataset, measured: _Measured, limits: GuidedOptions, report
 
 
 def _left_out(frame: FrameMeasurement, without: Sequence[str]) -> FrameMeasurement:
-    """Take the rims or the sun's tilt out of a frame."""
-    if RIMS in without:
-        frame = replace(frame, rims=RimSet.empty(), arcs=ArcSet.empty())
-    return replace(frame, sun=None) if SUN in without else frame
+    """Take what the camera measured out of a frame."""
+    for one in CAMERA_AND_IMU:
+        if one.name in without:
+            frame = one.left_out(frame)
+    return frame
 
 
 def _problems(descent: Descent, measured: _Measured) -> tuple[Problem, ...]:

@@ -63,7 +63,7 @@ def execute_run(
         Write an overlay of every Nth frame; 0 writes none.
     front_end : GuidedOptions, optional
         How rims are measured in images.
-    without : sequence of {"rims", "sun"}, optional
+    without : sequence of str, optional
         See `reconstruct`.
 
     Returns

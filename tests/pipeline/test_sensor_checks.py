@@ -124,6 +124,7 @@ def test_rims_and_sun_are_left_out_like_any_sensor(sensors: Path) -> None:
     every = reconstruct(data, ["ekf"])
     less = reconstruct(data, ["ekf"], without=["rims", "sun"])
     assert not any(len(frame.rims) or frame.sun for frame in less.frames)
+    assert every.innovations is not None
     assert less.innovations is not None
     assert {"rims", "sun"}.isdisjoint(less.innovations.sensor)
     assert "altimeter" in less.innovations.sensor
@@ -131,8 +132,13 @@ def test_rims_and_sun_are_left_out_like_any_sensor(sensors: Path) -> None:
     assert covariances[0] is not None
     assert covariances[1] is not None
     assert np.trace(covariances[1][-1, 3:, 3:]) > 4.0 * np.trace(covariances[0][-1, 3:, 3:])
-    with pytest.raises(EstimationError, match="without: expected rims or sun, found 'moon'"):
+    with pytest.raises(EstimationError, match="without: the data set has no sensor 'moon'; it has altimeter"):
         reconstruct(data, ["ekf"], without=["moon"])
+    with pytest.raises(EstimationError, match=r"without: .* the IMU; .*\[motion\]"):
+        reconstruct(data, ["ekf"], without=["imu"])
+    fewer = reconstruct(data, ["ekf"], without=["altimeter"])
+    assert fewer.innovations is not None
+    assert set(every.innovations.sensor) - set(fewer.innovations.sensor) == {"altimeter"}
 
 
 def rewritten(folder: Path, to: Path, name: str, change: Callable[[list[str]], list[str]]) -> Path:

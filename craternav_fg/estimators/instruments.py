@@ -1,0 +1,285 @@
+"""All that measures, by one interface: rims, sun tilt, IMU, and the sensors of `craternav_fg.sensors`.
+
+An instrument has a name, compares what it measured at a frame with a predicted state, gives its normalised
+innovations, and can be left out. Innovations, `craternav sensors` and `reconstruct --without` make no other
+difference between a rim and a range.
+
+Factors are the exception, for their cost. The rims of a frame are one factor with one compiled kernel
+(`graph.add_frame`): a factor for each of ten rims would cost eight times as much. The IMU's factor ties two
+states (`graph.add_imu`). A sensor's sample has a factor of its own (`sensor_bank.add_sensors`). `Sensor` has
+a log with a row per sample, while a rim is found near a prediction and gets its covariance there. What the
+factors add to the graph is what the instruments compare; a test holds them together.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.estimators.base import Descent
+from craternav_fg.estimators.filter_state import POSE, FilterState
+from craternav_fg.estimators.linearisation import (
+    LinearMeasurement,
+    linearise_arcs,
+    linearise_rims,
+    linearise_sun,
+)
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
+from craternav_fg.linalg import whitening
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
+
+FloatArray = npt.NDArray[np.float64]
+
+RIMS, SUN, IMU = "rims", "sun", "imu"
+# Singular value of a frame's rows, in units of the prediction's sigma, below which a direction is unobserved.
+_MIN_SINGULAR_VALUE = 1e-3
+
+
+class Instrument(ABC):
+    """Something that measures, as evaluation and command line see it.
+
+    Attributes
+    ----------
+    name : str
+    """
+
+    name: str
+
+    @abstractmethod
+    def compare(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[LinearMeasurement]:
+        """Compare what was measured at a frame with a predicted state.
+
+        Parameters
+        ----------
+        predicted : FilterState
+            At the frame's stamp, from earlier data.
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of LinearMeasurement
+            One for each rim, tilt or sample, in the first states of the error state.
+        """
+
+    def nis(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[tuple[float, int]]:
+        """Give the normalised innovations squared of a frame.
+
+        Parameters
+        ----------
+        predicted : FilterState
+            At the frame's stamp, from earlier data.
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of (float, int)
+            NIS and dimension of each measurement.
+        """
+        out = []
+        for one in self.compare(predicted, frame, descent):
+            states = slice(0, one.A.shape[1])
+            _, innovation = _whitened(one, predicted.covariance[states, states])
+            out.append((float(np.sum(innovation**2)), len(innovation)))
+        return out
+
+    def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
+        """Take what it measured out of a frame.
+
+        Parameters
+        ----------
+        frame : FrameMeasurement
+
+        Returns
+        -------
+        FrameMeasurement
+            The same where nothing of it is in frames.
+        """
+        return frame
+
+
+class Rims(Instrument):
+    """Crater rims: ellipses in images, or as measured (mav0/cam0, rims.parquet; craternav_fg)."""
+
+    name = RIMS
+
+    def compare(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[LinearMeasurement]:
+        """Compare rims and arcs; see `Instrument.compare`.
+
+        Parameters
+        ----------
+        predicted : FilterState
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of LinearMeasurement
+            In the pose: five rows of a rim's ellipse chart, a row for each point of an arc.
+        """
+        gTb, camera, catalog = predicted.gTb, descent.camera, descent.catalog
+        rims = with_predicted_covariances(frame, gTb, camera, catalog).rims
+        A, residual, usable = linearise_rims(gTb, rims, camera, catalog, model="chart", noise="measured")
+        whole = [LinearMeasurement(a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
+        # The errors of one frame, time-correlated ones included.
+        arcs = frame.inflate_correlated(1.0).arcs
+        return whole + linearise_arcs(gTb, arcs, camera, catalog)
+
+    def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
+        """Take rims and arcs out of a frame."""
+        return replace(frame, rims=RimSet.empty(), arcs=ArcSet.empty())
+
+
+class Sun(Instrument):
+    """The sun's tilt in images, or as measured (mav0/cam0, sun_tilts.csv; craternav_fg)."""
+
+    name = SUN
+
+    def compare(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[LinearMeasurement]:
+        """Compare the tilt, if there is one; see `Instrument.compare`.
+
+        Parameters
+        ----------
+        predicted : FilterState
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of LinearMeasurement
+            In the pose.
+        """
+        tilt = linearise_sun(predicted.gTb, frame.sun, descent.camera)
+        return [] if tilt is None else [tilt]
+
+    def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
+        """Take the tilt out of a frame."""
+        return replace(frame, sun=None)
+
+
+class Imu(Instrument):
+    """Gyro and accelerometer (mav0/imu0; craternav_fg)."""
+
+    name = IMU
+
+    def compare(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[LinearMeasurement]:
+        """Compare the pose that the IMU predicts with all that the camera measured at a frame.
+
+        Parameters
+        ----------
+        predicted : FilterState
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of LinearMeasurement
+            The camera's rows as one; empty without any.
+        """
+        seen = [row for one in (Rims(), Sun()) for row in one.compare(predicted, frame, descent)]
+        if not seen:
+            return []
+        A, residual = np.concatenate([r.A for r in seen]), np.concatenate([r.residual for r in seen])
+        return [LinearMeasurement(A, residual)]
+
+    def nis(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[tuple[float, int]]:
+        """Give the part of a frame's innovation that an error of the predicted pose can cause.
+
+        Parameters
+        ----------
+        predicted : FilterState
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of (float, int)
+            NIS and dimension, at most six; empty without a rim or tilt.
+        """
+        out = []
+        for one in self.compare(predicted, frame, descent):
+            rows, innovation = _whitened(one, predicted.covariance[POSE, POSE])
+            U, strengths, _ = np.linalg.svd(rows, full_matrices=False)
+            U = U[:, strengths > _MIN_SINGULAR_VALUE]
+            out.append((float(np.sum((U.T @ innovation) ** 2)), U.shape[1]))
+        return out
+
+
+@dataclass(frozen=True)
+class Sampled(Instrument):
+    """A sensor with a log of samples.
+
+    Attributes
+    ----------
+    name : str
+        Of the sensor.
+    bank : SensorBank
+        Of all sensors, whose biases are in the state.
+    """
+
+    name: str
+    bank: SensorBank
+
+    def compare(
+        self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
+    ) -> list[LinearMeasurement]:
+        """Compare its samples at the frame's stamp; see `Instrument.compare`.
+
+        Parameters
+        ----------
+        predicted : FilterState
+        frame : FrameMeasurement
+        descent : Descent
+
+        Returns
+        -------
+        list of LinearMeasurement
+            In the whole error state.
+        """
+        zero = np.zeros(len(predicted.covariance))
+        return [
+            LinearMeasurement(*linearise_sample(sample, predicted, zero, frame.stamp_ns))
+            for sample in self.bank.at(frame.stamp_ns)
+            if sample.sensor.name == self.name
+        ]
+
+
+# Those of every data set; their docstrings are what `craternav sensors` tells.
+CAMERA_AND_IMU: tuple[Instrument, ...] = (Rims(), Sun(), Imu())
+
+
+def instruments(descent: Descent) -> tuple[Instrument, ...]:
+    """Give all that measures in a descent.
+
+    Parameters
+    ----------
+    descent : Descent
+
+    Returns
+    -------
+    tuple of Instrument
+        Rims, sun tilt and IMU, then the other sensors.
+    """
+    bank = SensorBank(descent.sensors)
+    return (*CAMERA_AND_IMU, *(Sampled(sensor.name, bank) for sensor in descent.sensors))
+
+
+def _whitened(one: LinearMeasurement, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rows (m, k) in units of the prediction's sigmas, and innovations (m,), both of unit covariance."""
+    W = whitening(one.A @ P @ one.A.T + np.eye(len(one.A)))
+    return W @ one.A * np.sqrt(np.diag(P)), W @ one.residual

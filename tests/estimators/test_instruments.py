@@ -1,0 +1,71 @@
+"""Rims, sun tilt, IMU and sensors by one interface, which says what the factors say."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.graph import GraphOptions, add_frame
+from craternav_fg.estimators.instruments import CAMERA_AND_IMU, Rims, Sun, instruments
+from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
+from craternav_fg.evaluation.innovations import innovations
+from factors.custom import Loss
+from factors.kernels import robust
+from tests import descents
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
+    case = descents.scenario(duration_s=20.0, sensors={"altimeter": {"rate_hz": 0.5}})
+    return descents.problem(tmp_path_factory.mktemp("d"), case, 0)[0]
+
+
+@pytest.fixture(scope="module")
+def predicted(problem: Problem) -> FilterState:
+    """At the fourth frame, from those before."""
+    before, frame = problem.frames[2:4]
+    return filter_state.propagate(ekf().states(problem)[2], problem, before.stamp_ns, frame.stamp_ns)
+
+
+def test_rims_and_sun_compare_what_their_factors_add(problem: Problem, predicted: FilterState) -> None:
+    frame = problem.frames[3]
+    assert len(frame.rims) > 2
+    rows = [row for one in (Rims(), Sun()) for row in one.compare(predicted, frame, problem)]
+    assert len(rows) == len(frame.rims) + 1
+    A, r = np.concatenate([row.A for row in rows]), np.concatenate([row.residual for row in rows])
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    values.insert(X(0), gtsam.Pose3(predicted.gTb))
+    weighted = with_predicted_covariances(frame, predicted.gTb, problem.camera, problem.catalog)
+    add_frame(graph, problem, GraphOptions(loss=Loss(robust.NONE)), X(0), weighted)
+    J, b = graph.linearize(values).jacobian()
+    # The graph's step is in b, the filter's in g.
+    J[:, 3:] = J[:, 3:] @ predicted.gTb[:3, :3].T
+    steps = np.sqrt(np.diag(predicted.covariance))[:6]
+    information, expected = (np.outer(steps, steps) * (M.T @ M) for M in (A, J))
+    np.testing.assert_allclose(information, expected, atol=1e-6 * np.abs(expected).max())
+    vector, expected = steps * (A.T @ r), steps * (J.T @ b)
+    np.testing.assert_allclose(vector, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_each_gives_its_innovations_and_can_be_left_out(problem: Problem, predicted: FilterState) -> None:
+    frame = problem.frames[3]
+    found = {one.name: one.nis(predicted, frame, problem) for one in instruments(problem)}
+    sizes = {name: [size for _, size in nis] for name, nis in found.items()}
+    assert sizes == {"rims": [5] * len(frame.rims), "sun": [1], "imu": [6], "altimeter": [1]}
+    assert all(0.0 < nis < 60.0 for every in found.values() for nis, _ in every)
+    for one in CAMERA_AND_IMU[:2]:
+        rest = one.left_out(frame)
+        assert one.nis(predicted, rest, problem) == []
+        assert sum(len(other.nis(predicted, rest, problem)) for other in CAMERA_AND_IMU) > 0
+
+
+def test_an_instrument_without_data_says_nothing(problem: Problem) -> None:
+    bare = [replace(frame, sun=None) for frame in problem.frames]
+    without = replace(problem, frames=bare, sensors=())
+    assert set(innovations(without, ekf().states(without)).sensor) == {"rims", "imu"}
