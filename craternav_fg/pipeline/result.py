@@ -1,5 +1,6 @@
 """The result of a reconstruction: measurements, trajectories, residuals, innovations and warnings."""
 
+import html
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -143,3 +144,11 @@ class Reconstruction:
             *warnings.replaced_states(self.origin, self.reinitialised_at),
             *warnings.frames_without_rims([len(frame.rims) for frame in self.frames], self.expected_rims),
         )
+
+    def _repr_html_(self) -> str:
+        """Show in a notebook what was reconstructed, and the warnings."""
+        rims = sum(len(frame.rims) for frame in self.frames)
+        names = ", ".join(self.trajectories)
+        lines = [f"{len(self.frames)} frames with {rims} rims; trajectories: {names}"]
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        return "".join(f"<p>{html.escape(line)}</p>" for line in lines)

@@ -54,9 +54,10 @@ def residuals_table(result: Reconstruction) -> pa.Table:
         whitened = result.residuals[name]
         weights = trajectory.rim_weights
         columns = {
-            "estimator": pa.array([name] * len(whitened)),
+            # Without a rim the types would be unknown.
+            "estimator": pa.array([name] * len(whitened), pa.string()),
             "stamp_ns": pa.array(stamps),
-            "crater_id": pa.array([catalog.identifiers[row] for row in craters]),
+            "crater_id": pa.array([catalog.identifiers[row] for row in craters], pa.string()),
             "chart": list_column(charts),
             "whitened": list_column(whitened),
             "chi2": pa.array(np.sum(whitened**2, axis=1)),
