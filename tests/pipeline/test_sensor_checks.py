@@ -97,9 +97,9 @@ def lever_arm(data: Dataset) -> Dataset:
 @pytest.mark.parametrize(
     ("mistake", "said"),
     [
-        (accelerometer_scale, "the accelerometer bias is"),
+        (accelerometer_scale, "sigma from the prior of the accelerometer bias"),
         (image_points, "imu: contradicts"),
-        (longitudes, "the initial position is"),
+        (longitudes, "sigma from the initial position"),
         (gyro_density, "imu: agrees with what ekf predicts better than the stated noise allows"),
         (sun_tilts, "sun: agrees with what ekf predicts better than the stated noise allows"),
         (initial_quaternion, "read as x, y, z, w it agrees"),
