@@ -63,7 +63,7 @@ class WhiteAccelerationSection(_Rates):
 
 
 class WhiteJerkSection(_Rates):
-    """Constant acceleration in the body's frame with white jerk."""
+    """Constant acceleration in the body's frame with white jerk; the angular acceleration is white."""
 
     model: Literal["white_jerk"]
     jerk_density: Positive

@@ -1,7 +1,8 @@
-"""White noise on jerk: a Gaussian-process prior on SE(3) whose body-fixed acceleration random-walks.
+"""White noise on the translation's jerk: a Gaussian-process prior whose body-fixed acceleration random-walks.
 
 The acceleration is a state and takes the place of the accelerometer's bias, with the opposite sign. The
-rotation is that of `white_acceleration`: its angular acceleration is white, as a state has none.
+rotation is that of `white_acceleration`: a state has no angular acceleration, so this one is white. That
+differs from Tang et al. (2019), whose prior has white jerk in all six components.
 """
 
 from craternav_fg.motion.model import Motion
