@@ -26,7 +26,8 @@ In one image, for all its rims:
    covariances if the rims scatter more about one common pose than they claim: on rough terrain all rims are
    worse than their own edge points show.
 6. Correlation. `error_model.correlated.split`, applied by `GuidedFrontEnd`, separates the part of the
-   systematic error that a crater keeps (`RimSet.correlated`), adds the errors that all rims share
+   systematic error that a crater keeps (`RimSet.correlated`), adds to it the errors that the catalogue states
+   (`catalogs.map_errors`, with that of the rim's height) and the errors that all rims share
    (`RimSet.shared`), and leaves the rest white: the ground under a crater is the same in the next frame, so
    its error does not average out.
 
