@@ -101,11 +101,18 @@ class Isam:
 
     GTSAM visits all cliques at every update. So a tree that has grown to `MAX_VARIABLES` is replaced by one
     of its newest states: those since a snapshot of an earlier state, which stands for all before it. Earlier
-    states keep their linearisation, and their estimates at the time of the replacement.
+    states keep their linearisation; of their estimates, those at the time of the replacement can be kept.
 
     A callback that raises leaves iSAM2 with half of an update. Then the solver is rebuilt from the factors of
     before at the present linearisation point. A copy before every update would be safer still, but its cost
     grows with the tree.
+
+    Parameters
+    ----------
+    relinearise_m : float
+        See the attribute.
+    keep_past : bool
+        Whether the estimates of earlier states are kept for `estimate`; memory then grows with the descent.
 
     Attributes
     ----------
@@ -113,8 +120,9 @@ class Isam:
         Shift of a pose beyond which it is relinearised; takes effect with the next tree.
     """
 
-    def __init__(self, relinearise_m: float = RELINEARISE_M) -> None:
+    def __init__(self, relinearise_m: float = RELINEARISE_M, *, keep_past: bool = False) -> None:
         self.relinearise_m = relinearise_m
+        self._keep_past = keep_past
         self._hold: gtsam.Values
         self._past = gtsam.Values()
         self._snapshot: _Snapshot | None = None
@@ -132,7 +140,7 @@ class Isam:
         return self._tree
 
     def estimate(self) -> gtsam.Values:
-        """Estimates of all states: of those no longer in the tree, the estimates when they left it."""
+        """Estimates of all states in the tree; of earlier ones, if they are kept, those when they left it."""
         values = gtsam.Values(self._past)
         values.insert_or_assign(self.tree.calculateBestEstimate())
         return values
@@ -230,7 +238,8 @@ class Isam:
         if 2.0 * snapshot.prior.error(now) > SNAPSHOT_CHI2_RATIO * snapshot.prior.dim():
             self._snapshot = self._photograph()
             return
-        self._past.insert_or_assign(_without_points(now))
+        if self._keep_past:
+            self._past.insert_or_assign(_without_points(now))
         graph, values = _since(snapshot, self._tree.getFactorsUnsafe(), now, added)
         self._new(graph, values)
 

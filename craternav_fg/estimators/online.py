@@ -1,6 +1,7 @@
 """The online smoother: iSAM2, frame by frame."""
 
 import math
+from array import array
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -32,6 +33,7 @@ from craternav_fg.estimators.measurement_weighting import with_predicted_covaria
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.point_features import SETTLED_ATTITUDE_RAD, FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovation_weights
+from craternav_fg.estimators.state_log import StateLog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -80,22 +82,32 @@ class OnlineSession:
     options : GraphOptions
     solver : Isam, optional
         Over all states when it is not given.
+    keep_past : bool
+        Whether a solver that is not given keeps all states for `smoothed_values`: memory then grows.
     """
 
     def __init__(
-        self, descent: Descent, options: GraphOptions = GraphOptions(), solver: Isam | None = None
+        self,
+        descent: Descent,
+        options: GraphOptions = GraphOptions(),
+        solver: Isam | None = None,
+        *,
+        keep_past: bool = False,
     ) -> None:
         self._descent = descent
         self._bank = SensorBank(descent.sensors)
         tracks = descent.features
         self._features = None if tracks is None else FeatureStates(tracks, descent.camera)
         self._options = options
-        self._solver = Isam(self._relinearise_m(descent.initial.gTb)) if solver is None else solver
+        if solver is None:
+            solver = Isam(self._relinearise_m(descent.initial.gTb), keep_past=keep_past)
+        self._solver = solver
         self._last = 0
         self._errors = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
-        self._frame_states: list[int] = []
-        self._stamps_ns: list[int] = []
-        self._states: list[FilterState] = []
+        self._frame_states = array("q")
+        self._stamp_ns = descent.initial.stamp_ns
+        self._newest: FilterState | None = None
+        self._log = StateLog(len(self._bank.sigmas))
         self._intervals: list[ImuInterval] = []
         self._corrected = np.zeros(3)
 
@@ -107,20 +119,27 @@ class OnlineSession:
     @property
     def stamp_ns(self) -> int:
         """Stamp of the newest frame, ns."""
-        return self._stamps_ns[-1]
+        return self._stamp_ns
 
     @property
     def state(self) -> FilterState:
         """Estimate at the newest frame, from all data up to it.
 
         Its covariance refers to the error state of `factors.kernels.strapdown`.
+
+        Raises
+        ------
+        EstimationError
+            Before `begin`.
         """
-        return self._states[-1]
+        if self._newest is None:
+            raise EstimationError("the session has no frame yet: call begin")
+        return self._newest
 
     @property
     def states(self) -> list[FilterState]:
         """Estimates at every frame so far, each from the data up to its frame."""
-        return list(self._states)
+        return self._log.states()
 
     def begin(self, frame: FrameMeasurement, start: Start) -> None:
         """Take the first frame.
@@ -161,7 +180,7 @@ class OnlineSession:
         ValueError
             When the IMU log does not cover the interval.
         """
-        return filter_state.propagate(self.state, self._descent, self._stamps_ns[-1], stamp_ns)
+        return filter_state.propagate(self.state, self._descent, self._stamp_ns, stamp_ns)
 
     def update(self, frame: FrameMeasurement) -> None:
         """Take the next frame: new states up to it, its measurements, one iSAM2 update.
@@ -177,7 +196,7 @@ class OnlineSession:
             then continues without the frame.
         """
         self._solver.relinearise_m = self._relinearise_m(self.state.gTb)
-        begin_ns = self._stamps_ns[-1]
+        begin_ns = self._stamp_ns
         if frame.stamp_ns <= begin_ns:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = FactorGraph()
@@ -247,9 +266,9 @@ class OnlineSession:
             ):
                 self._move_gravity(stamp_ns)
                 self._corrected = np.zeros(3)
-        self._states.append(self._state(last, stamp_ns))
-        self._last = last
-        self._stamps_ns.append(stamp_ns)
+        self._newest = self._state(last, stamp_ns)
+        self._log.append(stamp_ns, self._newest)
+        self._last, self._stamp_ns = last, stamp_ns
         self._frame_states.append(last)
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
@@ -266,6 +285,9 @@ class OnlineSession:
             self._intervals += [
                 replace(one, slot=slot) for one, slot in zip(graph.intervals, slots, strict=False)
             ]
+            # Those that have left the solver's lag.
+            while self._intervals and not self._solver.tree.valueExists(X(self._intervals[0].index)):
+                del self._intervals[0]
 
     def _move_gravity(self, stamp_ns: int) -> None:
         """Evaluate the gravity of IMU factors where their states now are, and linearise them again."""
@@ -296,9 +318,9 @@ class OnlineSession:
 
     def _position_sigma_m(self) -> float:
         """Give the standard deviation of the position at the last frame."""
-        if not self._states:
+        if self._newest is None:
             return float(np.sqrt(3.0) * self._descent.initial.position_sigma_m)
-        covariance = self._states[-1].covariance[strapdown.POSITION, strapdown.POSITION]
+        covariance = self._newest.covariance[strapdown.POSITION, strapdown.POSITION]
         return float(np.sqrt(np.trace(covariance)))
 
     def _state(self, n: int, stamp_ns: int) -> FilterState:
@@ -331,10 +353,10 @@ class OnlineSession:
 
     def filtered(self) -> Trajectory:
         """Estimates at every frame so far, each from the data up to its frame."""
-        return filter_state.trajectory(self._stamps_ns, self._states)
+        return self._log.trajectory()
 
     def smoothed_values(self) -> gtsam.Values:
-        """Estimates of all states, from all data so far while the solver holds them (see `Isam`)."""
+        """Estimates of all states that the solver keeps, from all data so far (see `Isam`)."""
         return self._solver.estimate()
 
 
@@ -353,12 +375,8 @@ class OnlineSmoother:
         self.name = name
 
     def run(self, problem: Problem) -> OnlineSession:
-        """Process all frames in a session."""
-        session = OnlineSession(problem, self.options)
-        session.begin(problem.frames[0], problem.start)
-        for frame in problem.frames[1:]:
-            session.update(frame)
-        return session
+        """Process all frames in a session that keeps all states."""
+        return _run(OnlineSession(problem, self.options, keep_past=True), problem)
 
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from the data up to it.
@@ -371,7 +389,7 @@ class OnlineSmoother:
         -------
         Trajectory
         """
-        return self.run(problem).filtered()
+        return _run(OnlineSession(problem, self.options), problem).filtered()
 
 
 class FixedLagSmoother:
@@ -408,8 +426,12 @@ class FixedLagSmoother:
         EstimationError
             When the lag is not positive.
         """
-        session = OnlineSession(problem, self.options, FixedLagIsam(self.lag_s))
-        session.begin(problem.frames[0], problem.start)
-        for frame in problem.frames[1:]:
-            session.update(frame)
-        return session.filtered()
+        return _run(OnlineSession(problem, self.options, FixedLagIsam(self.lag_s)), problem).filtered()
+
+
+def _run(session: OnlineSession, problem: Problem) -> OnlineSession:
+    """Process all frames of a problem."""
+    session.begin(problem.frames[0], problem.start)
+    for frame in problem.frames[1:]:
+        session.update(frame)
+    return session
