@@ -126,10 +126,9 @@ def _judge(search: GateSearch, best: ExpandedPose) -> Matches:
     n = len(search.charts)
     craters, ambiguous = np.full(n, -1), np.zeros(n, dtype=np.bool_)
     rims, chosen = [], []
-    for i, m in zip(best.rims.tolist(), best.craters.tolist(), strict=True):
-        own = best.distances2[i, m]
-        others = np.concatenate([np.delete(best.distances2[i], m), np.delete(best.distances2[:, m], i)])
-        second = float(others.min(initial=np.inf))
+    distances2 = zip(best.distances2.tolist(), best.second_distances2.tolist(), strict=True)
+    matches = zip(best.rims.tolist(), best.craters.tolist(), strict=True)
+    for (i, m), (own, second) in zip(matches, distances2, strict=True):
         if second < min(search.gate, own + options.ambiguity):
             ambiguous[i] = True
         else:

@@ -46,6 +46,10 @@ _MAX_EXPANSIONS = 4
 _START_ROUNDS = 3
 # Hypotheses that are computed together.
 _CHUNK = 1000
+# Bounds on the search with a prediction that says next to nothing: craters, those nearest to where it puts
+# the rim, that a rim of a pair is taken for; comparisons of rims and craters over all poses (some seconds).
+_MOST_CRATERS = 500
+_MOST_COMPARISONS = 1e9
 # Share of craters of about a rim's size whose size and shape agree with the rim by chance.
 _SHAPE_CHANCE = 0.15
 # Share of the allowed pairs of rims and craters that agree with each other by chance. Used where the number
@@ -96,20 +100,35 @@ class ExpandedPose:
         Pose of the body.
     covariance : ndarray, shape (6, 6)
         For the right twist [w, rho], rad and m in b.
-    distances2 : ndarray, shape (n, m)
-        Squared Mahalanobis distances of all rims from all craters; inf far beyond the gate.
     rims, craters : ndarray of int, shape (k,)
         Rows of the matched rims, and of their craters among those of the search.
+    distances2, second_distances2 : ndarray, shape (k,)
+        Squared Mahalanobis distances of the matches, and of the next best one of rim or crater, without unit;
+        inf far beyond the gate.
     score : float
         Sum over the matches of the gate less the squared distance.
     """
 
     gTb: FloatArray
     covariance: FloatArray
-    distances2: FloatArray
     rims: IntArray
     craters: IntArray
+    distances2: FloatArray
+    second_distances2: FloatArray
     score: float
+
+    def same_matches(self, other: "ExpandedPose") -> bool:
+        """Tell whether another pose explains the same rims by the same craters.
+
+        Parameters
+        ----------
+        other : ExpandedPose
+
+        Returns
+        -------
+        bool
+        """
+        return np.array_equal(self.rims, other.rims) and np.array_equal(self.craters, other.craters)
 
 
 class Tried(NamedTuple):
@@ -197,7 +216,7 @@ class GateSearch:
         Returns
         -------
         found : list of ExpandedPose
-            The best first.
+            The best first, and after it those that are nearly as good.
         tried : Tried
         """
         pairs, starts, possible_rims = self._hypotheses()
@@ -220,9 +239,10 @@ class GateSearch:
             )
             for k in np.lexsort((cost[keep], -explained))[: self.options.expanded]:
                 expanded = self._expand(gTb[k], covariance[k])
-                if expanded is not None:
+                if expanded is not None and not any(expanded.same_matches(one) for one in found):
                     found.append(expanded)
             found.sort(key=lambda one: -one.score)
+            found = [one for one in found if found[0].score - one.score < self.options.ambiguity]
             if found and self.by_chance(found[0], tried) <= self.options.chance:
                 break
         return found, tried
@@ -232,28 +252,33 @@ class GateSearch:
 
         A single rim is paired with itself. Last comes the number of rims that some crater in reach could be.
         """
-        off = np.abs(self._log_solid[:, None] - self._log_solid_of_craters)
-        off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m / np.maximum(self._range_m, 1.0))
-        toward = self._ray @ self._gTc[:3, :3].T
-        chord = np.linalg.norm(toward[:, None] - self._sight, axis=2)
-        aside = self._turn_rad + self._position_m / self._range_m + _CENTRE_ERROR_RAD
-        allowed = (off < off_limit) & (2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) < aside)
-        possible_rims = int(np.count_nonzero(allowed.any(axis=1)))
-        seeds = np.argsort(-(self.charts[:, 2] + self.charts[:, 4]), kind="stable")
-        seeds = seeds[allowed[seeds].any(axis=1)][: self.options.seeds]
-        pairs, attitudes, costs = [], [], []
+        by_size = np.argsort(-(self.charts[:, 2] + self.charts[:, 4]), kind="stable")
+        allowed = {int(i): self._allowed_craters(int(i)) for i in by_size}
+        possible = [i for i, craters in allowed.items() if len(craters)]
+        seeds = possible[: self.options.seeds]
+        comparisons = max(len(self.charts) * len(self.rows), 1)
+        most = min(self.options.hypotheses, max(int(_MOST_COMPARISONS / comparisons), _CHUNK))
+        pair, gRc, cost = np.empty((0, 4), dtype=np.int64), np.empty((0, 3, 3)), np.empty(0)
         for a, i in enumerate(seeds):
             for j in seeds[a + 1 :] if len(seeds) > 1 else seeds:
-                first, second = np.flatnonzero(allowed[i]), np.flatnonzero(allowed[j])
-                some, gRc, cost = self._pair_attitudes(int(i), int(j), first, second)
-                pairs.append(some)
-                attitudes.append(gRc)
-                costs.append(cost)
-        if not pairs:
-            return np.empty((0, 4), dtype=np.int64), np.empty((0, 4, 4)), possible_rims
-        pair, gRc, cost = np.concatenate(pairs), np.concatenate(attitudes), np.concatenate(costs)
-        order = np.argsort(cost, kind="stable")[: self.options.hypotheses]
-        return pair[order], self._starts(pair[order], gRc[order]), possible_rims
+                more = self._pair_attitudes(i, j, allowed[i], allowed[j])
+                pair, gRc, cost = (np.concatenate(both) for both in zip((pair, gRc, cost), more, strict=True))
+                if len(cost) > most:
+                    order = np.sort(np.argsort(cost, kind="stable")[:most])
+                    pair, gRc, cost = pair[order], gRc[order], cost[order]
+        order = np.argsort(cost, kind="stable")
+        return pair[order], self._starts(pair[order], gRc[order]), len(possible)
+
+    def _allowed_craters(self, rim: int) -> IntArray:
+        """Rows of the craters, among those of the search, that the prediction allows for a rim."""
+        off = np.abs(self._log_solid[rim] - self._log_solid_of_craters)
+        off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m / np.maximum(self._range_m, 1.0))
+        chord = np.linalg.norm(self._gTc[:3, :3] @ self._ray[rim] - self._sight, axis=1)
+        aside = self._turn_rad + self._position_m / self._range_m + _CENTRE_ERROR_RAD
+        allowed = np.flatnonzero((off < off_limit) & (2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) < aside))
+        if len(allowed) > _MOST_CRATERS:
+            allowed = np.sort(allowed[np.argsort(chord[allowed], kind="stable")[:_MOST_CRATERS]])
+        return allowed
 
     def _starts(self, pairs: IntArray, gRc: FloatArray) -> FloatArray:
         """Compute initial poses gTb (h, 4, 4) from camera attitudes (h, 3, 3); sizes give the ranges."""
@@ -396,8 +421,11 @@ class GateSearch:
             gTb, covariance, cost = self.solve_one(gTb, craters, rims)
             if not np.isfinite(cost):
                 return None
-        score = float(np.sum(self.gate - distances2[rims, craters]))
-        return ExpandedPose(gTb, covariance, distances2, rims, craters, score)
+        own = distances2[rims, craters]
+        others = distances2.copy()
+        others[rims, craters] = np.inf
+        second = np.minimum(others[rims].min(axis=1), others[:, craters].min(axis=0))
+        return ExpandedPose(gTb, covariance, rims, craters, own, second, float(np.sum(self.gate - own)))
 
     def by_chance(self, best: ExpandedPose, tried: Tried) -> float:
         """Estimate how many of the other poses tried would explain as many rims by chance.

@@ -1,5 +1,8 @@
 """Matching with a prior, on drawn scenes: what is right is known, and images have their own tests."""
 
+import time
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -227,3 +230,22 @@ def test_nothing_in_nothing_out():
     lost = match_rims(charts, covariances, CAMERA, catalog, away, covariance, GateOptions())
     assert np.all(lost.craters == -1)
     np.testing.assert_array_equal(lost.gTb, away)
+
+
+def test_a_prediction_that_says_nothing_is_searched_in_bounded_memory_and_time():
+    """1500 craters in reach: two million pairs of craters for each two rims are too many to hold."""
+    rng = np.random.default_rng(8)
+    catalog = field(rng, count=1500, half_rad=0.02, smallest_m=600.0)
+    gTb = view(rng)
+    charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=10.0)[1]
+    charts = charts[rng.choice(len(charts), 12, replace=False)]
+    charts[:, :2] = rng.uniform(-0.35, 0.35, (12, 2))
+    covariance = np.diag(np.repeat([1.0**2, (0.2 * ALTITUDE_M) ** 2], 3))
+    tracemalloc.start()
+    began = time.process_time()
+    found = match_rims(charts, noise_of(charts), CAMERA, catalog, gTb, covariance)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert not (found.craters >= 0).any()
+    assert peak < 1 << 28
+    assert time.process_time() - began < 30.0

@@ -24,6 +24,8 @@ _EXPANSION_SIZES = (2, 3, 5, 1000, 1000, 1000)
 # Gate on the range by a rim's size: in standard deviations of the prior's position, and an addition to the
 # logarithm for the rim's own error.
 _RANGE_SIGMAS, _LOG_RANGE_ERROR = 3.5, 0.15
+# Bound on comparisons of rims and craters over all hypotheses (some seconds); at least so many are left.
+_MOST_COMPARISONS, _LEAST_HYPOTHESES = 1e9, 1000
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ def poses_of_single_rims(
     turn = frames.rotation_log((prior.gTb[:3, :3].T @ gRb).reshape(-1, 3, 3)).reshape(*gRb.shape[:2], 3)
     slack = (aside2 + rims.sunward_sigma_rad**2)[:, None, None] * np.eye(3)
     weight = np.linalg.inv(prior.covariance[:3, :3] + slack)
-    far = np.einsum("nmi,nij,nmj->nm", turn, weight, turn) > gate
+    cost = np.einsum("nmi,nij,nmj->nm", turn, weight, turn)
     # The solid angle of a rim is its foreshortened area over the squared range.
     area = 2.0 * np.log(range_m) - np.log(
         np.abs(np.sum(sight * craters.normals, axis=-1)) * np.linalg.norm(craters.axes, axis=-1).prod(axis=-1)
@@ -160,7 +162,13 @@ def poses_of_single_rims(
     measured = charts[:, 2] + charts[:, 4] + 3.0 * np.log(ray[:, 2])
     off = np.abs(0.5 * (area[:, None] + measured))
     misfit = off > _RANGE_SIGMAS * (np.sqrt(along2) + np.sqrt(aside2))[:, None] + _LOG_RANGE_ERROR
-    crater, rim = np.nonzero(~(far | misfit))
+    cost = np.where(misfit, np.inf, cost)
+    crater, rim = np.nonzero(cost <= gate)
+    # A prediction that says nothing allows every crater for every rim: the likeliest attitudes remain.
+    most = max(int(_MOST_COMPARISONS / max(len(rims.charts) * len(craters.centres), 1)), _LEAST_HYPOTHESES)
+    if len(crater) > most:
+        first = np.sort(np.argsort(cost[crater, rim], kind="stable")[:most])
+        crater, rim = crater[first], rim[first]
     start = np.tile(np.eye(4), (len(crater), 1, 1))
     start[:, :3, :3] = gRb[crater, rim]
     start[:, :3, 3] = gTc[:3, 3] - start[:, :3, :3] @ bTc[:3, 3]
