@@ -86,11 +86,20 @@ def squared_distance(residual: FloatArray, covariance: FloatArray) -> FloatArray
     Returns
     -------
     ndarray, shape (...,)
-        Chi-square with n degrees of freedom when C is the covariance of r.
+        Chi-square with n degrees of freedom when C is the covariance of r; inf where C is singular.
     """
     sigmas = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     e = residual / sigmas
-    solved = np.linalg.solve(covariance / (sigmas[..., :, None] * sigmas[..., None, :]), e[..., None])
+    correlation = covariance / (sigmas[..., :, None] * sigmas[..., None, :])
+    try:
+        solved = np.linalg.solve(correlation, e[..., None])
+    except np.linalg.LinAlgError:
+        singular = np.linalg.det(correlation) == 0.0
+        if not singular.any():
+            raise
+        regular = np.where(singular[..., None, None], np.eye(correlation.shape[-1]), correlation)
+        solved = np.linalg.solve(regular, e[..., None])
+        return np.where(singular, np.inf, np.sum(e * solved[..., 0], axis=-1))
     return np.asarray(np.sum(e * solved[..., 0], axis=-1))
 
 

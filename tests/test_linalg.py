@@ -124,3 +124,9 @@ def test_triads_turn_as_the_directions_do() -> None:
 def test_parallel_directions_make_no_nan() -> None:
     R = triads(np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]))
     assert_allclose(R[:, 1:], 0.0)
+
+
+def test_nothing_is_near_by_a_singular_covariance() -> None:
+    C = np.stack([np.eye(3), np.ones((3, 3)), 4.0 * np.eye(3)])
+    assert_array_equal(squared_distance(np.ones((3, 3)), C), [3.0, np.inf, 0.75])
+    assert_array_equal(squared_distance(np.ones(3), C[1]), np.inf)

@@ -16,6 +16,8 @@ from craternav_fg.dataset import layout
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.tables.parquet import filled, read_parquet, write_parquet
+from craternav_fg.tables.sizes import LARGEST
+from factors.kernels import admission
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -56,6 +58,8 @@ _ARC_PARTS = pa.schema([("correlated_sigma", pa.float64())])
 # Largest asymmetry of a covariance, in products of standard deviations: components that are nearly
 # independent have cross terms of rounding errors.
 _MAX_ASYMMETRY = 1e-9
+# Smallest eigenvalue of a correlation matrix: a smaller one is rounding of a singular matrix.
+_MIN_EIGENVALUE = 1e-12
 
 
 def write_rims(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog) -> None:
@@ -128,6 +132,7 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
         for name, shape in _PART_SHAPES.items()
         if name in table.column_names
     }
+    _check_charts(path, charts)
     _check_covariances(path, covariances, {name: parts[name].values for name in _ROOTS if name in parts})
     _check_quality(path, {name: parts[name] for name in _QUALITY if name in parts})
     out = []
@@ -270,7 +275,7 @@ def _numbers(path: Path, table: pa.Table, name: str, shape: tuple[int, ...]) -> 
     out = np.zeros((len(table), *shape))
     filled = column.is_valid().to_numpy(zero_copy_only=False)
     out[filled] = np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64).reshape(-1, *shape)
-    bad = np.flatnonzero(~np.isfinite(out).reshape(len(out), -1).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(out) <= LARGEST).all(axis=tuple(range(1, out.ndim))))
     if len(bad):
         raise InputError(path, f"expected finite numbers, row {bad[0] + 1} has others", column=name)
     return out
@@ -282,7 +287,7 @@ def _lists(path: Path, table: pa.Table, name: str, width: int) -> list[FloatArra
     for row, values in enumerate(table[name]):
         flat = values.values.flatten() if width > 1 else values.values
         numbers = np.asarray(flat.to_numpy(zero_copy_only=False), dtype=np.float64)
-        if not np.isfinite(numbers).all() or len(numbers) != width * len(values):
+        if not (np.abs(numbers) <= LARGEST).all() or len(numbers) != width * len(values):
             raise InputError(path, f"expected finite numbers, row {row + 1} has others", column=name)
         out.append(numbers.reshape(-1, width).copy())
     return out
@@ -306,14 +311,24 @@ def _require(path: Path, name: str, good: BoolArray, values: FloatArray, expecte
         raise InputError(path, f"row {row + 1}: expected {expected}, found {values[row]:g}", column=name)
 
 
+def _check_charts(path: Path, charts: FloatArray) -> None:
+    """Refuse charts (n, 5) whose conics leave double precision."""
+    row = admission.first_bad_chart(charts)
+    if row >= 0:
+        problem = f"row {row + 1}: expected the chart of an ellipse in normalised coordinates"
+        raise InputError(path, problem, column="chart")
+
+
 def _check_covariances(path: Path, covariances: FloatArray, roots: dict[str, FloatArray]) -> None:
     """Refuse matrices (n, 5, 5) that are no covariances, or less than their parts."""
     if not len(covariances):
         return
     sigmas = np.sqrt(np.abs(np.diagonal(covariances, axis1=1, axis2=2)))
     skew = np.abs(covariances - np.swapaxes(covariances, 1, 2))
-    symmetric = np.all(skew <= _MAX_ASYMMETRY * sigmas[:, :, None] * sigmas[:, None, :])
-    if not symmetric or np.linalg.eigvalsh(covariances)[:, 0].min() <= 0.0:
+    scale = sigmas[:, :, None] * sigmas[:, None, :]
+    sound = np.all(skew <= _MAX_ASYMMETRY * scale) and scale.min() > 0.0
+    # A chart's components differ by orders of magnitude: the correlation tells what rounding has left.
+    if not sound or np.linalg.eigvalsh(covariances / scale)[:, 0].min() <= _MIN_EIGENVALUE:
         raise InputError(path, "expected symmetric positive definite matrices", column="covariance")
     white = covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((5, 5)))
     if roots and np.linalg.eigvalsh(white)[:, 0].min() <= 0.0:

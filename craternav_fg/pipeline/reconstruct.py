@@ -112,8 +112,11 @@ def reconstruct(
     descent = Descent.of(dataset, initial)
     if dataset.features is None and measured.limits is not None and measured.limits.points.count:
         descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))
-    problems = _problems(descent, measured)
-    check_logs(problems, dataset.path)
+    try:
+        problems = _problems(descent, measured)
+        check_logs(problems, dataset.path)
+    except NUMERICAL_ERRORS as error:
+        raise EstimationError(f"start: {_one_line(error)}") from error
     times_s = {"front_end": time.perf_counter() - began}
     trajectories, failures, estimation_s = _run(chosen, problems, dataset.stamps_ns, report)
     times_s |= estimation_s

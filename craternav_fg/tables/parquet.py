@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, check_input, replacing
+from craternav_fg.tables.sizes import LARGEST
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -158,7 +159,7 @@ def read_parquet_columns(path: Path, names: Sequence[str]) -> pa.Table:
 
 
 def require_finite(path: Path, table: pa.Table, *names: str) -> None:
-    """Refuse numbers that are not finite; empty cells are passed over.
+    """Refuse numbers that are not finite, or larger than any quantity; empty cells are passed over.
 
     Parameters
     ----------
@@ -176,8 +177,10 @@ def require_finite(path: Path, table: pa.Table, *names: str) -> None:
     for name in names:
         column = table[name].combine_chunks()
         flat = column.flatten() if pa.types.is_nested(column.type) else column
-        if (flat.null_count and flat is not column) or not np.isfinite(_floats(flat.drop_null())).all():
-            raise InputError(path, "expected finite numbers, found others", column=name)
+        sound = (np.abs(_floats(flat.drop_null())) <= LARGEST).all()
+        if (flat.null_count and flat is not column) or not sound:
+            expected = f"expected finite numbers, at most {LARGEST:g} in size"
+            raise InputError(path, f"{expected}, found others", column=name)
 
 
 def write_parquet(path: Path, table: pa.Table) -> None:

@@ -17,6 +17,7 @@ import pyarrow.csv as pa_csv
 
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input
+from craternav_fg.tables.sizes import LARGEST
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -199,11 +200,14 @@ def read_table(
         data = _read_slowly(path, names, by_name)
     result = Table(path, data)
     for column in found:
-        if column.kind == "number" and not column.may_be_empty:
-            bad = np.flatnonzero(~np.isfinite(data[column.name]))
+        if column.kind == "number":
+            numbers = data[column.name]
+            good = np.abs(numbers) <= LARGEST
+            bad = np.flatnonzero(~(good | np.isnan(numbers) if column.may_be_empty else good))
             if len(bad):
                 row = int(bad[0])
-                result.fail(row, column.name, f"expected a finite number, found {data[column.name][row]}")
+                expected = f"expected a finite number, at most {LARGEST:g} in size"
+                result.fail(row, column.name, f"{expected}, found {numbers[row]}")
     return result
 
 

@@ -77,7 +77,11 @@ CASES = {
     "nan": (cell(IMU, 8, 3, "nan"), [f"{IMU}:8", "w_RS_S_z", "finite", "nan"]),
     "inf": (cell(IMU, 8, 4, "-inf"), [f"{IMU}:8", "a_RS_S_x", "finite", "-inf"]),
     "rate beyond reason": (cell(IMU, 8, 3, "1e20"), [f"{IMU}:8", "w_RS_S_z", "50 rad/s", "1e+20"]),
-    "force beyond reason": (cell(IMU, 8, 4, "-1e308"), [f"{IMU}:8", "a_RS_S_x", "1000 m/s^2", "-1e+308"]),
+    "truth of no size": (
+        cell(layout.TRUTH, 3, 1, "1e308"),
+        [f"{layout.TRUTH}:3", "p_RS_R_x", "at most 1e+60", "1e+308"],
+    ),
+    "force beyond reason": (cell(IMU, 8, 4, "-1e30"), [f"{IMU}:8", "a_RS_S_x", "1000 m/s^2", "-1e+30"]),
     "stamp no integer": (cell(IMU, 9, 0, "1.5e18"), [f"{IMU}:9", "timestamp", "integer", "'1.5e18'"]),
     "stamp not in 64 bit": (cell(IMU, 9, 0, "9" * 25), [f"{IMU}:9", "timestamp", "integer"]),
     "stamp repeated": (cell(IMU, 9, 0, str(START_NS + 70_000_000)), [f"{IMU}:9", "timestamp", "previous"]),
@@ -292,6 +296,8 @@ RIM_CASES = {
     "empty cell": (set_cell(1, "crater_id", None), [layout.RIMS, "crater_id", "empty"]),
     "nan": (set_cell(1, "chart", [0.0, 0.0, np.nan, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "no number": (set_cell(1, "chart", [0.0, 0.0, None, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
+    "no ellipse": (set_cell(1, "chart", [0.0, 0.0, 1e30, 0.0, 0.0]), [layout.RIMS, "row 2", "an ellipse"]),
+    "no size": (set_cell(1, "chart", [0.0, 0.0, 1e308, 0.0, 0.0]), [layout.RIMS, "row 2", "finite"]),
     "covariance": (set_cell(1, "covariance", [0.0] * 25), [layout.RIMS, "covariance", "positive definite"]),
     "rim twice": (spoiled(lambda rows: rows.append(rows[0])), [layout.RIMS, "once"]),
     "missing column": (changed(lambda t: t.drop_columns(["chart"])), [layout.RIMS, "chart", "missing"]),
@@ -358,6 +364,20 @@ def test_bad_rims_are_named(case, rims_folder):
     assert "\n" not in text
     for part in expected:
         assert part in text
+
+
+@pytest.mark.parametrize("value", [1e59, -1e59])
+def test_covariances_that_rounding_has_left_indefinite_are_refused(rims_folder, value):
+    covariance = np.diag([1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
+    covariance[0, 1] = covariance[1, 0] = value
+    set_cell(0, "covariance", covariance.ravel().tolist())(rims_folder)
+    with pytest.raises(InputError, match="positive definite"):
+        Dataset.open(rims_folder.path)
+    # Singular but for rounding.
+    covariance[0, 1] = covariance[1, 0] = 1e-6 * (1.0 - 1e-14)
+    set_cell(0, "covariance", covariance.ravel().tolist())(rims_folder)
+    with pytest.raises(InputError, match="positive definite"):
+        Dataset.open(rims_folder.path)
 
 
 def covariance_with(cross, mirrored):
