@@ -17,6 +17,7 @@ from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset.ellipses import detections_as_plain_data, write_detected_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.files import replacing
 from craternav_fg.plots.detections import write_overlay
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, FoundRims, find_rims
@@ -77,8 +78,10 @@ def detect(
     options = BlindOptions(min_radius_px=min_radius_px, min_quality=min_quality)
     rims = _detect(image, pixels, sun_rad, method, options)
     detect_ms = 1e3 * (time.perf_counter() - began_s)
-    write_detected_ellipses(output, rims.ellipses_px, image.name)
-    write_overlay(overlay, pixels, rims)
+    with replacing(output) as table, replacing(overlay) as picture:
+        # Both, or neither.
+        write_detected_ellipses(table, rims.ellipses_px, image.name)
+        write_overlay(picture, pixels, rims)
     if as_json:
         values = {"image": str(image), "method": method.value, "detect_ms": detect_ms, **_plain(rims)}
         out.print_json(json.dumps({**values, "csv": str(output), "overlay": str(overlay)}))

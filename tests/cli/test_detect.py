@@ -124,6 +124,17 @@ def test_what_is_no_image_is_one_line(tmp_path, write, message):
     assert not (tmp_path / "rims.csv").exists()
 
 
+def test_table_and_overlay_appear_both_or_neither(one, tmp_path):
+    path = tmp_path / "frame.png"
+    cv2.imwrite(str(path), one.image)
+    overlay = tmp_path / "rims_overlay.png"
+    overlay.mkdir()
+    code, _, said = detect(path, "-o", tmp_path / "rims.csv")
+    assert code == 2
+    assert "rims_overlay.png" in said
+    assert sorted(tmp_path.iterdir()) == [path, overlay]
+
+
 def test_the_image_is_not_overwritten(one, tmp_path):
     path = tmp_path / "rims_overlay.png"
     cv2.imwrite(str(path), one.image)

@@ -33,7 +33,7 @@ def handles_sigterm(pid: int) -> bool:
 
 
 def stopped(arguments: list[str], after_s: float, number: int) -> tuple[int, str]:
-    """Exit code and errors of a command that gets a signal."""
+    """Exit code and errors of a command that gets a signal; 0 is none."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(
         [*COMMAND, *arguments], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment
@@ -43,7 +43,7 @@ def stopped(arguments: list[str], after_s: float, number: int) -> tuple[int, str
             time.sleep(0.01)
         time.sleep(after_s)
         process.send_signal(number)
-        _, said = process.communicate(timeout=120.0)
+        _, said = process.communicate(timeout=600.0)
     return process.returncode, said
 
 
@@ -81,26 +81,30 @@ def commands(data: Path, folder: Path) -> list[list[str]]:
 
 @pytest.mark.slow
 def test_thirty_moments(data: Path, tmp_path: Path) -> None:
+    """Ctrl-C, SIGTERM and kill -9; then the same commands end well, and what the dead have left is gone."""
     rng = random.Random(15)
+    every = commands(data, tmp_path)
     for k in range(30):
-        arguments = commands(data, tmp_path)[k % 7]
-        number = rng.choice([signal.SIGINT, signal.SIGTERM])
-        check_or_input_error(arguments, rng.uniform(0.05, 6.0), number)
-    temporary = [path for path in tmp_path.rglob("*") if numba_temporary(path)]
-    assert temporary == []
+        number = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+        check_or_input_error(every[k % len(every)], rng.uniform(0.05, 6.0), number)
+    # Younger files may be of a process that has not locked them yet.
+    time.sleep(3.0)
+    for arguments in every:
+        if arguments[0] in ("reconstruct", "simulate", "catalog", "report"):
+            arguments = [*arguments, "--force"]
+        if arguments[0] != "demo":
+            code, said = stopped(arguments, 0.0, 0)
+            assert code == 0, said
+    assert [path for path in tmp_path.rglob("*") if ".craternav-" in path.name] == []
 
 
 def check_or_input_error(arguments: list[str], after_s: float, number: int) -> None:
     """As `check`; the run of a report may not be there yet."""
     code, said = stopped(arguments, after_s, number)
     assert "Traceback" not in said, said
-    assert code in (0, 2, 128 + number), said
+    assert code in (0, 2, -number if number == signal.SIGKILL else 128 + number), said
     if code == 2:
         assert said.count("\n") == 1, said
-
-
-def numba_temporary(path: Path) -> bool:
-    return ".craternav-" in path.name
 
 
 @pytest.mark.parametrize("moment", range(6))
