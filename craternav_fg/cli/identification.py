@@ -29,7 +29,7 @@ from craternav_fg.cli.options import (
     require_kept,
     require_suffix,
 )
-from craternav_fg.cli.poses import focal_text, show_pose
+from craternav_fg.cli.poses import focal_sigma, focal_text, show_pose
 from craternav_fg.cli.terminal import note, out, say, warn
 from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
@@ -39,7 +39,6 @@ from craternav_fg.matching.identify.search import Identification, IdentifyOption
 from craternav_fg.matching.identify.search import identify as identify_rims
 from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
-from craternav_fg.resection.focal import FOCAL_SIGMA
 from craternav_fg.vision.detect import find_rims
 
 FloatArray = npt.NDArray[np.float64]
@@ -55,13 +54,14 @@ class _Searched:
     altitude_km: Annotated[
         str | None, typer.Option(help="Lowest and highest altitude to search.", show_default="1,2000")
     ] = None
-    focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA
+    focal_sigma_percent: FocalSigmaOption = None
 
-    @property
-    def options(self) -> IdentifyOptions:
-        """The same as the search takes it."""
+    def options(self, camera: Path) -> IdentifyOptions:
+        """Give the same as the search takes it."""
         altitudes_m = _altitudes(self.altitude_km)
-        return IdentifyOptions(altitudes_m=altitudes_m, focal_sigma=0.01 * self.focal_sigma_percent)
+        return IdentifyOptions(
+            altitudes_m=altitudes_m, focal_sigma=focal_sigma(self.focal_sigma_percent, camera)
+        )
 
 
 @app.command(
@@ -98,7 +98,7 @@ def identify(
         require_free(output, force=force)
     sensor = read_camera(camera)
     known = _attitude(attitude)
-    options = searched.options
+    options = searched.options(camera)
     ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     ready, index_note = load_or_build(path, craters)

@@ -19,8 +19,13 @@ CatalogOption = Annotated[
     Path, typer.Option(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
 ]
 FocalSigmaOption = Annotated[
-    float,
-    typer.Option(min=0.0, max=10.0, help="Standard deviation of the focal length; 0 if exact."),
+    float | None,
+    typer.Option(
+        min=0.0,
+        max=10.0,
+        help="Standard deviation of the focal length; 0 if exact.",
+        show_default="that of the camera's file, else 0.3",
+    ),
 ]
 CatalogBodyOption = Annotated[
     float | None,

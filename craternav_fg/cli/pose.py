@@ -20,13 +20,13 @@ from craternav_fg.cli.options import (
     JsonOption,
     numbers_of,
 )
-from craternav_fg.cli.poses import focal_text, show_pose
+from craternav_fg.cli.poses import focal_sigma, focal_text, show_pose
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
-from craternav_fg.resection.focal import FOCAL_SIGMA, with_unknown_focal
+from craternav_fg.resection.focal import with_unknown_focal
 from craternav_fg.resection.problem import ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 
@@ -102,7 +102,7 @@ def pose(
     light: KnownSun,
     noise: RimNoise,
     robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and reject them.")] = False,
-    focal_sigma_percent: FocalSigmaOption = 100.0 * FOCAL_SIGMA,
+    focal_sigma_percent: FocalSigmaOption = None,
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -116,8 +116,8 @@ def pose(
         matched, craters, sensor, attitude_wxyz=wxyz, attitude_sigma_deg=sigma_deg, sun=light.values()
     )
     result = solve_robustly(problem) if robust else solve_all(problem)
-    if focal_sigma_percent > 0.0:
-        result = with_unknown_focal(problem, result, 0.01 * focal_sigma_percent)
+    if of_focal := focal_sigma(focal_sigma_percent, camera):
+        result = with_unknown_focal(problem, result, of_focal)
     values = as_plain_data(problem, result, craters.body)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))

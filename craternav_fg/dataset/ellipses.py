@@ -23,6 +23,7 @@ from craternav_fg.ellipse import chart_of_axes, half_sides
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, Table, read_table
+from craternav_fg.tables.sizes import LARGEST
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,6 +36,7 @@ ELLIPSE = (CENTRE_X, CENTRE_Y, MAJOR, MINOR, ROTATION)
 IMAGE = "inputImage"
 CLASSIFICATION = "crater_classification"
 SIGMA = "sigma_px"
+COVARIANCE = "covariance"
 # The challenge's code for a state of degradation that is not given.
 NOT_CLASSIFIED = -1
 # Accepted standard deviations of edge points, px: beyond them the covariance of a fit is rounding errors.
@@ -46,6 +48,8 @@ _MIN_RIMS_OF_QUARTER, _FILLED_SHARE = 10, 0.8
 _MIN_TURNED_RIMS, _ELONGATED = 4, 1.05
 # Accepted semi-axes: a tenth of a pixel, to this many times the longer side of the image.
 _MIN_SEMI_AXIS_PX = 0.1
+# Smallest eigenvalue of the correlations of an ellipse's errors: a smaller one is rounding.
+_MIN_EIGENVALUE = 1e-9
 _MAX_SEMI_AXIS_IMAGES = 10
 
 
@@ -63,12 +67,15 @@ class MatchedEllipses:
         Identifiers.
     sigmas_px : ndarray, shape (n,), or None
         Standard deviation of each rim's edge points along its normal; None without such a column.
+    covariances : ndarray, shape (n, 5, 5), or None
+        Of each row of `ellipses_px`, px and rad; None without such a column.
     """
 
     table: Table
     ellipses_px: FloatArray
     craters: tuple[str, ...]
     sigmas_px: FloatArray | None
+    covariances: FloatArray | None
 
     def __len__(self) -> int:
         return len(self.craters)
@@ -105,17 +112,22 @@ def read_matched_ellipses(path: Path, camera: Camera) -> MatchedEllipses:
     Parameters
     ----------
     path : Path
-        CSV with the columns of `read_ellipses`, CRATER_ID and optionally sigma_px. Further columns are not
-        read.
+        CSV with the columns of `read_ellipses`, CRATER_ID and optionally sigma_px or covariance: the upper
+        triangle, row by row, of the covariance of centre x, y, semi-axes, px, and rotation, deg, as fifteen
+        numbers with blanks between. Further columns are not read.
     camera : Camera
         Whose image it is.
 
     Raises
     ------
     InputError
-        As `read_ellipses`; also when there is no row, or a crater twice.
+        As `read_ellipses`; also when there is no row, a crater twice, or a covariance is not positive
+        definite.
     """
-    columns = (*(Column(name) for name in ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True))
+    columns = (
+        *(Column(name) for name in ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True),
+        Column(COVARIANCE, "text", optional=True),
+    )  # fmt: skip
     table = read_table(path, columns, others=True)
     if not len(table):
         raise InputError(path, "expected at least one rim, found none")
@@ -130,7 +142,8 @@ def read_matched_ellipses(path: Path, camera: Camera) -> MatchedEllipses:
             first = table.line(seen[crater])
             table.fail(row, ID, f"expected each crater once, found {crater!r} again, first in line {first}")
         seen[crater] = row
-    return MatchedEllipses(table, ellipses, craters, sigmas)
+    covariances = _covariances(table) if COVARIANCE in table.columns else None
+    return MatchedEllipses(table, ellipses, craters, sigmas, covariances)
 
 
 def write_matched_ellipses(path: Path, ellipses_px: FloatArray, craters: Sequence[str | None]) -> None:
@@ -227,6 +240,28 @@ def _ellipses(table: Table, camera: Camera) -> FloatArray:
     _check_inside(table, ellipses, camera)
     _check_size(table, ellipses, camera)
     return ellipses
+
+
+def _covariances(table: Table) -> FloatArray:
+    """Covariances (n, 5, 5), px and rad, of a table's ellipses."""
+    out = np.zeros((len(table), 5, 5))
+    upper = np.triu_indices(5)
+    to_rad = np.array([1.0, 1.0, 1.0, 1.0, np.pi / 180.0])
+    for row, cell in enumerate(table.columns[COVARIANCE]):
+        try:
+            numbers = [float(word) for word in cell.split()]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(upper[0]):
+            table.fail(row, COVARIANCE, f"expected {len(upper[0])} numbers with blanks between")
+        out[row][upper] = out[row].T[upper] = numbers
+        out[row] *= np.outer(to_rad, to_rad)
+        variances = np.diag(out[row])
+        sound = (np.abs(out[row]) <= LARGEST).all() and variances.min() > 0.0
+        scale = np.sqrt(np.outer(variances, variances)) if sound else np.ones((5, 5))
+        if not sound or np.linalg.eigvalsh(out[row] / scale)[0] <= _MIN_EIGENVALUE:
+            table.fail(row, COVARIANCE, "expected a positive definite matrix")
+    return out
 
 
 def _check_range(table: Table, name: str, limits: tuple[float, float]) -> None:

@@ -47,6 +47,7 @@ class _CameraFile(Section):
     distortion_coefficients: tuple[float, ...] = ()
     psf_sigma_px: Annotated[float, Field(ge=0.0, le=10.0)] = Camera.psf_sigma_px
     bit_depth: Annotated[int, Field(ge=8, le=16)] = Camera.bit_depth
+    focal_sigma_percent: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
 
 
 class _ImuFile(Section):
@@ -105,6 +106,28 @@ def read_camera(path: Path) -> Camera:
     except ValueError as error:
         line = line_of(text, ["distortion_coefficients"])
         raise InputError(path, str(error), line=line, column="distortion_coefficients") from None
+
+
+def read_focal_sigma(path: Path) -> float | None:
+    """Read how well the focal length is known from the camera's sensor.yaml.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    float or None
+        Relative standard deviation, from `focal_sigma_percent`; None when the file does not say.
+
+    Raises
+    ------
+    InputError
+        As `read_camera`.
+    """
+    text = read_text(path)
+    percent = validate(path, parse_yaml(path, text), _CameraFile, text=text).focal_sigma_percent
+    return None if percent is None else 0.01 * percent
 
 
 def read_imu_noise(path: Path) -> ImuNoise:

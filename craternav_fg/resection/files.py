@@ -32,6 +32,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # Standard deviations of angles that are accepted.
 _SIGMA_RANGE_DEG = (1e-6, 360.0)
+# Of central differences, as a share of the semi-minor axis, or in rad.
+_STEP = 1e-5
 
 
 def read_rims(
@@ -51,8 +53,9 @@ def read_rims(
     path : Path
         CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
         ellipseRotation(deg) (of the major axis, from the image's x axis towards its y axis), CRATER_ID,
-        and optionally sigma_px, the standard deviation of the rim's edge points along the rim's normal.
-        Further columns are ignored.
+        and optionally sigma_px, the standard deviation of the rim's edge points along the rim's normal, or
+        covariance, see `read_matched_ellipses`, which goes before all other sigmas. Further columns are
+        ignored.
     camera : Camera
     catalog_path : Path
         Any catalogue that can be imported.
@@ -84,7 +87,10 @@ def read_rims(
     catalog, report = _craters(matched, catalog_path, body)
     charts_px = chart_of_axes(matched.ellipses_px)
     charts, scale = normalised_chart(charts_px, camera)
-    if sigma_ellipse_px is not None:
+    if matched.covariances is not None:
+        J = _chart_jacobian(matched.ellipses_px)
+        covariances = J @ matched.covariances @ np.swapaxes(J, 1, 2) * np.outer(scale, scale)
+    elif sigma_ellipse_px is not None:
         covariances = np.array([axes_covariance(chart, sigma_ellipse_px) for chart in charts_px])
         covariances *= np.outer(scale, scale)
     else:
@@ -97,6 +103,17 @@ def read_rims(
         )
     rims = MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances)
     return rims, catalog, report
+
+
+def _chart_jacobian(ellipses_px: FloatArray) -> FloatArray:
+    """Jacobians (n, 5, 5) of charts in centre, semi-axes and rotation, by central differences."""
+    columns = []
+    for k in range(5):
+        step = np.zeros_like(ellipses_px)
+        step[:, k] = _STEP * (ellipses_px[:, 3] if k < 4 else 1.0)
+        difference = chart_of_axes(ellipses_px + step) - chart_of_axes(ellipses_px - step)
+        columns.append(difference / (2.0 * step[:, k, None]))
+    return np.stack(columns, axis=-1)
 
 
 def resection_problem(

@@ -77,6 +77,14 @@ def test_a_focal_length_that_few_rims_cannot_check_widens_the_pose(files: Files,
     assert "focal length by the rims" in run().out
 
 
+def test_the_cameras_file_says_how_well_its_focal_length_is_known(files: Files, run: Run) -> None:
+    sensor = files.folder / "sensor.yaml"
+    sensor.write_text(f"{sensor.read_text()}focal_sigma_percent: 0\n")
+    from_file, exact = (json.loads(run("--json", *options).out) for options in ((), EXACT_FOCAL))
+    assert from_file == exact
+    assert json.loads(run("--json", "--focal-sigma-percent", "0.3").out)["focal_scale"] is not None
+
+
 def test_the_error_of_ellipses_instead_of_that_of_edge_points(files: Files, run: Run) -> None:
     """Half a pixel of centre and axes is more than edge points of one pixel give."""
     loose = json.loads(run("--json", "--sigma-ellipse-px", "0.5").out)["poses"][0]

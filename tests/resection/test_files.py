@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from craternav_fg.ellipse import chart_of_axes, normalised_chart
 from craternav_fg.errors import InputError
 from craternav_fg.resection.files import read_rims
 from tests.resection.matched_files import CAMERA, HEADER, MOON, Files, make_files
@@ -23,6 +24,37 @@ def test_sigma_scales_the_covariance(files: Files) -> None:
         files.rims(), CAMERA, files.folder / "craters.csv", MOON, sigma_px=0.1, edge_points=60
     )
     np.testing.assert_allclose(rims.covariance, 4.0 * plain.covariance, rtol=1e-3, atol=1e-15)
+
+
+def test_a_covariance_of_the_ellipse_is_that_of_its_chart(files: Files) -> None:
+    """Errors drawn from the covariance scatter the charts as it says; 15 numbers, the rotation in degrees."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(5, 5)) * np.array([[0.3], [0.2], [0.5], [0.4], [0.9]])
+    covariance = root @ root.T
+    words = " ".join(f"{value:.12g}" for value in covariance[np.triu_indices(5)])
+    rims, _ = files.read(files.rims(*(f"{row},{words}" for row in files.rows), header=f"{HEADER},covariance"))
+    drawn = rng.multivariate_normal(np.zeros(5), covariance, 40_000) * [1.0, 1.0, 1.0, 1.0, np.pi / 180.0]
+    ellipse = np.array([float(word) for word in files.rows[0].split(",")[:5]]) * [1, 1, 1, 1, np.pi / 180.0]
+    charts, _ = normalised_chart(chart_of_axes(ellipse + drawn), CAMERA)
+    sigmas = charts.std(axis=0)
+    scale = np.outer(sigmas, sigmas)
+    np.testing.assert_allclose(rims.covariance[0] / scale, np.cov(charts.T) / scale, atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("1 2 3", "expected 15 numbers"),
+        (" ".join(["x"] * 15), "expected 15 numbers"),
+        (" ".join(["1"] * 15), "expected a positive definite matrix"),
+        (" ".join(["nan"] * 15), "expected a positive definite matrix"),
+        (" ".join(["1e308"] * 15), "expected a positive definite matrix"),
+    ],
+)
+def test_a_wrong_covariance_is_named(files: Files, words: str, says: str) -> None:
+    rims = files.rims(*(f"{row},{words}" for row in files.rows), header=f"{HEADER},covariance")
+    with pytest.raises(InputError, match=rf"rims\.csv:2: covariance: {says}"):
+        files.read(rims)
 
 
 def cell(row: str, column: int, value: str) -> str:
@@ -44,7 +76,7 @@ def cell(row: str, column: int, value: str) -> str:
         (lambda r: [cell(r[0], 3, "0")], r"rims\.csv:2: ellipseSemiminor\(px\): expected 0\.1 to 10240 px"),
         (lambda r: [cell(r[0], 3, "1e-200")], r"rims\.csv:2: ellipseSemiminor\(px\): .* found 1e-200"),
         (lambda r: [r[1], cell(r[0], 2, "1e200")], r"rims\.csv:3: ellipseSemimajor\(px\): .* found 1e\+200"),
-        (lambda r: [cell(r[0], 0, "1e200")], r"rims\.csv:2: ellipseCenterX\(px\): .*1024 x 768 image"),
+        (lambda r: [cell(r[0], 0, "1e50")], r"rims\.csv:2: ellipseCenterX\(px\): .*1024 x 768 image"),
         (
             lambda r: [cell(r[0], 3, "900")],
             r"rims\.csv:2: ellipseSemiminor\(px\): expected at most the",
@@ -58,7 +90,7 @@ def test_a_bad_cell_is_named(files: Files, spoil: Callable[[list[str]], list[str
         files.read(files.rims(*spoil(files.rows)))
 
 
-@pytest.mark.parametrize("sigma", ["0", "1e-200", "1e200", "-1"])
+@pytest.mark.parametrize("sigma", ["0", "1e-200", "1e50", "-1"])
 def test_a_standard_deviation_out_of_range_is_named(files: Files, sigma: str) -> None:
     rims = files.rims(f"{files.rows[0]},1.0", f"{files.rows[1]},{sigma}", header=f"{HEADER},sigma_px")
     with pytest.raises(InputError, match=r"rims\.csv:3: sigma_px: expected 1e-06 to 1000 px, found"):
