@@ -74,14 +74,18 @@ def test_each_frame_is_predicted_by_the_others(arc):
     assert np.all(np.abs(found.enu_m) <= 3.0 * found.sigma_m)
 
 
-@pytest.mark.parametrize("k", [0, 3, 5])
-def test_an_elevation_model_agrees_with_the_altitude(data, arc, k):
+def test_an_elevation_model_agrees_with_the_altitude(data, arc):
     dem = read_dem(shared("gld100/gld100_64ppd_apollo15_metric.tif"))
     trajectory = arc[0].trajectories["smoother"]
-    sun = data.sun.at(int(data.stamps_ns[k]))
-    found = check_against_dem(
-        data.image(k), data.camera, trajectory.gTb[k], sun, dem, data.body.radius_m
-    )  # fmt: skip
-    assert abs(found.altitude_m) <= 100.0
-    assert found.correlation > 0.88
-    assert np.hypot(*found.shift_px) < 1.5
+    found = [
+        check_against_dem(
+            data.image(k), data.camera, trajectory.gTb[k], data.sun.at(int(data.stamps_ns[k])), dem,
+            data.body.radius_m,
+        )
+        for k in (0, 3, 5)
+    ]  # fmt: skip
+    assert abs(np.mean([one.altitude_m for one in found])) <= 100.0
+    # A single frame is correlated to some 40 m.
+    assert max(abs(one.altitude_m) for one in found) <= 150.0
+    assert min(one.correlation for one in found) > 0.88
+    assert max(float(np.hypot(*one.shift_px)) for one in found) < 1.5
