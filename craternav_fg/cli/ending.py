@@ -1,5 +1,6 @@
 """How a command ends: a known error is one line and exit code 2, Ctrl-C is one line and exit code 130."""
 
+import atexit
 import ctypes
 import os
 import signal
@@ -56,8 +57,16 @@ def one_line_endings() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        atexit.unregister(_ignore_signals)
+        atexit.register(_ignore_signals)
     if received:
         _end_by(received[0], None)
+
+
+def _ignore_signals() -> None:
+    """Ignore signals while Python ends: its exit code would be lost."""
+    for number in _WORDS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _known(error: BaseException) -> str | None:

@@ -154,6 +154,18 @@ def test_a_signal_that_compiled_code_turns_into_an_error_is_one(capsys: pytest.C
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_a_signal_while_python_ends_changes_nothing() -> None:
+    program = """
+import atexit, os, signal
+from craternav_fg.cli.ending import one_line_endings
+atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
+with one_line_endings():
+    pass
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 def test_a_full_disk_and_a_terminal_of_ascii(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     with Path("/dev/full").open("w") as full:
