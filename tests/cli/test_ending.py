@@ -14,6 +14,7 @@ from craternav_fg.cli.ending import one_line_endings
 from craternav_fg.dataset import Dataset
 from craternav_fg.simulation.scenario import simulate
 from factors import numba_cache
+from tests.campaign.scene import small_scenario, write_scenario
 from tests.descents import scenario
 
 COMMAND = [sys.executable, "-m", "craternav_fg"]
@@ -71,7 +72,7 @@ def commands(data: Path, folder: Path) -> list[list[str]]:
     return [
         ["reconstruct", str(data), "-o", f"{own}/run"],
         ["simulate", "paper_case3", "-o", f"{own}/data"],
-        ["montecarlo", "paper_case3", "-n", "3", "-o", f"{own}/campaign"],
+        ["montecarlo", f"{own}/scenario.toml", "-n", "9", "-e", "ekf", "-o", f"{own}/campaign"],
         ["demo", "-o", f"{own}/demo"],
         ["catalog", "import", str(data / "craters.csv"), "-o", f"{own}/craters.parquet"],
         ["report", f"{own}/run"],
@@ -83,6 +84,7 @@ def commands(data: Path, folder: Path) -> list[list[str]]:
 def test_thirty_moments(data: Path, tmp_path: Path) -> None:
     """Ctrl-C, SIGTERM and kill -9; then the same commands end well, and what the dead have left is gone."""
     rng = random.Random(15)
+    write_scenario(tmp_path / "scenario.toml", small_scenario())
     every = commands(data, tmp_path)
     for k in range(30):
         number = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
