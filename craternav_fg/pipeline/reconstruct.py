@@ -227,7 +227,8 @@ def _measure(
     try:
         tracked = Tracker(dataset, Descent.of(dataset, initial), front_end, relocaliser).run(report)
     except NUMERICAL_ERRORS as error:
-        raise EstimationError(f"front end: {_one_line(error)}") from error
+        hint = "the prediction has diverged: check the IMU's units and axes, and the initial state"
+        raise EstimationError(f"front end: {_one_line(error)}; {hint}") from error
     return _Measured(tracked.frames, tracked.segments, tracked.guides, front_end.options)
 
 
