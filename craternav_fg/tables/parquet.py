@@ -71,10 +71,11 @@ def read_parquet(
         (its checksums are verified), or has other columns or types.
     """
     with _opened(path) as file:
-        names = [(renamed or {}).get(name, name) for name in file.schema_arrow.names]
-        fields = _wanted(path, file.schema_arrow, names, schema, optional, other_columns)
-        _check_size(path, file.metadata, fields.values())
         try:
+            names = [(renamed or {}).get(name, name) for name in file.schema_arrow.names]
+            fields = _wanted(path, file.schema_arrow, names, schema, optional, other_columns)
+            # Names in the metadata need not be text, either.
+            _check_size(path, file.metadata, fields.values())
             table = file.read(
                 columns=[file.schema_arrow.names[k] for k, name in enumerate(names) if name in fields]
             )
