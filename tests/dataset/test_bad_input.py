@@ -289,7 +289,15 @@ def floats(table, name):
     return table.set_column(table.column_names.index(name), name, table[name].cast(pa.float32()))
 
 
+def with_a_name_that_is_no_text(folder):
+    """Spoil the last place that names a column: the metadata of its chunk."""
+    path = folder.path / layout.RIMS
+    before, name, after = path.read_bytes().rpartition(b"crater_id")
+    path.write_bytes(before + b"\xff" + name[1:] + after)
+
+
 RIM_CASES = {
+    "name of bytes": (with_a_name_that_is_no_text, [layout.RIMS, "is damaged"]),
     "no Parquet": (lambda f: (f.path / layout.RIMS).write_text("x"), [layout.RIMS, "Parquet"]),
     "unknown crater": (set_cell(1, "crater_id", "C"), [layout.RIMS, "crater_id", "row 2", "'C'"]),
     "unknown stamp": (set_cell(1, "timestamp", 5), [layout.RIMS, "timestamp", "5"]),
