@@ -1,5 +1,6 @@
 """Options that several commands share, and checks of their values."""
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -202,7 +203,7 @@ def require_kept(sources: Iterable[Path], outputs: Iterable[Path]) -> None:
     InputError
         Naming the source.
     """
-    written = {path.resolve() for path in outputs}
+    written = {os.path.realpath(path) for path in outputs}
     for path in sources:
-        if path.resolve() in written:
+        if os.path.realpath(path) in written:
             raise InputError(path, "would be overwritten by the result: choose another --output")
