@@ -199,8 +199,8 @@ def test_processes_change_nothing() -> None:
     ]  # fmt: skip
     assert same(*tables)
     assert seen == [(1, 2), (2, 2)] * 2
-    # In a process of its own: in this one other tests may have compiled kernels for other array layouts, which
-    # numba then takes, and their sums are rounded in another order.
+    # In a process of its own: here other tests may have compiled kernels for other array layouts, which numba
+    # then takes, and their sums are rounded in another order.
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         alone = pool.submit(fig11_14_trials.simulate, SMALL, 2).result()
     assert same(alone, tables[0])
