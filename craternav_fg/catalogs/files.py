@@ -64,9 +64,9 @@ def read_catalog(path: Path, body: Body) -> Catalog:
     path : Path
         Store, or table with the columns CRATER_ID, LAT_ELLI_IMG and LON_ELLI_IMG (deg, east positive),
         DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
-        north), and optionally RIM_HEIGHT_M (above the sphere, 0 without it), BODY and BODY_RADIUS_M (the same
-        in all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and RIM_HEIGHT_SIGMA_M
-        (all or none, see `MapErrors`). Other published columns are not read.
+        north), and optionally RIM_HEIGHT_M (above the sphere; unknown without it), BODY and BODY_RADIUS_M
+        (the same in all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and
+        RIM_HEIGHT_SIGMA_M (all or none, see `MapErrors`). Other published columns are not read.
     body : Body
         Which the catalogue must be of.
 
@@ -106,6 +106,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         angle_rad=np.radians(angle),
         height_m=height,
         body=body,
+        has_heights=HEIGHT in table.columns,
     )
 
 
@@ -174,6 +175,8 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
         BODY_RADIUS: np.full(n, catalog.body.radius_m),
     }
     left_out = set() if catalog.body.name.strip() else {BODY}
+    if not catalog.has_heights:
+        left_out |= {HEIGHT}
     if catalog.errors is None:
         left_out |= set(ERROR_COLUMNS)
     else:

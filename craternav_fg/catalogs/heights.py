@@ -37,8 +37,28 @@ def implausible_heights(catalog: Catalog) -> str | None:
     return f"rims would lie {heights}: wrong unit (--dem-unit-m)"
 
 
+def chord_depths_m(catalog: Catalog) -> FloatArray:
+    """Compute how far the planes of rims lie below the mean height of their points.
+
+    Points of a rim are at about the same height above the sphere: seen from their plane, the ground between
+    them bulges. It is 1 m for a radius of 2 km on the Moon, and 260 m for one of 30 km.
+
+    Parameters
+    ----------
+    catalog : Catalog
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        At the centres of the planes, m.
+    """
+    radius_m = catalog.body.radius_m
+    mean2 = 0.5 * (catalog.semi_major_m**2 + catalog.semi_minor_m**2)
+    return np.asarray(radius_m - np.sqrt(np.maximum(radius_m**2 - mean2, 0.0)))
+
+
 def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
-    """Set the heights of rims to the mean of an elevation model along them.
+    """Set the heights of rims' planes from the mean of an elevation model along the rims.
 
     A model much coarser than a crater does not resolve its rim: the height is then that of the surroundings.
     Where the catalogue states errors, those of the heights follow from the scatter along the rim.
@@ -69,4 +89,5 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     if errors is not None:
         scatter_m = np.sqrt(np.maximum(squares / _RIM_POINTS - mean_m**2, 0.0))
         errors = replace(errors, height_m=scatter_m / np.sqrt(_INDEPENDENT_POINTS))
-    return replace(catalog, height_m=mean_m, errors=errors)
+    height_m = mean_m - chord_depths_m(catalog)
+    return replace(catalog, height_m=height_m, errors=errors, has_heights=True)

@@ -137,6 +137,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         angle_rad=np.radians(angle),
         height_m=height,
         body=body,
+        has_heights=found.height is not None,
     )
     report = ImportReport(
         rows=len(table) + len(table.broken),

@@ -262,7 +262,8 @@ def _replaced(catalog: Catalog, part: Catalog, pairs: IntArray) -> Catalog:
     if errors is not None or part.errors is not None:
         there = part.errors or MapErrors.zeros(len(part))
         errors = (errors or MapErrors.zeros(len(catalog))).replaced(pairs[:, 0], there.take(pairs[:, 1]))
-    return replace(catalog, errors=errors, **values)
+    has_heights = catalog.has_heights and part.has_heights
+    return replace(catalog, errors=errors, has_heights=has_heights, **values)
 
 
 def _robust_sigma(values: FloatArray) -> FloatArray:

@@ -48,6 +48,8 @@ class Catalog:
         Body with these craters.
     errors : MapErrors or None
         How far the rims may be off; None when the catalogue does not say.
+    has_heights : bool
+        False when the heights are unknown: `height_m` then puts all rims on the sphere.
     """
 
     identifiers: tuple[str, ...]
@@ -59,6 +61,7 @@ class Catalog:
     height_m: FloatArray
     body: Body
     errors: MapErrors | None = None
+    has_heights: bool = True
 
     def __len__(self) -> int:
         return len(self.identifiers)
@@ -80,6 +83,7 @@ class Catalog:
             self.height_m[rows],
             self.body,
             None if self.errors is None else self.errors.take(rows),
+            self.has_heights,
         )
 
     @classmethod
@@ -101,7 +105,8 @@ class Catalog:
         errors = None
         if any(part.errors is not None for part in parts):
             errors = MapErrors.joined([part.errors or MapErrors.zeros(len(part)) for part in parts])
-        return cls(identifiers, body=parts[0].body, errors=errors, **numbers)
+        has_heights = all(part.has_heights for part in parts)
+        return cls(identifiers, body=parts[0].body, errors=errors, has_heights=has_heights, **numbers)
 
     @cached_property
     def gRl(self) -> FloatArray:

@@ -40,7 +40,8 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
     north; height_m, of the rim above the sphere; sigma_place_m, sigma_size and sigma_height_m where the
-    catalogue states errors. Body and format are in the file's metadata.
+    catalogue states errors. Body, format, and whether the heights are known are in the
+    file's metadata.
 
     Parameters
     ----------
@@ -58,6 +59,7 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     order = catalog.index.order
     ordered = catalog.take(order)
     about = {"format": FORMAT, "body": ordered.body.name, "radius_m": float(ordered.body.radius_m)}
+    about["has_heights"] = ordered.has_heights
     arrays = [pa.array(ordered.identifiers, pa.string())]
     arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
     stated = ordered.errors
@@ -88,7 +90,8 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     InputError
         When the file is not such a store or of another body, or a value is out of range.
     """
-    body, _ = resolve_body(path, body, _stated(path))
+    about = _metadata(path)
+    body, _ = resolve_body(path, body, _stated(path, about))
     table = parquet.read_parquet(path, _SCHEMA, optional=_ERROR_SCHEMA, other_columns=True)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
@@ -97,7 +100,11 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     values = {name: np.ascontiguousarray(table[name].to_numpy(), dtype=np.float64) for name in _NUMBERS}
     _check(path, values, body)
     errors = _errors(path, table)
-    return Catalog(identifiers=tuple(table[_ID].to_pylist()), body=body, errors=errors, **values)
+    # Older files do not say, and have heights.
+    has_heights = about.get("has_heights") is not False
+    return Catalog(
+        identifiers=tuple(table[_ID].to_pylist()), body=body, errors=errors, has_heights=has_heights, **values
+    )
 
 
 def is_store(path: Path) -> bool:
@@ -135,21 +142,33 @@ def _errors(path: Path, table: pa.Table) -> MapErrors | None:
     return MapErrors(**found)
 
 
-def _stated(path: Path) -> StatedBody:
-    """Read which body the metadata name."""
-    text = parquet.read_parquet_metadata(path, _KEY)
+def _metadata(path: Path) -> dict[str, object]:
+    """Read what the metadata say of the catalogue."""
     try:
-        about = json.loads(text or b"")
-        stated = StatedBody(
-            str(about["body"]), float(about["radius_m"]), True, "its metadata say", "radius_m"
-        )
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
-        raise InputError(
-            path, "expected a catalogue that `craternav catalog import` wrote: body and format are missing"
-        ) from None
+        about = json.loads(parquet.read_parquet_metadata(path, _KEY) or b"")
+    except (ValueError, RecursionError):
+        about = None
+    if not isinstance(about, dict):
+        raise _no_store(path)
+    return about
+
+
+def _stated(path: Path, about: dict[str, object]) -> StatedBody:
+    """Read which body the metadata name."""
+    try:
+        radius_m = float(str(about["radius_m"]))
+        stated = StatedBody(str(about["body"]), radius_m, True, "its metadata say", "radius_m")
+    except (KeyError, ValueError):
+        raise _no_store(path) from None
     if about.get("format") != FORMAT:
         raise InputError(path, f"expected format {FORMAT}, found {about.get('format')}: import it again")
     return stated
+
+
+def _no_store(path: Path) -> InputError:
+    return InputError(
+        path, "expected a catalogue that `craternav catalog import` wrote: body and format are missing"
+    )
 
 
 def _check(path: Path, values: dict[str, FloatArray], body: Body) -> None:

@@ -1,4 +1,4 @@
-"""Grey PNG images: checks without decoding, reading and writing."""
+"""PNG images: checks without decoding, reading as grey levels, and writing."""
 
 import os
 import struct
@@ -17,10 +17,12 @@ ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 _COLOUR_TYPES = {2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
+# Types of 8 bits that are converted: grey, colour, and both with an alpha channel, which is not used.
+_GREY, _CONVERTED = 0, (0, 2, 4, 6)
 
 
-def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> None:
-    """Check by its first and last bytes that a file is a whole grey PNG.
+def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> bool:
+    """Check by its first and last bytes that a file is a whole PNG, grey or in 8-bit colour.
 
     Parameters
     ----------
@@ -29,6 +31,11 @@ def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -
         Its size.
     bit_depth : int
         Bits of its grey levels: 8 are stored as 8, more as 16.
+
+    Returns
+    -------
+    bool
+        Whether the image is grey; one in colour is read as its luma.
 
     Raises
     ------
@@ -49,10 +56,12 @@ def check_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -
             path, f"expected {width_px} x {height_px} px as in sensor.yaml, found {width} x {height}"
         )
     stored = 8 if bit_depth == 8 else 16
-    if colour != 0 or depth != stored:
+    allowed = _CONVERTED if stored == 8 else (_GREY,)
+    if colour not in allowed or depth != stored:
         found = _COLOUR_TYPES.get(colour, "grey")
         expected = "an 8-bit" if stored == 8 else "a 16-bit"
         raise InputError(path, f"expected {expected} grey image, found {depth}-bit {found}")
+    return bool(colour == _GREY)
 
 
 def read_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) -> ImageArray:
@@ -67,17 +76,20 @@ def read_image(path: Path, width_px: int, height_px: int, bit_depth: int = 8) ->
     Returns
     -------
     ndarray of uint8 or uint16, shape (height, width)
-        Grey levels.
+        Grey levels; the luma (ITU-R BT.601) of an image in colour.
 
     Raises
     ------
     InputError
         When the file is missing, damaged or not such an image, or has grey levels beyond its bits.
     """
-    check_image(path, width_px, height_px, bit_depth)
+    grey = check_image(path, width_px, height_px, bit_depth)
     data = read_bytes(path, SizeLimit.IMAGE)
     _check_chunks(path, data)
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    flag = cv2.IMREAD_UNCHANGED if grey else cv2.IMREAD_COLOR
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flag)
+    if image is not None and not grey:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     if image is None or image.shape != (height_px, width_px):
         raise InputError(path, "image is damaged")
     if bit_depth == 8:

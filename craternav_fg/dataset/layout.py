@@ -42,9 +42,10 @@ gyro, or without an IMU random-walks from a prior. [initial] may then have angul
     rate_walk = 1e-05                        # rad/s^2/sqrt(Hz)
 
 `craters.csv`: the catalogue, with the names of Robbins (2018), deg (longitude to the east, angle of the
-major axis from local east towards north) and km (diameters). RIM_HEIGHT_M, of the rim above the sphere,
-may be left out and is then 0. BODY and BODY_RADIUS_M, the same in all rows, may be there and must agree with
-dataset.toml then. Other columns of the published file may be there and are not read::
+major axis from local east towards north) and km (diameters). RIM_HEIGHT_M, of the rim's plane above
+the sphere at its centre, may be left out; rims are then taken to lie on the sphere. BODY and BODY_RADIUS_M,
+the same in all rows, may be there and must agree with dataset.toml then. Other
+columns of the published file may be there and are not read::
 
     CRATER_ID,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_ELLI_MAJOR_IMG,DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG,RIM_HEIGHT_M
     01-1-000002,60.81,183.047,27.32,26.98,81.36,12.5

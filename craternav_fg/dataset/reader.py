@@ -15,7 +15,7 @@ from craternav_fg.dataset.description import read_description, read_motion
 from craternav_fg.dataset.images import ImageArray, check_image, read_image
 from craternav_fg.dataset.measurements import read_measurements
 from craternav_fg.dataset.recording import Recording
-from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
+from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise, read_imu_rate_hz
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
 from craternav_fg.files import entries, exists
@@ -36,6 +36,8 @@ MAX_IMU_STEP_S = 0.1
 # No lander turns or accelerates so fast; such values have a wrong unit or come from a broken row.
 MAX_RATE_RAD_S = 50.0
 MAX_SPECIFIC_FORCE_M_S2 = 1000.0
+# Largest ratio of an IMU's rate to the nominal one.
+_MAX_RATE_RATIO = 30.0
 # Largest deviation of the length of unit vectors and quaternions from 1, from numbers of seven digits.
 _UNIT_TOLERANCE = 1e-6
 
@@ -52,11 +54,14 @@ class Dataset(Recording):
         Paths of the frames' images; they need not exist when there are `measurements`.
     ignored : tuple of str
         Folders below `mav0` that no sensor known here reads.
+    in_colour : int
+        Images that are in colour; they are read as their luma.
     """
 
     path: Path
     image_paths: tuple[Path, ...]
     ignored: tuple[str, ...] = ()
+    in_colour: int = 0
 
     @classmethod
     def open(cls, path: Path | str) -> "Dataset":
@@ -95,16 +100,19 @@ class Dataset(Recording):
                 column="initial.stamp_ns",
             )
         sun = _read_sun(folder / layout.SUN, stamps)
-        imu = _read_imu(folder / layout.IMU_DATA, stamps) if has_imu else None
+        imu = None
+        if has_imu:
+            imu = _read_imu(folder / layout.IMU_DATA, stamps, read_imu_rate_hz(folder / layout.IMU_SENSOR))
         truth = _read_truth(folder / layout.TRUTH, stamps)
-        measurements = None
+        measurements, in_colour = None, 0
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
         if exists(folder / layout.RIMS):
             prior_gP = None if initial is None else initial.gTb[:3, 3]
             measurements = read_measurements(folder, stamps, catalog, sun, prior_gP)
         else:
             for image_path in image_paths:
-                check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)
+                grey = check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)
+                in_colour += not grey
         logs, ignored = _read_sensors(folder, catalog, int(stamps[0]), int(stamps[-1]))
         return cls(
             path=folder,
@@ -121,6 +129,7 @@ class Dataset(Recording):
             measurements=measurements,
             sensors=logs,
             ignored=ignored,
+            in_colour=in_colour,
             features=read_features(folder, camera, stamps),
             motion=motion,
             apriori=_read_apriori(folder, stamps),
@@ -215,13 +224,14 @@ def _read_frames(path: Path) -> tuple[IntArray, list[str]]:
     return table.columns[layout.STAMP], names
 
 
-def _read_imu(path: Path, frames_ns: IntArray) -> ImuLog:
+def _read_imu(path: Path, frames_ns: IntArray, rate_hz: float) -> ImuLog:
     table = read_table(path, layout.IMU_COLUMNS)
     if len(table) < 2:
         raise InputError(path, f"expected at least two rows, found {len(table)}")
     table.require_increasing(layout.STAMP)
     stamps: IntArray = table.columns[layout.STAMP]
     gap_s = np.diff(stamps) * 1e-9
+    _require_nanoseconds(path, float(np.median(gap_s)), rate_hz)
     first = int(stamps[0] - (stamps[1] - stamps[0]))
     # Checked before the coverage: a first step that is too long would also shift the beginning.
     long = np.flatnonzero(gap_s > MAX_IMU_STEP_S)
@@ -250,6 +260,18 @@ def _read_imu(path: Path, frames_ns: IntArray) -> ImuLog:
                 found = table.columns[name][row]
                 table.fail(row, name, f"expected at most {limit:g} {unit} in size, found {found:g}")
     return ImuLog(stamps, table.numbers(*layout.GYRO), table.numbers(*layout.ACCELEROMETER))
+
+
+def _require_nanoseconds(path: Path, step_s: float, rate_hz: float) -> None:
+    """Refuse stamps whose steps fit the nominal rate in a larger unit only."""
+    for unit, seconds in (("microseconds", 1e-6), ("milliseconds", 1e-3), ("seconds", 1.0)):
+        if 1.0 / _MAX_RATE_RATIO < step_s * (seconds / 1e-9) * rate_hz < _MAX_RATE_RATIO:
+            raise InputError(
+                path,
+                f"expected nanoseconds, found steps of {step_s:.3g} s and a rate of {rate_hz:g} Hz in"
+                f" sensor.yaml: {unit}?",
+                column=layout.STAMP,
+            )
 
 
 def _read_sun(path: Path, frames_ns: IntArray) -> SunVectors:

@@ -163,6 +163,26 @@ def read_imu_noise(path: Path) -> ImuNoise:
     )
 
 
+def read_imu_rate_hz(path: Path) -> float:
+    """Read the nominal rate in the IMU's sensor.yaml.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError
+        When the file is wrong.
+    """
+    text = read_text(path)
+    return float(validate(path, parse_yaml(path, text), _ImuFile, text=text).rate_hz)
+
+
 def camera_yaml(camera: Camera, rate_hz: float) -> str:
     """Compose the text of the camera's sensor.yaml.
 

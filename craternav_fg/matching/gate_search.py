@@ -451,7 +451,7 @@ class GateSearch:
         seen[seen] = (np.abs(charts[seen, :2]) < self._bounds).all(axis=1)
         H = H[seen, :2]
         spread = H @ best.covariance @ np.swapaxes(H, 1, 2) + np.median(self._noise[:, :2, :2], axis=0)
-        areas = np.pi * self.gate * np.sqrt(np.linalg.det(spread))
+        areas = np.pi * self.gate * np.sqrt(np.maximum(np.linalg.det(spread), 0.0))
         share = min(1.0, _SHAPE_CHANCE * float(np.sum(areas)) / (4.0 * float(np.prod(self._bounds))))
         # The first two rims made the pose.
         confirming = len(best.rims) - 2

@@ -19,10 +19,13 @@ from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.mistakes import likely_mistake
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.result import Reconstruction
+from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
 from craternav_fg.pipeline.sensor_checks import check_logs
 from craternav_fg.pipeline.tracking import Segment, Tracker
+from craternav_fg.pipeline.unknown_heights import with_unknown_height
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
@@ -118,33 +121,39 @@ def reconstruct(
     except NUMERICAL_ERRORS as error:
         raise EstimationError(f"start: {_one_line(error)}") from error
     times_s = {"front_end": time.perf_counter() - began}
+    lowered = heights_of_points(problems)
+    if lowered:
+        problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
     trajectories, failures, estimation_s = _run(chosen, problems, dataset.stamps_ns, report)
-    times_s |= estimation_s
-    if not trajectories:
-        raise EstimationError("; ".join(failures.values()))
-    options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
-    if measured.limits is not None:
-        options["front_end"] = asdict(measured.limits)
     return Reconstruction(
         frames=measured.frames,
         problems=problems,
         origin=_origin(dataset, measured.segments),
         reinitialised_at=tuple(segment.first for segment in measured.segments[1:]),
         trajectories=trajectories,
-        times_s=times_s,
-        options=options,
+        times_s=times_s | estimation_s,
+        options=_options(chosen, measured.limits),
         failures=failures,
         index_note=relocaliser.index_note,
         expected_rims=_expected_rims(dataset, next(iter(trajectories.values())), measured.limits),
         predicted=measured.guides,
         ignored=dataset.ignored,
+        in_colour=dataset.in_colour,
+        lowered=lowered,
+        mistake=_mistake(dataset, descent, measured),
     )
 
 
 def _run(
     chosen: Sequence[Estimator], problems: Sequence[Problem], stamps_ns: IntArray, report: Progress
 ) -> tuple[dict[str, Trajectory], dict[str, str], dict[str, float]]:
-    """Run estimators: trajectories, why others failed, and how long each took, s."""
+    """Run estimators: trajectories, why others failed, and how long each took, s.
+
+    Raises
+    ------
+    EstimationError
+        When every estimator fails.
+    """
     trajectories: dict[str, Trajectory] = {}
     failures: dict[str, str] = {}
     times_s: dict[str, float] = {}
@@ -152,11 +161,14 @@ def _run(
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
         try:
-            trajectories[one.name] = _estimate(one, problems, stamps_ns)
+            estimated = _estimate(one, problems, stamps_ns)
+            trajectories[one.name] = with_unknown_height(one.name, estimated, problems[0].catalog)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
     report("estimator", len(chosen), len(chosen))
+    if not trajectories:
+        raise EstimationError("; ".join(failures.values()))
     return trajectories, failures, times_s
 
 
@@ -334,6 +346,19 @@ def _expected_rims(
         )
         for gTb in trajectory.gTb
     )
+
+
+def _options(chosen: Sequence[Estimator], limits: GuidedOptions | None) -> dict[str, dict[str, Any]]:
+    """Give the options of the estimators that have any and, if it ran, of the front end."""
+    options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
+    return options if limits is None else options | {"front_end": asdict(limits)}
+
+
+def _mistake(dataset: Dataset, descent: Descent, measured: _Measured) -> str:
+    """Tell what explains that no rim was found in any image; empty when some were, or nothing does."""
+    if measured.limits is None or any(len(frame.rims) for frame in measured.frames):
+        return ""
+    return likely_mistake(dataset, descent)
 
 
 def _one_line(error: Exception) -> str:

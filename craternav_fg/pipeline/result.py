@@ -22,6 +22,7 @@ from craternav_fg.evaluation.sensor_consistency import (
 )
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import warnings
+from craternav_fg.pipeline.unknown_heights import height_sigma_m
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -65,6 +66,12 @@ class Reconstruction:
         Poses gTb of the body that guided the front end in each frame; None when no images were processed.
     ignored : tuple of str
         Folders below `mav0` of the data set that no sensor known here reads.
+    in_colour : int
+        Images of the data set that are in colour.
+    mistake : str
+        Where no rim was found in any image: the mistake that would explain it, see `pipeline.mistakes`.
+    lowered : bool
+        Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
     """
 
     frames: tuple[FrameMeasurement, ...]
@@ -79,6 +86,9 @@ class Reconstruction:
     expected_rims: tuple[int, ...] | None
     predicted: FloatArray | None
     ignored: tuple[str, ...] = ()
+    in_colour: int = 0
+    mistake: str = ""
+    lowered: bool = False
 
     @cached_property
     def innovations(self) -> Innovations | None:
@@ -141,8 +151,15 @@ class Reconstruction:
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
             *warnings.unknown_sensors(self.ignored),
+            *warnings.colour_images(self.in_colour),
+            *warnings.lowered_rims(self.lowered),
+            *warnings.unknown_heights(
+                None if descent.catalog.has_heights else height_sigma_m(descent.catalog.body)
+            ),
             *warnings.replaced_states(self.origin, self.reinitialised_at),
-            *warnings.frames_without_rims([len(frame.rims) for frame in self.frames], self.expected_rims),
+            *warnings.frames_without_rims(
+                [len(frame.rims) for frame in self.frames], self.expected_rims, self.mistake
+            ),
         )
 
     def _repr_html_(self) -> str:

@@ -48,6 +48,8 @@ _PRIOR_CHECKS = {
     "gyro bias": "unit and scale of the gyro, T_BS of the camera",
     "accelerometer bias": "unit and scale of the accelerometer, gravity, T_BS of the camera",
 }
+# What to check when no rim is found in any image.
+_NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 
 
@@ -232,6 +234,63 @@ def unknown_sensors(ignored: Sequence[str]) -> list[str]:
     ]
 
 
+def colour_images(count: int) -> list[str]:
+    """Tell that images are in colour.
+
+    Parameters
+    ----------
+    count : int
+        Such images of the data set.
+
+    Returns
+    -------
+    list of str
+    """
+    if not count:
+        return []
+    return [f"{count} images are in colour: their luma is used"]
+
+
+def lowered_rims(lowered: bool) -> list[str]:
+    """Tell that heights in the catalogue were taken for those of the rims' points.
+
+    Parameters
+    ----------
+    lowered : bool
+
+    Returns
+    -------
+    list of str
+    """
+    if not lowered:
+        return []
+    return [
+        "RIM_HEIGHT_M was taken for the mean height along the rims, as the rims contradict planes of that "
+        "height: their planes were lowered by a^2 / 2R"
+    ]
+
+
+def unknown_heights(sigma_m: float | None) -> list[str]:
+    """Warn of a catalogue that does not say how high its rims lie.
+
+    Parameters
+    ----------
+    sigma_m : float or None
+        Standard deviation of the ground's common height, m; None when the heights are known.
+
+    Returns
+    -------
+    list of str
+    """
+    if sigma_m is None:
+        return []
+    return [
+        "the catalogue has no RIM_HEIGHT_M: its rims are taken to lie on the sphere. A height that all have "
+        f"in common cannot be observed; {sigma_m:.0f} m of it are in the covariance of positions. Take the "
+        "heights from an elevation model (craternav catalog import --dem)"
+    ]
+
+
 def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     """Warn of an initial state that was replaced, and of frames at which the track was re-initialised.
 
@@ -257,7 +316,7 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     return out
 
 
-def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None) -> list[str]:
+def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None, mistake: str = "") -> list[str]:
     """Warn of frames in which no rim was measured.
 
     Parameters
@@ -266,6 +325,8 @@ def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None) -> 
         Measured rims of each frame.
     expected : sequence of int or None
         Catalogue craters that each frame should show; None when no images were processed.
+    mistake : str
+        What would explain that there is no rim in any frame; empty when nothing is known.
 
     Returns
     -------
@@ -276,7 +337,7 @@ def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None) -> 
     if expected is not None and empty.all():
         return [
             f"no rim was found in any frame, although {int(missed.sum())} should show some: no pose within "
-            "the prior explains the images; check catalogue, sun.csv, T_BS and the initial state"
+            f"the prior explains the images; {mistake or _NO_RIMS_CHECKS}"
         ]
     out = []
     if missed.any():

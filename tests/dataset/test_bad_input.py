@@ -87,6 +87,10 @@ CASES = {
     "stamp repeated": (cell(IMU, 9, 0, str(START_NS + 70_000_000)), [f"{IMU}:9", "timestamp", "previous"]),
     "stamp goes back": (cell(CAM, 3, 0, str(START_NS - 1)), [f"{CAM}:3", "timestamp", str(START_NS - 1)]),
     "IMU gap": (drop_lines(IMU, 12, 22), [f"{IMU}:12", "timestamp", "0.120 s", str(START_NS + 100_000_000)]),
+    "stamps in microseconds": (
+        edit(layout.IMU_SENSOR, "rate_hz: 100.0", "rate_hz: 0.1"),
+        [IMU, "timestamp", "nanoseconds", "microseconds?"],
+    ),
     "IMU log begins late": (drop_lines(IMU, 2, 9), [IMU, "over the frames", str(START_NS + 80_000_000)]),
     "IMU log ends early": (drop_lines(IMU, 39, 42), [IMU, "over the frames", str(FRAMES_NS[2])]),
     "IMU log of one row": (drop_lines(IMU, 3, 42), [IMU, "two rows", "1"]),
@@ -97,7 +101,11 @@ CASES = {
     "image empty": (image(SECOND, lambda _: b""), [f"{SECOND}.png", "PNG"]),
     "image is a JPEG": (image(SECOND, lambda _: b"\xff\xd8\xff" + b"0" * 90), [f"{SECOND}.png", "PNG"]),
     "image of another size": (image(SECOND, encoded((64, 48))), [f"{SECOND}.png", "64 x 48", "48 x 64"]),
-    "image in colour": (image(SECOND, encoded((48, 64, 3))), [f"{SECOND}.png", "8-bit grey", "colour"]),
+    "palette image": (
+        image(SECOND, lambda data: data[:25] + b"\x03" + data[26:]),
+        [f"{SECOND}.png", "8-bit grey", "palette"],
+    ),
+    "16-bit colour": (image(SECOND, encoded((48, 64, 3), np.uint16)), [f"{SECOND}.png", "16-bit colour"]),
     "image of 16 bit": (image(SECOND, encoded((48, 64), np.uint16)), [f"{SECOND}.png", "16-bit grey"]),
     "principal point outside": (
         edit(layout.CAMERA_SENSOR, "31.1", "131.1"),

@@ -2,6 +2,7 @@ import shutil
 import time
 from dataclasses import fields, is_dataclass, replace
 
+import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -85,6 +86,22 @@ def test_a_wide_lens_reads_back_as_it_was(tmp_path, model, distortion):
     data = Dataset.open(tmp_path / "data")
     assert (data.camera.lens_model, data.camera.distortion) == (model, distortion)
     exact(data.camera.lens, camera.lens)
+
+
+def test_images_in_colour_are_read_as_their_luma(tmp_path):
+    rng = np.random.default_rng(10)
+    images = [rng.integers(0, 256, (48, 64), dtype=np.uint8) for _ in range(3)]
+    data = Dataset.open(write_dataset(tmp_path / "data", recording(rng), images))
+    assert data.in_colour == 0
+    colour = rng.integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    cv2.imwrite(str(data.image_paths[1]), colour[:, :, ::-1])
+    opaque = np.dstack([images[2]] * 3 + [np.full((48, 64), 255, np.uint8)])
+    cv2.imwrite(str(data.image_paths[2]), opaque)
+    data = Dataset.open(data.path)
+    assert data.in_colour == 2
+    exact(data.image(0), images[0])
+    np.testing.assert_allclose(data.image(1), colour @ np.array([0.299, 0.587, 0.114]), atol=0.55)
+    exact(data.image(2), images[2])
 
 
 def test_grey_levels_beyond_the_cameras_bits_are_refused(tmp_path):

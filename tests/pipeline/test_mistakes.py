@@ -1,0 +1,62 @@
+"""Usual mistakes with images are told apart, on ground of the second world."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.sun import SunVectors
+from craternav_fg.estimators.base import Descent
+from craternav_fg.pipeline.mistakes import likely_mistake
+from craternav_fg.pipeline.reconstruct import reconstruct
+from tests.foreign.files import write
+from tests.foreign.worlds import draw_world
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return Dataset.open(write(draw_world(1, "gentle", frames=2), tmp_path_factory.mktemp("foreign") / "d", 1))
+
+
+def with_images(data: Dataset, folder: Path, change) -> Dataset:
+    """Change the images of a data set."""
+    paths = []
+    for k, path in enumerate(data.image_paths):
+        paths.append(folder / path.name)
+        cv2.imwrite(str(paths[-1]), change(data.image(k)))
+    return replace(data, image_paths=tuple(paths))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda image: image[:, ::-1], "it is mirrored left to right"),
+        (lambda image: image[::-1, ::-1], "it is turned by 180 deg"),
+        (lambda image: 255 - image, "it is taken for a negative"),
+    ],
+)
+def test_images_spoilt_alike(data: Dataset, tmp_path: Path, change, said: str) -> None:
+    assert said in likely_mistake(with_images(data, tmp_path, change), Descent.of(data))
+
+
+def test_sun_and_sizes(data: Dataset) -> None:
+    away = replace(data, sun=SunVectors(data.sun.stamps_ns, -data.sun.vectors))
+    assert "sun.csv is reversed" in likely_mistake(away, Descent.of(data))
+    c = data.catalog
+    small = replace(c, semi_major_m=0.5 * c.semi_major_m, semi_minor_m=0.5 * c.semi_minor_m)
+    assert "radii for diameters" in likely_mistake(replace(data, catalog=small), Descent.of(data))
+
+
+def test_nothing_is_said_of_images_of_nothing(data: Dataset, tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    grey = with_images(data, tmp_path, lambda image: rng.integers(90, 110, image.shape, dtype=np.uint8))
+    assert likely_mistake(grey, Descent.of(data)) == ""
+
+
+def test_the_mistake_is_in_the_warning(data: Dataset, tmp_path: Path) -> None:
+    negative = with_images(data, tmp_path, lambda image: 255 - image)
+    result = reconstruct(negative, ["ekf"])
+    assert any("any frame" in text and "taken for a negative" in text for text in result.warnings)
