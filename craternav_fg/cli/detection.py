@@ -7,16 +7,14 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-import numpy.typing as npt
 import typer
 
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import ForceOption, JsonOption, require_free, require_kept
-from craternav_fg.cli.terminal import out, say
+from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import detections_as_plain_data, write_detected_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
-from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.plots.detections import write_overlay
 from craternav_fg.vision.canny import find_rims_canny
@@ -76,8 +74,9 @@ def detect(
     pixels = read_foreign_image(image)
     began_s = time.perf_counter()
     options = BlindOptions(min_radius_px=min_radius_px, min_quality=min_quality)
-    rims = _detect(image, pixels, sun_rad, method, options)
+    rims = _DETECTORS[method](pixels, sun_rad, options)
     detect_ms = 1e3 * (time.perf_counter() - began_s)
+    _warn_of_sun(image, rims)
     with replacing(output) as table, replacing(overlay) as picture:
         # Both, or neither.
         write_detected_ellipses(table, rims.ellipses_px, image.name)
@@ -99,18 +98,14 @@ def _angle_rad(option: str, angle_deg: float | None) -> float | None:
     return math.radians(angle_deg)
 
 
-def _detect(
-    path: Path,
-    pixels: npt.NDArray[np.generic],
-    sun_rad: float | None,
-    method: Method,
-    options: BlindOptions,
-) -> FoundRims:
-    """Detect rims; a direction of the sun that the image contradicts is an error of one line."""
-    try:
-        return _DETECTORS[method](pixels, sun_rad, options)
-    except EstimationError as error:
-        raise InputError(path, f"{error}; omit --sun-deg to estimate it from the image") from error
+def _warn_of_sun(path: Path, rims: FoundRims) -> None:
+    """Warn of a direction of the sun that was given and that the craters contradict."""
+    if rims.sun_contradicted:
+        given, seen = (math.degrees(a) % 360.0 for a in (rims.sun_angle_rad, rims.seen_sun_angle_rad))
+        warn(
+            f"{path}: the sun is given at {given:.0f} deg in the image, but its craters look lit from "
+            f"{seen:.0f} deg; omit --sun-deg to estimate it from the image"
+        )
 
 
 def _plain(rims: FoundRims) -> dict[str, Any]:

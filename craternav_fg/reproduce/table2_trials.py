@@ -7,7 +7,6 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.ellipse import axes_of_chart, normalised_chart, pixel_chart
-from craternav_fg.errors import EstimationError
 from craternav_fg.evaluation.detection import match
 from craternav_fg.reproduce.canny_rim import canny_rim
 from craternav_fg.reproduce.guided_accuracy import USUAL_ERROR, measure
@@ -80,10 +79,9 @@ def _run_image(batch: Batch, image: int) -> dict[str, float]:
 
 def _blind(one: Scene, ellipse: FloatArray) -> FloatArray | None:
     """Chart (5,), px, that the blind detector finds for the true rim."""
-    try:
-        # A whole image has many craters that give the direction towards the sun; a window has one.
-        rims = find_rims(one.image, one.sun_angle_rad)
-    except EstimationError:
+    # A whole image has many craters that give the direction towards the sun; a window has one.
+    rims = find_rims(one.image, one.sun_angle_rad)
+    if rims.sun_contradicted:
         # Small features around a lone crater can contradict the given direction.
         return None
     hit = match(rims.ellipses_px, ellipse[None]).detected

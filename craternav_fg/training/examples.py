@@ -52,8 +52,8 @@ def examples(ground: Ground) -> Examples | None:
         None when the image does not show the direction towards the sun.
     """
     image, _ = filled(brightness(ground.image))
-    candidates, sun_angle_rad, _ = lit_candidates(image, None, LearnedOptions())
-    off = np.angle(np.exp(1j * (sun_angle_rad - ground.sun_angle_rad)))
+    candidates, vote = lit_candidates(image, None, LearnedOptions())
+    off = np.angle(np.exp(1j * (vote.sun_angle_rad - ground.sun_angle_rad)))
     if not abs(off) < _SUN_ERROR_RAD or not len(candidates):
         return None
     marked, doubtful = ground.freshness > MARKED, (ground.freshness > ERASED) & (ground.freshness <= MARKED)

@@ -11,7 +11,7 @@ References
 Tian et al. (2019), DOI 10.1017/S0373463318000966, section 4.1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import cv2
@@ -82,8 +82,8 @@ def find_rims_canny(
 
     Raises
     ------
-    ValueError, EstimationError
-        As `detect.find_rims` does.
+    ValueError
+        When the array is no image.
 
     References
     ----------
@@ -96,9 +96,9 @@ def find_rims_canny(
     nothing = float("nan") if sun_angle_rad is None else float(sun_angle_rad)
     if len(candidates) == 0:
         return gather([], [], [], nothing)
-    agreed, certain = agreed_sun_angle(candidates, sun_angle_rad)
+    agreed, certain, seen = agreed_sun_angle(candidates, sun_angle_rad)
     if not certain:
-        return gather([], [], [], agreed)
+        return replace(gather([], [], [], agreed), seen_sun_angle_rad=seen)
     arcs = _arcs(everywhere, np.isnan(pixels), agreed, options.min_radius_px, largest)
     camera = Camera(pixels.shape[1], pixels.shape[0], 1.0, 1.0, 0.0, 0.0)
     fits: list[RimFit] = []
@@ -109,7 +109,7 @@ def find_rims_canny(
             continue
         fits.append(fit)
         covered.append(fit.arc_share)
-    return gather(fits, covered, [agreed] * len(fits), agreed)
+    return replace(gather(fits, covered, [agreed] * len(fits), agreed), seen_sun_angle_rad=seen)
 
 
 def _arcs(

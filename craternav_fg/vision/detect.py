@@ -7,6 +7,7 @@ a quality.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,6 @@ from craternav_fg.ellipse import (
     unwhitened_points,
     whitened_points,
 )
-from craternav_fg.errors import EstimationError
 from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.candidates import (
     Candidates,
@@ -173,6 +173,8 @@ class FoundRims:
         neighbours' show it.
     sun_angle_rad : float
         The same of the whole image, found or given; NaN when the image does not show it.
+    seen_sun_angle_rad : float
+        Direction towards the sun that the craters clearly agree on, whatever was given; NaN when they do not.
     """
 
     ellipses_px: FloatArray
@@ -181,9 +183,33 @@ class FoundRims:
     quality: FloatArray
     local_sun_angles_rad: FloatArray
     sun_angle_rad: float
+    seen_sun_angle_rad: float = float("nan")
 
     def __len__(self) -> int:
         return len(self.ellipses_px)
+
+    @property
+    def sun_contradicted(self) -> bool:
+        """Whether the craters are clearly lit from elsewhere than the direction that was given."""
+        return _apart(self.seen_sun_angle_rad, self.sun_angle_rad)
+
+
+class SunVote(NamedTuple):
+    """Direction towards the sun that candidates are judged by, from x towards y.
+
+    Attributes
+    ----------
+    sun_angle_rad : float
+        The given direction, or else the most common one; NaN without either.
+    certain : bool
+        Whether enough candidates agree on it.
+    seen_rad : float
+        Direction that the candidates clearly agree on; NaN when they do not.
+    """
+
+    sun_angle_rad: float
+    certain: bool
+    seen_rad: float
 
 
 def find_rims(
@@ -196,7 +222,8 @@ def find_rims(
     image : ndarray, shape (H, W) or (H, W, channels)
         See `brightness.brightness`.
     sun_angle_rad : float, optional
-        Direction towards the sun in the image, from x towards y; found in the image if not given.
+        Direction towards the sun in the image, from x towards y; found in the image if not given. It holds
+        even where the craters contradict it, see `FoundRims.sun_contradicted`.
     options : BlindOptions, optional
 
     Returns
@@ -208,9 +235,6 @@ def find_rims(
     ------
     ValueError
         When the array is no image.
-    EstimationError
-        When the image's craters are clearly lit from elsewhere than `sun_angle_rad`, and have better rims
-        under that direction.
     """
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
@@ -218,19 +242,17 @@ def find_rims(
     if len(candidates) == 0:
         return gather([], [], [], sun_angle_rad if sun_angle_rad is not None else float("nan"))
     noise = noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
-    try:
-        agreed, certain = agreed_sun_angle(candidates, sun_angle_rad)
-    except EstimationError:
+    vote = agreed_sun_angle(candidates, sun_angle_rad)
+    if _apart(vote.seen_rad, vote.sun_angle_rad):
         # Candidates are no rims yet: those in one large shadow agree, too, and have none.
-        assert sun_angle_rad is not None
-        given = _rims_lit_from(pixels, candidates, float(sun_angle_rad), False, noise, options)
-        other = _rims_lit_from(pixels, candidates, common_sun_angle(candidates)[0], True, noise, options)
-        if given.quality.sum() < other.quality.sum():
-            raise
-        return given
-    if not certain and len(candidates) >= _MIN_VOTERS:
+        given = _rims_lit_from(pixels, candidates, vote.sun_angle_rad, False, noise, options)
+        other = _rims_lit_from(pixels, candidates, vote.seen_rad, True, noise, options)
+        worse = given.quality.sum() < other.quality.sum()
+        return replace(given, seen_sun_angle_rad=vote.seen_rad) if worse else given
+    if not vote.certain and len(candidates) >= _MIN_VOTERS:
         candidates = candidates.take(np.zeros(0, dtype=np.int64))
-    return _rims_lit_from(pixels, candidates, agreed, certain, noise, options)
+    rims = _rims_lit_from(pixels, candidates, vote.sun_angle_rad, vote.certain, noise, options)
+    return replace(rims, seen_sun_angle_rad=vote.seen_rad)
 
 
 def candidates_in(image: ImageArray, options: BlindOptions) -> Candidates:
@@ -301,7 +323,7 @@ def fit_candidates(
     ]
 
 
-def agreed_sun_angle(candidates: Candidates, sun_angle_rad: float | None) -> tuple[float, bool]:
+def agreed_sun_angle(candidates: Candidates, sun_angle_rad: float | None) -> SunVote:
     """Find the direction towards the sun, and whether the candidates show one.
 
     Parameters
@@ -313,31 +335,22 @@ def agreed_sun_angle(candidates: Candidates, sun_angle_rad: float | None) -> tup
 
     Returns
     -------
-    sun_angle_rad : float
-        The given direction, or else the most common one.
-    certain : bool
-        Whether enough candidates agree on it.
-
-    Raises
-    ------
-    EstimationError
-        When many candidates agree on another direction than `sun_angle_rad`.
+    SunVote
     """
     common, share = common_sun_angle(candidates)
     enough = len(candidates) >= _MIN_VOTERS
     excess = (share - SUN_VOTE_CHANCE_SHARE) * np.sqrt(len(candidates))
     certain = bool(enough and excess > SUN_VOTE_MARGIN)
+    clear = certain and excess > SUN_VOTE_CONTRADICTION_MARGIN
+    seen = common if clear else float("nan")
     if sun_angle_rad is None:
-        return common, certain
-    off = abs(float(np.angle(np.exp(1j * (common - sun_angle_rad)))))
-    if off < _MAX_SUN_ERROR_RAD:
-        return float(sun_angle_rad), certain
-    if certain and excess > SUN_VOTE_CONTRADICTION_MARGIN:
-        seen, given = (float(np.rad2deg(a)) % 360.0 for a in (common, sun_angle_rad))
-        raise EstimationError(
-            f"the sun is given at {given:.0f} deg in the image, but the craters are lit from {seen:.0f} deg"
-        )
-    return float(sun_angle_rad), False
+        return SunVote(common, certain, seen)
+    return SunVote(float(sun_angle_rad), certain and not _apart(common, sun_angle_rad), seen)
+
+
+def _apart(one_rad: float, other_rad: float) -> bool:
+    """Whether two directions towards the sun contradict each other; an unknown one does not."""
+    return abs(float(np.angle(np.exp(1j * (one_rad - other_rad))))) >= _MAX_SUN_ERROR_RAD
 
 
 def gather(

@@ -20,7 +20,14 @@ from craternav_fg.vision.candidates import (
     illuminated_from,
     local_sun_angles,
 )
-from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_sun_angle, find_rims, fit_candidates
+from craternav_fg.vision.detect import (
+    BlindOptions,
+    FoundRims,
+    SunVote,
+    agreed_sun_angle,
+    find_rims,
+    fit_candidates,
+)
 from craternav_fg.vision.image_sampling import noise_level
 from craternav_fg.vision.judge import crater_probability
 
@@ -79,13 +86,13 @@ def find_rims_learned(
 
     Raises
     ------
-    ValueError, EstimationError
-        As `detect.find_rims` does.
+    ValueError
+        When the array is no image.
     """
     learned = LearnedOptions() if options is None else LearnedOptions(options)
     everywhere, pixels = filled(brightness(image))
-    candidates, sun_angle, seen = lit_candidates(everywhere, sun_angle_rad, learned)
-    if not seen:
+    candidates, vote = lit_candidates(everywhere, sun_angle_rad, learned)
+    if not vote.certain:
         # The network knows cratered ground only: where the image shows no common direction the rules judge.
         return find_rims(image, sun_angle_rad, learned.blind)
     sun_angles = local_sun_angles(candidates, SUN_REACH_SHARE * max(everywhere.shape))
@@ -99,12 +106,12 @@ def find_rims_learned(
     for k, rim in enumerate(fits):
         if rim is not None:
             charts[k], covariance[k] = rim.fit.chart_px, rim.fit.covariance
-    return _found(charts, covariance.reshape(-1, 5, 5), probability, sun_angles[rows], sun_angle)
+    return _found(charts, covariance.reshape(-1, 5, 5), probability, sun_angles[rows], vote)
 
 
 def lit_candidates(
     image: Float32Array, sun_angle_rad: float | None, options: LearnedOptions
-) -> tuple[Candidates, float, bool]:
+) -> tuple[Candidates, SunVote]:
     """Find candidates that are lit from a common direction.
 
     Parameters
@@ -118,27 +125,19 @@ def lit_candidates(
     Returns
     -------
     candidates : Candidates
-    sun_angle_rad : float
-        NaN when nothing is known.
-    seen : bool
-        Whether the candidates show it.
-
-    Raises
-    ------
-    EstimationError
-        When many candidates agree on another direction than the given one.
+    vote : SunVote
     """
     blind = options.blind
     largest = blind.max_radius_share * min(image.shape)
     found = find_candidates(image, blind.min_radius_px, largest, options.min_correlation)
     candidates = distinct(found, options.max_candidates)
     strong = candidates.take(candidates.correlation > blind.min_correlation)
-    if not len(candidates) or (not len(strong) and sun_angle_rad is None):
-        return candidates, float("nan") if sun_angle_rad is None else float(sun_angle_rad), False
-    angle, seen = agreed_sun_angle(strong, sun_angle_rad) if len(strong) else (sun_angle_rad, False)
-    assert angle is not None
-    lit = illuminated_from(candidates, float(angle), options.max_sun_deviation_rad)
-    return candidates.take(lit), float(angle), seen
+    if not len(strong):
+        given = float("nan") if sun_angle_rad is None else float(sun_angle_rad)
+        return candidates, SunVote(given, False, float("nan"))
+    vote = agreed_sun_angle(strong, sun_angle_rad)
+    lit = illuminated_from(candidates, vote.sun_angle_rad, options.max_sun_deviation_rad)
+    return candidates.take(lit), vote
 
 
 def _strongest(candidates: Candidates, probability: FloatArray, least: float) -> IntArray:
@@ -156,7 +155,7 @@ def _strongest(candidates: Candidates, probability: FloatArray, least: float) ->
 
 
 def _found(
-    charts: FloatArray, covariance: FloatArray, probability: FloatArray, sun: FloatArray, sun_angle: float
+    charts: FloatArray, covariance: FloatArray, probability: FloatArray, sun: FloatArray, vote: SunVote
 ) -> FoundRims:
     """Put rims together; fits may have brought two candidates to one rim."""
     kept: list[int] = []
@@ -168,5 +167,6 @@ def _found(
         if not np.any(near & (np.abs(np.log(size[kept] / size[k])) < _SAME_LOG_RADIUS)):
             kept.append(k)
     return FoundRims(
-        axes_of_chart(charts[kept]), charts[kept], covariance[kept], probability[kept], sun[kept], sun_angle
-    )
+        axes_of_chart(charts[kept]), charts[kept], covariance[kept], probability[kept], sun[kept],
+        vote.sun_angle_rad, vote.seen_rad,
+    )  # fmt: skip

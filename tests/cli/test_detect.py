@@ -76,16 +76,18 @@ def test_in_words(one, tmp_path):
     assert (tmp_path / "rims.csv").read_text(encoding="utf-8") == ",".join(HEADER) + "\n"
 
 
-def test_wrong_sun_is_one_line(one, tmp_path):
+def test_wrong_sun_holds_with_a_warning(one, tmp_path):
     path = tmp_path / "frame.png"
     cv2.imwrite(str(path), one.image)
-    wrong = np.rad2deg(one.sun_angle_rad) + 180.0
-    code, output, error = detect(path, "-o", tmp_path / "rims.csv", "--sun-deg", wrong)
-    assert code == 2
-    assert output == ""
+    wrong = (np.rad2deg(one.sun_angle_rad) + 180.0) % 360.0
+    code, output, error = detect(path, "-o", tmp_path / "rims.csv", "--sun-deg", wrong, "--json")
+    assert code == 0
     assert error.count("\n") == 1
-    assert "frame.png: the sun is given at" in error
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.png"]
+    assert f"warning: {path}: the sun is given at {wrong:.0f} deg in the image" in error
+    off_deg = (json.loads(output)["sun_angle_deg"] - wrong + 180.0) % 360.0 - 180.0
+    assert abs(off_deg) < 0.1
+    code, _, error = detect(path, "-o", tmp_path / "rims.csv", "--sun-deg", wrong - 180.0, "--force")
+    assert (code, error) == (0, "")
 
 
 def _text(path):

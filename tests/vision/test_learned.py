@@ -35,7 +35,7 @@ def test_hard_ground_has_more_of_them():
 def test_probability_does_not_depend_on_the_camera(scenes):
     """Turned, mirrored and darker images have the same probabilities."""
     image, _ = filled(brightness(scenes[0].image))
-    found, _, _ = lit_candidates(image, None, LearnedOptions())
+    found, _ = lit_candidates(image, None, LearnedOptions())
     sun = found.sun_angle_rad
     seen = crater_probability(image, found, sun)
     assert np.ptp(seen) > 0.8
