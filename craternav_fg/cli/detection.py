@@ -7,6 +7,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+import numpy.typing as npt
 import typer
 
 from craternav_fg.cli.app import app, example
@@ -17,6 +19,7 @@ from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.plots.detections import write_overlay
+from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, FoundRims, find_rims
 from craternav_fg.vision.learned import find_rims_learned
@@ -87,7 +90,8 @@ def detect(
         return
     towards_deg = math.degrees(rims.sun_angle_rad) % 360.0
     sun = "" if math.isnan(towards_deg) else f", the sun towards {towards_deg:.0f} deg"
-    say(f"{len(rims) or 'no'} rims{sun}\n{output}\n{overlay}")
+    found = f"{len(rims)} rims" if len(rims) else f"no rims: {_why_none(pixels, options)}"
+    say(f"{found}{sun}\n{output}\n{overlay}")
 
 
 def _angle_rad(option: str, angle_deg: float | None) -> float | None:
@@ -96,6 +100,20 @@ def _angle_rad(option: str, angle_deg: float | None) -> float | None:
     if not math.isfinite(angle_deg):
         raise InputError(option, f"expected an angle in degrees, found {angle_deg}")
     return math.radians(angle_deg)
+
+
+def _why_none(pixels: npt.NDArray[np.generic], options: BlindOptions) -> str:
+    """Say why an image shows no rims."""
+    grey = brightness(pixels)
+    known = grey[np.isfinite(grey)]
+    if not len(known):
+        return "the image has no data"
+    if known.min() == known.max():
+        return "all pixels have one value"
+    if options.max_radius_share * min(grey.shape) < options.min_radius_px:
+        height, width = grey.shape
+        return f"{width} x {height} px are too small for a radius of {options.min_radius_px:g} px"
+    return "nothing looks like a lit crater, or what does is lit from no common direction"
 
 
 def _warn_of_sun(path: Path, rims: FoundRims) -> None:

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -72,7 +74,7 @@ def test_in_words(one, tmp_path):
     cv2.imwrite(str(path), np.full((300, 300), 90, np.uint8))
     code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--force")
     assert code == 0
-    assert output.startswith("no rims\n")
+    assert output.startswith("no rims: all pixels have one value\n")
     assert (tmp_path / "rims.csv").read_text(encoding="utf-8") == ",".join(HEADER) + "\n"
 
 
@@ -103,6 +105,22 @@ def _huge(path):
     Image.new("1", (6000, 6000)).save(path)
 
 
+def _header_of_60000(path):
+    """A PNG that states 60,000 x 60,000 px and holds none of them."""
+    size = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    chunks = [
+        struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        for kind, content in ((b"IHDR", size), (b"IDAT", zlib.compress(b"")))
+    ]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+
+
+def _cut_tiff(path):
+    noise = np.random.default_rng(0).integers(0, 255, (99, 99), dtype=np.uint8)
+    Image.fromarray(noise).save(path, format="TIFF")
+    path.write_bytes(path.read_bytes()[:-5000])
+
+
 @pytest.mark.parametrize(
     ("write", "message"),
     [
@@ -112,8 +130,10 @@ def _huge(path):
         (_text, "cannot be read as an image"),
         (_cut, "cannot be read as an image"),
         (_huge, "6000 x 6000 px are more than 25 million: crop it"),
+        (_header_of_60000, "more than 25 million pixels: crop it"),
+        (_cut_tiff, "cannot be read as an image"),
     ],
-    ids=["missing", "folder", "empty", "text", "cut", "huge"],
+    ids=["missing", "folder", "empty", "text", "cut", "huge", "header", "cut TIFF"],
 )
 def test_what_is_no_image_is_one_line(tmp_path, write, message):
     path = tmp_path / "frame.png"
@@ -135,6 +155,40 @@ def test_table_and_overlay_appear_both_or_neither(one, tmp_path):
     assert code == 2
     assert "rims_overlay.png" in said
     assert sorted(tmp_path.iterdir()) == [path, overlay]
+
+
+@pytest.mark.parametrize("method", ["template", "learned"])
+def test_an_empty_result_says_why(tmp_path, method):
+    path = tmp_path / "frame.tif"
+    rng = np.random.default_rng(0)
+    images = {
+        "no rims: 3 x 3 px are too small for a radius of 8 px\n": rng.integers(
+            0, 255, (3, 3), dtype=np.uint8
+        ),
+        "no rims: the image has no data\n": np.full((99, 99), np.nan, np.float32),
+        "no rims: nothing looks like a lit crater": rng.integers(90, 110, (99, 99), dtype=np.uint8),
+    }
+    for reason, image in images.items():
+        cv2.imwrite(str(path), image)
+        code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--method", method, "--force")
+        assert code == 0
+        assert output.startswith(reason)
+
+
+def test_a_palette_is_read_as_grey(one, tmp_path):
+    grey, palette = tmp_path / "grey.png", tmp_path / "palette.png"
+    cv2.imwrite(str(grey), one.image)
+    image = Image.fromarray(one.image)
+    image.putpalette([level for level in range(256) for _ in range(3)])
+    assert image.mode == "P"
+    image.save(palette)
+    tables = []
+    for path in (grey, palette):
+        assert detect(path, "-o", path.with_suffix(".csv"))[0] == 0
+        with path.with_suffix(".csv").open(newline="", encoding="utf-8") as stream:
+            tables.append([[float(cell) for cell in row[:5]] for row in list(csv.reader(stream))[1:]])
+    assert len(tables[0]) >= 5
+    np.testing.assert_allclose(tables[1], tables[0], atol=0.01)
 
 
 def test_the_image_is_not_overwritten(one, tmp_path):
