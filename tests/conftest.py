@@ -15,7 +15,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Files that take longest: begun first, so that no worker is left alone with one at the end.
-LONGEST = ("test_notebooks.py", "test_fuzz.py", "test_identify.py", "test_cluster.py")
+LONGEST = (
+    "test_notebooks.py", "test_fuzz.py", "test_identify.py", "test_ratios.py", "test_command_line.py",
+    "test_cluster.py",
+)  # fmt: skip
 
 pytest_plugins = ("pytester", "tests.slow_budget")
 
