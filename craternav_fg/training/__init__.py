@@ -1,8 +1,8 @@
-"""Training of the learned judgement of crater candidates, on rendered ground alone.
+"""Training of the crater network of `vision`, on rendered ground alone: no photograph, no annotation.
 
-`python -m craternav_fg.training FOLDER` renders scenes, collects the detector's own candidates with what is
-known of them, trains the network and writes its weights, `judge.npz`, into the folder. No photograph and no
-annotation is trained on.
+`python -m craternav_fg.training craters FOLDER` trains `craters.onnx` with PyTorch (extra `train`).
+The modules `judgement`, `rim_fits` and `marked` fit the constants by which its proposals are judged, the last
+one on annotated photographs.
 """
 
 from typing import TYPE_CHECKING

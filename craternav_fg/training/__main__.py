@@ -1,90 +1,62 @@
-"""Command that trains the judgement of candidates: python -m craternav_fg.training FOLDER [SCENES].
+"""Command that trains the crater network on rendered ground: python -m craternav_fg.training craters FOLDER.
 
-Examples of each scene are kept in the folder, so that a run which was stopped goes on. The weights are
-written there, too, as judge.npz; shipped is what stands in `craternav_fg/vision`.
+It keeps what is done in the folder, and goes on there when it is started again.
 """
 
+import argparse
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from os import cpu_count
+from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
+from craternav_fg.errors import CraternavError
 
-from craternav_fg.files import replacing
-from craternav_fg.training.examples import Examples, examples
-from craternav_fg.training.network import train
-from craternav_fg.training.scenes import scene
-from craternav_fg.vision.judge import WEIGHTS, Network
-
-# Seed of the shipped weights, which 100 scenes gave; scenes rendered by default.
-SEED = 7
-SCENES = 120
+# Steps of the shipped weights.
+STEPS = 3900
 
 
-def collect(folder: Path, number: int) -> Path | None:
-    """Render a scene, unless the folder has its examples.
+def main(arguments: list[str]) -> int:
+    """Train a network.
 
     Parameters
     ----------
-    folder : Path
-    number : int
-        Number of the scene, which determines it.
+    arguments : list of str
+        Of the command line.
 
     Returns
     -------
-    Path or None
-        File of its examples; None when it gives none.
+    int
+        Exit code: 2 for what cannot be done.
     """
-    path = folder / f"{number:05d}.npz"
-    if path.is_file():
-        return path
-    found = examples(scene(np.random.default_rng([SEED, number])))
-    if found is None:
-        return None
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, inputs=found.inputs.astype(np.float16), wanted=found.wanted)
-    return path
+    parser = argparse.ArgumentParser(prog="python -m craternav_fg.training", description=__doc__)
+    commands = parser.add_subparsers(dest="network", required=True)
+    craters = commands.add_parser("craters", help="crater network: craters.onnx; needs the extra train")
+    craters.add_argument("--steps", type=int, default=STEPS)
+    craters.add_argument("--seed", type=int, default=7)
+    craters.add_argument("folder", type=Path)
+    given = parser.parse_args(arguments)
+    if find_spec("torch") is None:
+        sys.stderr.write("training: PyTorch is missing: pip install 'craternav_fg[train]'\n")
+        return 2
+    try:
+        _train_craters(given.folder, given.steps, given.seed)
+    except CraternavError as error:
+        sys.stderr.write(f"training: {error}\n")
+        return 2
+    return 0
 
 
-def save(path: Path, network: Network) -> None:
-    """Write a network as `vision.judge.network` reads it, in half precision."""
-    layers = {f"weights{k}": values.astype(np.float16) for k, values in enumerate(network.weights)}
-    layers |= {f"bias{k}": values.astype(np.float16) for k, values in enumerate(network.biases)}
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **layers)
+def _train_craters(folder: Path, steps: int, seed: int) -> None:
+    from craternav_fg.training.detector import export
+    from craternav_fg.training.loop import TrainingOptions, train
 
-
-def main(folder: Path, count: int = SCENES) -> None:
-    """Collect the examples of scenes and train on them.
-
-    Parameters
-    ----------
-    folder : Path
-    count : int
-        Number of scenes.
-    """
     folder.mkdir(parents=True, exist_ok=True)
-    parts: list[Examples] = []
-    with ProcessPoolExecutor(cpu_count()) as workers:
-        for number, path in enumerate(workers.map(partial(collect, folder), range(count))):
-            if path is not None:
-                with np.load(path) as stored:
-                    parts.append(Examples(stored["inputs"].astype(np.float32), stored["wanted"]))
-            sys.stderr.write(f"\rscene {number + 1} of {count}")
-    inputs, wanted = (np.concatenate(values) for values in zip(*parts, strict=True))
-    sys.stderr.write(f"\n{len(wanted)} examples, {wanted.mean():.0%} of craters\n")
-    network = train(
-        inputs, wanted, np.random.default_rng(SEED),
-        progress=_report,
-    )  # fmt: skip
-    save(folder / WEIGHTS, network)
+    network = train(folder, TrainingOptions(steps=steps, seed=seed), _report)
+    export(network, folder / "craters.onnx")
 
 
-def _report(epoch: int, loss: float) -> None:
-    sys.stderr.write(f"epoch {epoch}: loss {loss:.4f}\n")
+def _report(step: int, centre: float, circle: float) -> None:
+    sys.stderr.write(f"step {step}: loss of centres {centre:.3f}, of circles {circle:.3f}\n")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(int, sys.argv[2:3]))
+    sys.exit(main(sys.argv[1:]))

@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Points farther from the smooth line along the arc, in standard deviations, belong to another edge.
 _OUTLIER_SIGMAS = 3.5
-# Least standard deviation of the points, px: the scatter of few points on a fine rim understates it.
+# Minimum standard deviation of the points, px: the scatter of few points on a fine rim understates it.
 _MIN_SCATTER_PX = 0.1
 # Rounds of outlier rejection: the kept points no longer change.
 _REJECTION_ROUNDS = 5
@@ -30,9 +30,9 @@ class ArcOptions:
     Attributes
     ----------
     min_points : int
-        Least number of edge points.
+        Minimum number of edge points.
     min_found_share : float
-        Least share of the searched normals with an edge.
+        Minimum share of the searched normals with an edge.
     max_rms_px, max_rms_share : float
         Largest scatter of the points about a smooth line along the rim: max_rms_px + max_rms_share b, b the
         semi-minor axis.

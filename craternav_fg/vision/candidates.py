@@ -7,6 +7,8 @@ direction towards the sun. The image is correlated relative to its local mean, a
 craters of each octave of sizes equally large.
 """
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import lru_cache
 
@@ -28,11 +30,11 @@ TEMPLATE_RADII_PX = 6.0 * 2.0 ** (np.arange(4) / 4.0)
 # kept: `craternav_fg.calibration.blind_detection`.
 TEMPLATE_SIZE_FACTOR = 1.07
 # Radius of a template's support, in radii of its crater.
-_TEMPLATE_REACH_RADII = 1.45
+TEMPLATE_REACH_RADII = 1.45
 # Least relative contrast of a candidate and its least brightness step, of 255: less is sensor noise on bare
 # ground.
-_MIN_RELATIVE_CONTRAST = 0.01
-_MIN_BRIGHTNESS_STEP = 0.5
+MIN_RELATIVE_CONTRAST = 0.01
+MIN_BRIGHTNESS_STEP = 0.5
 # Width of the local mean, in the largest radii of the octave.
 _MEAN_WINDOW_RADII = 4.0
 # Exponent of the size in the order of candidates of the same correlation: larger craters are fewer and
@@ -109,16 +111,18 @@ def find_candidates(
     found: list[FloatArray] = [np.empty((0, 6))]
     factor = min_radius_px / float(TEMPLATE_RADII_PX[0])
     small = image
-    while factor * TEMPLATE_RADII_PX[0] < max_radius_px and min(image.shape) >= 2.0 * factor:
-        size = (round(image.shape[1] / factor), round(image.shape[0] / factor))
-        method = cv2.INTER_AREA if factor > 1.0 else cv2.INTER_CUBIC
-        small = np.asarray(cv2.resize(small, size, interpolation=method), dtype=np.float32)
-        scale = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
-        for radius, row in _octave(small, min_correlation):
-            row[:, :2] = (row[:, :2] + 0.5) * scale - 0.5
-            row[:, 2] = TEMPLATE_SIZE_FACTOR * radius * factor
-            found.append(row)
-        factor *= 2.0
+    # As many threads as OpenCV has, which workers on a core each set to one.
+    with ThreadPoolExecutor(min(len(TEMPLATE_RADII_PX), max(cv2.getNumThreads(), 1))) as threads:
+        while factor * TEMPLATE_RADII_PX[0] < max_radius_px and min(image.shape) >= 2.0 * factor:
+            size = (round(image.shape[1] / factor), round(image.shape[0] / factor))
+            method = cv2.INTER_AREA if factor > 1.0 else cv2.INTER_CUBIC
+            small = np.asarray(cv2.resize(small, size, interpolation=method), dtype=np.float32)
+            scale = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
+            for radius, row in _octave(small, min_correlation, threads.map):
+                row[:, :2] = (row[:, :2] + 0.5) * scale - 0.5
+                row[:, 2] = TEMPLATE_SIZE_FACTOR * radius * factor
+                found.append(row)
+            factor *= 2.0
     all_of = np.concatenate(found)
     all_of = all_of[all_of[:, 2] < max_radius_px]
     worth = all_of[:, 3] * (all_of[:, 2] / min_radius_px) ** _SIZE_EXPONENT
@@ -128,8 +132,24 @@ def find_candidates(
 
 def distinct(candidates: Candidates, count: int) -> Candidates:
     """Select the first `count` candidates, without those that are an earlier one again."""
-    xy = np.ascontiguousarray(candidates.xy_px)
-    return candidates.take(_distinct(xy, candidates.radius_px, count))
+    return candidates.take(distinct_circles(candidates.xy_px, candidates.radius_px, count))
+
+
+def distinct_circles(xy_px: FloatArray, radius_px: FloatArray, count: int) -> IntArray:
+    """Rows of the first `count` circles, without those that are an earlier one again.
+
+    Parameters
+    ----------
+    xy_px : ndarray, shape (n, 2)
+        Centres.
+    radius_px : ndarray, shape (n,)
+    count : int
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+    """
+    return _distinct(np.ascontiguousarray(xy_px), np.ascontiguousarray(radius_px), count)
 
 
 def common_sun_angle(candidates: Candidates) -> tuple[float, float]:
@@ -164,7 +184,7 @@ def illuminated_from(candidates: Candidates, sun_angle_rad: float, max_deviation
     Parameters
     ----------
     candidates : Candidates
-        Of n craters.
+        Candidates for n craters.
     sun_angle_rad : float
         Direction towards the sun in the image, from x towards y.
     max_deviation_rad : float
@@ -177,22 +197,24 @@ def illuminated_from(candidates: Candidates, sun_angle_rad: float, max_deviation
     return np.asarray(np.abs(_wrapped(candidates.sun_angle_rad - sun_angle_rad)) < max_deviation_rad)
 
 
-def local_sun_angles(candidates: Candidates, reach_px: float) -> FloatArray:
-    """Estimate the direction towards the sun at each candidate from its shading and its neighbours'.
+def local_sun_angles(candidates: Candidates, reach_px: float, xy_px: FloatArray | None = None) -> FloatArray:
+    """Estimate the direction towards the sun at places from the shading of candidates around them.
 
     Parameters
     ----------
     candidates : Candidates
-        Of n craters.
+        At least one.
     reach_px : float
-        Standard deviation of the Gaussian weights of the neighbours.
+        Standard deviation of the Gaussian weights of the candidates.
+    xy_px : ndarray, shape (n, 2), optional
+        The places; the candidates' own if not given.
 
     Returns
     -------
     ndarray, shape (n,)
         From x towards y, rad.
     """
-    step = candidates.xy_px[:, None] - candidates.xy_px[None]
+    step = (candidates.xy_px if xy_px is None else xy_px)[:, None] - candidates.xy_px[None]
     weight = np.exp(-0.5 * np.sum(step**2, axis=-1) / reach_px**2) * candidates.correlation**_VOTE_EXPONENT
     x, y = weight @ np.cos(candidates.sun_angle_rad), weight @ np.sin(candidates.sun_angle_rad)
     return np.asarray(np.arctan2(y, x))
@@ -207,11 +229,11 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 def _templates(index: int) -> tuple[ImageArray, ImageArray, ImageArray, float]:
     """Kernels of the slope contrast along x and along y, of the mean, and the dipole's rms at contrast 1."""
     radius = float(TEMPLATE_RADII_PX[index])
-    half = int(np.ceil(_TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
+    half = int(np.ceil(TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
     x, y = np.meshgrid(np.arange(-half, half + 1.0), np.arange(-half, half + 1.0))
     rho = np.hypot(x, y) / radius
-    inside = rho < _TEMPLATE_REACH_RADII
-    slope = crater_profile.slopes(np.clip(rho, 0.02, _TEMPLATE_REACH_RADII))
+    inside = rho < TEMPLATE_REACH_RADII
+    slope = crater_profile.slopes(np.clip(rho, 0.02, TEMPLATE_REACH_RADII))
     profile = np.where(inside, slope / np.maximum(rho * radius, 0.5), 0.0)
     square = float(np.sum((profile * x) ** 2))
     count = np.count_nonzero(inside)
@@ -231,8 +253,10 @@ def _spectra(index: int, rows: int, columns: int) -> tuple[ImageArray, ...]:
     return tuple(np.asarray(spectrum, dtype=np.float32) for spectrum in out)
 
 
-def _octave(image: ImageArray, min_correlation: float) -> list[tuple[float, FloatArray]]:
-    """Correlate an image with the templates of one octave.
+def _octave(
+    image: ImageArray, min_correlation: float, each: Callable[..., Iterable[FloatArray]]
+) -> list[tuple[float, FloatArray]]:
+    """Correlate an image with the templates of one octave; `each` maps a function over them.
 
     Returns each template's radius, px, with rows (n, 6) of its peaks: x, y, 0 (for the radius), correlation,
     sun angle, slope contrast.
@@ -240,9 +264,9 @@ def _octave(image: ImageArray, min_correlation: float) -> list[tuple[float, Floa
     reach = _MEAN_WINDOW_RADII * float(TEMPLATE_RADII_PX[-1])
     side = (2 * int(reach / 2.0) + 1,) * 2
     mean_level = cv2.blur(cv2.blur(image, side), side).astype(np.float32)
-    least = np.maximum(mean_level, np.float32(_MIN_BRIGHTNESS_STEP / _MIN_RELATIVE_CONTRAST))
+    least = np.maximum(mean_level, np.float32(MIN_BRIGHTNESS_STEP / MIN_RELATIVE_CONTRAST))
     relative = (image - mean_level) / least
-    pad = int(np.ceil(_TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
+    pad = int(np.ceil(TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
     rows, columns = (cv2.getOptimalDFTSize(n + 2 * pad) for n in image.shape)
     border = (pad, rows - image.shape[0] - pad, pad, columns - image.shape[1] - pad)
     spectra = []
@@ -257,25 +281,27 @@ def _octave(image: ImageArray, min_correlation: float) -> list[tuple[float, Floa
         inside = values[pad : pad + image.shape[0], pad : pad + image.shape[1]]
         return np.asarray(inside, dtype=np.float32)
 
-    out = []
-    for index, radius in enumerate(TEMPLATE_RADII_PX):
+    def peaks(index: int) -> FloatArray:
         along_x, along_y, disc = _spectra(index, rows, columns)
         gx, gy = filtered(spectra[0], along_x), filtered(spectra[0], along_y)
         mean, square = filtered(spectra[0], disc), filtered(spectra[1], disc)
-        rms2 = np.maximum(square - mean * mean, 0.0) + np.float32(2.0 * _MIN_RELATIVE_CONTRAST**2)
+        rms2 = np.maximum(square - mean * mean, 0.0) + np.float32(2.0 * MIN_RELATIVE_CONTRAST**2)
         contrast2 = gx * gx + gy * gy
         share2 = contrast2 / rms2
         unit = np.float32(_templates(index)[3])
         top = cv2.dilate(share2, np.ones((_PEAK_WINDOW_PX, _PEAK_WINDOW_PX), np.uint8))
-        least2 = np.float32((min_correlation / unit) ** 2)
-        y, x = np.nonzero((share2 >= top) & (share2 > least2))
+        # Few places correlate at all: only there are peaks looked for.
+        enough = np.flatnonzero(share2 > np.float32((min_correlation / unit) ** 2))
+        enough = enough[share2.ravel()[enough] >= top.ravel()[enough]]
+        y, x = np.divmod(enough, share2.shape[1])
         row = np.zeros((len(x), 6))
         row[:, 0], row[:, 1] = x, y
         row[:, 3] = np.minimum(unit * np.sqrt(share2[y, x]), 1.0)
         row[:, 4] = np.arctan2(gy[y, x], gx[y, x])
         row[:, 5] = np.sqrt(contrast2[y, x])
-        out.append((float(radius), row))
-    return out
+        return row
+
+    return list(zip(TEMPLATE_RADII_PX.tolist(), each(peaks, range(len(TEMPLATE_RADII_PX))), strict=True))
 
 
 @njit(cache=True, error_model="numpy")

@@ -21,7 +21,14 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import axes_of_chart
 from craternav_fg.vision.brightness import brightness, filled
-from craternav_fg.vision.detect import BlindOptions, FoundRims, agreed_sun_angle, candidates_in, gather
+from craternav_fg.vision.detect import (
+    BlindOptions,
+    FoundRims,
+    agreed_sun_angle,
+    candidates_in,
+    gather,
+    require_finite_angle,
+)
 from craternav_fg.vision.ellipse_fit import FitFailure, RimFit, fit_rim
 
 FloatArray = npt.NDArray[np.float64]
@@ -29,15 +36,15 @@ ImageArray = npt.NDArray[np.float32]
 
 # Standard deviation of the Gaussian blur before gradients are taken, px.
 _BLUR_PX = 1.2
-# Canny's thresholds, as shares of this percentile of the gradient, and the least upper one, brightness per
+# Canny's thresholds, as shares of this percentile of the gradient, and the minimum upper one, brightness per
 # pixel.
 _LOW_THRESHOLD_SHARE, _HIGH_THRESHOLD_SHARE, _GRADIENT_PERCENTILE = 0.25, 0.6, 98.0
 _MIN_HIGH_THRESHOLD = 0.5
 # Canny takes gradients as 16-bit integers: this many units per brightness and pixel, up to this limit.
 _GRADIENT_UNITS, _MAX_GRADIENT_UNITS = 32.0, 32000
-# Least cosine between an edge's gradient and the direction towards the sun.
+# Minimum cosine between an edge's gradient and the direction towards the sun.
 _MIN_SUN_COSINE = 0.2
-# Least number of points of an arc; its radius within these factors of the searched ones.
+# Minimum number of points of an arc; its radius within these factors of the searched ones.
 _MIN_ARC_POINTS = 8
 _MIN_RADIUS_FACTOR, _MAX_RADIUS_FACTOR = 0.5, 2.0
 # Two arcs of one crater: largest ratio of their radii; largest distance of their centres, and of the line
@@ -47,7 +54,7 @@ _MAX_RADIUS_RATIO, _MAX_CENTRE_DISTANCE_RADII, _MAX_LATERAL_OFFSET_RADII = 2.0, 
 _MIN_SEPARATION_RADII, _MAX_SEPARATION_RADII = 0.8, 2.4
 # Largest scatter of the points about the ellipse: px, share of the semi-minor axis.
 _MAX_SCATTER = (0.5, 0.05)
-# Least share of the rim that the arcs cover, and largest ratio of its axes.
+# Minimum share of the rim that the arcs cover, and largest ratio of its axes.
 _MIN_COVERED_SHARE, _MAX_AXIS_RATIO = 0.45, 2.2
 
 
@@ -73,7 +80,7 @@ def find_rims_canny(
     sun_angle_rad : float, optional
         Direction towards the sun in the image, from x towards y; found in the image if not given.
     options : BlindOptions, optional
-        Those of sizes, candidates, fit and least quality count.
+        Those of sizes, candidates, fit and minimum quality count.
 
     Returns
     -------
@@ -83,12 +90,13 @@ def find_rims_canny(
     Raises
     ------
     ValueError
-        When the array is no image.
+        When the array is no image, or the angle not finite.
 
     References
     ----------
     Tian et al. (2019), DOI 10.1017/S0373463318000966, section 4.1.
     """
+    require_finite_angle(sun_angle_rad)
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
     largest = options.max_radius_share * min(pixels.shape)
@@ -188,7 +196,7 @@ def _pairs(arcs: list[_Arc], sun_angle_rad: float) -> list[tuple[_Arc, _Arc]]:
 
 
 def _plausible(fit: RimFit, options: BlindOptions, largest: float) -> bool:
-    """Tell whether a fit may be the rim of one crater."""
+    """Return whether a fit may be the rim of one crater."""
     _, _, major, minor, _ = axes_of_chart(fit.chart_px[None])[0]
     return bool(
         fit.arc_share >= max(_MIN_COVERED_SHARE, options.min_quality)

@@ -2,8 +2,7 @@
 
 Candidates that look like a lit bowl (see `candidates`) vote for the direction towards the sun; in noise they
 do not agree. Candidates lit from that direction are traced and fitted as if they had been predicted as
-circles (see `edges` and `ellipse_fit`). The fit, the correlation and the number of edge points give each rim
-a quality.
+circles (see `blind_fit`). The fit, the correlation and the number of edge points give each rim a quality.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,15 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.camera import Camera
-from craternav_fg.ellipse import (
-    axes_of_chart,
-    mean_radius,
-    points_on,
-    semi_minor,
-    unwhitened_points,
-    whitened_points,
-)
+from craternav_fg.ellipse import axes_of_chart
+from craternav_fg.vision.blind_fit import BlindFitter
 from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.candidates import (
     Candidates,
@@ -30,12 +22,12 @@ from craternav_fg.vision.candidates import (
     illuminated_from,
     local_sun_angles,
 )
-from craternav_fg.vision.edges import EdgeOptions, find_edge_points
-from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
+from craternav_fg.vision.ellipse_fit import FitOptions, RimFit
 from craternav_fg.vision.image_sampling import noise_level
-from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 ImageArray = npt.NDArray[np.float32]
 
 # Fewer candidates may agree on a direction towards the sun by chance.
@@ -51,26 +43,12 @@ SUN_VOTE_CONTRADICTION_MARGIN = 2.0
 _MAX_SUN_ERROR_RAD = float(np.deg2rad(45.0))
 # Standard deviation, in the image's longer sides, of the neighbourhood that shares a direction towards the
 # sun.
-_SUN_REACH_SHARE = 0.25
+SUN_REACH_SHARE = 0.25
 # Slope contrast of rendered craters over that of the canonical crater that correlates best with them;
 # why it is kept: `craternav_fg.calibration.blind_detection`.
 CONTRAST_FACTOR = 1.3
 # Candidates, the best ones, whose median gives the slope contrast of the image.
 CONTRAST_CANDIDATES = 20
-# Rings of flat terrain around a crater, in radii, and the points on each.
-_GROUND_RING_RADII, _RING_POINTS = (1.5, 1.75, 2.0), 32
-_GROUND_RINGS = np.concatenate(
-    [radius * points_on(np.zeros(5), _RING_POINTS) for radius in _GROUND_RING_RADII]
-)
-# Half lengths of the normals along which a rim is traced, first and second: px, share of the radius.
-_NORMAL_REACHES = ((2.0, 0.35), (1.5, 0.14))
-# Relative standard deviation of the reference brightness of a rim. Fitted by
-# `craternav_fg.calibration.reference_brightness`.
-BRIGHTNESS_SIGMA = 0.05
-# Least share of the normals that have contrast and lie in the image, and of these that have an edge.
-_MIN_TRIED_SHARE, _MIN_FOUND_SHARE = 0.3, 0.35
-# Least semi-minor axis and largest shift of a rim, in radii of its candidate: another crater's rim beyond.
-_MIN_MINOR_RADII, _MAX_SHIFT_RADII = 0.5, 0.6
 # Two rims are the same crater if their centres are closer than this share of the smaller mean radius and the
 # logarithms of their mean radii differ by less.
 _SAME_CENTRE_SHARE, _SAME_LOG_RADIUS = 0.5, 0.4
@@ -79,8 +57,6 @@ _SAME_CENTRE_SHARE, _SAME_LOG_RADIUS = 0.5, 0.4
 # scatter in radii and the share of the rim that is covered; and the constant. Fitted, but
 # for the first, which is kept, by `craternav_fg.calibration.blind_detection`.
 QUALITY_WEIGHTS, QUALITY_OFFSET = np.array([32.0, 6.5, -50.0, 6.9]), -30.4
-# Least scatter in the regression, in radii: rendered rims are smoother than real ones.
-QUALITY_MIN_SCATTER_RADII = 0.02
 
 
 @dataclass(frozen=True)
@@ -94,7 +70,7 @@ class BlindOptions:
     max_radius_share : float
         Radius of the largest craters, as a share of the image's shorter side.
     min_correlation : float
-        Least correlation with the canonical crater.
+        Minimum correlation with the canonical crater.
     max_candidates : int
         Largest number of candidates that are traced, best first.
     max_sun_deviation_rad : float
@@ -102,7 +78,7 @@ class BlindOptions:
     psf_px : float
         Standard deviation of the point-spread function: its effect on the edge is removed.
     min_quality : float
-        Least quality of a rim when enough candidates agree on the direction towards the sun.
+        Minimum quality of a rim when enough candidates agree on the direction towards the sun.
     min_quality_sun_unknown : float
         The same when there are too few candidates to agree.
     fit : FitOptions
@@ -148,9 +124,14 @@ class FittedCandidate:
     sun_angle_rad: float
 
     @property
+    def log_odds(self) -> float:
+        """Approximate logarithm of the odds, on rendered ground, that it is a crater's rim."""
+        return float(QUALITY_WEIGHTS @ self.evidence + QUALITY_OFFSET)
+
+    @property
     def quality(self) -> float:
         """Approximate probability, on rendered ground, that it is a crater's rim."""
-        return float(1.0 / (1.0 + np.exp(-(QUALITY_WEIGHTS @ self.evidence + QUALITY_OFFSET))))
+        return float(1.0 / (1.0 + np.exp(-self.log_odds)))
 
 
 @dataclass(frozen=True)
@@ -168,6 +149,8 @@ class FoundRims:
         Covariances of the charts.
     quality : ndarray, shape (n,)
         0 to 1: approximate probability, on rendered ground, that it is a crater's rim.
+    traced : ndarray of bool, shape (n,)
+        Whether the rim was traced; else the ellipse is a coarse estimate, as its covariance shows.
     local_sun_angles_rad : ndarray, shape (n,)
         Direction towards the sun in the image at each rim, from x towards y, as its shading and its
         neighbours' show it.
@@ -175,18 +158,36 @@ class FoundRims:
         The same of the whole image, found or given; NaN when the image does not show it.
     seen_sun_angle_rad : float
         Direction towards the sun that the craters clearly agree on, whatever was given; NaN when they do not.
+    sun_probability : float
+        Probability of the direction that was found against its opposite; NaN where it is not estimated.
     """
 
     ellipses_px: FloatArray
     charts_px: FloatArray
     covariance_px: FloatArray
     quality: FloatArray
+    traced: BoolArray
     local_sun_angles_rad: FloatArray
     sun_angle_rad: float
     seen_sun_angle_rad: float = float("nan")
+    sun_probability: float = float("nan")
 
     def __len__(self) -> int:
         return len(self.ellipses_px)
+
+    def take(self, rows: IntArray | BoolArray) -> "FoundRims":
+        """Select some rims.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n,), or of int, shape (k,)
+            A mask or indices.
+        """
+        return replace(
+            self, ellipses_px=self.ellipses_px[rows], charts_px=self.charts_px[rows],
+            covariance_px=self.covariance_px[rows], quality=self.quality[rows], traced=self.traced[rows],
+            local_sun_angles_rad=self.local_sun_angles_rad[rows],
+        )  # fmt: skip
 
     @property
     def sun_contradicted(self) -> bool:
@@ -229,13 +230,14 @@ def find_rims(
     Returns
     -------
     FoundRims
-        Possibly none.
+        Possibly empty.
 
     Raises
     ------
     ValueError
-        When the array is no image.
+        When the array is no image, or the angle not finite.
     """
+    require_finite_angle(sun_angle_rad)
     options = options or BlindOptions()
     everywhere, pixels = filled(brightness(image))
     candidates = candidates_in(everywhere, options)
@@ -255,6 +257,23 @@ def find_rims(
     return replace(rims, seen_sun_angle_rad=vote.seen_rad)
 
 
+def require_finite_angle(sun_angle_rad: float | None) -> None:
+    """Refuse a direction towards the sun that is none.
+
+    Parameters
+    ----------
+    sun_angle_rad : float or None
+        None where it is not given.
+
+    Raises
+    ------
+    ValueError
+        When it is not finite, as `FoundRims.sun_angle_rad` where the image does not show it.
+    """
+    if sun_angle_rad is not None and not np.isfinite(sun_angle_rad):
+        raise ValueError(f"sun_angle_rad: expected a finite angle or None, found {sun_angle_rad}")
+
+
 def candidates_in(image: ImageArray, options: BlindOptions) -> Candidates:
     """Find the distinct crater candidates of an image.
 
@@ -267,7 +286,7 @@ def candidates_in(image: ImageArray, options: BlindOptions) -> Candidates:
     Returns
     -------
     Candidates
-        Possibly none.
+        Possibly empty.
     """
     largest = options.max_radius_share * min(image.shape)
     found = find_candidates(image, options.min_radius_px, largest, options.min_correlation)
@@ -285,14 +304,19 @@ def _rims_lit_from(
     """Fit the rims of those candidates that seem to be lit from about a direction."""
     least = options.min_quality if certain else max(options.min_quality_sun_unknown, options.min_quality)
     lit = candidates.take(illuminated_from(candidates, sun_angle_rad, options.max_sun_deviation_rad))
-    fitted = fit_candidates(pixels, lit, noise, options)
+    sun_angles = local_sun_angles(lit, SUN_REACH_SHARE * max(pixels.shape))
+    fitted = fit_candidates(pixels, lit, sun_angles, noise, options)
     good = [rim for rim in fitted if rim is not None and rim.quality >= least]
     quality, at_rims = [rim.quality for rim in good], [rim.sun_angle_rad for rim in good]
     return gather([rim.fit for rim in good], quality, at_rims, sun_angle_rad)
 
 
 def fit_candidates(
-    pixels: ImageArray, candidates: Candidates, noise: float, options: BlindOptions
+    pixels: ImageArray,
+    candidates: Candidates,
+    sun_angles_rad: FloatArray,
+    noise: float,
+    options: BlindOptions,
 ) -> list[FittedCandidate | None]:
     """Fit the rims of candidates, whatever their quality.
 
@@ -302,6 +326,8 @@ def fit_candidates(
         Brightness, 0 to 255; NaN in holes.
     candidates : Candidates
         Lit from about one direction, the best first.
+    sun_angles_rad : ndarray, shape (n,)
+        Direction towards the sun in the image at each.
     noise : float
         Standard deviation of the pixels' noise, see `image_sampling.noise_level`.
     options : BlindOptions
@@ -309,18 +335,55 @@ def fit_candidates(
     Returns
     -------
     list of FittedCandidate or None
-        Of each candidate; None where no rim can be traced.
+        One per candidate; None where no rim can be traced.
     """
     if len(candidates) == 0:
         return []
-    sun_angles = local_sun_angles(candidates, _SUN_REACH_SHARE * max(pixels.shape))
+    fitter = blind_fitter(pixels, candidates, noise, options)
+    out: list[FittedCandidate | None] = []
+    for k, start in enumerate(circle_charts(candidates)):
+        rim = fitter.fit(start, float(sun_angles_rad[k]))
+        if rim is None:
+            out.append(None)
+            continue
+        evidence = np.array([candidates.correlation[k], *rim.evidence])
+        out.append(FittedCandidate(rim.fit, evidence, float(sun_angles_rad[k])))
+    return out
+
+
+def blind_fitter(
+    pixels: ImageArray, candidates: Candidates, noise: float, options: BlindOptions
+) -> BlindFitter:
+    """Return what traces rims in an image.
+
+    Parameters
+    ----------
+    pixels : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255; NaN in holes.
+    candidates : Candidates
+        At least one, the best first: their median contrast is the image's.
+    noise : float
+        Standard deviation of the pixels' noise, see `image_sampling.noise_level`.
+    options : BlindOptions
+    """
     contrast = CONTRAST_FACTOR * float(np.median(candidates.slope_contrast[:CONTRAST_CANDIDATES]))
-    height, width = pixels.shape
-    camera = Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=options.psf_px)
-    return [
-        _fit_candidate(pixels, candidates, k, float(sun_angles[k]), contrast, noise, camera, options)
-        for k in range(len(candidates))
-    ]
+    return BlindFitter(pixels, contrast, noise, options.psf_px, options.fit)
+
+
+def circle_charts(candidates: Candidates) -> FloatArray:
+    """Return the circles of candidates as ellipse charts.
+
+    Parameters
+    ----------
+    candidates : Candidates
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        In pixels.
+    """
+    log_radius = np.log(candidates.radius_px)
+    return np.column_stack([candidates.xy_px, log_radius, np.zeros(len(log_radius)), log_radius])
 
 
 def agreed_sun_angle(candidates: Candidates, sun_angle_rad: float | None) -> SunVote:
@@ -380,75 +443,5 @@ def gather(
     rows = [int(order[i]) for i in kept]
     covariance = np.array([fits[i].covariance for i in rows]).reshape(-1, 5, 5)
     of_rims = np.array([quality, local_sun_angles_rad]).reshape(2, -1)[:, rows]
-    return FoundRims(ellipses[kept], charts[kept], covariance, of_rims[0], of_rims[1], sun_angle_rad)
-
-
-def _fit_candidate(
-    image: ImageArray,
-    candidates: Candidates,
-    k: int,
-    sun_angle_rad: float,
-    contrast: float,
-    noise: float,
-    camera: Camera,
-    options: BlindOptions,
-) -> FittedCandidate | None:
-    """Fit the rim of a candidate, from a circle; None when there is no rim."""
-    radius = float(candidates.radius_px[k])
-    chart = np.array([*candidates.xy_px[k], np.log(radius), 0.0, np.log(radius)])
-    direction = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
-    fit: RimFit | FitFailure = FitFailure.NO_ELLIPSE
-    as_ellipse = replace(options.fit, outline_share=0.0)
-    for reach_px, reach_share in _NORMAL_REACHES:
-        size = float(mean_radius(chart))
-        reference = ring_brightness(image, chart)
-        if not reference > MIN_REFERENCE_BRIGHTNESS:
-            return None
-        # The crater's radius towards the sun, in the image.
-        contrast_px = contrast / np.hypot(*whitened_points(chart[:2] + direction, chart)) * direction
-        edges = find_edge_points(
-            image, camera, chart, contrast_px, reference, size, reach_px + reach_share * size, noise,
-            EdgeOptions(),
-        )  # fmt: skip
-        if edges.tried < _MIN_TRIED_SHARE * edges.normals or len(edges) < _MIN_FOUND_SHARE * edges.tried:
-            return None
-        brightness_unknown = BrightnessUnknown(edges.motion, BRIGHTNESS_SIGMA)
-        fit = refine_rim(edges.points_px, chart, camera, as_ellipse, edges.sigma_ratio, brightness_unknown)
-        if isinstance(fit, FitFailure):
-            return None
-        chart = fit.chart_px
-    assert isinstance(fit, RimFit)
-    # The quality is that of an ellipse: an irregular outline would explain other edges away.
-    outlined = refine_rim(edges.points_px, chart, camera, options.fit, edges.sigma_ratio, brightness_unknown)
-    if isinstance(outlined, FitFailure):
-        return None
-    minor = float(semi_minor(chart))
-    moved = float(np.hypot(*(chart[:2] - candidates.xy_px[k])))
-    if minor < _MIN_MINOR_RADII * radius or moved > _MAX_SHIFT_RADII * radius:
-        return None
-    scatter = max(fit.rms_px / minor, QUALITY_MIN_SCATTER_RADII)
-    agreeing = fit.point_count / edges.tried
-    evidence = np.array([candidates.correlation[k], agreeing, scatter, fit.arc_share])
-    return FittedCandidate(outlined, evidence, sun_angle_rad)
-
-
-def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:
-    """Estimate the brightness of the terrain around a rim: the median of rings.
-
-    Parameters
-    ----------
-    image : ndarray of float32, shape (H, W)
-        Brightness, 0 to 255; NaN in holes.
-    chart_px : ndarray, shape (5,)
-        Chart of the rim in pixels.
-
-    Returns
-    -------
-    float
-        0 where the image has none of the rings.
-    """
-    columns, rows = np.rint(unwhitened_points(_GROUND_RINGS, chart_px)).astype(np.int64).T
-    inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
-    values = image[rows[inside], columns[inside]]
-    values = np.sort(values[np.isfinite(values)])
-    return float(values[len(values) // 2]) if len(values) > 0 else 0.0
+    traced = np.ones(len(kept), dtype=np.bool_)
+    return FoundRims(ellipses[kept], charts[kept], covariance, of_rims[0], traced, of_rims[1], sun_angle_rad)

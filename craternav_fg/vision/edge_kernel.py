@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.vision.ground_level import evidence_of_level, levels_of_flanks
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, bicubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
 from factors.kernels.compiled import njit
@@ -20,6 +21,11 @@ _FLAT_CONTRAST_SHARE = 0.35
 _BLUNTNESS_PRIOR_PX2 = 0.1
 # The inner wall and the outer slope are judged over this length, px, at least, and this share of the radius.
 _MIN_SIDE_PX, _SIDE_SHARE = 2.0, 0.12
+# These lengths are never more samples than this, given how the distance of the samples grows.
+_MAX_SIDE_SAMPLES = 12
+# The flanks of the crest begin one standard deviation of the whole blur from the crossing; with that of the
+# pixels, px^2. They are as long as the sides above.
+_PIXEL_VARIANCE_PX2 = 0.1
 # Distance of the samples along a normal on small rims, px; it grows with the radius above 50 px.
 _SAMPLE_STEP_PX = 0.5
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
@@ -67,12 +73,35 @@ def _crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray
 
 
 @njit(cache=True, error_model="numpy")
+def _moved_crossing(smoothed: FloatArray, start: float, level: float) -> float:
+    """Distance, in samples, from `start` to the nearest fall of a profile through a level; 0 if none."""
+    best = np.inf
+    for i in range(len(smoothed) - 1):
+        here, after = smoothed[i] - level, smoothed[i + 1] - level
+        if here > 0.0 and after <= 0.0:
+            moved = i + here / (here - after) - start
+            if np.abs(moved) < np.abs(best):
+                best = moved
+    return best if np.isfinite(best) else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _mean(raw: FloatArray, first: int, end: int) -> float:
+    """Mean of samples `first` to before `end` of a profile (n,), as far as they exist."""
+    first, end = max(first, 0), min(end, len(raw))
+    total = 0.0
+    for i in range(first, end):
+        total += raw[i]
+    return total / max(end - first, 1)
+
+
+@njit(cache=True, error_model="numpy")
 def trace_rim(
     image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float, reach_px: float,
     smoothing_share: float, smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float,
     noise_step: float, count: int, crossing_offset: FloatArray, table_blur: FloatArray,
     table_contrast: FloatArray, lens: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, int, float]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
     Parameters
@@ -122,6 +151,11 @@ def trace_rim(
         Normals with enough contrast that lie in the image.
     bluntness : float
         Measured displacement of the crossing under more smoothing, relative to the canonical crater's.
+    level : ndarray, shape (n,)
+        Brightness of level ground at the points, relative to the reference, less 1; see `ground_level`. Times
+        `motion` it takes the points to where the brightness crosses that level.
+    evidence : ndarray, shape (2,)
+        See `ground_level.evidence_of_level`.
     """
     points = np.empty((count, 2))
     ratio = np.empty(count)
@@ -130,6 +164,13 @@ def trace_rim(
     first = np.empty(count)
     contrasts = np.empty(count)
     more = np.empty(count)
+    angles = np.empty(count)
+    flanks = np.empty((count, 2))
+    near = np.empty((count, 2 * _MAX_SIDE_SAMPLES + 2))
+    sides = np.empty(count, np.int64)
+    offsets = np.empty(count)
+    steps = np.empty(count)
+    falls = np.empty(count)
     found, tried, largest = 0, 0, 0.0
     dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
     q = np.empty(6)
@@ -213,12 +254,38 @@ def trace_rim(
         first[found] = (where - half) * step + 0.5 * psf_px * psf_px * q[5]
         more[found] = shift
         ratio[found] = shrinks
-        contrasts[found] = np.abs(contrast)
+        contrasts[found] = contrast
         largest = max(largest, np.abs(contrast))
         motion[found, 0] = -sign * q[2] / fall
         motion[found, 1] = -sign * q[3] / fall
+        angles[found] = 2.0 * np.pi * (k + 0.5) / count
+        middle = int(where)
+        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
+        flanks[found, 0] = sign * _mean(raw, middle - gap - n_side + 1, middle - gap + 1)
+        flanks[found, 1] = sign * _mean(raw, middle + 1 + gap, middle + 1 + gap + n_side)
+        for j in range(2 * n_side + 2):
+            near[found, j] = _smoothed(raw, middle - n_side + j, kernel)
+        sides[found] = n_side
+        offsets[found] = where - middle
+        steps[found] = step
+        falls[found] = sign * fall
         found += 1
     bluntness = dot / square
+    level = np.zeros(found)
+    evidence = np.zeros(2)
+    if found > 0:
+        found_level = levels_of_flanks(flanks[:found], contrasts[:found])
+        contrasts = np.abs(contrasts)
+        shifts = np.zeros(found)
+        crossings = np.empty(found)
+        for i in range(found):
+            sign = np.sign(falls[i])
+            shifts[i] = steps[i] * _moved_crossing(
+                near[i, : 2 * sides[i] + 2], sides[i] + offsets[i], sign * found_level[i]
+            )
+            crossings[i] = first[i] - bluntness * more[i]
+            level[i] = -falls[i] * shifts[i]
+        evidence = evidence_of_level(angles[:found], contrasts[:found], crossings, shifts)
     for i in range(found):
         flat = _FLAT_CONTRAST_SHARE * largest / contrasts[i]
         ratio[i] *= np.sqrt(1.0 + flat * flat) / contrasts[i]
@@ -227,7 +294,7 @@ def trace_rim(
         points[i, 1] += t * normal[i, 1]
         if bent:
             back_through_lens(points[i], motion[i], lens)
-    return points[:found], ratio[:found], motion[:found], tried, bluntness
+    return points[:found], ratio[:found], motion[:found], tried, bluntness, level, evidence
 
 
 @njit(cache=True, error_model="numpy")

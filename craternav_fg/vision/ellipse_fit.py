@@ -43,9 +43,9 @@ class FitOptions:
     Attributes
     ----------
     min_points : int
-        Least number of points, and of points that the robust loss keeps.
+        Minimum number of points, and of points that the robust loss keeps.
     min_arc_share : float
-        Least share of the rim that the points must cover; ellipse fits to less than a third are useless.
+        Minimum share of the rim that the points must cover; ellipse fits to less than a third are useless.
     max_gap_rad : float
         Longest step between neighbouring points that counts as covered.
     max_sigma_share : float

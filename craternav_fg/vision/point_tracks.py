@@ -31,7 +31,7 @@ SHADING_PX = 12.0
 CONTRAST = 32.0
 # Largest mean difference of a patch from one image to the next, as a share of that contrast.
 LARGEST_DIFFERENCE = 0.5
-# Steps and least change, px, at which the tracker's iteration ends.
+# Steps and minimum change, px, at which the tracker's iteration ends.
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 0.005)
 
 
@@ -54,9 +54,9 @@ class PointTrackOptions:
     return_px : float
         Largest distance between a point and where the way back leads.
     distance_px : float
-        Least distance between new points, and of points from measured rims.
+        Minimum distance between new points, and of points from measured rims.
     quality : float
-        Least strength of a corner, as a share of the strongest.
+        Minimum strength of a corner, as a share of the strongest.
     """
 
     count: int = 0
@@ -91,7 +91,7 @@ class GroundMotion:
         ----------
         camera : Camera
         index : int
-            Of the next frame.
+            Index of the next frame.
         points_px : ndarray, shape (n, 2)
             px, in the frame before.
 
@@ -235,7 +235,7 @@ def track_points(
     Returns
     -------
     FeatureTracks
-        Of points that are seen in two frames or more.
+        Tracks of the points that are seen in two frames or more.
     """
     tracker = PointTracker(camera, options, motion)
     found = [tracker.follow(image, frame) for image, frame in zip(images, frames, strict=True)]

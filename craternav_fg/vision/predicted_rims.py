@@ -60,7 +60,7 @@ class PredictedRims:
         return PredictedRims(*(getattr(self, field.name)[keep] for field in fields(self)))
 
     def smallest_radius_px(self, i: int) -> float:
-        """Give the approximate semi-minor axis of a rim, px."""
+        """Return the approximate semi-minor axis of a rim, px."""
         return float(semi_minor_bound(self.charts_px[i]))
 
     def motion_px(self, camera: Camera) -> FloatArray:

@@ -11,13 +11,14 @@ from craternav_fg.vision.edges import EdgePoints, find_edge_points
 from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
 from craternav_fg.vision.error_model.outline import unseen_deviation
 from craternav_fg.vision.error_model.systematic import RimErrors
+from craternav_fg.vision.ground_level import common_share, own_share
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
-# Least share of a rim's normals that have contrast and lie in the image.
+# Minimum share of a rim's normals that have contrast and lie in the image.
 _MIN_TRIED_SHARE = 0.4
 
 
@@ -64,7 +65,7 @@ class RimFitter:
         self._camera = camera
         self._options = options
 
-    def trace(self, rims: PredictedRims, i: int, reach: tuple[float, float]) -> EdgePoints:
+    def trace(self, rims: PredictedRims, i: int, reach_px: float) -> EdgePoints:
         """Find the edge points of one rim.
 
         Parameters
@@ -72,8 +73,8 @@ class RimFitter:
         rims : PredictedRims
         i : int
             Index of the rim.
-        reach : tuple of float
-            Half length of the searched normals: px, and share of the semi-minor axis.
+        reach_px : float
+            Half length of the searched normals.
         """
         minor_px = rims.smallest_radius_px(i)
         return find_edge_points(
@@ -83,36 +84,41 @@ class RimFitter:
             rims.contrast_px[i],
             rims.reference[i],
             minor_px,
-            reach[0] + reach[1] * minor_px,
+            reach_px,
             self._noise,
             self._options.edges,
         )
 
-    def fit(self, rims: PredictedRims, reach: tuple[float, float]) -> FittedRims:
+    def fit(self, rims: PredictedRims, reach_px: FloatArray) -> FittedRims:
         """Fit the rims that have enough edge points.
 
         Parameters
         ----------
         rims : PredictedRims
-        reach : tuple of float
+        reach_px : ndarray, shape (n,)
             See `trace`.
 
         Returns
         -------
         FittedRims
-            Possibly none.
+            Possibly empty.
         """
         opt = self._options
         found: list[int] = []
         fits: list[RimFit] = []
         edges: list[EdgePoints] = []
+        enough: list[tuple[int, EdgePoints]] = []
         for i in range(len(rims)):
-            minor_px = rims.smallest_radius_px(i)
-            traced = self.trace(rims, i, reach)
+            traced = self.trace(rims, i, float(reach_px[i]))
             if traced.tried < _MIN_TRIED_SHARE * traced.normals:
                 continue
             if len(traced) < opt.min_found_share * traced.tried:
                 continue
+            enough.append((i, traced))
+        common = common_share(np.array([traced.evidence for _, traced in enough]).reshape(-1, 2))
+        for i, crossings in enough:
+            minor_px = rims.smallest_radius_px(i)
+            traced = crossings.at_level(own_share(crossings.evidence, common))
             fit = self._fit_one(rims, i, traced, opt.fit)
             if isinstance(fit, FitFailure) or fit.rms_px > opt.max_rms_px + opt.max_rms_share * minor_px:
                 continue

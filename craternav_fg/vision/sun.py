@@ -33,15 +33,15 @@ _MAX_SENSE_SIGMA_RAD = 0.5
 _MIN_CRATERS = 3
 # Error of the tilt per error of the predicted attitude, through the foreshortening.
 _TILT_PER_ATTITUDE_ERROR = 0.5
-# Least horizontal part of the unit vector towards the sun: the azimuth is undefined with the sun at the
+# Minimum horizontal part of the unit vector towards the sun: the azimuth is undefined with the sun at the
 # zenith.
 _MIN_HORIZONTAL_SUN = 0.05
-# Least part of the direction that is seen across the line of sight: the standard deviation grows with its
+# Minimum part of the direction that is seen across the line of sight: the standard deviation grows with its
 # inverse.
 _MIN_STRENGTH = 1e-3
 # Blocks with a mean brightness, of 255, above this may hold saturated pixels.
 _MAX_BLOCK_BRIGHTNESS = 245.0
-# Least mean unit gradient that decides the sense of the axis, in standard deviations.
+# Minimum mean unit gradient that decides the sense of the axis, in standard deviations.
 _SENSE_SIGMAS = 3.0
 
 
@@ -56,15 +56,15 @@ class SunOptions:
     block_px : int
         Side of the blocks whose scatter gives the standard deviation.
     min_blocks : int
-        Least number of usable blocks.
+        Minimum number of usable blocks.
     min_slope_contrast : float
-        Least slope contrast of a usable block.
+        Minimum slope contrast of a usable block.
     min_emission : float
-        Least cosine of a usable block's emission angle.
+        Minimum cosine of a usable block's emission angle.
     min_anisotropy : float
         Least (l1 - l2) / (l1 + l2) of the structure tensor; isotropic relief gives 1/2.
     min_contrast : float
-        Least root mean square gradient, relative to the brightness, per pixel.
+        Minimum root mean square gradient, relative to the brightness, per pixel.
     floor_rad, floor_oblique_rad : float
         Systematic standard deviation of the direction from the relief: looking straight down, and in
         proportion to the sine of the emission angle, added in quadrature.

@@ -15,10 +15,11 @@ from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.brightness import brightness
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import BlindOptions, find_rims
-from craternav_fg.vision.learned import find_rims_learned
+from craternav_fg.vision.network_detect import find_rims_network
 from tests.shared_data import shared
 
-DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny, find_rims_learned])
+DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny])
+ALL_DETECTORS = pytest.mark.parametrize("detector", [find_rims, find_rims_canny, find_rims_network])
 
 
 @pytest.fixture(scope="module")
@@ -158,14 +159,14 @@ def test_night_and_sky_hold_no_rims(one):
     assert len(result.false) <= 1
 
 
-@DETECTORS
+@ALL_DETECTORS
 @pytest.mark.parametrize("shape", [(1, 1), (1, 700), (3, 5), (16, 16), (40, 25), (7, 900)])
 def test_tiny_images(shape, detector):
     rng = np.random.default_rng(0)
     assert len(detector(rng.integers(0, 255, shape, dtype=np.uint8))) == 0
 
 
-@DETECTORS
+@ALL_DETECTORS
 @pytest.mark.parametrize("value", [0, 1, 110, 255, np.nan])
 def test_constant_images(value, detector):
     image = np.full((200, 300), value, dtype=np.float32 if np.isnan(value) else np.uint8)
@@ -188,7 +189,7 @@ def test_known_sun_angle_gives_the_same_rims(one):
     assert rims.sun_angle_rad == pytest.approx(one.sun_angle_rad + np.deg2rad(15.0))
 
 
-@DETECTORS
+@ALL_DETECTORS
 @pytest.mark.parametrize("wrong_deg", [90.0, 180.0, -90.0])
 def test_wrong_sun_angle_holds_and_is_noticed(one, detector, wrong_deg):
     given = one.sun_angle_rad + np.deg2rad(wrong_deg)
@@ -217,6 +218,13 @@ def test_smallest_radius_is_an_option(one):
     assert small.ellipses_px[:, 2].min() > 12.0
     with pytest.raises(ValueError, match="at least 4"):
         BlindOptions(min_radius_px=1.0)
+
+
+@pytest.mark.parametrize("find", [find_rims_network, find_rims, find_rims_canny])
+@pytest.mark.parametrize("angle", [np.nan, np.inf])
+def test_an_angle_that_an_image_did_not_show_is_no_angle(find, angle):
+    with pytest.raises(ValueError, match="sun_angle_rad: expected a finite angle or None, found"):
+        find(np.zeros((50, 50), dtype=np.uint8), angle)
 
 
 @pytest.mark.parametrize("shape", [(0, 10), (10,), (4, 4, 5), (2, 3, 4, 3)])

@@ -73,7 +73,7 @@ class CorrelatedErrorOptions:
     crater_share: float = 0.7
     excess_white_share: float = 2.0
     camera_shift_px: float = 0.1
-    sun_shift_px: float = 0.05
+    sun_shift_px: float = 0.03
     stretch_px: float = 0.1
     stretch_share: float = 0.004
     size_px: float = 0.05

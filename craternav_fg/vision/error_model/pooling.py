@@ -3,7 +3,7 @@
 Where outlines deviate from ellipses, a fit estimates its own covariance poorly: from few harmonics, and with
 edge points that one frame assigns to the rim and the next to something else. The estimate is several times
 larger or smaller in the next frame. A weighted mean over frames would follow the frames that happen to claim
-the smallest covariance, and a time-correlated error would seem to change with its claimed size. Therefore a
+the smallest covariance, and a time-correlated error would seem to change with its stated size. Therefore a
 rim's covariance is pooled over all frames that have shown its crater, those with most weight that showed it
 at about the same size and foreshortening.
 """
@@ -142,10 +142,10 @@ class PooledErrors:
         )
 
 
-def _at_least(pooled: FloatArray, claimed: FloatArray) -> FloatArray:
+def _at_least(pooled: FloatArray, stated: FloatArray) -> FloatArray:
     """Covariance (5, 5) with the larger variance in each principal direction of one against the other."""
     L = np.linalg.cholesky(pooled)
     inverse = np.linalg.inv(L)
-    ratio, directions = np.linalg.eigh(inverse @ claimed @ inverse.T)
+    ratio, directions = np.linalg.eigh(inverse @ stated @ inverse.T)
     root = L @ directions
     return np.asarray((root * np.maximum(ratio, 1.0)) @ root.T)

@@ -20,7 +20,7 @@ class RimErrors:
     Attributes
     ----------
     covariance : ndarray, shape (..., 5, 5)
-        Of the whole error.
+        Covariance of the whole error.
     systematic : ndarray, shape (..., 5, 5)
         Covariance of the part that is about the same in every image of the rim.
     brightness_root : ndarray, shape (..., 5)
@@ -96,7 +96,7 @@ def floor_covariance(y: FloatArray, floor_px: float, floor_share: float) -> Floa
     Returns
     -------
     ndarray, shape (5, 5)
-        Of the chart in pixels.
+        Covariance of the chart in pixels.
     """
     sxx, sxy, syy = moments_kernel(y[2], y[3], y[4])
     _, minor_px = semi_axes_kernel(sxx, sxy, syy, np.exp(y[2] + y[4]))
