@@ -25,21 +25,21 @@ candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.035
 ..                   detect.CONTRAST_FACTOR                        1.3     1.58 ± 0.07, kept
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
 reference_brightness GuidedOptions.brightness_sigma                0.02    at least 0.011 ± 0.001
-..                   detect.BRIGHTNESS_SIGMA                       0.05    0.061 ± 0.008
-rim_floor            FitOptions.floor_px, px                       0.025   0.036 ± 0.012
-..                   FitOptions.floor_share, radii                 0.001   0.0009 ± 0.0007
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.64 ± 0.03
-..                   brightness_share                              0.4     0.32 ± 0.23
-..                   camera_shift_px, px                           0.1     0.13 ± 0.03
-..                   sun_shift_px, px                              0.05    0.055 ± 0.009
-..                   stretch_px, px                                0.1     0.086 ± 0.019
-..                   stretch_share, radii                          0.004   0.007 ± 0.011
-..                   size_px, px                                   0.05    0.10 ± 0.02
+..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008
+rim_floor            FitOptions.floor_px, px                       0.025   0.021 ± 0.009
+..                   FitOptions.floor_share, radii                 0.001   0.0013 ± 0.0005
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.71 ± 0.04
+..                   brightness_share                              0.4     0.1 ± 0.6
+..                   camera_shift_px, px                           0.1     0.12 ± 0.04
+..                   sun_shift_px, px                              0.03    0.018 ± 0.009
+..                   stretch_px, px                                0.1     0.02 ± 0.08
+..                   stretch_share, radii                          0.004   0.007 ± 0.007
+..                   size_px, px                                   0.05    0.09 ± 0.03
 ..                   size_share, radii                             0.002   0.0029 ± 0.0005
-..                   RimErrorOptions.decay                         0.8     1.5 ± 1.2
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.48 ± 0.07
+..                   RimErrorOptions.decay                         0.8     1.1 ± 0.6
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.49 ± 0.07
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.07
-..                   arc_share, radii                              0.004   0.0055 ± 0.0011
+..                   arc_share, radii                              0.004   0.0053 ± 0.0010
 pooling              PoolingOptions.memory                         1.0     1.6 ± 0.5
 ..                   pooling.PRIOR_FRAMES                          2       0.09 ± 0.04, kept
 variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.7 ± 0.8
@@ -61,14 +61,14 @@ robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 Not fitted but chosen, each with its reason where it stands:
 
 - Gates: what is too uncertain, small or dark to use, in `GuidedOptions`, `BlindOptions`, `ArcOptions`,
-  `EdgeOptions`, `FitOptions` and in the modules of `vision`; among them the least correlation of a candidate
-  and the largest shift of its rim. A wrong rim costs more than a missed one.
+  `EdgeOptions`, `FitOptions` and in the modules of `vision`; among them the minimum correlation of a
+  candidate and the largest shift of its rim. A wrong rim costs more than a missed one.
 - `CorrelatedErrorOptions.excess_white_share`, a guard: on three rendered descents to Bennu (trials 5, 6,
   31) the smoother's ANEES is 16.5, 11.6 and 8.4 with 2, and 26.4, 13.9 and 14.0 with 0, although the
   likelihood of the rims' errors is highest with 0.
 - Expected deviations of outlines before they are seen (`FitOptions.outline_share`,
   `error_model.outline.IRREGULARITY_FACTOR`, `PoolingOptions.min_outline_share`), `ArcOptions.shared_px`, weak
-  priors of `edge_kernel` and `wall_shading`, floors of blind and coarse fits.
+  priors of `edge_kernel`, `ground_level` and `wall_shading`, floors of blind and coarse fits.
 - The canonical crater (`vision.crater_profile`): Pike (1977); its rounding is estimated with each rim.
 - Matching, acquisition and identification (`matching`): priors on noise, missing and false craters, gates and
   limits of chance. They are as wide as images and catalogues of all kinds are, not as one set of data.

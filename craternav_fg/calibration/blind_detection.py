@@ -35,6 +35,7 @@ from craternav_fg.vision.candidates import (
     Candidates,
     common_sun_angle,
     illuminated_from,
+    local_sun_angles,
 )
 from craternav_fg.vision.image_sampling import noise_level
 
@@ -97,7 +98,8 @@ def _samples(image: npt.NDArray[np.uint8], true_px: FloatArray) -> tuple[FloatAr
         return np.empty((0, 4)), np.empty(0, dtype=np.bool_)
     sun_angle, _ = common_sun_angle(candidates)
     lit = candidates.take(illuminated_from(candidates, sun_angle, options.max_sun_deviation_rad))
-    fits = detect.fit_candidates(pixels, lit, noise_level(everywhere), options)
+    sun_angles = local_sun_angles(lit, detect.SUN_REACH_SHARE * max(pixels.shape))
+    fits = detect.fit_candidates(pixels, lit, sun_angles, noise_level(everywhere), options)
     rims = [rim for rim in fits if rim is not None]
     found_px = axes_of_chart(np.array([rim.fit.chart_px for rim in rims]).reshape(-1, 5))
     sigma = SIGMA_PX / np.sqrt(true_px[:, 2] * true_px[:, 3])

@@ -59,7 +59,7 @@ def pooling() -> list[Regenerated]:
 def _claims(descent: MeasuredDescent) -> list[tuple[FloatArray, FloatArray]]:
     """Logarithms (m,) of a crater's mean systematic variance on the ground, beside its frame's, and changes.
 
-    Of the frames whose outlines are irregular.
+    Only frames with irregular outlines count.
     """
     seen: dict[int, list[tuple[float, FloatArray]]] = defaultdict(list)
     for rims in descent.rims:

@@ -12,7 +12,7 @@ from craternav_fg.calibration.rendered_scenes import GROUNDS, scenes, true_refer
 from craternav_fg.ellipse import chart_of_axes
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.scenes import Scene
-from craternav_fg.vision.detect import BRIGHTNESS_SIGMA, ring_brightness
+from craternav_fg.vision.blind_fit import BRIGHTNESS_SIGMA, ring_brightness
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
 
@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def reference_brightness() -> list[Regenerated]:
-    """Regenerate `GuidedOptions.brightness_sigma` and `detect.BRIGHTNESS_SIGMA`.
+    """Regenerate `GuidedOptions.brightness_sigma` and `blind_fit.BRIGHTNESS_SIGMA`.
 
     Returns
     -------
@@ -31,7 +31,7 @@ def reference_brightness() -> list[Regenerated]:
     shipped = GuidedOptions().brightness_sigma
     return [
         Regenerated("GuidedOptions.brightness_sigma", shipped, *_sigma(mapped), Relation.AT_LEAST),
-        Regenerated("detect.BRIGHTNESS_SIGMA", BRIGHTNESS_SIGMA, *_sigma(rings)),
+        Regenerated("blind_fit.BRIGHTNESS_SIGMA", BRIGHTNESS_SIGMA, *_sigma(rings)),
     ]
 
 

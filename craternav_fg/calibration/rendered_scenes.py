@@ -22,7 +22,7 @@ GROUNDS = (SMOOTH, IRREGULAR, HARD)
 SCENES = 12
 # The front end was set up with seeds 200 to 530.
 _FIRST_SEED, _SEEDS = 200, 100
-# Patches of other brightness: least and largest standard deviation, over the brightness, and size, px.
+# Patches of other brightness: smallest and largest standard deviation, over the brightness, and size, px.
 _TEXTURE, _GRAIN_PX = (0.05, 0.1), (1.5, 3.0)
 _NOISE_SIZE_PX = 1024
 _FULL_SCALE = 255.0
@@ -37,14 +37,14 @@ def scenes(ground: Ground) -> tuple[Scene, ...]:
 
 
 def textured(one: Scene, rng: np.random.Generator) -> Image:
-    """Give a scene's image with patches of brighter and darker ground."""
+    """Return a scene's image with patches of brighter and darker ground."""
     grain = cv2.GaussianBlur(rng.normal(size=one.image.shape), (0, 0), rng.uniform(*_GRAIN_PX))
     share = rng.uniform(*_TEXTURE) * np.asarray(grain) / np.std(grain)
     return np.clip(np.rint(one.image * (1.0 + share)), 0.0, _FULL_SCALE).astype(np.uint8)
 
 
 def noise(rng: np.random.Generator) -> Iterator[Image]:
-    """Give images of noise."""
+    """Return images of noise."""
     return noise_images(rng, _NOISE_SIZE_PX)
 
 

@@ -89,7 +89,7 @@ def _anees(trial: int) -> FloatArray:
 
 
 def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[FrameMeasurement]:
-    """Give the frames of a data set with systematic errors of rims beside the white ones that they have."""
+    """Return the frames of a data set with systematic errors of rims beside the white ones that they have."""
     assert dataset.measurements is not None
     assert dataset.truth is not None
     camera, catalog, options = dataset.camera, dataset.catalog, CorrelatedErrorOptions()

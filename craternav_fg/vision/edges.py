@@ -8,7 +8,7 @@ is the bright one. Where it runs along the rim there is no contrast across the r
 Blurring moves the crossing, as the inner wall is steeper than the outer slope; see `crater_profile`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,8 @@ from craternav_fg.vision import crater_profile, edge_kernel
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
-# Normals per pixel of radius, and the least and largest number of them: one every three pixels along the rim
-# of a mid-sized crater.
+# Normals per pixel of radius, and their range: one every three pixels along the rim of a
+# mid-sized crater.
 _NORMALS_PER_PX = 2.0
 _MIN_NORMALS, _MAX_NORMALS = 56, 160
 
@@ -36,11 +36,11 @@ class EdgeOptions:
         of the radius. More smoothing suppresses texture and noise, but displaces the edge on an asymmetric
         rim crest.
     min_slope_contrast : float
-        Least slope contrast across the rim of a normal that is searched (see `photometry`).
+        Minimum slope contrast across the rim of a normal that is searched (see `photometry`).
     min_step : float
-        Least relative brightness step across an edge, for a slope contrast of 1.
+        Minimum relative brightness step across an edge, for a slope contrast of 1.
     step_sigmas : float
-        Least brightness step across an edge, in standard deviations of the pixel noise.
+        Minimum brightness step across an edge, in standard deviations of the pixel noise.
     """
 
     smoothing_px: float = 0.4
@@ -62,6 +62,11 @@ class EdgePoints:
         Standard deviations relative to one another.
     motion : ndarray, shape (n, 2)
         Motion of the points, px, per relative change of the reference brightness.
+    level : ndarray, shape (n,)
+        Brightness of level ground at the points, relative to the reference, less 1, as the flanks of the rim
+        crest show it; see `ground_level`.
+    evidence : ndarray, shape (2,)
+        How much the levels explain, see `ground_level.evidence_of_level`.
     tried : int
         Normals with enough contrast that lie in the image.
     normals : int
@@ -71,11 +76,23 @@ class EdgePoints:
     points_px: FloatArray
     sigma_ratio: FloatArray
     motion: FloatArray
+    level: FloatArray
+    evidence: FloatArray
     tried: int
     normals: int
 
     def __len__(self) -> int:
         return len(self.points_px)
+
+    def at_level(self, share: float) -> "EdgePoints":
+        """Move the points to where the brightness crosses the level of the ground.
+
+        Parameters
+        ----------
+        share : float
+            Share of the level to apply: 0 leaves the crossings of the reference brightness.
+        """
+        return replace(self, points_px=self.points_px + (share * self.level)[:, None] * self.motion)
 
 
 def find_edge_points(
@@ -113,15 +130,15 @@ def find_edge_points(
     Returns
     -------
     EdgePoints
-        Possibly none.
+        Possibly empty.
     """
     count = int(min(max(_NORMALS_PER_PX * radius_px, _MIN_NORMALS), _MAX_NORMALS))
     # The difference of two pixels has twice the variance of one.
     noise_step = options.step_sigmas * np.sqrt(2.0) * noise / reference
-    points, ratio, motion, tried, _ = edge_kernel.trace_rim(
+    points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
         image, chart_px, contrast_px, reference, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step, noise_step, count,
         crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
         camera.lens,
     )  # fmt: skip
-    return EdgePoints(points, ratio, motion, tried, count)
+    return EdgePoints(points, ratio, motion, level, evidence, tried, count)

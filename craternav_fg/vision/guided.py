@@ -40,6 +40,9 @@ _MIN_AGREEING_RIMS = 3
 _MIN_SEARCHED_SHIFT_PX, _MIN_SEARCHED_DISTORTION_PX = 1.5, 0.6
 # Standard deviation of a rim's searched shift, px: the step of its grid.
 _SHIFT_SIGMA_PX = 1.0
+# Largest half length of the searched normals, as a share of the semi-minor axis: beyond, walls and neighbours
+# are nearer than the rim.
+_MAX_REACH = 0.4
 # Components of an ellipse chart.
 _CHART_SIZE = 5
 
@@ -144,14 +147,14 @@ class GuidedFrontEnd:
             pose = self._aligned(frame, common, min(radius_px, opt.max_shift_px))
             rims = self._predict(frame, pose, opt.margin_px)
         if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach[0]:
-            rough = fitter.fit(rims, opt.first_reach)
+            rough = fitter.fit(rims, _reach_px(rims, opt.first_reach))
             if len(rough) > 0:
                 residual = rough.charts - rough.predicted.charts
                 H = rough.predicted.jacobians
                 covariance = rough.errors.covariance + self._of_map(rough.predicted.rows, pose)
                 pose, _ = corrected_pose(frame.gTb, frame.prior, pose, H, residual, covariance)
                 rims = self._predict(frame, pose, opt.margin_px)
-        fitted = fitter.fit(rims, opt.second_reach)
+        fitted = self._fitted(fitter, rims, pose)
         if len(fitted) == 0:
             return _Result(RimSet.empty(), frame.gTb, frame.prior, len(rims))
         return self._judged(frame, pose, fitted, len(rims))
@@ -218,8 +221,9 @@ class GuidedFrontEnd:
         points: list[FloatArray] = []
         sigmas: list[FloatArray] = []
         correlated: list[float] = []
+        reach_px = _reach_px(rims, opt.second_reach)
         for i in range(len(rims)):
-            edges = fitter.trace(rims, i, opt.second_reach)
+            edges = fitter.trace(rims, i, float(reach_px[i]))
             if len(edges) < opt.arcs.min_found_share * edges.tried:
                 continue
             minor_px = rims.smallest_radius_px(i)
@@ -235,6 +239,21 @@ class GuidedFrontEnd:
         rows = rims.rows[np.array(found, dtype=np.int64)]
         return ArcSet(rows, tuple(points), tuple(sigmas), np.array(correlated))
 
+    def _fitted(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
+        """Fit rims; those that are not where the map has them are searched as far as its errors allow."""
+        reach_px = _reach_px(rims, self.options.second_reach)
+        fitted = fitter.fit(rims, reach_px)
+        if self.catalog.errors is None or len(fitted) == len(rims):
+            return fitted
+        missing = ~np.isin(rims.rows, fitted.predicted.rows)
+        covariance = self._of_map(rims.rows[missing], gTb)
+        place_px = self.camera.focal_px * np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1])
+        minor_px = _smallest_radii_px(rims)[missing]
+        size_px = minor_px * np.sqrt(covariance[:, 2, 2])
+        wider_px = reach_px[missing] + self.options.map_error_sigmas * np.hypot(place_px, size_px)
+        reach_px[missing] = np.minimum(wider_px, np.maximum(reach_px[missing], _MAX_REACH * minor_px))
+        return fitter.fit(rims, reach_px)
+
     def _of_map(self, rows: IntArray, gTb: FloatArray) -> FloatArray:
         """Covariance (n, 5, 5) of charts from the catalogue's errors."""
         return map_covariance(rows, gTb, self.camera, self.catalog, self.options.correlated_errors)
@@ -248,7 +267,23 @@ class GuidedFrontEnd:
         return self._predict_rows(self._visible(gTb, margin_px), frame, gTb)
 
     def _predict_rows(self, rows: IntArray, frame: _Frame, gTb: FloatArray) -> PredictedRims:
+        """Predict the rims of some craters, in the order of their places.
+
+        Sums are then the same to the last bit, in whatever order the catalogue has its craters: a pose that
+        differs by rounding may decide about a rim at a threshold.
+        """
+        at = self.catalog.latitude_rad[rows], self.catalog.longitude_rad[rows]
+        rows = rows[np.lexsort(at)]
         return predict_rims(rows, self.camera, self.catalog, gTb, frame.sun_g, frame.brightness)
+
+
+def _smallest_radii_px(rims: PredictedRims) -> FloatArray:
+    return np.array([rims.smallest_radius_px(i) for i in range(len(rims))])
+
+
+def _reach_px(rims: PredictedRims, reach: tuple[float, float]) -> FloatArray:
+    """Half lengths (n,) of the normals on which rims are searched."""
+    return np.asarray(reach[0] + reach[1] * _smallest_radii_px(rims))
 
 
 def _largest_sigma(motion: FloatArray, covariance: FloatArray) -> FloatArray:

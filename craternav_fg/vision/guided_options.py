@@ -19,7 +19,7 @@ class GuidedOptions:
     min_semi_minor_px : float
         Semi-minor axis of the smallest rims that are searched.
     margin_px : float
-        Least distance of a predicted rim from the image's border.
+        Minimum distance of a predicted rim from the image's border.
     brightness_sigma : float
         Relative standard deviation of the reference brightness at a single rim: regional slope, albedo. It is
         estimated beside the ellipse. Its lower bound: `craternav_fg.calibration.reference_brightness`.
@@ -32,12 +32,15 @@ class GuidedOptions:
     shift_sigmas : float
         Searched radius in standard deviations of the predicted rims.
     min_found_share : float
-        Least share of the searched normals with an edge.
+        Minimum share of the searched normals with an edge.
     max_rms_px, max_rms_share : float
         Largest scatter of a rim's edge points: max_rms_px + max_rms_share b, b the semi-minor axis.
     first_reach, second_reach : tuple of float
         Half length of the searched normals, before and after the pose is corrected with the rims: px, and
         share of the semi-minor axis.
+    map_error_sigmas : float
+        Rims that are not found are searched again on normals that are longer by this many standard deviations
+        of the catalogue's stated errors.
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     edges : EdgeOptions
@@ -66,6 +69,7 @@ class GuidedOptions:
     max_rms_share: float = 0.05
     first_reach: tuple[float, float] = (2.5, 0.12)
     second_reach: tuple[float, float] = (1.5, 0.08)
+    map_error_sigmas: float = 2.0
     gate_probability: float = 0.9999
     edges: EdgeOptions = field(default_factory=EdgeOptions)
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))

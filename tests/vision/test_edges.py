@@ -45,7 +45,7 @@ def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE):
         crater_profile.BLUR_RADII,
         crater_profile.SLOPE_CONTRASTS,
         PLAIN,
-    )
+    )[:5]
 
 
 def off_px(points):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
@@ -50,6 +51,18 @@ def test_a_good_prediction(view):
     assert out.stamp_ns == 7
     assert len(out.rims) >= 0.95 * len(visible(catalog, gTb)) >= 15
     check(out.rims, catalog, gTb)
+
+
+def test_the_order_of_the_catalogue_does_not_matter(view):
+    catalog, gTb, sun_g, image = view
+    order = np.random.default_rng(1).permutation(len(catalog))
+    one, other = (
+        GuidedFrontEnd(scene.camera(), c).measure(image, 7, gTb, scene.covariance(0.5), sun_g).rims
+        for c in (catalog, catalog.take(order))
+    )
+    np.testing.assert_array_equal(order[other.craters], one.craters)
+    np.testing.assert_array_equal(other.chart, one.chart)
+    np.testing.assert_array_equal(other.covariance, one.covariance)
 
 
 @pytest.mark.parametrize(("elevation_deg", "tilt_deg"), [(15.0, 0.0), (60.0, 0.0), (35.0, 25.0)])
@@ -367,3 +380,33 @@ def test_small_images_have_a_reference_brightness_of_their_own(view, half_px):
     found = np.flatnonzero(part.craters == rims.craters[k])
     assert len(found) == 1
     np.testing.assert_allclose(part.chart[found[0], :2], rims.chart[k, :2], atol=0.3 / whole.fx_px)
+
+
+def test_a_map_that_is_off_is_searched_as_far_as_it_says(view):
+    """Craters a fifth of their radius off the map, in random directions."""
+    catalog, gTb, sun_g, image = view
+    rng = np.random.default_rng(11)
+    radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    angle = rng.uniform(0.0, 2.0 * np.pi, len(catalog))
+    shift = 0.2 * radius_m / catalog.body.radius_m
+    moved = replace(
+        catalog,
+        latitude_rad=catalog.latitude_rad + shift * np.sin(angle),
+        longitude_rad=catalog.longitude_rad + shift * np.cos(angle) / np.cos(catalog.latitude_rad),
+    )
+    none = np.zeros(len(catalog))
+    stated = replace(moved, errors=MapErrors(0.2 * radius_m / np.sqrt(2.0), none, none))
+    rows = visible(catalog, gTb)
+    silent, told = (
+        GuidedFrontEnd(scene.camera(), c).measure(image, 0, gTb, scene.covariance(0.5), sun_g).rims
+        for c in (moved, stated)
+    )
+    assert len(told) >= 0.8 * len(rows)
+    assert len(silent) < 0.7 * len(told)
+    # Where the image shows them, not where the map has them.
+    off = np.linalg.norm(scene.semi_axes_px(told.chart)[0] - _centres_px(catalog, gTb, told.craters), axis=1)
+    assert np.median(off) < 0.3
+
+
+def _centres_px(catalog, gTb, rows):
+    return scene.semi_axes_px(scene.true_charts(catalog, gTb, rows))[0]

@@ -1,0 +1,145 @@
+"""Brightness of the ground at each point of a rim, as the flanks of the rim crest show it.
+
+Patches of other albedo and the ground's own slopes make one part of a rim brighter than another, and a
+crossing of one reference brightness (see `edges`) then lies beside the crest. But they change the inner wall
+and the outer slope alike. The crest is as bright as level ground, so it lies at the same share of the step
+from the outer slope to the inner wall all around the rim. That share follows from the rim as a whole; with it
+the two flanks of each normal give the level there.
+
+The flanks show neighbouring craters and fine relief, too, which the crossing of the reference does not see.
+So the level counts as much as it explains: where it is right, the points that cross the reference lie beside
+an ellipse by what the level says. The regression of one on the other is done for each rim, with the share
+that all rims of the frame have in common as its prior.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.kernels.compiled import njit
+
+FloatArray = npt.NDArray[np.float64]
+
+# Limits of the crest's share of the step: beyond, the flanks are not those of a crest.
+_LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.9
+# Harmonics of an ellipse's displacement: what else the points show is not the ellipse's.
+_ELLIPSE_TERMS = 5
+# Prior of the share of the level that all rims of a frame have in common, and its weight; weight of the
+# common share in each rim's. Weights are sums of squared displacements over points, with the square of the
+# slope contrast as the weight of each, px^2.
+_PRIOR_SHARE, _PRIOR_PX2, _COMMON_PX2 = 0.6, 1.0, 4.0
+
+
+@njit(cache=True, error_model="numpy")
+def levels_of_flanks(flanks: FloatArray, contrasts: FloatArray) -> FloatArray:
+    """Compute the brightness of level ground at points of one rim.
+
+    Parameters
+    ----------
+    flanks : ndarray, shape (n, 2)
+        Brightness of the inner wall and of the outer slope relative to the reference, less 1.
+    contrasts : ndarray, shape (n,)
+        Slope contrast across the rim, with sign.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Relative to the reference, less 1.
+    """
+    # Slopes of the flanks: what changes sign with the contrast.
+    inner, outer, square = 0.0, 0.0, 0.0
+    for i in range(len(contrasts)):
+        inner += contrasts[i] * flanks[i, 0]
+        outer += contrasts[i] * flanks[i, 1]
+        square += contrasts[i] * contrasts[i]
+    inner, outer = inner / square, outer / square
+    share = 0.5 if inner == outer else -outer / (inner - outer)
+    share = min(max(share, _LEAST_SHARE), _LARGEST_SHARE)
+    # A slope spreads the light over more ground, whichever way it faces; see `crater_profile`.
+    inner_even, outer_even = (
+        1.0 / np.sqrt(1.0 + inner * inner) - 1.0,
+        1.0 / np.sqrt(1.0 + outer * outer) - 1.0,
+    )
+    out = np.empty(len(contrasts))
+    for i in range(len(contrasts)):
+        low = flanks[i, 1] - outer_even
+        out[i] = low + share * (flanks[i, 0] - inner_even - low)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def evidence_of_level(
+    angles: FloatArray, weights: FloatArray, crossings_px: FloatArray, shifts_px: FloatArray
+) -> FloatArray:
+    """Compare where points lie with where the level of the ground says that they should.
+
+    Parameters
+    ----------
+    angles : ndarray, shape (n,)
+        Affine angles of the points along the rim, rad.
+    weights : ndarray, shape (n,)
+        Reciprocals of their relative standard deviations.
+    crossings_px : ndarray, shape (n,)
+        Displacements along the normal of the crossings of the reference brightness.
+    shifts_px : ndarray, shape (n,)
+        From there to the crossing of the level.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        Numerator and denominator of the regression: sums over points, px^2, of what is no ellipse's.
+    """
+    A = np.empty((len(angles), _ELLIPSE_TERMS))
+    y = np.empty((len(angles), 2))
+    for i in range(len(angles)):
+        w = weights[i]
+        A[i, 0] = w
+        A[i, 1], A[i, 2] = w * np.cos(angles[i]), w * np.sin(angles[i])
+        A[i, 3], A[i, 4] = w * np.cos(2.0 * angles[i]), w * np.sin(2.0 * angles[i])
+        y[i, 0], y[i, 1] = w * crossings_px[i], w * shifts_px[i]
+    out = np.zeros(2)
+    if len(angles) <= _ELLIPSE_TERMS:
+        return out
+    N = A.T @ A
+    for j in range(_ELLIPSE_TERMS):
+        N[j, j] *= 1.0 + 1e-9
+    y -= A @ np.linalg.solve(N, A.T @ y)
+    for i in range(len(angles)):
+        out[0] -= y[i, 0] * y[i, 1]
+        out[1] += y[i, 1] * y[i, 1]
+    return out
+
+
+def common_share(evidence: FloatArray) -> float:
+    """Compute the share with which the level of the ground counts in a frame.
+
+    Parameters
+    ----------
+    evidence : ndarray, shape (n, 2)
+        See `evidence_of_level`, by rim.
+
+    Returns
+    -------
+    float
+        0 to 1; the prior without rims.
+    """
+    explained, whole = np.sum(evidence, axis=0) + _PRIOR_PX2 * np.array([_PRIOR_SHARE, 1.0])
+    return float(np.clip(explained / whole, 0.0, 1.0))
+
+
+def own_share(evidence: FloatArray, common: float) -> float:
+    """Compute the share with which the level of the ground counts at one rim.
+
+    Parameters
+    ----------
+    evidence : ndarray, shape (2,)
+        See `evidence_of_level`.
+    common : float
+        See `common_share`.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    share = (evidence[0] + _COMMON_PX2 * common) / (evidence[1] + _COMMON_PX2)
+    return float(np.clip(share, 0.0, 1.0))
