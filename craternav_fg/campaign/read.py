@@ -1,5 +1,6 @@
 """Read a campaign's folder."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -85,7 +86,7 @@ class Campaign:
     failed : dict of int to str
         Trials without a result, and why.
     failures : dict of int to dict
-        For every other trial, the estimators that gave no trajectory, and why.
+        For every other trial, the estimators that produced no trajectory, and why.
     times_s : dict of int to dict
         Wall times of the steps of each trial, where they are known.
     wall_s : float
@@ -140,26 +141,112 @@ def read_campaign(folder: Path | str) -> Campaign:
         raise InputError(path, f"expected a campaign's folder, found no {MARKER} in it")
     identity = read_identity(path)
     tables, failed, failures = [], {}, {}
-    for number, file in sorted(trial_files(path).items()):
+    for trial in each_trial(path):
+        if trial.table is None:
+            failed[trial.number] = trial.error
+            continue
+        failures[trial.number] = trial.failures
+        tables.append(trial.table)
+    times_s, wall_s = read_wall_times(path)
+    table = pa.concat_tables(tables) if tables else SCHEMA.empty_table()
+    return Campaign(path, identity, table, failed, failures, times_s, wall_s)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial read back.
+
+    Attributes
+    ----------
+    number : int
+    table : pyarrow.Table or None
+        Its rows, with the columns of `craternav_fg.campaign.trial.SCHEMA`; None when the trial failed.
+    error : str
+        Why it failed; empty when it did not.
+    failures : dict of str to str
+        Estimators that produced no trajectory, and why.
+    """
+
+    number: int
+    table: pa.Table | None
+    error: str
+    failures: dict[str, str]
+
+
+def each_trial(folder: Path) -> Iterator[Trial]:
+    """Read the trials of a campaign one by one.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Yields
+    ------
+    Trial
+        By number.
+
+    Raises
+    ------
+    InputError
+        When a file is damaged, or has another number of frames than the first.
+    """
+    first = None
+    for number, file in sorted(trial_files(folder).items()):
         metadata = read_metadata(file)
         if metadata["error"] is not None:
-            failed[number] = metadata["error"]
+            yield Trial(number, None, metadata["error"], {})
             continue
-        failures[number] = _present(metadata["failures"])
-        tables.append(_table(file, number))
-        frames = _frames(tables[-1])
-        if frames != _frames(tables[0]):
-            problem = f"expected {_frames(tables[0])} frames as in the first trial, found {frames}"
+        table = _table(file, number)
+        frames = _frames(table)
+        first = frames if first is None else first
+        if frames != first:
+            problem = f"expected {first} frames as in the first trial, found {frames}"
             raise _damaged(file, problem)
-    lines = read_times(path / TIMES)
+        yield Trial(number, table, "", _present(metadata["failures"]))
+
+
+def failed_trials(folder: Path) -> dict[int, str]:
+    """Find the trials without a result, by number, and why.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    dict of int to str
+
+    Raises
+    ------
+    InputError
+        When a file is damaged.
+    """
+    errors = {number: read_metadata(file)["error"] for number, file in trial_files(folder).items()}
+    return {number: error for number, error in errors.items() if error is not None}
+
+
+def read_wall_times(folder: Path) -> tuple[dict[int, dict[str, float]], float]:
+    """Read the wall times of a campaign.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    times_s : dict of int to dict
+        Of the steps of each trial, where they are known.
+    wall_s : float
+        Of all runs of the campaign.
+    """
+    lines = read_times(folder / TIMES)
     wall_s: dict[int, float] = {}
     for line in lines:
         wall_s[line["session"]] = max(line["elapsed_s"], wall_s.get(line["session"], 0.0))
     times_s = {
         line["trial"]: _present(line["times_s"]) for line in lines if "trial" in line and "times_s" in line
     }
-    table = pa.concat_tables(tables) if tables else SCHEMA.empty_table()
-    return Campaign(path, identity, table, failed, failures, times_s, sum(wall_s.values()))
+    return times_s, sum(wall_s.values())
 
 
 def read_identity(folder: Path) -> dict[str, Any]:

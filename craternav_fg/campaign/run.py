@@ -1,30 +1,24 @@
 """Run a campaign: the trials that its folder lacks, on many workers, each saved when it is done."""
 
-from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from craternav_fg.campaign.read import read_campaign
-from craternav_fg.campaign.summary import summarise
+from craternav_fg.campaign.summary import summarise_folder
 from craternav_fg.campaign.trial import TrialResult, TrialTask, failed, run_trial, software
-from craternav_fg.campaign.workers import Workers, cluster, processes
 from craternav_fg.campaign.write import CampaignFolder, identity
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
-from craternav_fg.simulation.scenario_tables import MeasurementSection
+from craternav_fg.simulation.scenario_tables import MeasurementSection, PublishedCraters
+from craternav_fg.workers import MAX_WORKER_DEATHS, Workers, cluster, processes
+from craternav_fg.workers import each_result as each_result_of
 
 # Called with the name of a step, the number of its parts that are done, and their total.
 Progress = Callable[[str, int, int], None]
 
-# A trial whose worker has died so many times is not tried again: two, as the first may be by chance.
-MAX_WORKER_DEATHS = 2
-# Interval at which the connection to the scheduler is checked.
-POLL_S = 2.0
 # Simulated measurements for a scenario that renders images: noise and tilt of the paper's section 4, the
 # smallest rims that the front end measures.
 MEASUREMENTS = MeasurementSection(
@@ -39,7 +33,7 @@ class CampaignOptions:
     Attributes
     ----------
     trials : int
-        Number of trials, from the first on. Others in the folder are left as they are.
+        Number of trials, starting with the first. Others in the folder are not changed.
     first : int
         Number of the first trial.
     estimators : tuple of str
@@ -85,7 +79,7 @@ def montecarlo(
     Parameters
     ----------
     scenario : Scenario, Path or str
-        A built-in one by its name, or a TOML file.
+        Name of a built-in scenario, or a TOML file.
     folder : Path or str
         New, empty, or of the same campaign, complete or not.
     options : CampaignOptions
@@ -107,6 +101,7 @@ def montecarlo(
     folder = Path(folder)
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
+    scenario = scenario.with_data()
     case = as_measured(scenario, images=options.images)
     store = CampaignFolder(folder, identity(case, options.estimators))
     with ExitStack() as stack:
@@ -130,7 +125,7 @@ def montecarlo(
                 if progress is not None:
                     progress("trials", done, options.trials)
         store.note_time()
-        summary = summarise(read_campaign(folder))
+        summary = summarise_folder(folder)
         store.write_summary(summary)
     return summary
 
@@ -141,7 +136,7 @@ def _missing(options: CampaignOptions, store: CampaignFolder) -> list[int]:
 
 
 def as_measured(scenario: Scenario, *, images: bool) -> Scenario:
-    """Give a scenario that renders images, or one that simulates the measurements.
+    """Return a scenario that renders images, or one that simulates the measurements.
 
     Parameters
     ----------
@@ -156,8 +151,11 @@ def as_measured(scenario: Scenario, *, images: bool) -> Scenario:
     Raises
     ------
     CraternavError
-        When `images` is set and the scenario has no table [render].
+        When `images` is set and the scenario has no table [render], or it is not and the true rims are those
+        of an elevation model.
     """
+    if not images and isinstance(scenario.craters, PublishedCraters):
+        raise CraternavError("only images show the true rims of published craters: use --images")
     if images and scenario.render is None:
         raise CraternavError("--images: the scenario has no table [render]")
     if images or scenario.measurements is not None:
@@ -166,9 +164,9 @@ def as_measured(scenario: Scenario, *, images: bool) -> Scenario:
 
 
 def each_result(workers: Workers, tasks: dict[int, TrialTask]) -> Iterator[TrialResult]:
-    """Run all tasks and give their results in the order in which they are done.
+    """Run all trials and give their results in the order in which they are done.
 
-    The tasks of a worker that dies are tried once more, and fail if their worker dies again.
+    Those of a worker that dies are tried once more, and fail if their worker dies again.
 
     Parameters
     ----------
@@ -176,40 +174,17 @@ def each_result(workers: Workers, tasks: dict[int, TrialTask]) -> Iterator[Trial
     tasks : dict of int to TrialTask
         By the number of the trial.
 
-    Yields
-    ------
-    TrialResult
+    Returns
+    -------
+    iterator of TrialResult
 
     Raises
     ------
     CraternavError
         When the scheduler is lost, or workers cannot run trials at all.
     """
-    waiting = deque(tasks)
-    running: dict[Future[TrialResult], int] = {}
-    deaths: Counter[int] = Counter()
-    while waiting or running:
-        while waiting and (workers.at_once is None or len(running) < workers.at_once):
-            number = waiting.popleft()
-            running[workers.executor.submit(run_trial, tasks[number])] = number
-        finished, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
-        if not finished and not workers.connected():
-            raise CraternavError("the scheduler is lost; finished trials are kept")
-        for future in finished:
-            number = running.pop(future)
-            try:
-                result = future.result()
-            except workers.lost:
-                deaths[number] += 1
-                if deaths[number] < MAX_WORKER_DEATHS:
-                    waiting.append(number)
-                    continue
-                result = failed(number, f"its worker died {MAX_WORKER_DEATHS} times")
-            except CancelledError:
-                raise CraternavError("the scheduler is lost; finished trials are kept") from None
-            except CraternavError:
-                raise
-            except Exception as error:
-                problem = f"a worker cannot run trials: {type(error).__name__}: {error}"
-                raise CraternavError(" ".join(problem.split())) from error
-            yield result
+
+    def died(number: int) -> TrialResult:
+        return failed(number, f"its worker died {MAX_WORKER_DEATHS} times")
+
+    return each_result_of(workers, run_trial, tasks, died, "trials")

@@ -1,5 +1,8 @@
 """Figures of every estimator over the trials of a campaign."""
 
+from array import array
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,7 +10,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from craternav_fg.campaign.read import Campaign
+from craternav_fg.campaign.read import Campaign, each_trial, read_identity, read_wall_times
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import over_altitude, rms
@@ -33,7 +36,7 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
     dict
         Contents of summary.json. For each estimator:
 
-        trajectories : trials in which it gave a trajectory
+        trajectories : trials in which it produced a trajectory
         converged : trials whose final errors are below 2 % of the altitude and 1 deg
         position_final_mean_m, position_final_rms_m : of the final position error
         attitude_final_mean_deg : of the final attitude error
@@ -45,17 +48,52 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
         All but the two counts are over the trials with a trajectory; null without any. Estimators that fail
         on hard trials look better on the remaining ones.
     """
-    names = campaign.identity["estimators"]
+    sums = {name: _Sums(name) for name in campaign.identity["estimators"]}
+    for number in campaign.failures:
+        table = campaign.table.filter(pc.equal(campaign.table["trial"], number))
+        for one in sums.values():
+            one.add(table)
     return {
         "trials": len(campaign.failed) + len(campaign.failures),
         "failed": len(campaign.failed),
         "wall_s": campaign.wall_s,
-        "estimators": {name: _estimator(campaign, name) for name in names},
+        "estimators": {name: one.figures(campaign.times_s) for name, one in sums.items()},
     }
 
 
+def summarise_folder(folder: Path) -> dict[str, Any]:
+    """Summarise a campaign of any size: one trial is in memory at a time.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    dict
+        See `summarise`.
+
+    Raises
+    ------
+    InputError
+        When a file of the campaign is damaged.
+    """
+    sums = {name: _Sums(name) for name in read_identity(folder)["estimators"]}
+    trials = failed = 0
+    for trial in each_trial(folder):
+        trials += 1
+        if trial.table is None:
+            failed += 1
+            continue
+        for one in sums.values():
+            one.add(trial.table)
+    times_s, wall_s = read_wall_times(folder)
+    figures = {name: one.figures(times_s) for name, one in sums.items()}
+    return {"trials": trials, "failed": failed, "wall_s": wall_s, "estimators": figures}
+
+
 def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
-    """Give a column for one estimator, by trial and frame.
+    """Return a column for one estimator, by trial and frame.
 
     Parameters
     ----------
@@ -82,37 +120,6 @@ def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
     return values.reshape(trials, len(rows) // max(trials, 1))
 
 
-def _estimator(campaign: Campaign, name: str) -> dict[str, Any]:
-    table = campaign.table
-    position_m = np.linalg.norm(of_estimator(table, name, "position_error_m"), axis=-1)
-    times = [parts[name] for parts in campaign.times_s.values() if name in parts]
-    out: dict[str, Any] = {
-        "trajectories": len(position_m),
-        "converged": 0,
-        "position_final_mean_m": None,
-        "position_final_rms_m": None,
-        "attitude_final_mean_deg": None,
-        "rms_over_pcrb": None,
-        "anees": None,
-        "time_per_trial_s": float(np.median(times)) if times else None,
-    }
-    if not len(position_m):
-        return out
-    final_m = position_m[:, -1]
-    attitude = of_estimator(table, name, "attitude_error_rad")[:, -1]
-    final_deg = np.degrees(np.linalg.norm(attitude, axis=-1))
-    altitude_m = of_estimator(table, name, "altitude_m")
-    nees = of_estimator(table, name, "nees")
-    near = (final_m <= CONVERGED_SHARE_OF_ALTITUDE * altitude_m[:, -1]) & (final_deg <= CONVERGED_DEG)
-    out["converged"] = int(np.count_nonzero(near))
-    out["position_final_mean_m"] = float(final_m.mean())
-    out["position_final_rms_m"] = float(np.sqrt(np.mean(final_m**2)))
-    out["attitude_final_mean_deg"] = float(final_deg.mean())
-    out["rms_over_pcrb"] = _over_altitude(rms_over_bound(table, name), altitude_m[0])
-    out["anees"] = float(nees.mean()) if np.isfinite(nees).all() else None
-    return out
-
-
 def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
     """Divide the RMS position error over the trials by the posterior Cramér-Rao bound, frame by frame.
 
@@ -130,9 +137,76 @@ def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
     mine = pc.equal(table["estimator"], name)
     of_trials = pc.is_in(table["trial"], value_set=pc.unique(table.filter(mine)["trial"]))
     e = of_estimator(table, name, "position_error_m")
-    bound = SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND
-    sigma = of_estimator(table.filter(of_trials), bound, "pose_sigma")[..., 3:]
+    sigma = of_estimator(table.filter(of_trials), _bound(name), "pose_sigma")[..., 3:]
     return rms(e) / rms(sigma)
+
+
+def _bound(name: str) -> str:
+    """Name of the bound of an estimator."""
+    return SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND
+
+
+class _Sums:
+    """What the figures of an estimator need of all trials.
+
+    Parameters
+    ----------
+    name : str
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._bound = _bound(name)
+        self._final_m, self._final_deg, self._nees = (array("d") for _ in range(3))
+        self._converged = 0
+        # By frame: squares of the errors, and variances of the bound, m^2.
+        self._squares: FloatArray = np.zeros(0)
+        self._variances: FloatArray = np.zeros(0)
+        self._altitude_m: FloatArray = np.zeros(0)
+
+    def add(self, table: pa.Table) -> None:
+        """Add a trial; nothing when it has no trajectory of the estimator."""
+        errors = of_estimator(table, self._name, "position_error_m")
+        if not len(errors):
+            return
+        altitude_m = of_estimator(table, self._name, "altitude_m")[0]
+        attitude = of_estimator(table, self._name, "attitude_error_rad")[0, -1]
+        squares: FloatArray = np.sum(errors[0] ** 2, axis=-1)
+        sigma = of_estimator(table, self._bound, "pose_sigma")[0, :, 3:]
+        if not self._final_m:
+            self._squares, self._variances = np.zeros((2, len(squares)))
+            self._altitude_m = altitude_m
+        self._squares += squares
+        self._variances += np.sum(sigma**2, axis=-1)
+        self._final_m.append(float(np.sqrt(squares[-1])))
+        self._final_deg.append(float(np.degrees(np.linalg.norm(attitude))))
+        self._nees.append(float(of_estimator(table, self._name, "nees").mean()))
+        near = self._final_m[-1] <= CONVERGED_SHARE_OF_ALTITUDE * altitude_m[-1]
+        self._converged += bool(near and self._final_deg[-1] <= CONVERGED_DEG)
+
+    def figures(self, times_s: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
+        """Figures of the estimator; `times_s` are wall times by trial and step."""
+        times = [parts[self._name] for parts in times_s.values() if self._name in parts]
+        out: dict[str, Any] = {
+            "trajectories": len(self._final_m),
+            "converged": self._converged,
+            "position_final_mean_m": None,
+            "position_final_rms_m": None,
+            "attitude_final_mean_deg": None,
+            "rms_over_pcrb": None,
+            "anees": None,
+            "time_per_trial_s": float(np.median(times)) if times else None,
+        }
+        if not self._final_m:
+            return out
+        final_m = np.array(self._final_m)
+        out["position_final_mean_m"] = float(final_m.mean())
+        out["position_final_rms_m"] = float(np.sqrt(np.mean(final_m**2)))
+        out["attitude_final_mean_deg"] = float(np.mean(self._final_deg))
+        out["rms_over_pcrb"] = _over_altitude(np.sqrt(self._squares / self._variances), self._altitude_m)
+        anees = float(np.mean(self._nees))
+        out["anees"] = anees if np.isfinite(anees) else None
+        return out
 
 
 def _over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:

@@ -22,6 +22,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.evaluation.bounds import posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.pipeline.map_shift import common_covariance
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.runs.columns import list_column
 from craternav_fg.simulation.scenario import simulate
@@ -104,7 +105,7 @@ class TrialResult:
 
 
 def software() -> dict[str, str]:
-    """Give the versions of this package and of those that its numbers depend on."""
+    """Return the versions of this package and of those that its numbers depend on."""
     return {
         "craternav_fg": craternav_fg.__version__,
         **{name: importlib.metadata.version(name) for name in PACKAGES},
@@ -192,8 +193,9 @@ def _run(task: TrialTask, folder: Path) -> TrialResult:
                 own["pose_sigma"] = _sigmas(estimate.pose_covariance)
                 own["nees"] = nees(e.pose, estimate.pose_covariance)
             yield _rows(task.number, name, {**common, **own})
+        of_map = common_covariance(truth, dataset.catalog, result.frames)
         for name, covariance in ((FILTERED_BOUND, bound.filtered), (SMOOTHED_BOUND, bound.smoothed)):
-            yield _rows(task.number, name, {**common, "pose_sigma": _sigmas(covariance)})
+            yield _rows(task.number, name, {**common, "pose_sigma": _sigmas(covariance + of_map)})
 
     parquet = _parquet(pa.concat_tables(parts()), task.number, None, result.failures)
     return TrialResult(task.number, parquet, {"simulation": simulation_s, **result.times_s}, None)

@@ -20,7 +20,6 @@ from craternav_fg.campaign.trial import TrialResult, software
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, entries, exists, open_input, read_bytes, write_whole
 from craternav_fg.simulation.scenario_file import Scenario
-from craternav_fg.simulation.scenario_tables import CraterFile
 
 # Temporary names of `write_whole`: what a killed run leaves behind.
 _HALF_WRITTEN = (
@@ -36,7 +35,7 @@ _MAX_SHOWN = 60
 
 
 def identity(scenario: Scenario, estimators: tuple[str, ...]) -> dict[str, Any]:
-    """Give everything that determines the result of a trial but its number.
+    """Return everything that determines the result of a trial but its number.
 
     These are the software, the estimators, the scenario and the files that it names. The figures that a
     scenario expects are left out, as they change no trial.
@@ -56,9 +55,7 @@ def identity(scenario: Scenario, estimators: tuple[str, ...]) -> dict[str, Any]:
     InputError
         When a file that the scenario names cannot be read.
     """
-    paths = [scenario.craters.path] if isinstance(scenario.craters, CraterFile) else []
-    if scenario.terrain is not None and scenario.terrain.dem is not None:
-        paths.append(scenario.terrain.dem)
+    paths = list(scenario.files())
     return {
         "format_version": FORMAT,
         "estimators": list(estimators),
@@ -117,7 +114,7 @@ class CampaignFolder:
             )
 
     def numbers(self, *, without_failed: bool = False) -> set[int]:
-        """Give the numbers of the trials in the folder."""
+        """Return the numbers of the trials in the folder."""
         paths = trial_files(self.path)
         if not without_failed:
             return set(paths)

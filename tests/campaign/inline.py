@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from craternav_fg.campaign.trial import TrialResult, TrialTask, failed
-from craternav_fg.campaign.workers import Workers
+from craternav_fg.workers import Workers
 
 DEADLY = 2
 
@@ -18,7 +18,7 @@ class Inline(Executor):
     """Does a task when it is submitted."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Give a future that is done."""
+        """Return a future that is done."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -29,7 +29,7 @@ class Inline(Executor):
 
 @contextmanager
 def processes(count: int, scratch: Path) -> Iterator[Workers]:
-    """Stand in for `craternav_fg.campaign.workers.processes`."""
+    """Stand in for `craternav_fg.workers.processes`."""
     del scratch
     yield Workers(Inline(), count, (BrokenExecutor,))
 

@@ -36,14 +36,14 @@ def write_scenario(path: Path, scenario: Scenario) -> Path:
 
 
 def without_times(summary: Any) -> Any:
-    """Give a summary's figures that do not depend on the clock."""
+    """Return a summary's figures that do not depend on the clock."""
     if not isinstance(summary, dict):
         return summary
     return {key: without_times(value) for key, value in summary.items() if key not in TIMES}
 
 
 def contents(folder: Path) -> dict[str, Any]:
-    """Give all that a campaign must hold the same whenever it is run: every file, whole."""
+    """Return all that a campaign must hold the same whenever it is run: every file, whole."""
     files: dict[str, Any] = {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from craternav_fg.campaign import run, workers
+from craternav_fg import workers
+from craternav_fg.campaign import run
 from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import montecarlo
 from craternav_fg.errors import CraternavError
@@ -44,7 +45,7 @@ def _start(folder: Path, *arguments: object) -> subprocess.Popen[str]:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    """Give a scheduler without workers."""
+    """Return a scheduler without workers."""
     found = tmp_path / "scheduler.json"
     process = _start(tmp_path / "scheduler", "scheduler", "--port", 0, "--scheduler-file", found)
     try:

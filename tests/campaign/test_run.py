@@ -5,16 +5,20 @@ import json
 import os
 import re
 import time
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from craternav_fg.campaign import run, workers, write
+from craternav_fg import workers
+from craternav_fg.campaign import run, write
 from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import CampaignOptions, as_measured, each_result, montecarlo
-from craternav_fg.campaign.trial import TrialTask, run_trial, software
+from craternav_fg.campaign.trial import TrialResult, TrialTask, failed, run_trial, software
 from craternav_fg.campaign.write import CampaignFolder, identity
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, EstimationError, InputError
@@ -25,6 +29,7 @@ from craternav_fg.reports.page import write_page
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.scenario_tables import CraterTrials, ExpectedSection, Spread
+from craternav_fg.workers import Workers
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
 from tests.cli.calls import call, craternav
@@ -82,6 +87,31 @@ def test_a_trial_is_that_of_its_number(undisturbed: Path, tmp_path: Path) -> Non
     bounds = table[(table.trial == 2) & (table.estimator == "pcrb_filtered")]
     assert bounds.position_error_m.isna().all()
     assert (np.stack(bounds.pose_sigma) > 0.0).all()
+
+
+def test_a_cluster_is_given_a_few_tasks_at_a_time() -> None:
+    class Slow(inline.Inline):
+        """Holds its tasks until the last one that it may hold."""
+
+        def __init__(self) -> None:
+            self.held: list[tuple[Future[TrialResult], TrialTask]] = []
+            self.most = 0
+
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            self.held.append((Future(), args[0]))
+            self.most = max(self.most, len(self.held))
+            future = self.held[-1][0]
+            if len(self.held) == 5 or args[0].number == 11:
+                for waiting, task in self.held:
+                    waiting.set_result(failed(task.number, "held"))
+                self.held = []
+            return future
+
+    executor = Slow()
+    tasks = {n: TrialTask(small_scenario(), n, ESTIMATORS, software()) for n in range(12)}
+    found = list(each_result(Workers(executor, 5, (BrokenExecutor,)), tasks))
+    assert sorted(result.number for result in found) == list(range(12))
+    assert executor.most == 5
 
 
 def test_terrain_of_a_campaign_varies(tmp_path: Path, here: None) -> None:
@@ -259,9 +289,9 @@ def test_an_estimator_without_a_trajectory_in_some_trials_is_named(
     monkeypatch.setattr("craternav_fg.campaign.trial.reconstruct", sometimes)
     case = write_scenario(tmp_path / "small.toml", small_scenario())
     arguments = ("montecarlo", case, "-o", tmp_path / "c", "--workers", 1, "-e", "ekf", "-e", "online")
-    assert "that gave a trajectory" not in call(*arguments, "-n", 1).out
+    assert "that produced a trajectory" not in call(*arguments, "-n", 1).out
     shown = call(*arguments, "-n", 3).out
-    assert "ekf: figures are over the 2 of 3 trials that gave a trajectory\n" in shown
+    assert "ekf: statistics of the 2 of 3 trials that produced a trajectory\n" in shown
     assert "online: figures" not in shown
     reader = Reader()
     write_page(campaign_page(read_campaign(tmp_path / "c")), tmp_path / "r.html")

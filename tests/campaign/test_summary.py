@@ -7,9 +7,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from craternav_fg.campaign.read import Campaign
-from craternav_fg.campaign.summary import of_estimator, summarise
-from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND
+from craternav_fg.campaign.read import Campaign, failed_trials, read_campaign
+from craternav_fg.campaign.run import montecarlo
+from craternav_fg.campaign.store import trial_name
+from craternav_fg.campaign.summary import of_estimator, rms_over_bound, summarise, summarise_folder
+from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND, failed
+from craternav_fg.evaluation.consistency import over_altitude
+from craternav_fg.files import write_whole
+from tests.campaign.scene import options, small_scenario
 
 ALTITUDES_M = [900.0, 400.0, 175.0]
 
@@ -91,6 +96,24 @@ def test_an_estimator_that_failed_is_held_against_its_own_trials() -> None:
     assert values["rms_over_pcrb"] == pytest.approx(1.0)
     # Near, and turned by more than a degree.
     assert values["converged"] == 0
+
+
+def test_a_folder_is_summarised_trial_by_trial(tmp_path: Path) -> None:
+    small = small_scenario()
+    montecarlo(small, tmp_path / "c", options(3))
+    write_whole(tmp_path / "c/trials" / trial_name(3), failed(3, "no sense").parquet)
+    found = summarise_folder(tmp_path / "c")
+    assert found == summarise(read_campaign(tmp_path / "c"))
+    assert (found["trials"], found["failed"]) == (4, 1)
+    assert failed_trials(tmp_path / "c") == {3: "no sense"}
+    ekf = found["estimators"]["ekf"]
+    table = read_campaign(tmp_path / "c").table
+    last = np.linalg.norm(of_estimator(table, "ekf", "position_error_m")[:, -1], axis=-1)
+    assert ekf["position_final_rms_m"] == pytest.approx(np.sqrt(np.mean(last**2)))
+    altitude_m = of_estimator(table, "ekf", "altitude_m")[0]
+    over_bound = over_altitude(rms_over_bound(table, "ekf"), altitude_m)
+    assert ekf["rms_over_pcrb"] == pytest.approx(over_bound)
+    assert ekf["anees"] == pytest.approx(of_estimator(table, "ekf", "nees").mean())
 
 
 def test_values_by_trial_and_frame() -> None:

@@ -1,4 +1,4 @@
-"""Where trials run: processes on this machine, or a Dask cluster."""
+"""Where independent tasks run: processes on this machine, or the workers of a Dask cluster."""
 
 import asyncio
 import logging
@@ -7,8 +7,17 @@ import os
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from collections import Counter, deque
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
@@ -18,11 +27,28 @@ from typing import Any, TypeVar
 from craternav_fg.errors import CraternavError
 
 T = TypeVar("T")
+Key = TypeVar("Key", bound=Hashable)
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 # How long to wait for a scheduler to answer, and for its first worker.
 CONNECT_TIMEOUT_S = 10.0
-# Every trial has a core of its own: more threads of linear algebra would compete for it.
-_SINGLE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# Tasks that a scheduler holds at a time, and further ones for each thread of its workers. The cost of every
+# result grows with their number, as does memory.
+TASKS_AT_ONCE, TASKS_OF_A_THREAD = 500, 4
+# A task whose worker has died so many times is not tried again: two, as the first may be by chance.
+MAX_WORKER_DEATHS = 2
+# Interval at which the connection to the scheduler is checked.
+POLL_S = 2.0
+# Every task has a core of its own: more threads of linear algebra, compiled code or OpenCV would compete for
+# it.
+_SINGLE_THREAD = dict.fromkeys(
+    (
+        "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
+        "OPENCV_FOR_THREADS_NUM",
+    ),
+    "1",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -32,8 +58,8 @@ class Workers:
     Attributes
     ----------
     executor : Executor
-    at_once : int or None
-        Maximum number of tasks that it may hold at a time; None for any number.
+    at_once : int
+        Maximum number of tasks that it may hold at a time.
     lost : tuple of type
         Exceptions that a task raises when its worker has died.
     connected : callable
@@ -41,7 +67,7 @@ class Workers:
     """
 
     executor: Executor
-    at_once: int | None
+    at_once: int
     lost: tuple[type[BaseException], ...]
     connected: Callable[[], bool] = lambda: True
 
@@ -130,7 +156,7 @@ def _done() -> Future[Any]:
 def _spawning() -> Iterator[None]:
     """Set what new processes must inherit before their first import.
 
-    Linear algebra has one thread. Ctrl-C, which reaches them too, is left to the process that started them.
+    Computations have one thread. Ctrl-C, which reaches them too, is left to the process that started them.
     """
     before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
     main = threading.current_thread() is threading.main_thread()
@@ -163,7 +189,7 @@ def _begin_worker(scratch: str) -> None:
 
 @contextmanager
 def processes(count: int, scratch: Path) -> Iterator[Workers]:
-    """Give workers that are processes on this machine.
+    """Return workers that are processes on this machine.
 
     Parameters
     ----------
@@ -199,7 +225,7 @@ def _silent(name: str) -> Iterator[None]:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Workers]:
-    """Give the workers of a Dask scheduler.
+    """Return the workers of a Dask scheduler.
 
     Parameters
     ----------
@@ -249,6 +275,71 @@ def cluster(address: str) -> Iterator[Workers]:
             client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
         except TimeoutError:
             raise CraternavError(f"scheduler {address}: no worker within {CONNECT_TIMEOUT_S:g} s") from None
-        # Impure, so that a trial that is repeated is run again.
+        # Impure, so that a task that is repeated is run again.
         executor = client.get_executor(pure=False)
-        yield Workers(executor, None, (KilledWorker,), lambda: client.status == "running")
+        at_once = TASKS_AT_ONCE + TASKS_OF_A_THREAD * sum(client.nthreads().values())
+        yield Workers(executor, at_once, (KilledWorker,), lambda: client.status == "running")
+
+
+def each_result(
+    workers: Workers,
+    work: Callable[[Task], Result],
+    tasks: Mapping[Key, Task],
+    died: Callable[[Key], Result],
+    what: str,
+) -> Iterator[Result]:
+    """Run all tasks and give their results in the order in which they are done.
+
+    The task of a worker that dies is tried once more.
+
+    Parameters
+    ----------
+    workers : Workers
+    work : callable
+        Function at the top level of a module; its one argument is the task.
+    tasks : mapping of hashable to object
+        What each task is, by its key.
+    died : callable
+        Gives the result of a task, by its key, whose workers have died `MAX_WORKER_DEATHS` times.
+    what : str
+        What the tasks are, for messages: "trials".
+
+    Yields
+    ------
+    object
+        What `work` or `died` returned.
+
+    Raises
+    ------
+    CraternavError
+        When a task raises it, the scheduler is lost, or workers cannot run tasks at all.
+    """
+    lost = f"the scheduler is lost; finished {what} are kept"
+    waiting = deque(tasks)
+    running: dict[Future[Result], Key] = {}
+    deaths: Counter[Key] = Counter()
+    while waiting or running:
+        while waiting and len(running) < workers.at_once:
+            key = waiting.popleft()
+            running[workers.executor.submit(work, tasks[key])] = key
+        finished, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
+        if not finished and not workers.connected():
+            raise CraternavError(lost)
+        for future in finished:
+            key = running.pop(future)
+            try:
+                result = future.result()
+            except workers.lost:
+                deaths[key] += 1
+                if deaths[key] < MAX_WORKER_DEATHS:
+                    waiting.append(key)
+                    continue
+                result = died(key)
+            except CancelledError:
+                raise CraternavError(lost) from None
+            except CraternavError:
+                raise
+            except Exception as error:
+                problem = f"a worker cannot run {what}: {type(error).__name__}: {error}"
+                raise CraternavError(" ".join(problem.split())) from error
+            yield result
