@@ -165,7 +165,7 @@ def stated_body(
 
 
 def is_body_column(name: str) -> bool:
-    """Tell whether a column names the body."""
+    """Return whether a column names the body."""
     return re.sub(r"[^a-z]", "", name.lower()) in BODY_NAMES
 
 

@@ -1,8 +1,8 @@
 """Columns of crater catalogues: our names, and recognition of the names in third-party tables."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,10 @@ ANGLE = "DIAM_ELLI_ANGLE_IMG"
 HEIGHT = "RIM_HEIGHT_M"
 # Standard deviations, by the name in `MapErrors`.
 ERROR_COLUMNS = {"PLACE_SIGMA_M": "place_m", "SIZE_SIGMA": "size", "RIM_HEIGHT_SIGMA_M": "height_m"}
+# Standard deviations of what a source's craters have in common, by the name in `CommonShift`.
+COMMON_COLUMNS = {"COMMON_PLACE_SIGMA_M": "place_m", "COMMON_HEIGHT_SIGMA_M": "height_m"}
+# Number of the source, an optional column beside them.
+COMMON_SOURCE = "COMMON_SOURCE"
 ELLIPSE = (LATITUDE, LONGITUDE, MAJOR, MINOR, ANGLE)
 CIRCLE = ("LAT_CIRC_IMG", "LON_CIRC_IMG", "DIAM_CIRC_IMG")
 
@@ -81,6 +85,8 @@ class Columns:
         Diameter in m for a size of 1; for angular sizes, on a sphere of 1 m.
     angular : bool
         Whether sizes are angles at the body's centre.
+    sigmas : tuple of str
+        Those of `ERROR_COLUMNS` and of `COMMON_COLUMNS`, and `COMMON_SOURCE`.
     """
 
     ellipse: tuple[str, ...]
@@ -91,12 +97,13 @@ class Columns:
     body_radius: str | None
     size_m: float
     angular: bool = False
+    sigmas: tuple[str, ...] = ()
 
     @property
     def numbers(self) -> list[str]:
         """Columns to read as numbers."""
         others = [name for name in (self.height, self.body_radius) if name]
-        return list(dict.fromkeys([*self.ellipse, *self.circle, *others]))
+        return list(dict.fromkeys([*self.ellipse, *self.circle, *others, *self.sigmas]))
 
     @property
     def texts(self) -> list[str]:
@@ -136,6 +143,23 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
         When a named column is not there, when one is missing (the error lists what was found), or when
         longitudes count to the west.
     """
+    sigmas = [*_sigmas(path, names, ERROR_COLUMNS, line), *_sigmas(path, names, COMMON_COLUMNS, line)]
+    if COMMON_SOURCE in names and sigmas[-1:] == list(COMMON_COLUMNS)[-1:]:
+        sigmas.append(COMMON_SOURCE)
+    return replace(_rims(path, names, options, line), sigmas=tuple(sigmas))
+
+
+def _sigmas(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
+    """Find our columns of standard deviations: all or none."""
+    there = [name for name in ours if name in names]
+    for name in ours if there else ():
+        if name not in there:
+            raise InputError(path, f"expected this column beside {there[0]}", line=line, column=name)
+    return there
+
+
+def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -> Columns:
+    """Recognise the columns of the rims."""
     given = (options.latitude, options.longitude, options.diameter)
     for name in (*given, options.identifier):
         if name is not None and name not in names:

@@ -4,12 +4,23 @@ import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import spline_filter1d
+from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter1d
 
 from craternav_fg.catalogs.bodies import SAME_BODY
+from craternav_fg.catalogs.map_projection import (
+    GEOGRAPHIC,
+    Plane,
+    directions_of,
+    frame_of,
+    plane_of,
+    position,
+    positions,
+    stretch,
+)
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
 from craternav_fg.frames import latitude_longitude
@@ -23,28 +34,45 @@ Float32Array = npt.NDArray[np.float32]
 MAX_POINTS = 100_000_000
 # Equatorial radius of WGS 84, which stands on many rasters of other bodies.
 _EARTH_M = 6378137.0
+# Heights next to a gap, up to so many steps from it, are interpolated with points that have none.
+_GAP_STEPS = 1.5
+# Heights above the sphere beyond this share of its radius are radii, or in another unit.
+_MAX_HEIGHT_RADII = 0.4
+# Units that rasters state for their heights, m.
+_UNITS_M = {
+    **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
+    **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0),
+}
 
 
 @dataclass(frozen=True)
 class Dem:
-    """Heights above the sphere on a raster of latitude and longitude, interpolated by cubic B-splines.
+    """Heights above the sphere on a raster of map coordinates, interpolated by cubic B-splines.
 
     Attributes
     ----------
     coefficients : ndarray of float32, shape (rows, columns)
-        Of the B-splines, m.
-    frame : ndarray, shape (5,)
-        Longitude and latitude of the first point, steps of the columns and of the rows, rad; 1 when the
-        columns go round the body, else 0.
+        Coefficients of the B-splines, m.
+    frame : ndarray, shape (9,)
+        How places become positions in the raster, see `map_projection`.
+    gap_steps : ndarray of float32, shape (rows, columns), optional
+        Distance of each point from the nearest one without a height, in steps; None where all have one.
     """
 
     coefficients: Float32Array
     frame: FloatArray
+    gap_steps: Float32Array | None = None
 
     @property
     def step_rad(self) -> float:
-        """Distance of neighbouring rows, as an angle."""
-        return abs(float(self.frame[3]))
+        """Distance of neighbouring rows in the raster's middle, as an angle."""
+        return abs(float(self.frame[3] / stretch(self.frame, self.middle[None])[0]))
+
+    @property
+    def middle(self) -> FloatArray:
+        """Unit vector (3,) to the raster's middle, in g."""
+        rows, columns = self.coefficients.shape
+        return directions_of(self.frame, np.array([0.5 * (columns - 1)]), np.array([0.5 * (rows - 1)]))[0]
 
     def heights_m(self, directions: FloatArray) -> FloatArray:
         """Interpolate heights.
@@ -57,7 +85,8 @@ class Dem:
         Returns
         -------
         ndarray, shape (n,)
-            Heights above the sphere, m; beyond the raster those of its border, mirrored.
+            Heights above the sphere, m; beyond the raster those of its border, mirrored; in a gap those of
+            its border.
         """
         out = np.empty(len(directions))
         _sample(np.ascontiguousarray(directions), self.coefficients, self.frame, out)
@@ -75,29 +104,68 @@ class Dem:
         -------
         ndarray of bool, shape (n,)
         """
-        lon0, lat0, dlon, dlat, around = self.frame
+        return np.asarray(self.inside_rad(directions) >= 0.0)
+
+    def inside_rad(self, directions: FloatArray) -> FloatArray:
+        """Measure how far inside the raster places lie.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (n, 3)
+            Unit vectors from the body's centre, in g.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Distance from the nearest border or gap, rad along rows and columns; negative outside.
+        """
         rows, columns = self.coefficients.shape
-        latitude, longitude = latitude_longitude(directions)
-        row = (latitude - lat0) / dlat
-        middle = lon0 + 0.5 * (columns - 1) * dlon
-        off = np.remainder(longitude - middle + np.pi, 2.0 * np.pi) - np.pi
-        inside = (row >= 0.0) & (row <= rows - 1)
-        if around:
+        places = np.empty((len(directions), 2))
+        positions(np.ascontiguousarray(directions), self.frame, columns, places)
+        column, row = places.T
+        scale = 1.0 / stretch(self.frame, directions)
+        step = abs(self.frame[3]) * scale
+        inside = np.minimum(row, rows - 1 - row) * step
+        if self.gap_steps is not None:
+            # Beyond the raster, the border decides.
+            near = map_coordinates(self.gap_steps, [row, column], order=1, mode="nearest")
+            inside = np.minimum(inside, (near - _GAP_STEPS) * step)
+        if self.frame[4] > 0.0:
             return np.asarray(inside)
-        return np.asarray(inside & (np.abs(off) <= 0.5 * (columns - 1) * abs(dlon)))
+        # Meridians converge on a map of longitude and latitude.
+        along = np.cos(latitude_longitude(directions)[0]) if self.frame[5] == 0.0 else scale
+        return np.asarray(
+            np.minimum(inside, np.minimum(column, columns - 1 - column) * abs(self.frame[2]) * along)
+        )
+
+    def gaps(self) -> FloatArray:
+        """Return the places that have no height.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit vectors in g.
+        """
+        if self.gap_steps is None:
+            return np.empty((0, 3))
+        rows, columns = np.nonzero(self.gap_steps == 0.0)
+        return directions_of(self.frame, columns.astype(np.float64), rows.astype(np.float64))
 
 
-def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> Dem:
+def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None, *, gaps: bool = False) -> Dem:
     """Read an elevation model.
 
     Parameters
     ----------
     path : Path
-        GeoTIFF with one band, in geographic coordinates: longitude and latitude in degrees.
+        GeoTIFF with one band, in longitude and latitude, equirectangular or polar stereographic coordinates
+        of a sphere.
     unit_m : float
         Unit of its values, m.
     radius_m : float, optional
         Radius of the body it must be of, as far as its coordinates state one.
+    gaps : bool
+        Whether points may have no height.
 
     Returns
     -------
@@ -109,7 +177,7 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
         When rasterio is not installed.
     InputError
         When the file is missing or not such a raster, is of another body, too large, or has points without
-        heights.
+        heights; when its heights are in another unit than it states, or not above the sphere.
     """
     try:
         import rasterio
@@ -123,48 +191,82 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None) -> 
             opened = rasterio.open(path)
         with opened as raster:
             _check(path, raster)
-            _check_body(path, raster.crs.to_wkt(), radius_m)
+            _check_unit(path, raster.units[0], unit_m)
+            plane = _plane(path, raster.crs, radius_m)
             transform = raster.transform
             values = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
-            heights = values * raster.scales[0] + raster.offsets[0]
+            heights = unit_m * (values * raster.scales[0] + raster.offsets[0])
     except rasterio.errors.RasterioError as error:
         raise InputError(path, f"expected a GeoTIFF: {' '.join(str(error).split())}") from None
-    holes = int(np.count_nonzero(~np.isfinite(heights)))
-    if holes:
-        raise InputError(path, f"expected heights everywhere, {holes} points have none")
+    known = np.isfinite(heights)
+    _check_heights(path, heights, known, radius_m, gaps=gaps)
     # Centre of the first point.
-    longitude, latitude = transform.c + 0.5 * transform.a, transform.f + 0.5 * transform.e
-    frame = np.radians([longitude, latitude, transform.a, transform.e])
-    around = abs(abs(transform.a) * heights.shape[1] - 360.0) < 0.5 * abs(transform.a)
-    rows = spline_filter1d(unit_m * heights, 3, axis=0, mode="mirror")
-    coefficients = spline_filter1d(rows, 3, axis=1, mode="grid-wrap" if around else "mirror")
-    return Dem(np.ascontiguousarray(coefficients, dtype=np.float32), np.append(frame, float(around)))
+    first = (transform.c + 0.5 * transform.a, transform.f + 0.5 * transform.e)
+    frame = frame_of(plane, first, (transform.a, transform.e), heights.shape[1])
+    gap_steps = None
+    if not known.all():
+        gap_steps = distance_transform_edt(known).astype(np.float32)
+        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        heights = heights[tuple(nearest)]
+    rows = spline_filter1d(heights, 3, axis=0, mode="mirror")
+    coefficients = spline_filter1d(rows, 3, axis=1, mode="grid-wrap" if frame[4] > 0.0 else "mirror")
+    return Dem(np.ascontiguousarray(coefficients, dtype=np.float32), frame, gap_steps)
 
 
-def _check(path: Path, raster: object) -> None:
-    count, crs, transform, shape = (getattr(raster, name) for name in ("count", "crs", "transform", "shape"))
-    if count != 1:
-        raise InputError(path, f"expected one band, found {count}")
-    if crs is None or not crs.is_geographic:
-        found = "none" if crs is None else "projected ones"
-        raise InputError(path, f"expected geographic coordinates (longitude and latitude), found {found}")
-    if transform.b != 0.0 or transform.d != 0.0:
-        raise InputError(path, "expected rows along parallels, found a turned raster")
+def _check(path: Path, raster: Any) -> None:
+    if raster.count != 1:
+        raise InputError(path, f"expected one band, found {raster.count}")
+    if raster.crs is None or not (raster.crs.is_geographic or raster.crs.is_projected):
+        raise InputError(path, "expected coordinates (a CRS), found none")
+    if raster.transform.b != 0.0 or raster.transform.d != 0.0:
+        raise InputError(path, "expected rows along the first axis of the map, found a turned raster")
+    shape = raster.shape
     if min(shape) < 4 or shape[0] * shape[1] > MAX_POINTS:
         problem = f"expected 4 x 4 to {MAX_POINTS} points, found {shape[0]} x {shape[1]}: crop it to the site"
         raise InputError(path, problem)
 
 
-def _check_body(path: Path, wkt: str, radius_m: float | None) -> None:
-    """Refuse coordinates of another body; those of the Earth are ignored, see `_EARTH_M`."""
-    found = re.search(r'(?:SPHEROID|ELLIPSOID)\["([^"]*)",\s*([\d.]+)', wkt)
-    if found is None or radius_m is None:
+def _check_unit(path: Path, stated: str | None, unit_m: float) -> None:
+    """Refuse a unit that is not the one that the raster states."""
+    known_m = _UNITS_M.get((stated or "").strip().lower())
+    if known_m is not None and known_m != unit_m:
+        problem = f"states heights in {stated}, expected a unit of {unit_m:g} m (--dem-unit-m)"
+        raise InputError(path, problem)
+
+
+def _check_heights(
+    path: Path, heights: FloatArray, known: BoolArray, radius_m: float | None, *, gaps: bool
+) -> None:
+    """Refuse gaps where there may be none, and radii or wrong units in place of heights."""
+    holes = int(np.count_nonzero(~known))
+    if holes and not (gaps and known.any()):
+        raise InputError(path, f"expected heights everywhere, {holes} points have none")
+    if radius_m is None:
         return
-    sphere_m = float(found[2])
-    earth = abs(sphere_m - _EARTH_M) < SAME_BODY * _EARTH_M
-    if not earth and abs(sphere_m - radius_m) > SAME_BODY * radius_m:
+    low, high = float(heights[known].min()), float(heights[known].max())
+    if max(-low, high) > _MAX_HEIGHT_RADII * radius_m:
+        found = f"found {low:.9g} to {high:.9g} m: radii, or a wrong unit (--dem-unit-m)"
+        raise InputError(path, f"expected heights above a sphere of {radius_m:.9g} m, {found}")
+
+
+def _plane(path: Path, crs: Any, radius_m: float | None) -> Plane:
+    """Interpret the raster's coordinates, and refuse those of another body."""
+    found = re.search(r'(?:SPHEROID|ELLIPSOID)\["([^"]*)",\s*([\d.]+),\s*([\d.]+)', crs.to_wkt())
+    sphere_m = 0.0 if found is None else float(found[2])
+    # Longitude and latitude of the Earth are taken for those of the body.
+    earth = crs.is_geographic and abs(sphere_m - _EARTH_M) < SAME_BODY * _EARTH_M
+    if found and radius_m is not None and not earth and abs(sphere_m - radius_m) > SAME_BODY * radius_m:
         problem = f"expected an elevation model of a body of {radius_m:.9g} m, found one of {sphere_m:.9g} m"
         raise InputError(path, f"{problem} ({found[1]})")
+    if crs.is_geographic:
+        return GEOGRAPHIC
+    projection = crs.to_dict()
+    plane = plane_of(projection, sphere_m, crs.linear_units_factor[1]) if sphere_m > 0.0 else None
+    if plane is None or found is None or float(found[3]) != 0.0:
+        expected = "longitude and latitude, or equirectangular or polar stereographic coordinates of a sphere"
+        kind = f"projection '{projection.get('proj', 'unknown')}'"
+        raise InputError(path, f"expected {expected}, found {kind if plane is None else 'an ellipsoid'}")
+    return plane
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -182,13 +284,7 @@ def _sample(directions: FloatArray, coefficients: Float32Array, frame: FloatArra
     around = frame[4] > 0.0
     w = np.empty(4)
     for k in range(directions.shape[0]):
-        x, y, z = directions[k]
-        v = (np.arctan2(z, np.sqrt(x * x + y * y)) - frame[1]) / frame[3]
-        # Within half a turn of the raster's middle, whether its longitudes begin at 0 or at -180 deg.
-        middle = frame[0] + 0.5 * (columns - 1) * frame[2]
-        off = np.arctan2(y, x) - middle
-        off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
-        u = (middle + off - frame[0]) / frame[2]
+        u, v = position(directions[k], frame, columns)
         u = min(max(u, -1.0), float(columns)) if not around else u
         v = min(max(v, -1.0), float(rows))
         i, j = int(np.floor(u)), int(np.floor(v))

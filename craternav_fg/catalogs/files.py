@@ -1,15 +1,18 @@
 """Catalogue files: tables with the columns of Robbins (2018), third-party tables, and our own store."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs import checks
 from craternav_fg.catalogs.bodies import BODY, BODY_RADIUS, resolve_body, stated_body
 from craternav_fg.catalogs.columns import (
     ANGLE,
+    COMMON_COLUMNS,
+    COMMON_SOURCE,
     ELLIPSE,
     ERROR_COLUMNS,
     HEIGHT,
@@ -20,6 +23,7 @@ from craternav_fg.catalogs.columns import (
     MINOR,
     ImportOptions,
 )
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.importing import ImportReport, import_table
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
@@ -27,6 +31,8 @@ from craternav_fg.catalogs.store import SUFFIX, is_store, read_parquet, write_pa
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, Table, read_table, write_table
+
+FloatArray = npt.NDArray[np.float64]
 
 # Further columns of the published file, which may be there and are not read.
 _PUBLISHED = (
@@ -53,6 +59,8 @@ _COLUMNS: Sequence[Column] = (
     Column(BODY, "text", optional=True),
     Column(BODY_RADIUS, optional=True),
     *(Column(name, optional=True) for name in ERROR_COLUMNS),
+    *(Column(name, optional=True, may_be_empty=True) for name in COMMON_COLUMNS),
+    Column(COMMON_SOURCE, "integer", optional=True),
 )
 
 
@@ -66,7 +74,9 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
         north), and optionally RIM_HEIGHT_M (above the sphere; unknown without it), BODY and BODY_RADIUS_M
         (the same in all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and
-        RIM_HEIGHT_SIGMA_M (all or none, see `MapErrors`). Other published columns are not read.
+        RIM_HEIGHT_SIGMA_M (all or none, see `MapErrors`), COMMON_PLACE_SIGMA_M and COMMON_HEIGHT_SIGMA_M
+        (both or none, empty where unknown, see `CommonShift`), and COMMON_SOURCE beside them (without it, all
+        craters are of one source). Other published columns are not read.
     body : Body
         Which the catalogue must be of.
 
@@ -96,8 +106,10 @@ def read_catalog(path: Path, body: Body) -> Catalog:
     if faults:
         row = min(faults)
         table.fail(row, *faults[row])
+    errors = _sigmas(table, ERROR_COLUMNS)
     return Catalog(
-        errors=_errors(table),
+        errors=None if errors is None else MapErrors(**errors),
+        common_shift=_common_shift(table),
         identifiers=tuple(table.columns[ID]),
         latitude_rad=np.radians(latitude),
         longitude_rad=np.radians(longitude),
@@ -181,21 +193,36 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
         left_out |= set(ERROR_COLUMNS)
     else:
         data |= {name: getattr(catalog.errors, key) for name, key in ERROR_COLUMNS.items()}
+    if catalog.common_shift is None:
+        left_out |= {*COMMON_COLUMNS, COMMON_SOURCE}
+    else:
+        data |= {name: getattr(catalog.common_shift, key) for name, key in COMMON_COLUMNS.items()}
+        data[COMMON_SOURCE] = catalog.common_shift.source
     written = [column for column in _COLUMNS if column.name not in left_out]
     with replacing(path) as temporary:
         write_table(temporary, written, [data[column.name] for column in written])
 
 
-def _errors(table: Table) -> MapErrors | None:
-    """Read the standard deviations of the rims, None when the table has none."""
-    there = [name for name in ERROR_COLUMNS if name in table.columns]
+def _common_shift(table: Table) -> CommonShift | None:
+    sigmas = _sigmas(table, COMMON_COLUMNS)
+    if sigmas is None:
+        return None
+    return CommonShift(
+        **sigmas, source=table.columns.get(COMMON_SOURCE, np.zeros(len(table), dtype=np.int64))
+    )
+
+
+def _sigmas(table: Table, names: Mapping[str, str]) -> dict[str, FloatArray] | None:
+    """Read columns of standard deviations, by the name of each, None when the table has none of them."""
+    there = [name for name in names if name in table.columns]
     if not there:
         return None
-    for name in ERROR_COLUMNS:
+    for name in names:
         if name not in there:
             raise InputError(table.path, f"expected this column beside {there[0]}", column=name)
-    for name in ERROR_COLUMNS:
-        wrong = np.flatnonzero(~(table.columns[name] >= 0.0))
+    for name in names:
+        # Empty cells are NaN, where the column may have any.
+        wrong = np.flatnonzero(table.columns[name] < 0.0)
         if len(wrong):
             table.fail(int(wrong[0]), name, f"expected 0 or more, found {table.columns[name][wrong[0]]:g}")
-    return MapErrors(*(table.columns[name] for name in ERROR_COLUMNS))
+    return {key: table.columns[name] for name, key in names.items()}

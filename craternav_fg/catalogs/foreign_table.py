@@ -16,6 +16,7 @@ import pyarrow.csv as pa_csv
 
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input
+from craternav_fg.tables import arrow
 from craternav_fg.tables.parquet import parquet_names, read_parquet_columns
 
 IntArray = npt.NDArray[np.int64]
@@ -291,12 +292,12 @@ def read_columns(path: Path, header: Header, numbers: Sequence[str], texts: Sequ
         raise _cell_error(path, header, unique, str(error)) from None
     data: dict[str, Any] = {}
     for name in numbers:
-        data[name] = table[name].to_numpy().astype(np.float64)
+        data[name] = arrow.numbers(table[name])
     for name in texts:
         data[name] = [text and text.strip() for text in table[name].to_pylist()]
     if broken:
         filled = _filled_lines(path, header.line)
-        # pyarrow counts the header and the lines above it, but not the blank lines below.
+        # pyarrow counts the header and the lines above it, but not the empty lines below.
         broken = [(filled[number - header.line], cells) for number, cells in broken]
     return ForeignTable(path, data, tuple(broken), len(header.names), header.line)
 
@@ -312,9 +313,17 @@ def _cell_error(path: Path, header: Header, names: Sequence[str], message: str) 
 
 
 def _filled_lines(path: Path, first: int) -> list[int]:
-    """1-based lines that are not blank, from some line on."""
+    """1-based lines that are not empty, from some line on: once for each row that pyarrow counts.
+
+    pyarrow counts a line of spaces, and ends a row at a carriage return in a line.
+    """
     with open_input(path, SizeLimit.TABLE) as stream:
-        return [number for number, line in enumerate(_lines(stream), 1) if number >= first and line.strip()]
+        return [
+            number
+            for number, line in enumerate(_lines(stream), 1)
+            for row in line.splitlines()
+            if number >= first and row
+        ]
 
 
 def _lines(stream: BufferedReader) -> Iterator[bytes]:

@@ -14,6 +14,11 @@ FloatArray = npt.NDArray[np.float64]
 _RIM_POINTS = 24
 # Of these, so many count as independent: neighbours on a rim are high or low together.
 _INDEPENDENT_POINTS = 4.0
+# A coarse model smooths a rim crest away. The crest stands this share of the radius above what the model
+# shows, with this standard deviation, where the model shows nothing of the crater; both fall by 1/e over a
+# radius of so many steps. Fitted to rims that `mapping.refine` measured on GLD100 at 256 px/deg, against the
+# same at 16 px/deg; craters of 0.5 to 20 km radius in three regions, each left out once.
+_CREST_SHARE, _CREST_SIGMA_SHARE, _CREST_STEPS = 0.021, 0.014, 5.0
 # Largest height above or below the sphere, in radii: even small, irregular bodies keep within it.
 _MAX_HEIGHT_RADII = 0.4
 
@@ -60,8 +65,9 @@ def chord_depths_m(catalog: Catalog) -> FloatArray:
 def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     """Set the heights of rims' planes from the mean of an elevation model along the rims.
 
-    A model much coarser than a crater does not resolve its rim: the height is then that of the surroundings.
-    Where the catalogue states errors, those of the heights follow from the scatter along the rim.
+    A model coarser than a crater smooths its crest away; the height lost on average is added. Where the
+    catalogue states errors, those of the heights follow from the scatter about a plane through the rim and
+    from that of the lost height.
 
     Parameters
     ----------
@@ -75,7 +81,7 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     """
     gRl = catalog.gRl
     radius_m = catalog.body.radius_m
-    total, squares = np.zeros(len(catalog)), np.zeros(len(catalog))
+    total, squares, tilt = np.zeros(len(catalog)), np.zeros(len(catalog)), np.zeros((len(catalog), 2))
     for turn in np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False):
         # Direction of a rim point from the body's centre: the rim's plane is level at its own centre.
         x = np.cos(turn) * catalog.semi_major_m / radius_m
@@ -84,10 +90,16 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
         heights = dem.heights_m(point / np.linalg.norm(point, axis=1, keepdims=True))
         total += heights
         squares += heights**2
+        tilt += heights[:, None] * (np.cos(turn), np.sin(turn))
     mean_m = total / _RIM_POINTS
+    rim_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    smoothed_m = rim_m * np.exp(-rim_m / (_CREST_STEPS * dem.step_rad * radius_m))
     errors = catalog.errors
     if errors is not None:
-        scatter_m = np.sqrt(np.maximum(squares / _RIM_POINTS - mean_m**2, 0.0))
-        errors = replace(errors, height_m=scatter_m / np.sqrt(_INDEPENDENT_POINTS))
-    height_m = mean_m - chord_depths_m(catalog)
+        # The slope of the ground leaves the mean as it is.
+        of_slope = 2.0 * np.sum((tilt / _RIM_POINTS) ** 2, axis=1)
+        rest = np.maximum(squares / _RIM_POINTS - mean_m**2 - of_slope, 0.0)
+        scatter_m = np.sqrt(rest / _INDEPENDENT_POINTS)
+        errors = replace(errors, height_m=np.hypot(scatter_m, _CREST_SIGMA_SHARE * smoothed_m))
+    height_m = mean_m + _CREST_SHARE * smoothed_m - chord_depths_m(catalog)
     return replace(catalog, height_m=height_m, errors=errors, has_heights=True)

@@ -1,7 +1,7 @@
 """Import of catalogues of any origin: rows that are no rims are skipped and reported, wrong files refused."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs import bodies, checks, columns
-from craternav_fg.catalogs.columns import Columns, ImportOptions
+from craternav_fg.catalogs.columns import COMMON_COLUMNS, COMMON_SOURCE, ERROR_COLUMNS, Columns, ImportOptions
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.foreign_table import (
     ForeignTable,
     Header,
@@ -19,6 +20,7 @@ from craternav_fg.catalogs.foreign_table import (
     read_parquet_table,
     refuse_doubled,
 )
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 
@@ -29,6 +31,8 @@ IntArray = npt.NDArray[np.int64]
 PARQUET = ".parquet"
 # In tables of at least this many rows, a fault that half of them have is one of the file, not of its rows.
 _COMMON_FAULT_MIN_ROWS, _COMMON_FAULT_SHARE = 20, 0.5
+# Largest number of a source: whole numbers up to it are exact as floating-point ones.
+_MAX_SOURCE = 2.0**53
 
 
 @dataclass(frozen=True)
@@ -128,8 +132,11 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     odd = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
     if odd is not None:
         raise InputError(path, odd, column=used[2])
+    errors = _sigmas(table, found, ERROR_COLUMNS, keep)
     catalog = Catalog(
         identifiers=tuple(np.array(identifiers, dtype=object)[keep]),
+        errors=None if errors is None else MapErrors(**errors),
+        common_shift=_common_shift(table, found, keep),
         latitude_rad=np.radians(latitude),
         longitude_rad=np.radians(longitude),
         semi_major_m=0.5 * major,
@@ -137,7 +144,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         angle_rad=np.radians(angle),
         height_m=height,
         body=body,
-        has_heights=found.height is not None,
+        has_heights=_heights(table, found) is not None,
     )
     report = ImportReport(
         rows=len(table) + len(table.broken),
@@ -164,10 +171,17 @@ def _header(path: Path, options: ImportOptions) -> tuple[Header, Columns]:
     return first, found
 
 
+def _heights(table: ForeignTable, found: Columns) -> FloatArray | None:
+    """Heights (n,) of the rims, NaN where one is missing; None without any."""
+    heights: FloatArray | None = table.columns[found.height] if found.height else None
+    return None if heights is None or np.isnan(heights).all() else heights
+
+
 def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...], BoolArray]:
     """Latitude, longitude (deg), diameters (m), angle (deg), height (m); and which rows are circles."""
     zero = np.zeros(len(table))
-    height = table.columns[found.height] if found.height else zero
+    heights = _heights(table, found)
+    height = zero if heights is None else heights
     circle: tuple[FloatArray, ...] | None = None
     if found.circle:
         latitude, longitude, diameter = (table.columns[name] for name in found.circle)
@@ -175,14 +189,47 @@ def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...]
         circle = (latitude, longitude, diameter, diameter, zero)
     if not found.ellipse:
         assert circle is not None
-        return (*circle, np.nan_to_num(height)), np.ones(len(table), dtype=np.bool_)
+        return (*circle, height), np.ones(len(table), dtype=np.bool_)
     ellipse = [table.columns[name] for name in found.ellipse]
     ellipse[2], ellipse[3] = found.size_m * ellipse[2], found.size_m * ellipse[3]
     is_circle = np.zeros(len(table), dtype=np.bool_)
     if circle is not None:
         is_circle = np.any(np.isnan(ellipse), axis=0) & ~np.any(np.isnan(circle), axis=0)
         ellipse = [np.where(is_circle, c, e) for c, e in zip(circle, ellipse, strict=True)]
-    return (*ellipse, np.nan_to_num(height)), is_circle
+    return (*ellipse, height), is_circle
+
+
+def _common_shift(table: ForeignTable, found: Columns, keep: BoolArray) -> CommonShift | None:
+    sigmas = _sigmas(table, found, COMMON_COLUMNS, keep, may_be_empty=True)
+    if sigmas is None:
+        return None
+    source = table.columns[COMMON_SOURCE] if COMMON_SOURCE in found.sigmas else np.zeros(len(table))
+    wrong = np.flatnonzero(keep & ~((np.abs(source) <= _MAX_SOURCE) & (source == np.round(source))))
+    if len(wrong):
+        table.fail(int(wrong[0]), COMMON_SOURCE, f"expected a whole number, found {source[wrong[0]]:g}")
+    return CommonShift(**sigmas, source=source[keep].astype(np.int64))
+
+
+def _sigmas(
+    table: ForeignTable,
+    found: Columns,
+    ours: Mapping[str, str],
+    keep: BoolArray,
+    *,
+    may_be_empty: bool = False,
+) -> dict[str, FloatArray] | None:
+    """Take the standard deviations of the rows that are kept; None when the table has none."""
+    if not set(ours) <= set(found.sigmas):
+        return None
+    out = {}
+    for name, key in ours.items():
+        values = table.columns[name]
+        good = (values >= 0.0) & (values < np.inf)
+        wrong = np.flatnonzero(keep & ~(good | np.isnan(values) if may_be_empty else good))
+        if len(wrong):
+            table.fail(int(wrong[0]), name, f"expected 0 or more, found {values[wrong[0]]:g}")
+        out[key] = values[keep]
+    return out
 
 
 def _skipped(
@@ -201,7 +248,7 @@ def _skipped(
 
 
 def _none_left(table: ForeignTable, faults: checks.Faults, diameters: Sequence[str], radius_m: float) -> str:
-    """Say why no row of a table was imported."""
+    """Explain why no row of a table was imported."""
     problem = f"expected at least one crater, found none in {len(table)} rows"
     if not faults:
         return problem

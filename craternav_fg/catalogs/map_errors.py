@@ -20,11 +20,11 @@ class MapErrors:
     Attributes
     ----------
     place_m : ndarray, shape (n,)
-        Of the centre, per axis along the ground, m.
+        Sigma of the centre, per axis along the ground, m.
     size : ndarray, shape (n,)
-        Of each semi-axis, as a share of itself: size and shape.
+        Sigma of each semi-axis, as a share of itself: size and shape.
     height_m : ndarray, shape (n,)
-        Of the height of the rim's plane, m.
+        Sigma of the height of the rim's plane, m.
     """
 
     place_m: FloatArray
@@ -58,7 +58,7 @@ class MapErrors:
         ----------
         rows : ndarray of int, shape (k,)
         others : MapErrors
-            Of k craters.
+            Map errors of k craters.
         """
         out = [getattr(self, field.name).copy() for field in fields(self)]
         for values, field in zip(out, fields(self), strict=True):
@@ -78,7 +78,7 @@ class MapErrors:
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def variances(self, radius_m: FloatArray) -> FloatArray:
-        """Give the variances of ground errors in the order of `factors.kernels.rim_errors.ground_slopes`.
+        """Return the variances of ground errors in the order of `factors.kernels.rim_errors.ground_slopes`.
 
         Parameters
         ----------

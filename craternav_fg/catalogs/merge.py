@@ -1,8 +1,8 @@
-"""One catalogue from many: one crater from all sources that have it, and how far the sources lie apart.
+"""Merge catalogues: each crater once, with the differences between its sources.
 
-Two entries are one crater when their centres lie within a share of the larger radius and their sizes agree
-within a factor, and neither has a better partner. What is kept is an ellipse where a source has one, else the
-entry of the source that comes first. How far the sources lie apart tells how far each may be off.
+Two entries are the same crater if their centres lie within a fraction of the larger radius, their sizes agree
+within a factor, and neither has a better partner. An ellipse is kept if a source has one, otherwise the entry
+of the first source. The differences between the sources determine the errors of those that state none.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from craternav_fg import frames
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
@@ -156,9 +157,10 @@ def merge(parts: Sequence[Catalog], names: Sequence[str], options: MergeOptions 
         if abs(part.body.radius_m - first.body.radius_m) > _RADIUS_TOLERANCE * first.body.radius_m:
             expected = f"a sphere of {first.body.radius_m:.9g} m, as in {names[0]}"
             raise InputError(name, f"expected {expected}, found {part.body.radius_m:.9g} m")
-    if all(part.errors is None for part in parts):
+    if any(part.errors is None for part in parts):
         parts = _with_errors(parts, options)
-        first = parts[0]
+    parts = _with_own_sources(parts)
+    first = parts[0]
     catalog, source = first, np.zeros(len(first), dtype=np.int64)
     also: list[tuple[int, ...]] = [()] * len(first)
     for k, part in enumerate(parts[1:], 1):
@@ -181,22 +183,46 @@ def merge(parts: Sequence[Catalog], names: Sequence[str], options: MergeOptions 
 
 
 def _with_errors(parts: Sequence[Catalog], options: MergeOptions) -> list[Catalog]:
-    """Give catalogues the errors that their differences show: those of place and size grow with the radius.
+    """Set the errors of catalogues that state none; those of place and size grow with the radius.
 
     A difference has the errors of both. They cannot be told apart, so each source gets all of it, and the
-    first source the least of its differences from the others.
+    first source the least of its differences from the others. A source that shares no craters with the first
+    gets the largest differences or, without any, the largest errors that a source states.
     """
     found = [difference(parts[0], part, options) for part in parts[1:]]
     shares = [(float(one.shift_share.max()), one.scale_sigma) for one in found if one is not None]
+    shares = shares or [_error_share(part, part.errors) for part in parts if part.errors is not None]
     if not shares:
         return list(parts)
     own = [None if one is None else (float(one.shift_share.max()), one.scale_sigma) for one in found]
     out = []
     for part, share in zip(parts, [min(shares), *own], strict=True):
+        if part.errors is not None:
+            out.append(part)
+            continue
         place, size = share or max(shares)
         radius_m = np.sqrt(part.semi_major_m * part.semi_minor_m)
         errors = MapErrors(place * radius_m, np.full(len(part), size), np.zeros(len(part)))
         out.append(replace(part, errors=errors))
+    return out
+
+
+def _error_share(part: Catalog, errors: MapErrors) -> tuple[float, float]:
+    """Median errors that a catalogue states: of places in radii, and of sizes as a share."""
+    radius_m = np.sqrt(part.semi_major_m * part.semi_minor_m)
+    return float(np.median(errors.place_m / radius_m)), float(np.median(errors.size))
+
+
+def _with_own_sources(parts: Sequence[Catalog]) -> list[Catalog]:
+    """Give the sources of each catalogue numbers of their own; an unstated common shift stays unknown."""
+    if all(part.common_shift is None for part in parts):
+        return list(parts)
+    out, count = [], 0
+    for part in parts:
+        shift = part.common_shift or CommonShift.unknown(len(part))
+        numbers, source = np.unique(shift.source, return_inverse=True)
+        out.append(replace(part, common_shift=replace(shift, source=count + source.astype(np.int64))))
+        count += len(numbers)
     return out
 
 
@@ -253,17 +279,20 @@ def _is_circle(catalog: Catalog, rows: IntArray) -> npt.NDArray[np.bool_]:
 
 
 def _replaced(catalog: Catalog, part: Catalog, pairs: IntArray) -> Catalog:
-    """Take the shapes of some craters from another catalogue; their identifiers stay."""
+    """Take the shapes of some craters from another catalogue, and their heights, if it knows any."""
     values = {}
-    for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m"):
+    heights = ("height_m",) if part.has_heights else ()
+    for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", *heights):
         values[name] = getattr(catalog, name).copy()
         values[name][pairs[:, 0]] = getattr(part, name)[pairs[:, 1]]
     errors = catalog.errors
     if errors is not None or part.errors is not None:
         there = part.errors or MapErrors.zeros(len(part))
         errors = (errors or MapErrors.zeros(len(catalog))).replaced(pairs[:, 0], there.take(pairs[:, 1]))
-    has_heights = catalog.has_heights and part.has_heights
-    return replace(catalog, errors=errors, has_heights=has_heights, **values)
+    shift = catalog.common_shift
+    if shift is not None and part.common_shift is not None:
+        shift = shift.replaced(pairs[:, 0], part.common_shift.take(pairs[:, 1]))
+    return replace(catalog, errors=errors, common_shift=shift, **values)
 
 
 def _robust_sigma(values: FloatArray) -> FloatArray:

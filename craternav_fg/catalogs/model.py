@@ -10,15 +10,19 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.common_shift import (
+    UNKNOWN_HEIGHT_SIGMA_RADII,
+    CommonShift,
+    shift_covariance,
+    tilt_covariance,
+)
 from craternav_fg.catalogs.map_errors import MapErrors
+from craternav_fg.catalogs.rim_kernel import rim_geometry, visible_rims
 from craternav_fg.catalogs.sphere_index import SphereIndex
-from craternav_fg.ellipse import half_sides, moments_kernel, pixel_chart, points_on, semi_axes_kernel
-from factors.kernels import conic
-from factors.kernels.compiled import njit
+from craternav_fg.ellipse import half_sides, pixel_chart, points_on
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Along each side of the image, to find the point farthest from the optical axis.
 _BORDER_POINTS = 33
@@ -37,7 +41,7 @@ class Catalog:
     identifiers : tuple of str, length n
         Unique names.
     latitude_rad, longitude_rad : ndarray, shape (n,)
-        Of the rim's centre; longitude to the east.
+        Position of the rim's centre; longitude to the east.
     semi_major_m, semi_minor_m : ndarray, shape (n,)
         Semi-axes a >= b > 0 of the rim.
     angle_rad : ndarray, shape (n,)
@@ -47,9 +51,11 @@ class Catalog:
     body : Body
         Body with these craters.
     errors : MapErrors or None
-        How far the rims may be off; None when the catalogue does not say.
+        Standard deviations of the rims; None if the catalogue states none.
     has_heights : bool
         False when the heights are unknown: `height_m` then puts all rims on the sphere.
+    common_shift : CommonShift or None
+        How far all rims of a source may be off together; None when the catalogue does not say.
     """
 
     identifiers: tuple[str, ...]
@@ -62,6 +68,7 @@ class Catalog:
     body: Body
     errors: MapErrors | None = None
     has_heights: bool = True
+    common_shift: CommonShift | None = None
 
     def __len__(self) -> int:
         return len(self.identifiers)
@@ -84,6 +91,7 @@ class Catalog:
             self.body,
             None if self.errors is None else self.errors.take(rows),
             self.has_heights,
+            None if self.common_shift is None else self.common_shift.take(rows),
         )
 
     @classmethod
@@ -94,6 +102,8 @@ class Catalog:
         ----------
         parts : sequence of Catalog
             One or more; their identifiers must differ. Where only some state errors, the others are exact.
+            Where only some state heights, all rims are put on the sphere. Where only some state a common
+            shift, that of the others stays unknown; equal numbers of sources are the same source.
         """
         numbers = {
             name: np.concatenate([getattr(part, name) for part in parts])
@@ -101,12 +111,22 @@ class Catalog:
                 "latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m",
             )
         }  # fmt: skip
+        has_heights = all(part.has_heights for part in parts if len(part))
+        if not has_heights:
+            numbers["height_m"] = np.zeros_like(numbers["height_m"])
         identifiers = tuple(name for part in parts for name in part.identifiers)
         errors = None
         if any(part.errors is not None for part in parts):
             errors = MapErrors.joined([part.errors or MapErrors.zeros(len(part)) for part in parts])
-        has_heights = all(part.has_heights for part in parts)
-        return cls(identifiers, body=parts[0].body, errors=errors, has_heights=has_heights, **numbers)
+        shift = None
+        if any(part.common_shift is not None for part in parts):
+            shift = CommonShift.joined(
+                [part.common_shift or CommonShift.unknown(len(part)) for part in parts]
+            )
+        return cls(
+            identifiers, body=parts[0].body, errors=errors, common_shift=shift,
+            has_heights=has_heights, **numbers,
+        )  # fmt: skip
 
     @cached_property
     def gRl(self) -> FloatArray:
@@ -134,7 +154,7 @@ class Catalog:
 
     @cached_property
     def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return _rims(
+        return rim_geometry(
             self.latitude_rad, self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad,
             self.height_m, self.body.radius_m,
         )  # fmt: skip
@@ -170,7 +190,7 @@ class Catalog:
         craters : ndarray of int, shape (k,)
             Rows of the catalogue.
         distance_m : ndarray, shape (k,)
-            Of the rims' centres along the sphere.
+            Distance of the rims' centres along the sphere.
         """
         place = frames.up(np.array(latitude_rad), np.array(longitude_rad))
         rows = self.index.near(place, distance_m / self.body.radius_m, 0.5 * min_diameter_m)
@@ -197,6 +217,61 @@ class Catalog:
     def _along_sphere_m(self, one: FloatArray, other: FloatArray) -> FloatArray:
         chord = np.linalg.norm(one - other, axis=-1)
         return np.asarray(2.0 * self.body.radius_m * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+
+    def shift_covariance(self, gTb: FloatArray, weights: FloatArray) -> FloatArray:
+        """Compute what the craters' common shift adds to the covariances of poses that rest on them.
+
+        Where the heights are unknown, this includes the height that all rims have in common: ground that is
+        higher as a whole shifts the pose up with it, and no rim shows that.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (k, 4, 4)
+            Poses of the body in g, m.
+        weights : ndarray, shape (n,)
+            What each crater contributes to the poses, in any unit; 0 for one that was not used.
+
+        Returns
+        -------
+        ndarray, shape (k, 6, 6)
+            Covariance of the attitude error (rotation vector in b, rad) and the position error (in g, m);
+            zero where the catalogue states heights and no common shift.
+        """
+        place_m, height_m = 0.0, 0.0
+        if self.common_shift is not None:
+            place_m, height_m = self.common_shift.of_mean(weights)
+        height_m = float(np.hypot(height_m, self.unknown_height_sigma_m))
+        return shift_covariance(gTb, place_m, height_m, self.body.radius_m)
+
+    def image_covariance(
+        self, gTb: FloatArray, weights: FloatArray, attitude_share: float = 1.0
+    ) -> FloatArray:
+        """Compute what the map's errors add to the covariance of the pose of a single image.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose of the body in g, m.
+        weights : ndarray, shape (n,)
+            See `shift_covariance`.
+        attitude_share : float
+            Share of the attitude's information that is from the rims, not from another sensor.
+
+        Returns
+        -------
+        ndarray, shape (6, 6)
+            As `shift_covariance`; where the heights are unknown, with the slope of the ground too.
+        """
+        shift = self.shift_covariance(gTb[None], weights)[0]
+        if self.has_heights or not np.any(weights):
+            return shift
+        tilt = tilt_covariance(gTb, self.centres[weights != 0.0], self.body.radius_m)
+        return np.asarray(shift + attitude_share**2 * tilt)
+
+    @property
+    def unknown_height_sigma_m(self) -> float:
+        """Standard deviation of the height that all rims have in common, m; 0 when the heights are known."""
+        return 0.0 if self.has_heights else UNKNOWN_HEIGHT_SIGMA_RADII * self.body.radius_m
 
     def visible(
         self,
@@ -241,7 +316,7 @@ class Catalog:
         if sun_g is not None:
             up = frames.up(self.latitude_rad[rows], self.longitude_rad[rows])
             rows = rows[up @ sun_g >= np.sin(min_sun_elevation_rad)]
-        charts, seen = _images(
+        charts, seen = visible_rims(
             np.ascontiguousarray(gTb, dtype=np.float64), camera.bTc, rows, self.latitude_rad,
             self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad, self.height_m,
             self.body.radius_m, camera.lens, float(min_semi_minor_px),
@@ -258,70 +333,6 @@ class Catalog:
         rows, charts = rows[inside], charts[inside]
         order = np.argsort(rows)
         return rows[order], charts[order]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _rims(
-    latitude: FloatArray, longitude: FloatArray, semi_major: FloatArray, semi_minor: FloatArray,
-    angle: FloatArray, height: FloatArray, radius_m: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Centres (n, 3), semi-axes (n, 2, 3) and normals (n, 3) of rims in g."""
-    n = latitude.shape[0]
-    centres, axes, normals = np.empty((n, 3)), np.empty((n, 2, 3)), np.empty((n, 3))
-    for i in range(n):
-        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], normals[i], axes[i])
-        for k in range(3):
-            centres[i, k] = (radius_m + height[i]) * normals[i, k]
-    return centres, axes, normals
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _place(
-    latitude: float, longitude: float, semi_major: float, semi_minor: float, angle: float,
-    normal: FloatArray, axes: FloatArray,
-) -> None:  # fmt: skip
-    """Write a rim's normal (3,) and semi-axes (2, 3) in g."""
-    sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
-    sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
-    normal[0], normal[1], normal[2] = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
-    sin, cos = np.sin(angle), np.cos(angle)
-    # Along a and b, in east and north.
-    for j, east, north in (
-        (0, semi_major * cos, semi_major * sin),
-        (1, -semi_minor * sin, semi_minor * cos),
-    ):
-        axes[j, 0] = -sin_lon * east - sin_lat * cos_lon * north
-        axes[j, 1] = cos_lon * east - sin_lat * sin_lon * north
-        axes[j, 2] = cos_lat * north
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _images(
-    gTb: FloatArray, bTc: FloatArray, rows: IntArray, latitude: FloatArray, longitude: FloatArray,
-    semi_major: FloatArray, semi_minor: FloatArray, angle: FloatArray, height: FloatArray, radius_m: float,
-    lens: FloatArray, least_px: float,
-) -> tuple[FloatArray, BoolArray]:  # fmt: skip
-    """Charts (k, 5) of some rows, and whether the rims are visible ellipses of some size."""
-    R, P = conic.camera_pose(gTb, bTc)
-    charts = np.empty((rows.shape[0], 5))
-    seen = np.zeros(rows.shape[0], dtype=np.bool_)
-    centre, axes = np.empty(3), np.empty((2, 3))
-    p, c = np.empty(3), np.empty((2, 3))
-    fx, fy = lens[0], lens[1]
-    for k in range(rows.shape[0]):
-        i = rows[k]
-        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], centre, axes)
-        centre *= radius_m + height[i]
-        conic.rim_in_camera(R, P, centre, axes, p, c)
-        if not conic.chart(p, c, charts[k]):
-            continue
-        y = charts[k]
-        sxx, sxy, syy = moments_kernel(y[2], y[3], y[4])
-        _, minor_px = semi_axes_kernel(
-            fx * fx * sxx, fx * fy * sxy, fy * fy * syy, fx * fy * np.exp(y[2] + y[4])
-        )
-        seen[k] = minor_px >= least_px
-    return charts, seen
 
 
 def _cos_field(camera: Camera, margin_px: float) -> float:

@@ -63,9 +63,9 @@ class SphereIndex(NamedTuple):
         Parameters
         ----------
         latitude_rad, longitude_rad : ndarray, shape (n,)
-            Of the rims' centres.
+            Position of the rims' centres.
         semi_major_m, semi_minor_m : ndarray, shape (n,)
-            Of the rims.
+            Semi-axes of the rims.
         range_m : ndarray, shape (n,)
             Distances of the rims' centres from the body's.
         """
@@ -180,7 +180,7 @@ def _layout(counts: IntArray) -> tuple[Int32Array, Int32Array]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _directions(latitude_rad: FloatArray, longitude_rad: FloatArray) -> FloatArray:
-    """Give unit vectors (n, 3); a compiled loop is several times as fast as NumPy here."""
+    """Return unit vectors (n, 3); a compiled loop is several times as fast as NumPy here."""
     out = np.empty((latitude_rad.shape[0], 3))
     for i in range(latitude_rad.shape[0]):
         c = np.cos(latitude_rad[i])

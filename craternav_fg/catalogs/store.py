@@ -11,10 +11,11 @@ import pyarrow.compute as pa_compute
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import StatedBody, resolve_body
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
-from craternav_fg.tables import parquet
+from craternav_fg.tables import arrow, parquet
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -30,9 +31,18 @@ _SCHEMA = pa.schema(
         *(parquet.filled(name, pa.float64()) for name in _NUMBERS),
     ]
 )
-# Optional: standard deviations, by the name in `MapErrors`; all or none.
+# Optional: standard deviations, by the name in `MapErrors` and in `CommonShift`; of each all or none. NaN
+# stands for an unknown common shift.
 _ERRORS = {"place_m": "sigma_place_m", "size": "sigma_size", "height_m": "sigma_height_m"}
-_ERROR_SCHEMA = pa.schema([parquet.filled(name, pa.float64()) for name in _ERRORS.values()])
+_COMMON = {"place_m": "sigma_common_place_m", "height_m": "sigma_common_height_m"}
+# Beside those of a common shift; older files do not have it, and their craters are of one source.
+_SOURCE = "common_source"
+_SIGMA_SCHEMA = pa.schema(
+    [
+        *(parquet.filled(name, pa.float64()) for name in (*_ERRORS.values(), *_COMMON.values())),
+        parquet.filled(_SOURCE, pa.int64()),
+    ]
+)
 
 
 def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLike] | None = None) -> None:
@@ -40,8 +50,9 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
     north; height_m, of the rim above the sphere; sigma_place_m, sigma_size and sigma_height_m where the
-    catalogue states errors. Body, format, and whether the heights are known are in the
-    file's metadata.
+    catalogue states errors; sigma_common_place_m, sigma_common_height_m (NaN where unknown) and common_source
+    where it states those of a common shift. Body, format, and whether the heights are known are in the file's
+    metadata.
 
     Parameters
     ----------
@@ -62,9 +73,13 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     about["has_heights"] = ordered.has_heights
     arrays = [pa.array(ordered.identifiers, pa.string())]
     arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
-    stated = ordered.errors
-    own = {} if stated is None else {name: getattr(stated, key) for key, name in _ERRORS.items()}
-    more = {name: pa.array(values) for name, values in own.items()}
+    more: dict[str, pa.Array] = {}
+    for stated, names in (
+        (ordered.errors, _ERRORS),
+        (ordered.common_shift, {**_COMMON, "source": _SOURCE}),
+    ):
+        if stated is not None:
+            more |= {name: pa.array(getattr(stated, key)) for key, name in names.items()}
     more |= {name: pa.array(np.asarray(column)[order].tolist()) for name, column in (beside or {}).items()}
     fields = [*_SCHEMA, *(pa.field(name, column.type) for name, column in more.items())]
     schema = pa.schema(fields, metadata={_KEY: json.dumps(about).encode()})
@@ -92,23 +107,25 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     """
     about = _metadata(path)
     body, _ = resolve_body(path, body, _stated(path, about))
-    table = parquet.read_parquet(path, _SCHEMA, optional=_ERROR_SCHEMA, other_columns=True)
+    table = parquet.read_parquet(path, _SCHEMA, optional=_SIGMA_SCHEMA, other_columns=True)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
     if pa_compute.count_distinct(table[_ID]).as_py() != len(table):
         raise InputError(path, "expected each identifier once, found one again", column=_ID)
-    values = {name: np.ascontiguousarray(table[name].to_numpy(), dtype=np.float64) for name in _NUMBERS}
+    values = {name: arrow.numbers(table[name]) for name in _NUMBERS}
     _check(path, values, body)
-    errors = _errors(path, table)
+    errors = _sigmas(path, table, _ERRORS)
     # Older files do not say, and have heights.
     has_heights = about.get("has_heights") is not False
     return Catalog(
-        identifiers=tuple(table[_ID].to_pylist()), body=body, errors=errors, has_heights=has_heights, **values
-    )
+        identifiers=tuple(table[_ID].to_pylist()), body=body, has_heights=has_heights,
+        errors=None if errors is None else MapErrors(**errors),
+        common_shift=_common_shift(path, table), **values,
+    )  # fmt: skip
 
 
 def is_store(path: Path) -> bool:
-    """Tell whether a Parquet file was written by `write_parquet`.
+    """Return whether a Parquet file was written by `write_parquet`.
 
     Parameters
     ----------
@@ -126,20 +143,33 @@ def is_store(path: Path) -> bool:
     return parquet.read_parquet_metadata(path, _KEY) is not None
 
 
-def _errors(path: Path, table: pa.Table) -> MapErrors | None:
-    """Read the standard deviations of the rims, None when the file has none."""
-    there = [name for name in _ERRORS.values() if name in table.column_names]
+def _common_shift(path: Path, table: pa.Table) -> CommonShift | None:
+    sigmas = _sigmas(path, table, _COMMON, may_be_nan=True)
+    if sigmas is None:
+        return None
+    source = np.zeros(len(table), dtype=np.int64)
+    if _SOURCE in table.column_names:
+        source = np.asarray(table[_SOURCE].to_numpy(), dtype=np.int64)
+    return CommonShift(**sigmas, source=source)
+
+
+def _sigmas(
+    path: Path, table: pa.Table, names: Mapping[str, str], *, may_be_nan: bool = False
+) -> dict[str, FloatArray] | None:
+    """Read columns of standard deviations, None when the file has none of them."""
+    there = [name for name in names.values() if name in table.column_names]
     if not there:
         return None
     found = {}
-    for key, name in _ERRORS.items():
+    for key, name in names.items():
         if name not in there:
             raise InputError(path, f"expected this column beside {there[0]}", column=name)
-        values = np.ascontiguousarray(table[name].to_numpy(), dtype=np.float64)
-        if not ((values >= 0.0) & (values < np.inf)).all():
+        values = arrow.numbers(table[name])
+        good = (values >= 0.0) & (values < np.inf)
+        if not (good | np.isnan(values) if may_be_nan else good).all():
             raise InputError(path, "expected finite numbers of 0 or more", column=name)
         found[key] = values
-    return MapErrors(**found)
+    return found
 
 
 def _metadata(path: Path) -> dict[str, object]:

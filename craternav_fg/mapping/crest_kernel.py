@@ -31,8 +31,8 @@ def crest_score(heights: FloatArray, width: float, height_weight: float) -> Floa
     width : float
         Standard deviation of the smoothing along the rays, in steps.
     height_weight : float
-        Of the height beside the bend: both count in standard deviations over the ring. It keeps the line off
-        terraces, but draws it outward, as a blurred crest is highest outside its sharpest bend.
+        Weight of the height against the bend: both count in standard deviations over the ring. It keeps the
+        line off terraces, but draws it outward, as a blurred crest is highest outside its sharpest bend.
 
     Returns
     -------

@@ -5,14 +5,14 @@ to it robustly, as to the edge points of an image (`vision.ellipse_kernel`): out
 ellipses, and their deviation is part of the covariance. The ellipse found is the start of the next search, in
 a narrower ring. A rim that the model does not show keeps the catalogue's numbers, and the reason is told.
 
-The rim is a planar ellipse on local horizontal axes; its height is the mean of the crest's. The least-squares
-plane through the crest gives the tilt, and the deviation from it the scatter.
+The rim is a planar ellipse on local horizontal axes; the mean height of its points is that of the crest. The
+least-squares plane through the crest gives the tilt, and the deviation from it the scatter. A catalogue
+without heights gets those of the model for the other rims, too.
 """
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import partial
 from os import cpu_count
 from typing import Any
@@ -21,7 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
+from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII, CommonShift
 from craternav_fg.catalogs.dem import Dem
+from craternav_fg.catalogs.heights import chord_depths_m, with_rim_heights
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import (
@@ -33,9 +35,12 @@ from craternav_fg.ellipse import (
     shape_change,
 )
 from craternav_fg.mapping.crest_kernel import closed_ridge, crest_score
+from craternav_fg.mapping.measured_rim import Found, MeasuredRim
+from craternav_fg.mapping.measured_rim import Outcome as Outcome
 from craternav_fg.vision import ellipse_kernel
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
@@ -43,7 +48,7 @@ Progress = Callable[[int, int], None]
 _RAYS = 72
 # Ring of each search, in radii of its start, prior deviation of the crest there, weight of its height.
 _SEARCHES = ((0.6, 1.5, 0.25, 0.5), (0.75, 1.3, 0.12, 0.25), (0.8, 1.25, 0.1, 0.0))
-# Samples per step of the model along a ray, and the least and most of a ray.
+# Samples per step of the model along a ray, and the minimum and maximum of a ray.
 _SAMPLES_PER_STEP = 2.0
 _RAY_SAMPLES = (24, 80)
 # Smoothing along a ray, in radii: narrower than a rim's crest, wider than its roughness.
@@ -60,16 +65,6 @@ _BESIDE = (0.75, 1.25)
 _FLOOR_PER_RESOLUTION = 0.2
 # Craters per task of a thread.
 _CHUNK = 64
-
-
-class Outcome(StrEnum):
-    """What has become of a crater."""
-
-    REFINED = "refined"
-    TOO_SMALL = "smaller than the model resolves"
-    OUTSIDE = "not within the model"
-    NO_CREST = "no crest all around"
-    OTHER_CRATER = "the crest found is too far from the catalogue's"
 
 
 @dataclass(frozen=True)
@@ -89,11 +84,11 @@ class RefineOptions:
     max_size_change : float
         Largest logarithm of a stretch between the ellipse found and the catalogue's.
     min_kept_share : float
-        Least share of the rays whose crest agrees with the ellipse.
+        Minimum share of the rays whose crest agrees with the ellipse.
     max_scatter_share : float
         Largest root mean square deviation of the crest from the ellipse, in radii.
     min_relief_share : float
-        Least height of the crest above the mean of the searched ring, in radii: a pit or a hill has none.
+        Minimum height of the crest above the mean of the searched ring, in radii: a pit or a hill has none.
     """
 
     min_diameter_steps: float = 10.0
@@ -113,8 +108,8 @@ class RefinedRims:
     Attributes
     ----------
     catalog : Catalog
-        Refined rims, and the others as they were, with errors: of refined rims those of the fit, of the
-        others what the refined ones show of the catalogue.
+        Refined rims, and the others as they were, with errors and a common shift: of refined rims the errors
+        of the fit, of the others what the catalogue states, or what the refined ones show of it.
     outcomes : tuple of Outcome, length n
     covariance : ndarray, shape (n, 5, 5)
         Covariance of the rim's chart in the tangent plane, east and north from the rim's centre: m, and
@@ -144,7 +139,7 @@ class RefinedRims:
     log_size: FloatArray
 
     def columns(self) -> dict[str, npt.NDArray[Any]]:
-        """Give what a store keeps beside the catalogue.
+        """Return the columns that a store keeps beside the catalogue.
 
         Returns
         -------
@@ -170,20 +165,6 @@ class RefinedRims:
         return np.array([outcome is Outcome.REFINED for outcome in self.outcomes], dtype=np.bool_)
 
 
-@dataclass(frozen=True)
-class _Rim:
-    """One rim found: chart in the tangent plane at the catalogue's centre, and what else was measured."""
-
-    chart_m: FloatArray
-    covariance: FloatArray
-    height_m: float
-    height_sigma_m: float
-    tilt_rad: FloatArray
-    scatter_m: float
-    depth_m: float
-    relief_m: float
-
-
 def refine_on_dem(
     catalog: Catalog,
     dem: Dem,
@@ -204,27 +185,105 @@ def refine_on_dem(
     Returns
     -------
     RefinedRims
+        Rims of a catalogue without heights get those of the model; beyond it they lie on the sphere, with a
+        common uncertainty as large as the model's heights.
     """
     options = options or RefineOptions()
+    known = with_model_heights(catalog, dem)
     n = len(catalog)
-    enu = frames.east_north_up(catalog.latitude_rad, catalog.longitude_rad)
-    chunks = [range(first, min(first + _CHUNK, n)) for first in range(0, n, _CHUNK)]
-    found: list[_Rim | Outcome] = []
+    chunks = [np.arange(first, min(first + _CHUNK, n)) for first in range(0, n, _CHUNK)]
+    found: list[Found] = []
     with ThreadPoolExecutor(cpu_count()) as threads:
-        for part in threads.map(partial(_each, catalog, dem, options, enu), chunks):
+        parts = threads.map(lambda rows: measure_rims(known.take(rows), dem, options), chunks)
+        for part in parts:
             found += part
             if progress is not None:
                 progress(len(found), n)
-    return _collected(catalog, enu, found)
+    return collect(catalog, dem, found)
 
 
-def _each(
-    catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray, rows: range
-) -> list[_Rim | Outcome]:
-    return [_refine(catalog, dem, options, enu, row) for row in rows]
+def measure_rims(catalog: Catalog, dem: Dem, options: RefineOptions) -> list[Found]:
+    """Measure the rims of a catalogue, one after the other.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        With heights, see `with_model_heights`.
+    dem : Dem
+    options : RefineOptions
+
+    Returns
+    -------
+    list of MeasuredRim or Outcome
+        The rim, or why there is none.
+    """
+    enu = frames.east_north_up(catalog.latitude_rad, catalog.longitude_rad)
+    return [_refine(catalog, dem, options, enu, row) for row in range(len(catalog))]
 
 
-def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray, row: int) -> _Rim | Outcome:
+def collect(catalog: Catalog, dem: Dem, found: list[Found]) -> RefinedRims:
+    """Put the rims that were measured on an elevation model into their catalogue.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        As it was given.
+    dem : Dem
+    found : list of MeasuredRim or Outcome
+        For each crater.
+
+    Returns
+    -------
+    RefinedRims
+    """
+    known = with_model_heights(catalog, dem)
+    enu = frames.east_north_up(catalog.latitude_rad, catalog.longitude_rad)
+    rims = _collected(known, enu, found)
+    if known is catalog:
+        return rims
+    return replace(rims, catalog=_unknown_beyond(rims.catalog, dem))
+
+
+def with_model_heights(catalog: Catalog, dem: Dem) -> Catalog:
+    """Read the heights of the rims within the model from it, where the catalogue has none.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Dem
+
+    Returns
+    -------
+    Catalog
+        The same one when it has heights.
+    """
+    if catalog.has_heights:
+        return catalog
+    inside = dem.covers(catalog.normals)
+    if not inside.any():
+        return catalog
+    found = with_rim_heights(catalog, dem)
+    errors = found.errors
+    if errors is not None:
+        errors = replace(errors, height_m=np.where(inside, errors.height_m, 0.0))
+    return replace(found, height_m=np.where(inside, found.height_m, catalog.height_m), errors=errors)
+
+
+def _unknown_beyond(catalog: Catalog, dem: Dem) -> Catalog:
+    """State how unknown the heights beyond the model are: the rims there lie on the sphere."""
+    inside = dem.covers(catalog.normals)
+    if inside.all():
+        return catalog
+    # The model may cover a plain only.
+    unknown_m = max(
+        float(np.sqrt(np.mean(catalog.height_m[inside] ** 2))),
+        UNKNOWN_HEIGHT_SIGMA_RADII * catalog.body.radius_m,
+    )
+    shift = catalog.common_shift or CommonShift.unknown(len(catalog))
+    return replace(catalog, common_shift=replace(shift, height_m=np.where(inside, shift.height_m, unknown_m)))
+
+
+def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray, row: int) -> Found:
     """Measure one rim."""
     step_m = dem.step_rad * catalog.body.radius_m
     start = chart_of_axes(
@@ -235,7 +294,8 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
     # Metres along the tangent plane are those at the height of the terrain.
     range_m = catalog.body.radius_m + float(dem.heights_m(enu[None, row, :, 2])[0])
     terrain = partial(_heights, dem, enu[row], range_m)
-    if not np.all(dem.covers(_directions(enu[row], range_m, _SEARCHES[0][1] * points_on(start, 8)))):
+    around = np.concatenate([share * points_on(start, 16) for share in (*_BOWL, 1.0, _SEARCHES[0][1])])
+    if not np.all(dem.covers(_directions(enu[row], range_m, around))):
         return Outcome.OUTSIDE
     chart = start
     for search in _SEARCHES:
@@ -263,7 +323,7 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
 
 def _measured(
     chart: FloatArray, covariance: FloatArray, crest: FloatArray, terrain: Callable[..., FloatArray]
-) -> _Rim:
+) -> MeasuredRim:
     """Measure the heights of a rim and of its bowl."""
     radius_m = float(mean_radius(chart))
     off = crest - chart[:2]
@@ -277,7 +337,7 @@ def _measured(
     independent = max(len(rest) * (1.0 - rho) / (1.0 + rho), 4.0)
     bowl = terrain(np.concatenate([chart[:2] + share * off for share in _BOWL]))
     beside = [terrain(chart[:2] + share * off).mean() for share in _BESIDE]
-    return _Rim(
+    return MeasuredRim(
         chart,
         covariance,
         float(plane[0]),
@@ -316,7 +376,7 @@ def _crest(
 
 
 def _near(chart: FloatArray, start: FloatArray, options: RefineOptions) -> bool:
-    """Tell whether an ellipse may be the catalogue's crater."""
+    """Return whether an ellipse may be the catalogue's crater."""
     shift = float(np.hypot(*(chart[:2] - start[:2])))
     return bool(
         shift <= options.max_shift_radii * mean_radius(start)
@@ -336,14 +396,14 @@ def _heights(dem: Dem, enu: FloatArray, range_m: float, places_m: FloatArray) ->
 
 
 def _scaled(chart: FloatArray, factor: float) -> FloatArray:
-    """Give a chart in another unit."""
+    """Return a chart in another unit."""
     out = chart.copy()
     out[:2] *= factor
     out[[2, 4]] += np.log(factor)
     return out
 
 
-def _collected(catalog: Catalog, enu: FloatArray, found: list[_Rim | Outcome]) -> RefinedRims:
+def _collected(catalog: Catalog, enu: FloatArray, found: list[Found]) -> RefinedRims:
     """Put the results of all craters together."""
     n = len(catalog)
     values: dict[str, Any] = {
@@ -362,8 +422,13 @@ def _collected(catalog: Catalog, enu: FloatArray, found: list[_Rim | Outcome]) -
         covariance[row], tilt[row], shift[row] = rim.covariance, rim.tilt_rad, (x, y)
         log_size[row] = 0.5 * np.log(a * b / (catalog.semi_major_m[row] * catalog.semi_minor_m[row]))
         height_sigma[row], scatter[row], depth[row] = rim.height_sigma_m, rim.scatter_m, rim.depth_m
-    values["errors"] = _errors(catalog, covariance, height_sigma, shift, log_size)
-    outcomes = tuple(Outcome.REFINED if isinstance(rim, _Rim) else rim for rim in found)
+    rows = np.flatnonzero(np.isfinite(log_size))
+    # The crest's points stand at their mean height on curved ground.
+    values["height_m"][rows] -= chord_depths_m(replace(catalog, **values))[rows]
+    rise = values["height_m"] - catalog.height_m
+    values["errors"] = _errors(catalog, covariance, height_sigma, shift, log_size, rise)
+    values["common_shift"] = _common_shift(catalog, rows, shift, rise)
+    outcomes = tuple(Outcome.REFINED if isinstance(rim, MeasuredRim) else rim for rim in found)
     refined = replace(catalog, **values)
     return RefinedRims(refined, outcomes, covariance, height_sigma, tilt, scatter, depth, shift, log_size)
 
@@ -374,6 +439,7 @@ def _errors(
     height_sigma: FloatArray,
     shift: FloatArray,
     log_size: FloatArray,
+    rise: FloatArray,
 ) -> MapErrors:
     """Errors of refined rims, and of the others: as the catalogue states, or as refinement shows."""
     errors = catalog.errors
@@ -385,10 +451,36 @@ def _errors(
         radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
         place = float(_robust_rms(shift[rows] / radius_m[rows, None]).max())
         size = float(_robust_rms(log_size[rows, None])[0])
-        errors = MapErrors(place * radius_m, np.full(len(catalog), size), np.zeros(len(catalog)))
+        spread_m = (
+            float(_robust_rms((rise[rows] - np.median(rise[rows]))[:, None])[0])
+            if catalog.has_heights
+            else 0.0
+        )
+        errors = MapErrors(place * radius_m, np.full(len(catalog), size), np.full(len(catalog), spread_m))
     place_m = np.sqrt(0.5 * (variances[:, 0] + variances[:, 1]))
     size_share = np.sqrt(0.5 * (variances[:, 2] + variances[:, 4]))
     return errors.replaced(rows, MapErrors(place_m, size_share, height_sigma[rows]))
+
+
+def _common_shift(
+    catalog: Catalog, rows: IntArray, shift: FloatArray, rise: FloatArray
+) -> CommonShift | None:
+    """Return the common shift of the rims that are left: as stated, or as the refined ones show.
+
+    Refined rims lie where the elevation model has them, and have none.
+    """
+    found = catalog.common_shift
+    if not len(rows):
+        return found
+    if found is None:
+        place_m = float(np.sqrt(np.mean(np.median(shift[rows], axis=0) ** 2)))
+        height_m = abs(float(np.median(rise[rows]))) if catalog.has_heights else 0.0
+        found = replace(
+            CommonShift.zeros(len(catalog)),
+            place_m=np.full(len(catalog), place_m),
+            height_m=np.full(len(catalog), height_m),
+        )
+    return found.replaced(rows, CommonShift.zeros(len(rows)))
 
 
 def _robust_rms(values: FloatArray) -> FloatArray:
@@ -396,7 +488,7 @@ def _robust_rms(values: FloatArray) -> FloatArray:
     return np.asarray(1.4826 * np.median(np.abs(values), axis=0))
 
 
-def _rims(found: list[_Rim | Outcome]) -> Iterator[tuple[int, _Rim]]:
+def _rims(found: list[Found]) -> Iterator[tuple[int, MeasuredRim]]:
     for row, rim in enumerate(found):
-        if isinstance(rim, _Rim):
+        if isinstance(rim, MeasuredRim):
             yield row, rim

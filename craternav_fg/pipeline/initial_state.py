@@ -89,7 +89,7 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
 def _with_motion(
     state: InitialState, dataset: Dataset, first: PoseFix, second: PoseFix, interval_s: float
 ) -> InitialState:
-    """Give an initial state what a motion model has in place of IMU biases.
+    """Add the states that a motion model has instead of IMU biases to an initial state.
 
     Without a gyro the mean angular velocity is that between the two poses.
     """

@@ -110,7 +110,7 @@ class OptionsFile:
         return one
 
     def _changed(self, default: Any, table: Any, where: list[str]) -> Any:
-        """Give options with what a table says; `default` is a dataclass."""
+        """Return options with the values of a table; `default` is a dataclass."""
         if not isinstance(table, dict):
             self._fail(where, f"expected a table, found {table!r}")
         hints = _hints(type(default))
@@ -192,8 +192,8 @@ def default_options(names: Sequence[str] = ()) -> str:
         When there is no estimator of a name.
     """
     lines = [
-        "# Options of `craternav reconstruct --config FILE`. What is left out keeps its default.",
-        f'# "{NONE}" stands for a limit that is not set, or a table that is left out.',
+        "# Options of `craternav reconstruct --config FILE`. Missing keys keep their defaults.",
+        f'# "{NONE}" means that a limit is not set, or that a table is omitted.',
         "",
         *_table([FRONT_END], GuidedOptions()),
     ]
@@ -250,7 +250,7 @@ def _hints(cls: type) -> dict[str, Any]:
 
 
 def _meant(key: str, known: Iterable[str]) -> str:
-    """Tell what an unknown key was probably meant to be, or what there is."""
+    """Suggest the key that was probably meant, or list the known keys."""
     near = difflib.get_close_matches(key, known, 1)
     return f" (did you mean {near[0]}?)" if near else f", expected one of {', '.join(sorted(known))}"
 

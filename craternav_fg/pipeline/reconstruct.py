@@ -12,20 +12,20 @@ import numpy.typing as npt
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.base import Descent, Estimator, Problem
+from craternav_fg.estimators.base import NUMERICAL_ERRORS, Descent, Estimator, Problem
 from craternav_fg.estimators.instruments import CAMERA_AND_IMU, IMU, RIMS, SUN
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.map_shift import with_common_shift
 from craternav_fg.pipeline.mistakes import likely_mistake
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
 from craternav_fg.pipeline.sensor_checks import check_logs
 from craternav_fg.pipeline.tracking import Segment, Tracker
-from craternav_fg.pipeline.unknown_heights import with_unknown_height
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
@@ -33,16 +33,12 @@ from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.point_tracks import GroundMotion, track_points
-from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Called with a step's name, how much of it is done, and how much there is.
+# Called with the name of a step, its finished amount and its total.
 Progress = Callable[[str, int, int], None]
-
-# Errors that extreme numbers cause: a factor that is not finite, a system that GTSAM cannot solve.
-NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)
 
 
 @dataclass(frozen=True)
@@ -81,17 +77,17 @@ def reconstruct(
     data : Dataset, Path or str
         A data set or its folder. Its ground truth, if it has one, is not used.
     estimators : sequence of str or Estimator
-        Names, see `craternav_fg.estimators.registry`, or anything with a `name` and `estimate(problem)`.
+        Names, see `craternav_fg.estimators.registry`, or objects with `name` and `estimate(problem)`.
     sensors : sequence of str or Sensor, optional
-        Which of the data set's sensors beside camera and IMU are used, by name; a sensor of one's own as it
-        is. All of the data set's by default. "features" are its tracked points.
+        Sensors to use besides camera and IMU: names of the data set's sensors, or objects of your own. All
+        of the data set's by default. "features" are its tracked points.
     without : sequence of str, optional
-        Names of sensors, "rims", "sun" or "features" that the estimators are not given; the front end still
-        tracks by what the camera measures.
+        Names of sensors to exclude from estimation, also "rims", "sun" or "features"; the front end still
+        tracks with the camera.
     front_end : GuidedOptions, optional
         How rims are measured in images.
     progress : callable, optional
-        Called with a step's name, how much of it is done, and how much there is.
+        Called with the name of a step, its finished amount and its total.
 
     Returns
     -------
@@ -124,7 +120,8 @@ def reconstruct(
     lowered = heights_of_points(problems)
     if lowered:
         problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
-    trajectories, failures, estimation_s = _run(chosen, problems, dataset.stamps_ns, report)
+    trajectories, failures, estimation_s = _run(chosen, problems, measured.frames, report)
+    searched = None if RIMS in without else measured.limits
     return Reconstruction(
         frames=measured.frames,
         problems=problems,
@@ -135,17 +132,20 @@ def reconstruct(
         options=_options(chosen, measured.limits),
         failures=failures,
         index_note=relocaliser.index_note,
-        expected_rims=_expected_rims(dataset, next(iter(trajectories.values())), measured.limits),
+        expected_rims=_expected_rims(dataset, next(iter(trajectories.values())), searched),
         predicted=measured.guides,
         ignored=dataset.ignored,
         in_colour=dataset.in_colour,
         lowered=lowered,
-        mistake=_mistake(dataset, descent, measured),
+        mistake="" if searched is None else _mistake(dataset, descent, measured),
     )
 
 
 def _run(
-    chosen: Sequence[Estimator], problems: Sequence[Problem], stamps_ns: IntArray, report: Progress
+    chosen: Sequence[Estimator],
+    problems: Sequence[Problem],
+    frames: Sequence[FrameMeasurement],
+    report: Progress,
 ) -> tuple[dict[str, Trajectory], dict[str, str], dict[str, float]]:
     """Run estimators: trajectories, why others failed, and how long each took, s.
 
@@ -154,6 +154,8 @@ def _run(
     EstimationError
         When every estimator fails.
     """
+    stamps_ns = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
+    catalog = problems[0].catalog
     trajectories: dict[str, Trajectory] = {}
     failures: dict[str, str] = {}
     times_s: dict[str, float] = {}
@@ -162,7 +164,7 @@ def _run(
         began = time.perf_counter()
         try:
             estimated = _estimate(one, problems, stamps_ns)
-            trajectories[one.name] = with_unknown_height(one.name, estimated, problems[0].catalog)
+            trajectories[one.name] = with_common_shift(one.name, estimated, catalog, frames)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
@@ -173,7 +175,7 @@ def _run(
 
 
 def _with_sensors(dataset: Dataset, chosen: Sequence[str | Sensor] | None, without: Sequence[str]) -> Dataset:
-    """Keep the chosen sensors of a data set, add those of one's own, and leave out others.
+    """Keep the chosen sensors of a data set, add custom ones, and leave out others.
 
     Raises
     ------
@@ -198,7 +200,7 @@ def _with_sensors(dataset: Dataset, chosen: Sequence[str | Sensor] | None, witho
 
 
 def _with_chosen(dataset: Dataset, chosen: Sequence[str | Sensor]) -> Dataset:
-    """Keep the chosen sensors, and add those of one's own."""
+    """Keep the chosen sensors, and add custom ones."""
     there: dict[str, Sensor] = {sensor.name: sensor for sensor in dataset.sensors}
     names = [*there, *([] if dataset.features is None else [FEATURES])]
     for one in chosen:
@@ -323,7 +325,7 @@ def _checked(trajectory: Trajectory) -> Trajectory:
 
 
 def _origin(dataset: Dataset, segments: Sequence[Segment]) -> Literal["given", "found", "replaced"]:
-    """Tell where the initial state is from, see `Reconstruction.origin`."""
+    """Determine where the initial state is from, see `Reconstruction.origin`."""
     if dataset.initial is None:
         return "found"
     return "given" if segments[0].initial is dataset.initial else "replaced"
@@ -332,7 +334,7 @@ def _origin(dataset: Dataset, segments: Sequence[Segment]) -> Literal["given", "
 def _expected_rims(
     dataset: Dataset, trajectory: Trajectory, limits: GuidedOptions | None
 ) -> tuple[int, ...] | None:
-    """Count the catalogue craters that each frame should show; None when no images were processed."""
+    """Count the catalogue craters that each frame should show; None when no rims were searched."""
     if limits is None:
         return None
     return tuple(
@@ -349,20 +351,20 @@ def _expected_rims(
 
 
 def _options(chosen: Sequence[Estimator], limits: GuidedOptions | None) -> dict[str, dict[str, Any]]:
-    """Give the options of the estimators that have any and, if it ran, of the front end."""
+    """Return the options of the estimators that have any and, if it ran, of the front end."""
     options = {one.name: asdict(one.options) for one in chosen if hasattr(one, "options")}
     return options if limits is None else options | {"front_end": asdict(limits)}
 
 
 def _mistake(dataset: Dataset, descent: Descent, measured: _Measured) -> str:
-    """Tell what explains that no rim was found in any image; empty when some were, or nothing does."""
-    if measured.limits is None or any(len(frame.rims) for frame in measured.frames):
+    """Explain why no rim was found in any image; empty if some were found or nothing explains it."""
+    if any(len(frame.rims) for frame in measured.frames):
         return ""
     return likely_mistake(dataset, descent)
 
 
 def _one_line(error: Exception) -> str:
-    """Give the first sentence of an error's text: GTSAM's go on for a page."""
+    """Return the first sentence of an error's text: GTSAM's go on for a page."""
     return " ".join(str(error).split()).split(". ")[0].removesuffix(".")
 
 

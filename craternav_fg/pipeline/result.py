@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.estimators.base import Problem
+from craternav_fg.catalogs.common_shift import unknown_height_warnings
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.evaluation.innovations import Innovations, innovations
 from craternav_fg.evaluation.residuals import outlier_share, rim_residuals
@@ -22,7 +24,6 @@ from craternav_fg.evaluation.sensor_consistency import (
 )
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import warnings
-from craternav_fg.pipeline.unknown_heights import height_sigma_m
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -56,12 +57,12 @@ class Reconstruction:
     options : mapping of str to dict
         Options of the front end and of each estimator that has any, resolved.
     failures : mapping of str to str
-        Estimators that gave no trajectory, and why.
+        Estimators that produced no trajectory, and why.
     index_note : str
         Why the catalogue's index for identification was built although one could be stored; empty otherwise.
     expected_rims : tuple of int, or None
         For each frame, how many catalogue craters should be seen whole and large enough from the first
-        trajectory's poses; None when no images were processed.
+        trajectory's poses; None when no images were processed, or their rims are excluded.
     predicted : ndarray, shape (k, 4, 4), or None
         Poses gTb of the body that guided the front end in each frame; None when no images were processed.
     ignored : tuple of str
@@ -96,10 +97,20 @@ class Reconstruction:
 
         They need no ground truth.
         """
-        if FILTER not in self.trajectories:
-            return None
+        return self._innovations() if FILTER in self.trajectories else None
+
+    def _innovations(self) -> Innovations | None:
         found = Innovations.joined(innovations(problem, ekf().states(problem)) for problem in self.problems)
         return found if found.sensor else None
+
+    def _without_rims(self) -> Innovations | None:
+        """Innovations where no rim was measured, even if the filter was not asked for; None with rims."""
+        if any(len(frame.rims) for frame in self.frames) or not self.problems[0].sensors:
+            return None
+        try:
+            return self.innovations or self._innovations()
+        except (EstimationError, *NUMERICAL_ERRORS):
+            return None
 
     @cached_property
     def residuals(self) -> Mapping[str, FloatArray]:
@@ -142,10 +153,11 @@ class Reconstruction:
         descent = self.problems[0]
         return (
             *warnings.failed_estimators(self.failures),
+            *warnings.contradicted_without_rims(FILTER, self._without_rims()),
             *warnings.inconsistent_trajectories(self.outlier_shares),
             *warnings.contradicted_prior(*self._prior()),
             *warnings.inconsistent_sensors(
-                FILTER, self.innovations, self.consistency, images=self.expected_rims is not None
+                FILTER, self.innovations, self.consistency, images=self.predicted is not None
             ),
             *warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
@@ -153,12 +165,13 @@ class Reconstruction:
             *warnings.unknown_sensors(self.ignored),
             *warnings.colour_images(self.in_colour),
             *warnings.lowered_rims(self.lowered),
-            *warnings.unknown_heights(
-                None if descent.catalog.has_heights else height_sigma_m(descent.catalog.body)
-            ),
+            *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),
             *warnings.replaced_states(self.origin, self.reinitialised_at),
             *warnings.frames_without_rims(
-                [len(frame.rims) for frame in self.frames], self.expected_rims, self.mistake
+                [len(frame.rims) for frame in self.frames],
+                self.expected_rims,
+                self.mistake,
+                [sensor.name for sensor in descent.sensors],
             ),
         )
 

@@ -25,7 +25,7 @@ _MIN_DEPTH_RANGE_M = 10.0
 
 
 def lowered_to_planes(catalog: Catalog) -> Catalog:
-    """Turn mean heights of rims' points into heights of their planes.
+    """Convert mean heights of rims' points to heights of their planes.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary, improbable
 
@@ -17,8 +18,6 @@ FloatArray = npt.NDArray[np.float64]
 
 # Share of outliers among all rims above which an estimator's trajectory is not to be trusted.
 MAX_OUTLIER_SHARE = 0.5
-# It uses no rims, so they need not agree with it.
-_UNAIDED = "dead_reckoning"
 # Limits of the mean square per dimension (expected 1) of innovations and residuals, and the probability below
 # which chance does not explain one. On sound data, a thousand and more give 0.97 to 1.05; the errors of rims
 # in images are only approximately white, so their limit is wider.
@@ -50,11 +49,15 @@ _PRIOR_CHECKS = {
 }
 # What to check when no rim is found in any image.
 _NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"
+# Share of the frames which should show catalogue craters that may show none: beyond, the few rims there are
+# may be matched wrongly.
+_MAX_MISSED_SHARE = 0.8
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
+_OTHERS_ALONE = "there the trajectory rests on the IMU and {}"
 
 
 def failed_estimators(failures: Mapping[str, str]) -> list[str]:
-    """Warn of estimators that gave no trajectory.
+    """Warn of estimators that produced no trajectory.
 
     Parameters
     ----------
@@ -83,13 +86,45 @@ def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> lis
     astray = [
         f"{name} ({100.0 * share:.0f} %)"
         for name, share in outlier_shares.items()
-        if share is not None and share > MAX_OUTLIER_SHARE and name != _UNAIDED
+        if share is not None and share > MAX_OUTLIER_SHARE and name != DeadReckoning.name
     ]
     if not astray:
         return []
     return [
         f"most rims are outliers (beyond 7 sigma) at the poses of {', '.join(astray)}, which cannot be "
         "trusted; check the units and axes of IMU and catalogue, T_BS, the matches"
+    ]
+
+
+def contradicted_without_rims(name: str, innovations: Innovations | None) -> list[str]:
+    """Warn of trajectories that rest on sensors which contradict each other, without any rim to decide.
+
+    A few ranges from poor initial states, for example, fit several trajectories: an estimator takes one of
+    them, and its covariance does not know of the others.
+
+    Parameters
+    ----------
+    name : str
+        Name of the filter.
+    innovations : Innovations or None
+        Its innovations; None where rims were measured.
+
+    Returns
+    -------
+    list of str
+        One sentence for all sensors.
+    """
+    contradicted = []
+    for sensor in sorted(set(innovations.sensor)) if innovations is not None else []:
+        assert innovations is not None
+        part = innovations.of(sensor)
+        if part.mean > MAX_SQUARE and improbable(part.mean, int(part.dimension.sum()), IMPROBABLE):
+            contradicted.append(f"{sensor} (NIS per dimension {part.mean:.3g}, expected 1)")
+    if not contradicted:
+        return []
+    return [
+        f"no trajectory can be trusted, whatever its covariance: no rim was measured, and {name} does not "
+        f"predict {', '.join(contradicted)}; give smaller initial sigmas, rims, or a star tracker"
     ]
 
 
@@ -270,27 +305,6 @@ def lowered_rims(lowered: bool) -> list[str]:
     ]
 
 
-def unknown_heights(sigma_m: float | None) -> list[str]:
-    """Warn of a catalogue that does not say how high its rims lie.
-
-    Parameters
-    ----------
-    sigma_m : float or None
-        Standard deviation of the ground's common height, m; None when the heights are known.
-
-    Returns
-    -------
-    list of str
-    """
-    if sigma_m is None:
-        return []
-    return [
-        "the catalogue has no RIM_HEIGHT_M: its rims are taken to lie on the sphere. A height that all have "
-        f"in common cannot be observed; {sigma_m:.0f} m of it are in the covariance of positions. Take the "
-        "heights from an elevation model (craternav catalog import --dem)"
-    ]
-
-
 def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     """Warn of an initial state that was replaced, and of frames at which the track was re-initialised.
 
@@ -316,7 +330,9 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     return out
 
 
-def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None, mistake: str = "") -> list[str]:
+def frames_without_rims(
+    rims: Sequence[int], expected: Sequence[int] | None, mistake: str = "", sensors: Sequence[str] = ()
+) -> list[str]:
     """Warn of frames in which no rim was measured.
 
     Parameters
@@ -324,31 +340,41 @@ def frames_without_rims(rims: Sequence[int], expected: Sequence[int] | None, mis
     rims : sequence of int
         Measured rims of each frame.
     expected : sequence of int or None
-        Catalogue craters that each frame should show; None when no images were processed.
+        Catalogue craters that each frame should show; None when none were searched in images.
     mistake : str
         What would explain that there is no rim in any frame; empty when nothing is known.
+    sensors : sequence of str
+        Names of the sensors beside camera and IMU.
 
     Returns
     -------
     list of str
     """
+    alone = _OTHERS_ALONE.format(", ".join(sensors)) if sensors else _IMU_ALONE
     empty: BoolArray = np.array(rims) == 0
     missed: BoolArray = empty & (np.array(expected) > 0) if expected is not None else np.zeros_like(empty)
     if expected is not None and empty.all():
+        although = f", although {int(missed.sum())} should show some" if missed.any() else ""
         return [
-            f"no rim was found in any frame, although {int(missed.sum())} should show some: no pose within "
-            f"the prior explains the images; {mistake or _NO_RIMS_CHECKS}"
+            f"no rim was found in any frame{although}: no pose within the prior explains the images; "
+            f"{mistake or _NO_RIMS_CHECKS}"
         ]
     out = []
-    if missed.any():
+    if expected is not None and missed.sum() > _MAX_MISSED_SHARE * np.count_nonzero(expected):
         out.append(
-            f"no rim was found in {_count(missed)} that should show catalogue craters; {_IMU_ALONE}; if this "
+            f"no trajectory can be trusted, whatever its covariance: {int(np.count_nonzero(~empty))} of "
+            f"{int(np.count_nonzero(expected))} frames confirm it, the others should show catalogue craters "
+            f"and do not; {mistake or _NO_RIMS_CHECKS}"
+        )
+    elif missed.any():
+        out.append(
+            f"no rim was found in {_count(missed)} that should show catalogue craters; {alone}; if this "
             "happens often, check the body and the IMU's units and axes"
         )
     others = empty & ~missed
     if others.any():
         what = "no rim was measured in" if expected is None else "no catalogue crater is in view in"
-        out.append(f"{what} {_count(others)}; {_IMU_ALONE}")
+        out.append(f"{what} {_count(others)}; {alone}")
     return out
 
 

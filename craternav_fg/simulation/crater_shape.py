@@ -230,10 +230,10 @@ def ground_levels(
     tangent : ndarray, shape (n, 5)
         Plane coordinates x, y of the centres, m, the relief there, m, and its gradient, m/m (two columns).
     radius_m : float
-        Of the sphere.
+        The sphere's radius.
     heights : ndarray, shape (n,)
-        Of the rim planes over the sphere, m. Where NaN, the height at which the crater stands in its terrain
-        is written.
+        Heights of the rim planes over the sphere, m. Where NaN, the height at which the crater stands in its
+        terrain is written.
 
     Returns
     -------

@@ -285,8 +285,10 @@ def _seen_from_m(
     """Lowest and highest altitude (n,) from which points (n, 3) are in view; inf and 0 where never."""
     lowest = np.full(len(normal), np.inf)
     highest = np.zeros(len(normal))
+    places = body.radius_m * normal
     for point, h in zip(ground, altitude_m, strict=True):
-        near = np.linalg.norm(body.radius_m * normal - point, axis=1) <= reach * h
+        away = places - point
+        near = np.einsum("ni,ni->n", away, away) <= (reach * h) ** 2
         lowest[near] = np.minimum(lowest[near], h)
         highest[near] = np.maximum(highest[near], h)
     return lowest, highest

@@ -18,7 +18,7 @@ _GRADIENT_IMAGES = 20
 
 
 def noise_images(rng: np.random.Generator, size_px: int = 320) -> Iterator[Image]:
-    """Give 20 images of noise from white to as coarse as craters, every other one with sensor noise.
+    """Return 20 images of noise from white to as coarse as craters, every other one with sensor noise.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def noise_images(rng: np.random.Generator, size_px: int = 320) -> Iterator[Image
 
 
 def gradient_images(rng: np.random.Generator, size_px: int = 320) -> Iterator[Image]:
-    """Give 20 planes, bowls, saddles and waves larger than the image, some with sensor noise.
+    """Return 20 planes, bowls, saddles and waves larger than the image, some with sensor noise.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generator) -> Catalog:
-    """Give the catalogue of a map with errors of positions, sizes and heights.
+    """Return the catalogue of a map with errors of positions, sizes and heights.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def swap_matches(
 
 
 def perturb_mounting(camera: Camera, faults: FaultsSection, rng: np.random.Generator) -> Camera:
-    """Give the camera with the wrong mounting that the data set states."""
+    """Return the camera with the wrong mounting that the data set states."""
     axis = rng.standard_normal(3)
     turn = frames.rotation_exp(math.radians(faults.mounting_deg) * axis / np.linalg.norm(axis))
     bTc = camera.bTc.copy()

@@ -55,7 +55,7 @@ class Orbit(Track):
             self._states.append((gTb, gV + step[6:9], state[2] + step[9:]))
 
     def evaluate(self, t_s: FloatArray) -> Motion:
-        """Give the motion at some times.
+        """Return the motion at some times.
 
         Parameters
         ----------

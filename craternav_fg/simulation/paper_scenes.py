@@ -166,7 +166,7 @@ def photograph_window(
     Scene
         The window.
     Renderer
-        Of the same terrain, with a camera finer by `zoom`.
+        Renderer of the same terrain, with a camera finer by `zoom`.
     """
     camera = window(view)
     gP = view.catalog.centres

@@ -20,6 +20,10 @@ MAX_STEPS = 400
 _TOLERANCE, _NEAR = 0.002, 0.5
 # A secant step is at most this many `_NEAR` distances.
 _LONGEST_SECANT = 4.0
+# A ray is steeper than the terrain by this factor if it meets it only once: it may bend by 1 % further on.
+_STEEPER = 1.01
+# Secant steps from the intersection of the ray beside; three are usual.
+_SECANT_STEPS = 8
 # Shadow rays begin this far from their point, in cells, are taken this much higher, and step at least this
 # far: the bilinear terrain between grid points may stand above the point itself.
 _SHADOW_START, _SHADOW_LIFT, _SHADOW_STEP = 1.5, 0.04, 0.7
@@ -36,8 +40,8 @@ def _height(x: float, y: float, heights: Float32Array, slots: IntArray, frames: 
     """
     n = heights.shape[1]
     for k in range(slots.shape[0]):
-        u = (x - frames[k, 1]) / frames[k, 0]
-        v = (y - frames[k, 2]) / frames[k, 0]
+        u = (x - frames[k, 1]) * frames[k, 4]
+        v = (y - frames[k, 2]) * frames[k, 4]
         if u >= 1.0 and v >= 1.0 and u < n - 2 and v < n - 2:
             i = int(u)
             j = int(v)
@@ -51,55 +55,52 @@ def _height(x: float, y: float, heights: Float32Array, slots: IntArray, frames: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _slopes(
+def _height_and_slopes(
     x: float, y: float, heights: Float32Array, slots: IntArray, frames: FloatArray
-) -> tuple[float, float, float]:
-    """Slopes along x and y, bilinear between central differences, and the spacing of their grid."""
+) -> tuple[float, float, float, float]:
+    """Height, slopes along x and y (bilinear between central differences), and the spacing of their grid."""
     n = heights.shape[1]
     for k in range(slots.shape[0]):
-        c = frames[k, 0]
-        u = (x - frames[k, 1]) / c
-        v = (y - frames[k, 2]) / c
+        per_cell = frames[k, 4]
+        u = (x - frames[k, 1]) * per_cell
+        v = (y - frames[k, 2]) * per_cell
         if u >= 1.0 and v >= 1.0 and u < n - 2 and v < n - 2:
             i = int(u)
             j = int(v)
             u -= i
             v -= j
-            h = heights[slots[k]]
-            gx = (1.0 - v) * ((1.0 - u) * (h[j, i + 1] - h[j, i - 1]) + u * (h[j, i + 2] - h[j, i])) + v * (
-                (1.0 - u) * (h[j + 1, i + 1] - h[j + 1, i - 1]) + u * (h[j + 1, i + 2] - h[j + 1, i])
+            h, s = heights, slots[k]
+            # The 12 points around: rows j - 1 to j + 2.
+            b1, b2 = h[s, j - 1, i], h[s, j - 1, i + 1]
+            c0, c1, c2, c3 = h[s, j, i - 1], h[s, j, i], h[s, j, i + 1], h[s, j, i + 2]
+            d0, d1, d2, d3 = h[s, j + 1, i - 1], h[s, j + 1, i], h[s, j + 1, i + 1], h[s, j + 1, i + 2]
+            e1, e2 = h[s, j + 2, i], h[s, j + 2, i + 1]
+            gx = (1.0 - v) * ((1.0 - u) * (c2 - c0) + u * (c3 - c1)) + v * (
+                (1.0 - u) * (d2 - d0) + u * (d3 - d1)
             )
-            gy = (1.0 - v) * (
-                (1.0 - u) * (h[j + 1, i] - h[j - 1, i]) + u * (h[j + 1, i + 1] - h[j - 1, i + 1])
-            ) + v * ((1.0 - u) * (h[j + 2, i] - h[j, i]) + u * (h[j + 2, i + 1] - h[j, i + 1]))
-            return 0.5 * gx / c, 0.5 * gy / c, c
-    return 0.0, 0.0, 2.0 * frames[slots.shape[0] - 1, 0]
+            gy = (1.0 - v) * ((1.0 - u) * (d1 - b1) + u * (d2 - b2)) + v * (
+                (1.0 - u) * (e1 - c1) + u * (e2 - c2)
+            )
+            height = (1.0 - v) * ((1.0 - u) * c1 + u * c2) + v * ((1.0 - u) * d1 + u * d2)
+            return height, 0.5 * gx * per_cell, 0.5 * gy * per_cell, frames[k, 0]
+    last = slots.shape[0] - 1
+    return frames[last, 3], 0.0, 0.0, 2.0 * frames[last, 0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _surface(
-    gx: float,
-    gy: float,
-    heights: Float32Array,
-    slots: IntArray,
-    frames: FloatArray,
-    radius: float,
-    point: FloatArray,
-    normal: FloatArray,
-) -> float:
-    """Write the ground point and its unit normal (3,), site frame; return the spacing of its grid."""
-    hx, hy, cell = _slopes(gx, gy, heights, slots, frames)
+    gx: float, gy: float, heights: Float32Array, slots: IntArray, frames: FloatArray, radius: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Ground point and its unit normal (three numbers each, site frame), and the spacing of its grid."""
+    height, hx, hy, cell = _height_and_slopes(gx, gy, heights, slots, frames)
     s = np.sqrt(gx * gx + gy * gy + radius * radius)
     # Gradient of |p| - R - h(x(p), y(p)), with grad x = k (e_x - x/R e_z).
-    k = s / (radius + _height(gx, gy, heights, slots, frames))
-    point[0] = gx / k
-    point[1] = gy / k
-    point[2] = radius / k
-    normal[0] = gx / s - k * hx
-    normal[1] = gy / s - k * hy
-    normal[2] = radius / s + k * (hx * gx + hy * gy) / radius
-    normal /= np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-    return cell
+    k = s / (radius + height)
+    nx = gx / s - k * hx
+    ny = gy / s - k * hy
+    nz = radius / s + k * (hx * gx + hy * gy) / radius
+    norm = np.sqrt(nx * nx + ny * ny + nz * nz)
+    return gx / k, gy / k, radius / k, nx / norm, ny / norm, nz / norm, cell
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -119,13 +120,13 @@ def surfaces(
     hits : ndarray, shape (n, 2)
         Plane coordinates, m; NaN in the sky.
     heights : ndarray of float32, shape (slots, cells, cells)
-        Of `Levels`, m.
+        See `Levels`, m.
     slots : ndarray of int, shape (m,)
-        Of `Levels`.
-    frames : ndarray, shape (m, 4)
-        Of `Levels`, m.
+        See `Levels`.
+    frames : ndarray, shape (m, 5)
+        See `Levels`.
     radius : float
-        Of the body, m.
+        The body's radius, m.
     points, normals : ndarray, shape (n, 3)
         Written, in the site frame, m and unit length; NaN in the sky.
     """
@@ -134,7 +135,63 @@ def surfaces(
             points[r, :] = np.nan
             normals[r, :] = np.nan
         else:
-            _surface(hits[r, 0], hits[r, 1], heights, slots, frames, radius, points[r], normals[r])
+            px, py, pz, nx, ny, nz, _ = _surface(hits[r, 0], hits[r, 1], heights, slots, frames, radius)
+            points[r, 0], points[r, 1], points[r, 2] = px, py, pz
+            normals[r, 0], normals[r, 1], normals[r, 2] = nx, ny, nz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beside(
+    P: FloatArray,
+    dx: float,
+    dy: float,
+    dz: float,
+    begin: float,
+    guess: float,
+    rate: float,
+    heights: Float32Array,
+    slots: IntArray,
+    frames: FloatArray,
+    radius: float,
+    slope: float,
+) -> tuple[float, float, float, float]:
+    """Plane coordinates at which a ray meets the terrain, the height there, and the ray's closing speed.
+
+    The search begins at the height `guess` and the closing speed `rate` of the ray beside it. A ray that is
+    steeper than all terrain meets it only once: where the secant method ends, it is the first intersection.
+    NaN for flatter rays, and where the method leaves the terrain or does not end.
+    """
+    tolerance = _TOLERANCE * frames[0, 0]
+    pd = P[0] * dx + P[1] * dy + P[2] * dz
+    root = pd * pd - (P[0] * P[0] + P[1] * P[1] + P[2] * P[2]) + (radius + guess) ** 2
+    if root < 0.0:
+        return np.nan, np.nan, guess, rate
+    t = -pd - np.sqrt(root)
+    t_before, f_before = t, 0.0
+    for step in range(_SECANT_STEPS):
+        x, y, z = P[0] + t * dx, P[1] + t * dy, P[2] + t * dz
+        if t < begin or z <= 0.0:
+            break
+        scale = radius / z
+        p = np.sqrt(x * x + y * y + z * z)
+        if step == 0:
+            # Above the terrain a ray is steeper than where it meets it.
+            sink = -(x * dx + y * dy + z * dz) / p
+            run = scale * np.sqrt((dx - x * dz / z) ** 2 + (dy - y * dz / z) ** 2)
+            if sink < _STEEPER * slope * run:
+                break
+        gx, gy = x * scale, y * scale
+        height = _height(gx, gy, heights, slots, frames)
+        f = p - radius - height
+        if step > 0:
+            rate = (f_before - f) / (t - t_before)
+        if abs(f) < tolerance:
+            return gx, gy, height, rate
+        if rate <= 0.0:
+            break
+        t_before, f_before = t, f
+        t += f / rate
+    return np.nan, np.nan, guess, rate
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -152,7 +209,8 @@ def trace(
 ) -> None:
     """Write the plane coordinates at which rays meet the terrain.
 
-    Steps are as long as the steepest slope allows.
+    Rays are best in the order of an image: each begins where the one before it met the terrain. Where that is
+    not safe or not enough, steps from above are as long as the steepest slope allows.
 
     Parameters
     ----------
@@ -163,21 +221,23 @@ def trace(
     points : ndarray, shape (n, 2)
         Normalised image coordinates of the rays.
     heights : ndarray of float32, shape (slots, cells, cells)
-        Of `Levels`, m.
+        See `Levels`, m.
     slots : ndarray of int, shape (m,)
-        Of `Levels`.
-    frames : ndarray, shape (m, 4)
-        Of `Levels`, m.
+        See `Levels`.
+    frames : ndarray, shape (m, 5)
+        See `Levels`.
     radius : float
-        Of the body, m.
+        The body's radius, m.
     top, slope : float
-        Of `Levels`, m and m/m.
+        See `Levels`, m and m/m.
     hits : ndarray, shape (n, 2)
         Written, m; NaN in the sky.
     """
     tolerance = _TOLERANCE * frames[0, 0]
     near = _NEAR * frames[0, 0]
     pp = P[0] * P[0] + P[1] * P[1] + P[2] * P[2]
+    # Height at which the ray before met the terrain, and its closing speed there.
+    guess, rate = np.nan, 1.0
     for r in range(points.shape[0]):
         hits[r, 0] = np.nan
         hits[r, 1] = np.nan
@@ -196,6 +256,14 @@ def trace(
             continue
         end = -pd + np.sqrt(root)
         t = max(0.0, -pd - np.sqrt(root))
+        if not np.isnan(guess):
+            gx, gy, guess, rate = _beside(
+                P, dx, dy, dz, t, guess, rate, heights, slots, frames, radius, slope
+            )
+            if not np.isnan(gx):
+                hits[r, 0] = gx
+                hits[r, 1] = gy
+                continue
         # Last points known to be above and below the terrain, and their heights over it.
         t_above, f_above = t, 0.0
         t_below, f_below = -1.0, 0.0
@@ -206,11 +274,13 @@ def trace(
             scale = radius / z
             p = np.sqrt(x * x + y * y + z * z)
             gx, gy = x * scale, y * scale
-            f = p - radius - _height(gx, gy, heights, slots, frames)
+            height = _height(gx, gy, heights, slots, frames)
+            f = p - radius - height
             # Where two grids meet, the terrain may have a step: then the bracket ends the search.
             if abs(f) < tolerance or (t_below >= 0.0 and t_below - t_above < tolerance):
                 hits[r, 0] = gx
                 hits[r, 1] = gy
+                guess, rate = height, -(x * dx + y * dy + z * dz) / p
                 break
             if f < 0.0:
                 if step == 0:
@@ -250,7 +320,13 @@ def _sunlight(
     slope: float,
 ) -> float:
     """Share of the sun's disc that is visible from a ground point (site frame)."""
-    seen = 1.0
+    # How fast the ray climbs, and moves over the ground: further on it climbs faster.
+    climb = (x * sun[0] + y * sun[1] + z * sun[2]) / np.sqrt(x * x + y * y + z * z)
+    run = radius / z * np.sqrt((sun[0] - x * sun[2] / z) ** 2 + (sun[1] - y * sun[2] / z) ** 2)
+    closing = slope * run - climb
+    per_closing = 1.0 / max(closing, _MIN_CLOSING)
+    # Least height over the terrain, relative to the radius of the light's cone.
+    least = 1.0
     t = _SHADOW_START * cell
     for _ in range(MAX_STEPS):
         qx, qy, qz = x + t * sun[0], y + t * sun[1], z + t * sun[2]
@@ -261,16 +337,15 @@ def _sunlight(
             break
         scale = radius / qz
         f = p - radius - _height(qx * scale, qy * scale, heights, slots, frames) + _SHADOW_LIFT * cell
-        seen = min(seen, 0.5 + 0.5 * f / (t * sun_radius))
-        if seen <= 0.0:
-            return 0.0
-        climb = (qx * sun[0] + qy * sun[1] + qz * sun[2]) / p
-        run = scale * np.sqrt((sun[0] - qx * sun[2] / qz) ** 2 + (sun[1] - qy * sun[2] / qz) ** 2)
-        closing = slope * run - climb
-        if closing <= 0.0 and f > sun_radius * t:
+        cone = t * sun_radius
+        if f < least * cone:
+            least = f / cone
+            if least <= -1.0:
+                return 0.0
+        if closing <= 0.0 and f > cone:
             break
-        t += max(_SHADOW_STEP * cell, f / max(closing, _MIN_CLOSING))
-    return seen
+        t += max(_SHADOW_STEP * cell, f * per_closing)
+    return 0.5 + 0.5 * least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -335,34 +410,31 @@ def shade(
     sun_radius : float
         Half the angle under which the sun appears, rad.
     law : ndarray, shape (5,)
-        Of `reflectance`.
+        Parameters of `reflectance`.
     heights : ndarray of float32, shape (slots, cells, cells)
-        Of `Levels`, m.
+        See `Levels`, m.
     slots : ndarray of int, shape (m,)
-        Of `Levels`.
-    frames : ndarray, shape (m, 4)
-        Of `Levels`, m.
+        See `Levels`.
+    frames : ndarray, shape (m, 5)
+        See `Levels`.
     radius : float
-        Of the body, m.
+        The body's radius, m.
     top, slope : float
-        Of `Levels`, m and m/m.
+        See `Levels`, m and m/m.
     light : ndarray of float32, shape (n,)
         Brightness, written; 0 in the sky.
     """
-    q = np.empty(3)
-    n = np.empty(3)
     for r in range(hits.shape[0]):
         light[r] = 0.0
         if np.isnan(hits[r, 0]):
             continue
-        cell = _surface(hits[r, 0], hits[r, 1], heights, slots, frames, radius, q, n)
-        mu0 = n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]
+        x, y, z, nx, ny, nz, cell = _surface(hits[r, 0], hits[r, 1], heights, slots, frames, radius)
+        mu0 = nx * sun[0] + ny * sun[1] + nz * sun[2]
         if mu0 <= 0.0:
             continue
-        vx, vy, vz = P[0] - q[0], P[1] - q[1], P[2] - q[2]
+        vx, vy, vz = P[0] - x, P[1] - y, P[2] - z
         range_m = np.sqrt(vx * vx + vy * vy + vz * vz)
-        mu = (n[0] * vx + n[1] * vy + n[2] * vz) / range_m
-        mu = max(mu, 0.0)
+        mu = max((nx * vx + ny * vy + nz * vz) / range_m, 0.0)
         cos_phase = (sun[0] * vx + sun[1] * vy + sun[2] * vz) / range_m
-        seen = _sunlight(q[0], q[1], q[2], cell, sun, sun_radius, heights, slots, frames, radius, top, slope)
+        seen = _sunlight(x, y, z, cell, sun, sun_radius, heights, slots, frames, radius, top, slope)
         light[r] = seen * mu0 * reflectance(mu0, mu, cos_phase, law)

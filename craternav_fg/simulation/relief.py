@@ -6,13 +6,14 @@ rays through the height field need no approximation of the body's curvature.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
-from craternav_fg.catalogs.dem import Dem
+from craternav_fg.catalogs.nested_dem import NestedDem
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -25,6 +26,15 @@ SLOPE_OF_UNIT_NOISE = float(np.sqrt(2.0 / 3.0 * 151.0 / 315.0))
 _REFERENCE_M = 100.0
 # Shortest octave: 2 to the power of this, m; nothing sees shorter ones.
 _SHORTEST_OCTAVE = -15
+
+
+class Window(NamedTuple):
+    """Part of a grid: its columns from `left` to before `right`, its rows from `low` to before `high`."""
+
+    left: int
+    right: int
+    low: int
+    high: int
 
 
 @dataclass(frozen=True)
@@ -102,12 +112,12 @@ class Relief:
     site_g : ndarray, shape (3,)
         Any point above the landing site in g, m. The terrain is valid up to 45 deg from it.
     options : ReliefOptions
-    dem : Dem, optional
-        Elevation model to which the roughness is added.
+    dem : NestedDem, optional
+        Elevation models to which the roughness is added.
     """
 
     def __init__(
-        self, body: Body, site_g: FloatArray, options: ReliefOptions, dem: Dem | None = None
+        self, body: Body, site_g: FloatArray, options: ReliefOptions, dem: NestedDem | None = None
     ) -> None:
         self.body = body
         self.dem = dem
@@ -139,7 +149,7 @@ class Relief:
         return float(slope * spacing_m / SLOPE_OF_UNIT_NOISE)
 
     def at(self, xy: FloatArray, shortest_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Give heights and gradients at plane points, of the longer octaves only.
+        """Return heights and gradients at plane points, of the longer octaves only.
 
         Parameters
         ----------
@@ -199,8 +209,10 @@ class Relief:
         s = np.concatenate([xy, np.full((len(xy), 1), self.body.radius_m)], axis=1)
         return self.dem.heights_m(s @ self.gRs.T)
 
-    def grid(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
-        """Give heights on a grid: at the plane points 2**exponent * (first + index).
+    def grid(
+        self, exponent: int, first: tuple[int, int], cells: int, fade: int, window: Window | None = None
+    ) -> Float32Array:
+        """Return heights on a grid: at the plane points 2**exponent * (first + index).
 
         Parameters
         ----------
@@ -213,30 +225,38 @@ class Relief:
         fade : int
             The shortest octave fades out over this many cells from the border, so that a coarser
             grid continues this one without a step.
+        window : Window, optional
+            Part of the grid; all of it by default.
 
         Returns
         -------
-        ndarray of float32, shape (cells, cells)
+        ndarray of float32, shape (rows, columns)
             Metres, rows along y.
         """
-        heights = self._roughness(exponent, first, cells, fade)
+        part = Window(0, cells, 0, cells) if window is None else window
+        heights = self._roughness(exponent, first, cells, fade, part)
         if self.dem is not None:
-            x, y = (2.0**exponent * (start + np.arange(cells)) for start in first)
-            for j in range(cells):
-                heights[j] += self.base_m(np.stack([x, np.full(cells, y[j])], axis=-1)).astype(np.float32)
+            x = 2.0**exponent * (first[0] + np.arange(part.left, part.right))
+            y = 2.0**exponent * (first[1] + np.arange(part.low, part.high))
+            for row, place in zip(heights, y, strict=True):
+                row += self.base_m(np.stack([x, np.full(len(x), place)], axis=-1)).astype(np.float32)
         return heights
 
-    def _roughness(self, exponent: int, first: tuple[int, int], cells: int, fade: int) -> Float32Array:
+    def _roughness(
+        self, exponent: int, first: tuple[int, int], cells: int, fade: int, window: Window
+    ) -> Float32Array:
+        columns, rows = window.right - window.left, window.high - window.low
         if self.options.slope == 0.0 or exponent >= self._coarsest:
-            return np.zeros((cells, cells), np.float32)
-        # The lattice of each octave begins and ends two points beyond the grid, for the splines.
+            return np.zeros((rows, columns), np.float32)
+        begin = np.add(first, (window.left, window.low))
+        # The lattice of each octave begins and ends two points beyond the window, for the splines.
         octaves = range(self._coarsest, exponent, -1)
         total: Float32Array | None = None
         lo = np.zeros(2, dtype=np.int64)
         for octave in octaves:
             step = 2 ** (octave - exponent)
-            need_lo = np.floor_divide(first, step) - 3
-            need_hi = np.floor_divide(np.asarray(first) + cells, step) + 4
+            need_lo = np.floor_divide(begin, step) - 3
+            need_hi = np.floor_divide(np.add(begin, (columns, rows)), step) + 4
             shape = need_hi - need_lo
             if total is None:
                 total = np.zeros((int(shape[1]), int(shape[0])), np.float32)
@@ -255,8 +275,8 @@ class Relief:
             total += noise
         assert total is not None
         values = _evaluate_half(_evaluate_half(total).T).T
-        x0, y0 = np.asarray(first) - 2 * (lo + 1)
-        return np.ascontiguousarray(values[y0 : y0 + cells, x0 : x0 + cells])
+        x0, y0 = begin - 2 * (lo + 1)
+        return np.ascontiguousarray(values[y0 : y0 + rows, x0 : x0 + columns])
 
 
 def _border(position: IntArray, cells: int, fade: int) -> Float32Array:

@@ -134,10 +134,48 @@ class Renderer:
         ndarray of uint8 or uint16, shape (height_px, width_px)
             Grey levels up to the camera's full scale.
         """
-        options = self.options
+        return self.expose(self.light(gTb, sun_g, sweep), sun_g, rng)
+
+    def light(
+        self, gTb: FloatArray, sun_g: FloatArray, sweep: tuple[FloatArray, FloatArray] | None = None
+    ) -> Float32Array:
+        """Brightness before optics and sensor, blurred by motion: the part of `render` that takes long.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose of the lander in g.
+        sun_g : ndarray, shape (3,)
+            Unit vector towards the sun in g.
+        sweep : tuple of ndarray, shape (4, 4), optional
+            See `render`.
+
+        Returns
+        -------
+        ndarray of float32, shape (height_px, width_px)
+            1 for a white surface below the sun.
+        """
         light = self.radiance(gTb, sun_g)
-        if sweep is not None:
-            light = self._swept(light, gTb, *sweep)
+        return light if sweep is None else self._swept(light, gTb, *sweep)
+
+    def expose(self, light: Float32Array, sun_g: FloatArray, rng: np.random.Generator) -> ImageArray:
+        """Image that optics and sensor make of `light`; it may run beside the next image's `light`.
+
+        Parameters
+        ----------
+        light : ndarray of float32, shape (height_px, width_px)
+            Brightness, dimensionless: 1 for a white surface below the sun.
+        sun_g : ndarray, shape (3,)
+            Unit vector towards the sun in g.
+        rng : Generator
+            Sensor noise.
+
+        Returns
+        -------
+        ndarray of uint8 or uint16, shape (height_px, width_px)
+            Grey levels up to the camera's full scale.
+        """
+        options = self.options
         if options.psf_sigma_px > 0.0:
             blurred = cv2.GaussianBlur(light, (0, 0), options.psf_sigma_px, borderType=cv2.BORDER_REPLICATE)
             light = blurred.astype(np.float32, copy=False)
@@ -188,7 +226,7 @@ class Renderer:
         return np.ascontiguousarray(image.mean(axis=(1, 3)) if n > 1 else image[:, 0, :, 0])
 
     def ground_points(self, gTb: FloatArray, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Give the points at which rays through pixels meet the rendered terrain, and its normals there.
+        """Return the points at which rays through pixels meet the rendered terrain, and its normals there.
 
         Parameters
         ----------

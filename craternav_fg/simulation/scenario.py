@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -40,16 +41,16 @@ def simulate(
     Parameters
     ----------
     scenario : Scenario, Path or str
-        A built-in one by its name, or a TOML file.
+        Name of a built-in scenario, or a TOML file.
     folder : Path
         Replaced when it is empty or a data set.
     trial : int, optional
-        Number of a Monte Carlo trial: with the scenario's seed it determines all random numbers; listed
-        craters are then redrawn if the list says so.
+        Number of a Monte Carlo trial. With the scenario's seed, it determines all random numbers. Listed
+        craters are redrawn if the list says so.
     with_initial : bool
         Whether the data set has an initial state.
     progress : callable, optional
-        Called with the number of finished frames and that of all frames.
+        Called with the number of finished frames and the total.
 
     Returns
     -------
@@ -59,12 +60,12 @@ def simulate(
     Raises
     ------
     InputError
-        When the folder holds something else, or the scenario's crater file or elevation model is wrong.
+        When the folder holds something else, or a file that the scenario names is missing or wrong.
     CraternavError
         When the trajectory leads into the ground.
     """
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario)
+    case = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    scenario = case.with_data()
     seed = np.random.SeedSequence(scenario.seed, spawn_key=() if trial is None else (trial,))
     # One stream per subject: a change in one leaves the others as they were.
     streams = (np.random.default_rng(s) for s in seed.spawn(6))
@@ -110,7 +111,7 @@ def simulate(
 
 
 def _biases(scenario: Scenario) -> tuple[float, float]:
-    """Give the standard deviations of the turn-on biases, or of what takes their place without an IMU."""
+    """Return the standard deviations of the turn-on biases, or of what takes their place without an IMU."""
     if scenario.imu is not None:
         return scenario.imu.gyro_bias_rad_s, scenario.imu.accelerometer_bias_m_s2
     acceleration = getattr(scenario.motion, "acceleration_sigma_m_s2", UNUSED_SIGMA_M_S2)
@@ -127,22 +128,31 @@ def _imu(world: World, rng: np.random.Generator) -> tuple[ImuLog | None, FloatAr
 
 
 def _exposures_s(world: World) -> FloatArray:
-    """Give the times (k,) at which the images are taken: their stamps plus the camera-IMU time offset."""
+    """Return the times (k,) at which the images are taken: their stamps plus the camera-IMU time offset."""
     return np.asarray(np.multiply(world.stamps_ns, 1e-9) + world.scenario.faults.time_offset_s)
 
 
 def _images(world: World, rng: np.random.Generator, progress: Progress | None) -> Iterator[ImageArray]:
-    """Render the images one by one."""
+    """Render the images one by one, each while the one before it is exposed and written."""
     render = world.scenario.render
     assert render is not None
     renderer, times_s = world.renderer(), _exposures_s(world)
     half_s = 0.5 * render.exposure_s
     poses, begin, end = (world.descent.evaluate(times_s + side).gTb for side in (0.0, -half_s, half_s))
-    for k, stamp in enumerate(world.stamps_ns.tolist()):
-        sweep = (begin[k], end[k]) if half_s > 0.0 else None
-        yield renderer.render(poses[k], world.sun.at(stamp), rng, sweep)
-        if progress is not None:
-            progress(k + 1, len(world.stamps_ns))
+    suns = [world.sun.at(stamp) for stamp in world.stamps_ns.tolist()]
+
+    def light(k: int) -> npt.NDArray[np.float32]:
+        return renderer.light(poses[k], suns[k], (begin[k], end[k]) if half_s > 0.0 else None)
+
+    with ThreadPoolExecutor(1) as beside:
+        coming = beside.submit(light, 0)
+        for k, sun_g in enumerate(suns):
+            here = coming.result()
+            if k + 1 < len(suns):
+                coming = beside.submit(light, k + 1)
+            yield renderer.expose(here, sun_g, rng)
+            if progress is not None:
+                progress(k + 1, len(suns))
 
 
 def _measurements(

@@ -2,6 +2,8 @@
 
 import difflib
 import importlib.resources
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +21,7 @@ from craternav_fg.simulation.scenario_tables import (
     ImuSection,
     InitialErrorSection,
     MeasurementSection,
+    PublishedCraters,
     RandomCraters,
     RenderSection,
     SunSection,
@@ -26,6 +29,9 @@ from craternav_fg.simulation.scenario_tables import (
     TrajectorySection,
 )
 from craternav_fg.simulation.sensor_tables import check_sensor
+
+# Environment variable with the folder of public files.
+DATA_VARIABLE = "CRATERNAV_DATA"
 
 
 class Scenario(Section):
@@ -35,13 +41,15 @@ class Scenario(Section):
     body: BodySection
     camera: CameraSection
     imu: ImuSection | None = None
-    """Left out with a table [motion]."""
+    """Omitted if there is a table [motion]."""
     motion: MotionSection | None = None
-    """If given, there is no IMU: the lander moves as this model says, with a draw of its process noise."""
+    """If given, there is no IMU, and the lander follows this model with simulated process noise."""
     trajectory: TrajectorySection
     sun: SunSection
     initial_error: InitialErrorSection
-    craters: Annotated[RandomCraters | CraterFile | CraterList, Field(discriminator="source")]
+    craters: Annotated[
+        RandomCraters | CraterFile | CraterList | PublishedCraters, Field(discriminator="source")
+    ]
     terrain: TerrainSection | None = None
     """Required for images and for random craters."""
     render: RenderSection | None = None
@@ -51,8 +59,10 @@ class Scenario(Section):
     sensors: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """By name: the keys of the sensor's `sensor.yaml`, and a table `simulation`, see `SensorSimulation`."""
     faults: FaultsSection = Field(default_factory=FaultsSection)
+    data: dict[str, str] = Field(default_factory=dict)
+    """Files of the data folder that the scenario needs, and the public products that hold them."""
     expected: dict[str, ExpectedSection] = Field(default_factory=dict)
-    """By estimator: the figures that the case is expected to have."""
+    """Expected results of the scenario, by estimator."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scenario":
@@ -64,6 +74,11 @@ class Scenario(Section):
             raise ValueError("expected a table [trajectory.end] without [motion], and none with it")
         for name, table in self.sensors.items():
             check_sensor(name, table)
+        if self.craters.source == "published":
+            if self.render is None:
+                raise ValueError("published craters need a table [render]: only images show their true rims")
+            if self.terrain is None or self.terrain.dem is None:
+                raise ValueError("published craters need the elevation model that shows them: [terrain] dem")
         if self.terrain is None and (self.render is not None or self.craters.source == "random"):
             raise ValueError("expected a table [terrain] for [render] and for random craters")
         if self.measurements is None and (
@@ -72,14 +87,81 @@ class Scenario(Section):
             raise ValueError("wrong_matches, without_sun and craterless_s need a table [measurements]")
         return self
 
+    def files(self) -> tuple[str, ...]:
+        """Return the paths of the files that the scenario reads."""
+        found: list[str] = []
+
+        def noted(file: str) -> str:
+            found.append(file)
+            return file
+
+        self.located(noted)
+        return tuple(found)
+
+    def located(self, place: Callable[[str], str]) -> "Scenario":
+        """Replace the paths of files.
+
+        Parameters
+        ----------
+        place : callable
+            Returns the path to read for a path in the file.
+
+        Returns
+        -------
+        Scenario
+        """
+        craters, terrain = self.craters, self.terrain
+        if isinstance(craters, CraterFile):
+            craters = craters.model_copy(update={"path": place(craters.path)})
+        elif isinstance(craters, PublishedCraters):
+            path = place(craters.path)
+            heights = None if craters.heights is None else place(craters.heights)
+            craters = craters.model_copy(update={"path": path, "heights": heights})
+        if terrain is not None and terrain.dem is not None:
+            terrain = terrain.model_copy(update={"dem": tuple(map(place, terrain.models()))})
+        return self.model_copy(update={"craters": craters, "terrain": terrain})
+
+    def with_data(self, folder: Path | None = None) -> "Scenario":
+        """Find the public files that the scenario needs.
+
+        Parameters
+        ----------
+        folder : Path, optional
+            Folder of the files; by default that of the environment variable `CRATERNAV_DATA`.
+
+        Returns
+        -------
+        Scenario
+            With the paths of the files.
+
+        Raises
+        ------
+        InputError
+            When one is missing.
+        """
+        named = os.environ.get(DATA_VARIABLE)
+        if folder is None and named:
+            folder = Path(named)
+
+        def found(file: str) -> str:
+            if file not in self.data:
+                return file
+            if folder is not None and (folder / file).is_file():
+                return str((folder / file).resolve())
+            where = "no data folder is given" if folder is None else f"not in {folder}"
+            problem = f"the scenario needs {self.data[file]}: {where} (--data FOLDER or {DATA_VARIABLE}"
+            raise InputError(Path(file), f"{problem}; the documentation's page Public data tells more)")
+
+        return self.located(found)
+
 
 def load_scenario(name: str | Path) -> Scenario:
-    """Read a scenario from a file, or a built-in one by its name.
+    """Read a scenario from a file, or a built-in scenario.
 
     Parameters
     ----------
     name : str or Path
-        Path of a TOML file, or the stem of one in the package `scenarios`.
+        Path of a TOML file, or name of a built-in scenario.
 
     Returns
     -------
@@ -97,14 +179,9 @@ def load_scenario(name: str | Path) -> Scenario:
     """
     path = _find(name)
     scenario = _with_base(path)
-    if isinstance(scenario.craters, CraterFile):
-        resolved = str((path.parent / scenario.craters.path).resolve())
-        scenario = scenario.model_copy(update={"craters": CraterFile(source="file", path=resolved)})
-    if scenario.terrain is not None and scenario.terrain.dem is not None:
-        resolved = str((path.parent / scenario.terrain.dem).resolve())
-        terrain = scenario.terrain.model_copy(update={"dem": resolved})
-        scenario = scenario.model_copy(update={"terrain": terrain})
-    return scenario
+    return scenario.located(
+        lambda file: file if file in scenario.data else str((path.parent / file).resolve())
+    )
 
 
 def _find(name: str | Path) -> Path:
@@ -115,7 +192,7 @@ def _find(name: str | Path) -> Path:
             near = difflib.get_close_matches(str(name), built_in_scenarios(), 1)
             hint = f" (did you mean {near[0]}?)" if near else ""
             known = ", ".join(built_in_scenarios())
-            raise InputError(path, f"expected a TOML file or one of the built-in scenarios {known}{hint}")
+            raise InputError(path, f"not found{hint}: expected a TOML file or one of the scenarios {known}")
     return path
 
 
@@ -158,7 +235,7 @@ def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def built_in_scenarios() -> dict[str, Path]:
-    """Give the paths of the scenarios that come with the package, by name."""
+    """Return the paths of the scenarios that come with the package, by name."""
     folder = importlib.resources.files("scenarios")
     return {
         Path(entry.name).stem: Path(str(entry))

@@ -15,6 +15,8 @@ from craternav_fg.imu import ImuNoise
 STANDARD_GRAVITY_M_S2 = 9.80665
 
 NotNegative = Annotated[float, Field(ge=0.0)]
+# Relative to the scenario file, or a key of the scenario's table [data].
+FilePath = Annotated[str, Field(min_length=1)]
 
 
 class CameraSection(Section):
@@ -39,7 +41,7 @@ class CameraSection(Section):
         return self
 
     def camera(self) -> Camera:
-        """Give the camera described."""
+        """Return the camera described."""
         focal_px = 0.5 * self.width_px / math.tan(0.5 * math.radians(self.field_of_view_deg))
         bTc = pose(rotation_exp(np.radians(self.rotation_vector_deg)), np.array(self.lever_arm_m))
         return Camera(
@@ -73,7 +75,7 @@ class ImuSection(Section):
     """Standard deviation of the bias random walk after an hour."""
 
     def noise(self) -> ImuNoise:
-        """Give the densities in SI units."""
+        """Return the densities in SI units."""
         micro_g = 1e-6 * STANDARD_GRAVITY_M_S2
         return ImuNoise(
             gyro_density=math.radians(self.gyro_arw_deg_sqrt_h) / 60.0,
@@ -131,7 +133,7 @@ class TrajectorySection(Section):
     frame_interval_s: Positive
     start: Boundary
     end: Boundary | None = None
-    """Left out with a table [motion], which says where the lander goes from the start."""
+    """Omitted if there is a table [motion], which determines the motion from the start."""
     attitude: AttitudeSection
 
     @model_validator(mode="after")
@@ -205,6 +207,34 @@ class CraterFile(Section):
     """Relative to the scenario file."""
 
 
+class PublishedCraters(Section):
+    """A published catalogue of the craters that the elevation model shows; it does not change the terrain."""
+
+    source: Literal["published"]
+    path: FilePath
+    """Table that `catalog import` reads, or a catalogue that `craternav` wrote."""
+    heights: FilePath | None = None
+    """Elevation model for the heights of the rims, where the catalogue has none."""
+    min_diameter_m: Positive
+    """Smaller craters are excluded from the map."""
+    reach: Positive
+    """Half-width of the corridor along the ground track whose craters are in the map, in altitudes."""
+    place_sigma_m: NotNegative
+    """Standard deviation of the positions per axis, where the catalogue states no errors."""
+    place_sigma: NotNegative
+    """The part of it that grows with the radius, as a share of the radius."""
+    size_sigma: NotNegative
+    """Standard deviation of the semi-axes, relative, where the catalogue states no errors."""
+    common_place_sigma_m: NotNegative = 0.0
+    """Standard deviation per axis of a shift that all positions have in common, as above."""
+    common_height_sigma_m: NotNegative = 0.0
+    """The same of the heights of the rims."""
+    density: Positive
+    """k of the size distribution, k r^-2, of the craters that the elevation model does not resolve."""
+    detail_px: tuple[Positive, Positive]
+    """Smallest and largest apparent size of these."""
+
+
 class Crater(Section):
     """One crater, positioned relative to the landing site."""
 
@@ -245,7 +275,7 @@ class CraterList(Section):
     source: Literal["list"]
     crater: Annotated[tuple[Crater, ...], Field(min_length=1)]
     trials: CraterTrials | None = None
-    """If given, each trial draws its own craters; a simulation that is not a trial has the listed ones."""
+    """If given, each trial draws its own craters; a simulation that is not a trial uses the listed ones."""
 
 
 class TerrainSection(Section):
@@ -264,12 +294,18 @@ class TerrainSection(Section):
     degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Largest degradation, drawn at random: crests are rounded and floors filled; 1 leaves half of the
     depth."""
-    dem: Annotated[str, Field(min_length=1)] | None = None
-    """Elevation model, a GeoTIFF relative to the scenario file: heights above the reference sphere."""
+    dem: FilePath | tuple[FilePath, ...] | None = None
+    """Elevation model, a GeoTIFF with heights above the reference sphere; or several, the finest first."""
     dem_unit_m: Positive = 1.0
     """Metres per unit of its values."""
     peaks_from_m: Positive | None = None
     """Diameter from which craters have a central peak."""
+
+    def models(self) -> tuple[str, ...]:
+        """Return the paths of the elevation models, the finest first."""
+        if self.dem is None:
+            return ()
+        return (self.dem,) if isinstance(self.dem, str) else self.dem
 
 
 class HapkeSection(Section):
@@ -290,7 +326,7 @@ class RenderSection(Section):
     lunar_lambert: Annotated[float, Field(ge=0.0, le=1.0)]
     """Share of the Lommel-Seeliger law; the rest is Lambert's."""
     sun_radius_deg: Positive
-    """Half the angle under which the sun appears."""
+    """Angular radius of the sun."""
     flat_level: Annotated[float, Field(gt=0.0, lt=1.0)]
     """Brightness of locally flat terrain at the site, as a share of full scale."""
     psf_sigma_px: NotNegative
@@ -300,13 +336,13 @@ class RenderSection(Section):
     read_noise_e: NotNegative
     """Standard deviation of the read-out noise, electrons."""
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
-    """Of the grey levels; more than 8 bits are stored in images of 16."""
+    """Bits of the grey levels; more than 8 are stored in 16-bit images."""
     vignetting: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of the light that is lost in the image's corners."""
+    """Share of the light lost in the image's corners."""
     exposure_s: NotNegative = 0.0
-    """Exposure time: motion blurs the image; its stamp is the middle of the exposure."""
+    """Exposure time, for motion blur; the stamp of an image is the middle of the exposure."""
     hapke: HapkeSection | None = None
-    """If given, the reflectance law in place of lunar_lambert."""
+    """If given, the reflectance law instead of lunar_lambert."""
 
 
 class MeasurementSection(Section):
@@ -324,7 +360,7 @@ class FaultsSection(Section):
     """Faults that the data set does not state."""
 
     wrong_matches: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of the measured rims that are matched with another crater; not with images."""
+    """Share of the measured rims that are matched to a wrong crater; not with images."""
     map_place: NotNegative = 0.0
     """Standard deviation of the catalogue's positions, east and north, over the semi-major axis."""
     map_size: NotNegative = 0.0
@@ -338,9 +374,9 @@ class FaultsSection(Section):
     ] = 0.0
     """Camera-IMU time offset: an image is exposed this much after its stamp; formerly `image_delay_s`."""
     outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
-    """Beginnings and ends of intervals without images; the first image is always there."""
+    """Start and end times of intervals without images; the first image always exists."""
     craterless_s: tuple[tuple[NotNegative, Positive], ...] = ()
-    """Beginnings and ends of intervals without catalogued craters in the images; not with images."""
+    """Start and end times of intervals without catalogued craters; not with images."""
     without_sun: bool = False
     """No sun tilt is measured; not with images."""
 
@@ -361,7 +397,7 @@ class Spread(Section):
 
 
 class ExpectedSection(Section):
-    """Figures of an estimator over many trials, as measured when the scenario was written."""
+    """Results of an estimator over many trials, measured when the scenario was written."""
 
     position_rms_m: Spread | None = None
     anees: Spread | None = None

@@ -163,7 +163,7 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
 
 
 def sun_direction(site: FloatArray, elevation_rad: float, azimuth_rad: float) -> FloatArray:
-    """Give the unit vector towards the sun.
+    """Return the unit vector towards the sun.
 
     Parameters
     ----------

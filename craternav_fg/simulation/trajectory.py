@@ -54,7 +54,7 @@ class Track(Protocol):
     body: Body
 
     def evaluate(self, t_s: FloatArray) -> Motion:
-        """Give the motion at some times.
+        """Return the motion at some times.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Descent(Track):
             raise ValueError(f"the descent leads to an altitude of {lowest_m:.0f} m")
 
     def evaluate(self, t_s: FloatArray) -> Motion:
-        """Give the motion at some times.
+        """Return the motion at some times.
 
         Parameters
         ----------

@@ -11,13 +11,14 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.catalogs.nested_dem import read_nested_dem
 from craternav_fg.dataset import SunVectors
 from craternav_fg.errors import CraternavError
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.orbit import Orbit
+from craternav_fg.simulation.published import published_craters, unresolved_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Hapke, Renderer, RenderOptions
 from craternav_fg.simulation.scenario_file import Scenario
@@ -25,6 +26,7 @@ from craternav_fg.simulation.scenario_tables import (
     Crater,
     CraterFile,
     CraterList,
+    PublishedCraters,
     RandomCraters,
     TrajectorySection,
 )
@@ -32,7 +34,7 @@ from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.simulation.trajectory import Descent, Track
 
 FloatArray = npt.NDArray[np.float64]
-AnyCraters = RandomCraters | CraterFile | CraterList
+AnyCraters = RandomCraters | CraterFile | CraterList | PublishedCraters
 
 # Stored directions towards the sun are interpolated; it moves by less than 0.005 deg in this time.
 SUN_INTERVAL_NS = 10_000_000_000
@@ -54,7 +56,7 @@ class World:
     relief : Relief or None
         None where the scenario has no terrain.
     catalog : Catalog
-        True craters.
+        True craters; with published ones the map, whose rims are not quite those of the terrain.
     clutter : Catalog or None
         Craters of the terrain that the catalogue does not have.
     """
@@ -85,9 +87,14 @@ class World:
         sun_radius_rad = math.radians(light.sun_radius_deg)
         return Renderer(
             self.camera,
-            Terrain(self.catalog, self.relief, options, self.clutter),
+            Terrain(self._standing(), self.relief, options, self.clutter),
             RenderOptions(sun_radius_rad=sun_radius_rad, hapke=hapke, **same),
         )
+
+    def _standing(self) -> Catalog:
+        """Craters that the terrain gets beside those of its elevation model."""
+        published = isinstance(self.scenario.craters, PublishedCraters)
+        return self.catalog.take(np.empty(0, dtype=np.int64)) if published else self.catalog
 
 
 def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> World:
@@ -199,7 +206,7 @@ def sun_vectors(scenario: Scenario, body: Body, end_ns: int) -> SunVectors:
 
 
 def _camera(scenario: Scenario) -> Camera:
-    """Give the camera with the blur and the bit depth that the data set states."""
+    """Return the camera with the blur and the bit depth that the data set states."""
     camera, render = scenario.camera.camera(), scenario.render
     if render is None:
         return camera
@@ -218,7 +225,8 @@ def _relief(scenario: Scenario, body: Body, rng: np.random.Generator) -> Relief 
         coarsest_m=terrain.coarsest_m,
         seed=int(rng.integers(2**31)),
     )
-    dem = None if terrain.dem is None else read_dem(Path(terrain.dem), terrain.dem_unit_m, body.radius_m)
+    models = [Path(path) for path in terrain.models()]
+    dem = read_nested_dem(models, terrain.dem_unit_m, body.radius_m) if models else None
     return Relief(body, _site(scenario.trajectory)[:, 2], options, dem)
 
 
@@ -238,6 +246,13 @@ def _craters(
             return catalog, random_clutter(rng, body, track, options, catalog)
         case CraterFile() as file:
             return import_catalog(Path(file.path), body)[0], None
+        case PublishedCraters() as published:
+            assert relief is not None
+            focal_px = scenario.camera.camera().focal_px
+            return (
+                published_craters(published, body, track),
+                unresolved_craters(rng, published, body, track, focal_px, relief),
+            )
         case CraterList() as named:
             return _named_craters(named.crater, _site(scenario.trajectory), body), None
 

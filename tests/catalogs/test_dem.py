@@ -3,6 +3,7 @@ import pytest
 
 from craternav_fg import frames
 from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.nested_dem import read_nested_dem
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
@@ -16,6 +17,7 @@ from tests.shared_data import shared
 from tests.simulation import scene
 
 rasterio = pytest.importorskip("rasterio")
+warp = pytest.importorskip("rasterio.warp")
 MOON = "+proj=longlat +R=1737400 +no_defs"
 GLOBE = (-180.0, 90.0, 0.5, 0.5)
 ROWS = np.radians(90.0 - 0.5 * (np.arange(360) + 0.5))
@@ -68,11 +70,126 @@ def test_a_part_of_the_body_with_longitudes_to_the_east(tmp_path):
     np.testing.assert_allclose(read_dem(path).heights_m(frames.up(lat, lon)), hills(lat, lon), atol=0.5)
 
 
+def write_with_unit(path, unit):
+    write(path, np.full((8, 8), 2.0, np.float32))
+    with rasterio.open(path, "r+") as raster:
+        raster.units = (unit,)
+    return path
+
+
+def projected(path, crs, corner, shape=(200, 240)):
+    """Hills on a map whose coordinates the library behind rasterio converts."""
+    west, north, dx, dy = corner
+    x, y = np.meshgrid(west + dx * (np.arange(shape[1]) + 0.5), north - dy * (np.arange(shape[0]) + 0.5))
+    lon, lat = np.radians(warp.transform(crs, MOON, x.ravel(), y.ravel()))
+    return write(path, hills(lat, lon).reshape(shape).astype(np.float32), corner, crs), lat, lon
+
+
+MAPS = {
+    "north": ("+proj=stere +lat_0=90 +lon_0=30 +k=0.994 +x_0=2e6 +R=1737400", (1.6e6, 4e5, 4e3, 4e3)),
+    "south": (
+        "+proj=stere +lat_0=-90 +lat_ts=-75 +lon_0=-70 +R=1737400 +units=km",
+        (-250.0, 420.0, 4.0, 4.0),
+    ),
+    "equirectangular": (
+        "+proj=eqc +lat_ts=40 +lon_0=180 +y_0=1e5 +R=1737400 +units=m",
+        (-4.5e5, 8e5, 4e3, 4e3),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MAPS)
+def test_projected_models(case, tmp_path):
+    crs, corner = MAPS[case]
+    path, lat, lon = projected(tmp_path / "map.tif", crs, corner)
+    dem = read_dem(path, 1.0, 1737400.0)
+    rng = np.random.default_rng(3)
+    inner = np.zeros((200, 240), bool)
+    inner[10:-10, 10:-10] = True
+    rows = rng.choice(np.flatnonzero(inner), 400)
+    # Points of the raster, and places between them.
+    places = frames.up(lat[rows], lon[rows]) + rng.normal(scale=1e-3, size=(400, 3))
+    places[:200] = frames.up(lat[rows[:200]], lon[rows[:200]])
+    places /= np.linalg.norm(places, axis=1, keepdims=True)
+    np.testing.assert_allclose(dem.heights_m(places), hills(*frames.latitude_longitude(places)), atol=1.0)
+    assert dem.covers(places).all()
+    # The raster's step on the ground: the scale differs from that of the map by some percent.
+    unit_m = 1e3 if "km" in crs else 1.0
+    middle, beside = (frames.up(lat[k], lon[k]) for k in (100 * 240 + 120, 101 * 240 + 120))
+    assert dem.step_rad == pytest.approx(np.arccos(middle @ beside), rel=0.002)
+    assert dem.step_rad * 1737400.0 == pytest.approx(corner[3] * unit_m, rel=0.07)
+    assert np.linalg.norm(dem.middle - middle) < 1.5 * dem.step_rad
+    # One step beyond each side is outside, and so is the other hemisphere.
+    west, north, dx, dy = corner
+    x = np.array([west - dx, west + 241 * dx, west + 50 * dx, west + 50 * dx])
+    y = np.array([north - 50 * dy, north - 50 * dy, north + dy, north - 201 * dy])
+    outside = frames.up(*np.radians(warp.transform(crs, MOON, x, y))[::-1])
+    assert not dem.covers(outside).any()
+    assert not dem.covers(-places).any()
+
+
+def test_a_coarser_model_fills_gaps(globe, tmp_path):
+    lat = np.radians(20.0 - 0.1 * (np.arange(200) + 0.5))
+    lon = np.radians(0.1 * (np.arange(200) + 0.5))
+    values = (hills(lat[:, None], lon[None]) + 40.0).astype(np.float32)
+    values[80:110, 120:140] = -9999.0
+    part = write(tmp_path / "part.tif", values, (0.0, 20.0, 0.1, 0.1), nodata=-9999.0)
+    with pytest.raises(InputError, match="expected heights everywhere, 600 points have none"):
+        read_dem(part)
+    alone = read_dem(part, gaps=True)
+    hole, beside, far = frames.up(np.radians([10.5, 11.95, 5.0]), np.radians([13.0, 13.0, 3.0]))
+    assert alone.covers(np.stack([hole, beside, far])).tolist() == [False, False, True]
+    nested = read_nested_dem([part, globe])
+    model = hills(*frames.latitude_longitude(np.stack([hole, far])))
+    # The coarser one in the gap, the finer one elsewhere.
+    np.testing.assert_allclose(
+        nested.heights_m(np.stack([hole, far])), model + np.array([0.0, 40.0]), atol=1.0
+    )
+    # No cliff on the way out of the gap.
+    way = frames.up(np.radians(np.linspace(5.0, 10.5, 400)), np.radians(np.full(400, 13.0)))
+    off = nested.heights_m(way) - hills(*frames.latitude_longitude(way))
+    assert off[0] == pytest.approx(40.0, abs=1.0)
+    assert np.abs(np.diff(off)).max() < 2.0
+    with pytest.raises(InputError, match=r"part\.tif: expected heights everywhere, 600 points"):
+        read_nested_dem([part])
+    elsewhere = write(tmp_path / "other.tif", np.zeros((40, 40), np.float32), (100.0, 20.0, 0.5, 0.5))
+    with pytest.raises(InputError, match=r"part\.tif: 600 points have no height, in it and in the coarser"):
+        read_nested_dem([part, elsewhere])
+    with pytest.raises(
+        InputError, match=r"part\.tif: is finer than .*globe\.tif, expected the finest model first"
+    ):
+        read_nested_dem([globe, part, globe])
+
+
 BAD = {
     "two bands": (lambda p: write(p, np.zeros((2, 8, 8), np.float32)), "one band, found 2"),
     "projected": (
-        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=eqc +R=1737400 +units=m"),
-        "found projected ones",
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=merc +R=1737400 +units=m"),
+        "found projection 'merc'",
+    ),
+    "an ellipsoid": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=eqc +a=1737400 +b=1730000"),
+        "found an ellipsoid",
+    ),
+    "not about a pole": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=stere +lat_0=60 +R=1737400"),
+        "found projection 'stere'",
+    ),
+    "another body": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=stere +lat_0=90 +R=3396190"),
+        r"expected an elevation model of a body of 1737400 m, found one of 3396190 m",
+    ),
+    "the Earth, in metres": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="EPSG:3413"),
+        r"expected an elevation model of a body of 1737400 m, found one of 6378137 m",
+    ),
+    "radii": (
+        lambda p: write(p, np.full((8, 8), 1737400.0, np.float32)),
+        "expected heights above a sphere of 1737400 m, found 1737400 to 1737400 m: radii",
+    ),
+    "kilometres, stated": (
+        lambda p: write_with_unit(p, "km"),
+        r"states heights in km, expected a unit of 1 m \(--dem-unit-m\)",
     ),
     "no coordinates": (lambda p: write(p, np.zeros((8, 8), np.float32), crs=None), "found none"),
     "holes": (lambda p: write(p, np.full((8, 8), -1, np.int16), nodata=-1), "64 points have none"),
@@ -90,7 +207,7 @@ def test_what_is_no_elevation_model_is_named(case, tmp_path):
     path = tmp_path / "dem.tif"
     spoil(path)
     with pytest.raises(InputError, match=expected) as caught:
-        read_dem(path)
+        read_dem(path, 1.0, 1737400.0)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
 

@@ -50,6 +50,18 @@ def test_rows_without_an_ellipse_are_kept_as_circles(tmp_path):
     np.testing.assert_allclose(np.degrees(catalog.longitude_rad), [200.1, 300.0])
 
 
+def test_rows_without_a_height_are_not_put_on_the_sphere(tmp_path):
+    header = f"{ROBBINS},RIM_HEIGHT_M\n"
+    rows = [f"{name},10,{lon},10.1,{lon},5,6,4.5,30,0.9" for name, lon in (("A", 200), ("B", 210))]
+    catalog, report = import_catalog(written(tmp_path, f"{header}{rows[0]},-2500\n{rows[1]},\n"), MOON)
+    assert (catalog.identifiers, catalog.height_m.tolist(), catalog.has_heights) == (("A",), [-2500.0], True)
+    assert [(row.identifier, row.reason) for row in report.skipped] == [
+        ("B", "RIM_HEIGHT_M: expected a rim above the body's centre, found none")
+    ]
+    catalog, report = import_catalog(written(tmp_path, f"{header}{rows[0]},\n{rows[1]},\n"), MOON)
+    assert (catalog.height_m.tolist(), catalog.has_heights, report.skipped) == ([0.0, 0.0], False, ())
+
+
 @pytest.mark.parametrize(
     ("text", "radius_m"),
     [
@@ -169,6 +181,21 @@ def test_broken_lines_are_counted_where_they_stand(tmp_path):
     assert report.skipped[0].reason == "expected 4 columns, found 8"
     assert "found 99" in report.skipped[1].reason
     assert "'E' again" in report.skipped[3].reason
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("A,1,2,3\n \nB,1,3,3\n\nC,1\n", [3, 6]),
+        ("A,1,2,3\r\n\t\r\n\r\nC,1\r\nB,1,3,3\r\n", [3, 5]),
+    ],
+)
+def test_lines_of_spaces_count_as_rows(tmp_path, text, lines):
+    path = tmp_path / "craters.csv"
+    path.write_bytes(f"id,lat,lon,diam_km\n{text}".encode())
+    catalog, report = import_catalog(path, MOON)
+    assert catalog.identifiers == ("A", "B")
+    assert [row.line for row in report.skipped] == lines
 
 
 def test_a_cell_that_is_no_number(tmp_path):

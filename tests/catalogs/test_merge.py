@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -10,6 +11,7 @@ import pytest
 
 from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.catalogs.files import import_catalog, write_catalog
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.merge import MergeOptions, difference, merge, same_craters
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.app import app
@@ -47,6 +49,57 @@ def test_a_crater_of_two_sources_stands_once_with_its_ellipse():
     assert back.catalog.identifiers == ("b", "x", "y", "z", "c")
     assert back.source.tolist() == [0, 0, 0, 0, 1]
     assert back.also_in == ((1,), (1,), (), (), ())
+
+
+def test_heights_that_a_source_does_not_know_are_not_those_of_the_sphere():
+    high = replace(ONE, height_m=np.array([-1500.0, 700.0, 300.0]))
+    # All of its craters are duplicates: their ellipses are taken, and the heights stay.
+    shapes = replace(OTHER.take(np.array([0, 1])), has_heights=False)
+    merged = merge([high, shapes], ["high", "shapes"]).catalog
+    assert merged.has_heights
+    assert merged.height_m.tolist() == [-1500.0, 700.0, 300.0]
+    assert merged.semi_minor_m[0] == 8500.0
+    # One that is new has no height: then no rim has one.
+    merged = merge([high, replace(OTHER, has_heights=False)], ["high", "other"]).catalog
+    assert not merged.has_heights
+    assert not merged.height_m.any()
+    both = merge([high, replace(OTHER, height_m=np.full(4, 50.0))], ["high", "other"]).catalog
+    assert both.has_heights
+    assert both.height_m.tolist() == [50.0, 50.0, 300.0, 50.0, 50.0]
+
+
+def test_a_source_that_states_no_errors_is_not_exact_beside_one_that_does():
+    rng = np.random.default_rng(1)
+    lat, size = np.linspace(-60.0, 60.0, 100), np.full(100, 20.0)
+    one = _catalog([f"a{k}" for k in range(100)], lat, np.zeros(100), size)
+    other = _catalog(
+        [f"b{k}" for k in range(100)], lat + 0.02 * rng.standard_normal(100), np.zeros(100), size
+    )
+    exact = replace(one, errors=MapErrors(*np.full((3, 100), 1e-3)))
+    extra = _catalog(["new"], [0.0], [90.0], [20.0])
+    merged = merge([exact, Catalog.joined([other, extra])], ["one", "other"]).catalog
+    assert merged.errors.place_m[:100].tolist() == [1e-3] * 100
+    assert merged.errors.place_m[100] == pytest.approx(np.radians(0.02) * MOON.radius_m, rel=0.3)
+
+
+def test_the_command_says_that_heights_are_lost(tmp_path, capsys):
+    paths = [tmp_path / "one.csv", tmp_path / "other.csv"]
+    write_catalog(paths[0], replace(ONE, height_m=np.full(3, 500.0)))
+    write_catalog(paths[1], replace(OTHER, has_heights=False))
+    for chosen, lost in ((paths, True), (paths[1:], False)):
+        arguments = ["catalog", "merge", *map(str, chosen), "-o", str(tmp_path / f"{lost}.csv"), "--json"]
+        app(arguments, standalone_mode=False)
+        assert ("no heights of rims are written" in capsys.readouterr().err) is lost
+
+
+def test_import_says_that_rims_without_errors_count_as_exact(tmp_path, capsys):
+    paths = [tmp_path / "one.csv", tmp_path / "other.csv"]
+    write_catalog(paths[0], replace(ONE, errors=MapErrors(*np.full((3, len(ONE)), 5.0))))
+    write_catalog(paths[1], replace(OTHER, identifiers=tuple(f"x{k}" for k in range(len(OTHER)))))
+    for chosen, exact in ((paths, True), (paths[:1], False), (paths[1:], False)):
+        output = str(tmp_path / f"out{len(chosen)}{chosen[0].stem}.csv")
+        app(["catalog", "import", *map(str, chosen), "-o", output, "--json"], standalone_mode=False)
+        assert ("other.csv states no errors of rims" in capsys.readouterr().err) is exact
 
 
 def test_names_that_stand_in_two_sources_are_told_apart():

@@ -145,15 +145,16 @@ def test_an_elevation_model_of_another_body_or_unit(tmp_path):
     earth = write(tmp_path / "b.tif", heights, GLOBE, crs="EPSG:4326")
     catalog = power_law_population(np.random.default_rng(1), BODY, 20, (400.0, 60e3))
     assert implausible_heights(with_rim_heights(catalog, read_dem(earth, radius_m=BODY.radius_m))) is None
-    wrong = with_rim_heights(catalog, read_dem(earth, 1000.0, BODY.radius_m))
+    wrong = with_rim_heights(catalog, read_dem(earth, 1000.0))
     assert "wrong unit" in implausible_heights(wrong)
 
 
 def test_planes_of_rims_lie_below_the_mean_height_along_them(tmp_path):
     # Heights that grow with latitude: the mean along a rim is that of its centre.
-    rows = 90.0 - 0.5 * (np.arange(360) + 0.5)
-    heights = np.repeat(20.0 * rows[:, None], 720, axis=1).astype(np.float32)
-    dem = read_dem(write(tmp_path / "slope.tif", heights, GLOBE), unit_m=2.0)
+    step = 0.125
+    rows = 90.0 - step * (np.arange(180 / step) + 0.5)
+    heights = np.repeat(20.0 * rows[:, None], 2 * len(rows), axis=1).astype(np.float32)
+    dem = read_dem(write(tmp_path / "slope.tif", heights, (-180.0, 90.0, step, step)), unit_m=2.0)
     n = 50
     rng = np.random.default_rng(4)
     latitude = rng.uniform(-60.0, 60.0, n)
@@ -168,11 +169,13 @@ def test_planes_of_rims_lie_below_the_mean_height_along_them(tmp_path):
     np.testing.assert_allclose(found.height_m, 40.0 * latitude - depth_m, atol=12.0)
     # A bowl is seen by its rim, not by its floor.
     place = frames.up(np.array(0.5), np.array(1.0))
-    columns = np.radians(0.5 * (np.arange(720) + 0.5) - 180.0)
+    columns = np.radians(step * (np.arange(2 * len(rows)) + 0.5) - 180.0)
     away = np.arccos(
         np.clip(frames.up(*np.meshgrid(np.radians(rows), columns, indexing="ij")) @ place, -1, 1)
     )
-    bowl = read_dem(write(tmp_path / "bowl.tif", (250e3 * away).astype(np.float32), GLOBE))
+    bowl = read_dem(
+        write(tmp_path / "bowl.tif", (250e3 * away).astype(np.float32), (-180.0, 90.0, step, step))
+    )
     one = Catalog(
         ("A",),
         np.array([0.5]),

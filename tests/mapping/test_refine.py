@@ -10,8 +10,11 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from craternav_fg.catalogs.bodies import named_body
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.heights import with_rim_heights
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.ellipse import chart_of_axes
@@ -37,6 +40,17 @@ class World(NamedTuple):
 def catalog(latitude, longitude, a, b, angle):
     names = tuple(str(k) for k in range(len(a)))
     return Catalog(names, latitude, longitude, a, b, angle, np.zeros(len(a)), MOON)
+
+
+def write_dem(path, heights):
+    """Write heights (rows, columns) around latitude and longitude 0."""
+    with rasterio.open(
+        path, "w", driver="GTiff", height=len(heights), width=len(heights), count=1, dtype="float32",
+        crs="+proj=longlat +R=1737400 +no_defs",
+        transform=rasterio.Affine(STEP_DEG, 0.0, -SIDE_DEG / 2, 0.0, -STEP_DEG, SIDE_DEG / 2),
+    ) as raster:  # fmt: skip
+        raster.write(heights.astype(np.float32), 1)
+    return path
 
 
 def world(folder, seed, blur_steps, worn):
@@ -71,13 +85,7 @@ def world(folder, seed, blur_steps, worn):
             r < 1.0, (depth_m + rim_m) * r**2 - depth_m, rim_m / np.maximum(r, 1.0) ** 3
         )
     heights = gaussian_filter(heights, blur_steps) + 2.0 * rng.standard_normal(heights.shape)
-    path = folder / f"dem{seed}.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", height=size, width=size, count=1, dtype="float32",
-        crs="+proj=longlat +R=1737400 +no_defs",
-        transform=rasterio.Affine(STEP_DEG, 0.0, -SIDE_DEG / 2, 0.0, -STEP_DEG, SIDE_DEG / 2),
-    ) as raster:  # fmt: skip
-        raster.write(heights.astype(np.float32), 1)
+    path = write_dem(folder / f"dem{seed}.tif", heights)
     x, y, a, b, angle = np.array(rims).T
     latitude, longitude = y / MOON.radius_m, x / MOON.radius_m / np.cos(y / MOON.radius_m)
     truth = catalog(latitude, longitude, a, b, angle)
@@ -120,6 +128,22 @@ def test_the_refined_catalogue_states_its_errors(worlds):
     np.testing.assert_allclose(stated.size[rest], 0.05, rtol=0.5)
 
 
+def test_rims_that_are_left_keep_the_common_shift_that_the_refined_ones_show(worlds):
+    one = worlds[0]
+    east = np.radians(0.004)
+    moved = replace(one.truth, longitude_rad=one.truth.longitude_rad - east)
+    found = refine_on_dem(moved, read_dem(one.path), RefineOptions(min_diameter_steps=25.0))
+    shift, rest = found.catalog.common_shift, ~found.refined
+    assert not shift.place_m[found.refined].any()
+    # Per axis, of a shift to the east.
+    expected = east * MOON.radius_m * np.cos(one.truth.latitude_rad).mean() / np.sqrt(2.0)
+    np.testing.assert_allclose(shift.place_m[rest], expected, rtol=0.2)
+    stated = replace(moved, common_shift=CommonShift.of_source(len(moved), 70.0, 30.0))
+    kept = refine_on_dem(stated, read_dem(one.path), RefineOptions(min_diameter_steps=25.0)).catalog
+    assert set(kept.common_shift.place_m[rest]) == {70.0}
+    assert set(kept.common_shift.height_m[found.refined]) == {0.0}
+
+
 def test_refined_rims_are_closer_and_as_uncertain_as_they_say(worlds):
     squared = []
     for one in worlds:
@@ -150,6 +174,57 @@ def test_heights_are_of_the_crest(worlds):
     assert 0.25 < np.median(depth) < 0.36
     assert np.all(rims.height_sigma_m[kept] < 0.2 * rims.depth_m[kept])
     assert np.median(np.hypot(*rims.tilt_rad[kept].T)) < np.radians(2.0)
+
+
+def test_the_plane_of_a_large_rim_lies_below_its_crest(tmp_path):
+    """The crest follows the sphere; at 20 km the chord between its points is 115 m below."""
+    size = int(SIDE_DEG / STEP_DEG)
+    at = np.radians((np.arange(size) + 0.5) * STEP_DEG - SIDE_DEG / 2)
+    r = MOON.radius_m * np.hypot(at[:, None], at) / 20e3
+    ring = np.where(r < 1.0, 1300.0 * r**2 - 1000.0, 300.0 / np.maximum(r, 1.0) ** 3)
+    path = write_dem(tmp_path / "one.tif", gaussian_filter(ring, 2.0))
+    one = catalog(*(np.array([x]) for x in (0.0, 0.0, 20e3, 20e3, 0.0)))
+    refined = refine_on_dem(one, read_dem(path))
+    assert refined.refined.all()
+    assert refined.catalog.height_m[0] == pytest.approx(300.0 - 115.0, abs=25.0)
+
+
+def test_a_catalogue_without_heights_gets_those_of_the_model(worlds):
+    one = worlds[0]
+    east = one.circles.longitude_rad + np.where(np.arange(len(one.circles)) < 10, np.radians(5.0), 0.0)
+    bare = replace(one.circles, longitude_rad=east, has_heights=False)
+    # Ground 60 m rough, and 400 m above the sphere.
+    dem = read_dem(one.path)
+    dem = replace(dem, coefficients=dem.coefficients + np.float32(400.0))
+    found = refine_on_dem(bare, dem, RefineOptions(min_diameter_steps=25.0)).catalog
+    assert found.has_heights
+    np.testing.assert_allclose(found.height_m[10:], 400.0, atol=450.0)
+    assert abs(np.median(found.height_m[10:]) - 440.0) < 60.0
+    # Beyond the model nothing is known, however low the ground within it.
+    np.testing.assert_array_equal(found.height_m[:10], 0.0)
+    np.testing.assert_allclose(found.common_shift.height_m[:10], 1737.4)
+    assert np.all(found.common_shift.height_m[10:] < 60.0)
+    assert np.all(found.errors.height_m[10:] > 0.0)
+
+
+@pytest.mark.parametrize("place", ["imbrium_copernicus", "posidonius", "southern_highlands"])
+def test_heights_of_a_coarse_model_are_those_of_the_crests(place):
+    """At 16 px/deg crests are smoothed away: without a correction rims would lie 20 m low."""
+    dem = read_dem(shared(f"gld100/gld100_256ppd_{place}.tif"))
+    circles = pq.read_table(shared("lu1319381.parquet"))
+    latitude, longitude = (np.radians(circles[name].to_numpy()) for name in ("LAT_DEG", "LON_E_DEG"))
+    radius = 500.0 * circles["DIAMETER_KM"].to_numpy()
+    rows = np.flatnonzero(dem.covers(up(latitude, longitude)) & (radius > 800.0))
+    mapped = catalog(latitude[rows], longitude[rows], radius[rows], radius[rows], np.zeros(len(rows)))
+    coarse = read_dem(shared("gld100/gld100_16ppd_global.tif"))
+    rims = refine_on_dem(mapped, dem)
+    assert rims.refined.sum() > 100
+    zero = replace(mapped, errors=MapErrors.zeros(len(mapped)))
+    stated = with_rim_heights(zero, coarse).take(np.flatnonzero(rims.refined))
+    off = rims.catalog.take(np.flatnonzero(rims.refined)).height_m - stated.height_m
+    assert abs(np.median(off)) < 8.0
+    # The common height apart, they err as they say.
+    assert 0.4 < np.median(np.abs(off) / stated.errors.height_m) / 0.6745 < 1.4
 
 
 def test_ground_without_a_crater_gives_none(worlds):
@@ -255,3 +330,41 @@ def _same(traced, found, row):
     radius = found.semi_major_m[row]
     near, _ = traced.near(found.latitude_rad[row], found.longitude_rad[row], 0.35 * radius)
     return near[np.abs(np.log(traced.semi_major_m[near] / radius)) < 0.3]
+
+
+def test_rims_at_gaps_of_the_model_are_left_as_they_were(worlds, tmp_path):
+    one = worlds[0]
+    with rasterio.open(one.path) as raster:
+        heights = raster.read(1)
+    whole = refine_on_dem(one.circles, read_dem(one.path))
+    k = int(np.flatnonzero(whole.refined)[3])
+    middle = [np.degrees(x[k]) for x in (-one.circles.latitude_rad, one.circles.longitude_rad)]
+    row, column = (round((x + SIDE_DEG / 2) / STEP_DEG) for x in middle)
+    heights[row - 2 : row + 3, column - 2 : column + 3] = np.nan
+    dem = read_dem(write_dem(tmp_path / "gap.tif", heights), gaps=True)
+    found = refine_on_dem(one.circles, dem)
+    assert found.outcomes[k] is Outcome.OUTSIDE
+    others = np.arange(len(one.circles)) != k
+    np.testing.assert_array_equal(found.refined[others], whole.refined[others])
+    np.testing.assert_allclose(
+        found.catalog.semi_major_m[others], whole.catalog.semi_major_m[others], rtol=1e-4
+    )
+
+
+def test_a_catalogue_that_is_kilometres_off_is_one_line(tmp_path):
+    dem = shared("gld100/gld100_256ppd_southern_highlands.tif")
+    table = pq.read_table(shared("lu1319381.parquet"))
+    latitude, longitude = (np.radians(table[name].to_numpy()) for name in ("LAT_DEG", "LON_E_DEG"))
+    radius = 500.0 * table["DIAMETER_KM"].to_numpy()
+    near = np.flatnonzero(read_dem(dem).covers(up(latitude, longitude)) & (radius > 1200.0))[:200]
+    for off_m, code in ((0.0, 0), (4e3, 2)):
+        moved = latitude[near] + off_m / MOON.radius_m
+        map_of = catalog(moved, longitude[near], radius[near], radius[near], np.zeros(len(near)))
+        write_parquet(tmp_path / "off.parquet", map_of)
+        result = call(
+            "catalog", "refine", tmp_path / "off.parquet", "--dem", dem, "-o", tmp_path / f"{code}.parquet"
+        )
+        assert result.code == code, result.err
+        assert (tmp_path / f"{code}.parquet").exists() == (code == 0)
+    assert "off.parquet: the catalogue disagrees with the model by a kilometre or more" in result.err
+    assert len(result.err.strip().splitlines()) == 1

@@ -1,5 +1,7 @@
 """Usual mistakes with images are told apart, on ground of the second world."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,3 +62,40 @@ def test_the_mistake_is_in_the_warning(data: Dataset, tmp_path: Path) -> None:
     negative = with_images(data, tmp_path, lambda image: 255 - image)
     result = reconstruct(negative, ["ekf"])
     assert any("any frame" in text and "taken for a negative" in text for text in result.warnings)
+
+
+def test_rims_that_are_excluded_are_not_missed(data: Dataset) -> None:
+    result = reconstruct(data, ["ekf"], without=["rims"])
+    assert not any("in any frame" in text or "should show" in text for text in result.warnings)
+    assert any("no rim was measured in 2 of 2 frames" in text for text in result.warnings)
+
+
+# Runs Python with some arguments and prints the most memory of it, kB. A process of its own does: a child
+# begins with the memory of its parent, here that of all tests.
+MEASURED = """
+import resource, subprocess, sys
+code = subprocess.call([sys.executable, *sys.argv[1:]], stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+sys.exit(code)
+"""
+
+
+@pytest.mark.slow
+def test_turned_images_need_no_more_memory(tmp_path: Path) -> None:
+    """The search for a lost track once grew beyond 4 GB."""
+    turned = write(draw_world(1, "gentle", frames=5), tmp_path / "d", 1)
+    for path in (turned / "mav0" / "cam0" / "data").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
+    command = ["-m", "craternav_fg", "reconstruct", str(turned), "-o", str(tmp_path / "run")]
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command, "-e", "online,ekf"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    text = done.stderr
+    # Craters are identified, as from a camera that is turned; the IMU is of one that is not.
+    assert "the images contradict the initial state" in text, text
+    assert "imu: contradicts what ekf predicts" in text
+    assert done.returncode == 0
+    assert int(done.stdout.splitlines()[-1]) < 1 << 20

@@ -11,6 +11,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
@@ -139,6 +140,31 @@ def test_rims_and_sun_are_left_out_like_any_sensor(sensors: Path) -> None:
     fewer = reconstruct(data, ["ekf"], without=["altimeter"])
     assert fewer.innovations is not None
     assert set(every.innovations.sensor) - set(fewer.innovations.sensor) == {"altimeter"}
+
+
+@pytest.mark.parametrize("estimator", ["online", "ekf"])
+def test_a_station_alone_is_not_to_be_trusted(sensors: Path, estimator: str) -> None:
+    data = Dataset.open(sensors)
+    others = ["rims", "sun", "altimeter", "velocimeter", "star_tracker"]
+    result = reconstruct(data, [estimator], without=others)
+    # Wrong by far more than it says: the range alone fits several trajectories.
+    error = metrics(result.trajectories[estimator], data.truth)
+    assert error.anees > 60.0
+    assert result.warnings[0].startswith("no trajectory can be trusted, whatever its covariance: no rim was")
+    assert "does not predict ranging (NIS per dimension" in result.warnings[0]
+    assert any("there the trajectory rests on the IMU and ranging" in text for text in result.warnings)
+
+
+def test_sensors_from_a_good_start_need_no_rims(sensors: Path) -> None:
+    data = Dataset.open(sensors)
+    assert data.initial is not None
+    assert data.truth is not None
+    good = replace(
+        data.initial, gTb=data.truth.gTb[0], position_sigma_m=50.0, attitude_sigma_rad=1e-3
+    )  # fmt: skip
+    result = reconstruct(replace(data, initial=good), ["ekf"], without=["rims", "sun"])
+    assert metrics(result.trajectories["ekf"], data.truth).anees < 20.0
+    assert not any("trust" in text for text in result.warnings), result.warnings
 
 
 def rewritten(folder: Path, to: Path, name: str, change: Callable[[list[str]], list[str]]) -> Path:

@@ -57,6 +57,8 @@ def test_replaced_initial_states_and_new_segments_are_told() -> None:
             ["no rim was found in 2 of 4 frames (the first: 2)", "in view in 1 of 4 frames (the first: 0)"],
         ),
         ([0, 0], [0, 3], ["in any frame, although 1 should show some"]),
+        # Three rims in one of ten frames may be matched wrongly: nothing confirms them.
+        ([0, 3] + 8 * [0], 10 * [4], ["no trajectory can be trusted, whatever its covariance: 1 of 10"]),
         # No front end ran: what should be seen is not known.
         ([2, 0, 0], None, ["no rim was measured in 2 of 3 frames (the first: 1)"]),
         ([0, 0], None, ["no rim was measured in 2 of 2 frames (the first: 0)"]),

@@ -149,6 +149,18 @@ def test_sky_beyond_the_horizon_is_black(smooth):
     assert 0.1 < np.mean(light == 0.0) < 0.9
 
 
+@pytest.mark.parametrize("tilt_deg", [20.0, 75.0])
+def test_a_ray_meets_the_terrain_where_it_does_alone(renderer, tilt_deg):
+    # Beside others a ray begins where the one before it ended.
+    gTb = scene.pose(scene.place(-20e3, 0.0, 8e3), tilt_deg, 30.0)
+    for row in (340.0, 1000.0):
+        pixels = np.stack([np.arange(300.0, 700.0), np.full(400, row)], axis=-1)
+        beside, _ = renderer.ground_points(gTb, pixels)
+        alone = np.concatenate([renderer.ground_points(gTb, one[None])[0] for one in pixels])
+        # A pixel is 6 m and more.
+        assert beside == pytest.approx(alone, abs=0.1, nan_ok=True)
+
+
 def test_rough_horizon_is_traced(renderer):
     gTb = scene.pose(scene.place(-20e3, 0.0, 8e3), 75.0)
     light = renderer.radiance(gTb, scene.sun(35.0, 300.0))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.simulation.crater_shape import rim_height_m
-from craternav_fg.simulation.relief import Relief, ReliefOptions
+from craternav_fg.simulation.relief import Relief, ReliefOptions, Window
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from tests.simulation import scene
@@ -29,6 +29,32 @@ def test_grids_of_all_spacings_sample_one_relief():
         exact, _ = relief.at(xy, np.full(3, 2.0 ** (exponent + 1)))
         assert grid[j, i] == pytest.approx(exact, abs=2e-3)
         assert np.std(grid) > 0.1 * 2.0**exponent * relief.options.slope
+
+
+def test_a_window_of_the_relief_is_a_part_of_it():
+    grid = scene.relief().grid(3, (-501, 77), 256, 16)
+    for window in (Window(0, 256, 0, 31), Window(97, 140, 31, 256)):
+        part = scene.relief().grid(3, (-501, 77), 256, 16, window)
+        assert np.array_equal(part, grid[window.low : window.high, window.left : window.right])
+
+
+@pytest.mark.parametrize("moved", [(61, 0), (-122, 61), (0, -400)])
+def test_a_grid_that_moved_is_the_one_built_anew(moved):
+    # Craters at all places of a grid, small ones that fade out at its border too, on other levels than the
+    # relief.
+    rng = np.random.default_rng(0)
+    rows = [
+        (*rng.uniform(-2e3, 2e3, 2), a := rng.uniform(10.0, 120.0), a * rng.uniform(0.8, 1.0), 300.0, 0.0)
+        for _ in range(150)
+    ]
+    here, there = np.array([0.0, 100.0]), np.array([0.0, 100.0]) + 4.0 * np.array(moved)
+    terrains = [Terrain(scene.craters(rows), scene.relief(), SMALL) for _ in range(2)]
+    for place in (here, there):
+        old = terrains[0].levels(place - 300.0, place + 300.0, place, 8.0)
+    new = terrains[1].levels(there - 300.0, there + 300.0, there, 8.0)
+    assert np.array_equal(old.frames_m, new.frames_m)
+    assert np.array_equal(old.heights_m[old.slots], new.heights_m[new.slots])
+    assert old.top_m == new.top_m
 
 
 def test_relief_gradient_and_slope():

@@ -1,0 +1,206 @@
+"""Kernels that lift a grid of heights to the catalogue's, and stamp craters into it."""
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.simulation.crater_shape import (
+    PEAK_WIDTH,
+    REACH,
+    coverage,
+    crater_profile,
+    outline,
+    protection,
+    roughness,
+    smoothstep,
+)
+from craternav_fg.simulation.relief import Window
+from factors.kernels.compiled import njit
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+
+# Where the catalogue's heights differ from the relief, the terrain is lifted within this many radii of a
+# crater.
+LEVEL_REACH = 6.0
+# Weight of the common lift beside that of the craters, and softening of the craters' weights near their
+# centres.
+_FAR_WEIGHT, _SOFTENING = 0.01, 0.03
+# Smallest crater on a grid, and smallest one that the next coarser grid has as well, in cells.
+_SMALLEST_CELLS, _SHARED_CELLS = 2.0, 4.0
+# A crater's flank gives way to older crests from this distance on, over this width, in radii.
+_OWN_REACH, _OWN_FADE = 1.1, 0.15
+
+# Columns of a crater in `stamp`: centre x, y; axes l1, l2, n in the site frame; semi-axes, height of the
+# rim's plane, depth, height of the crest over the terrain; relief at the centre and its gradient; reach in
+# the plane, all in m; half-width of the crest, radii; height of the central peak, m; harmonics of the
+# outline.
+COL_X, COL_Y, COL_L1, COL_L2, COL_N = 0, 1, 2, 5, 8
+COL_A, COL_B, COL_HEIGHT, COL_DEPTH, COL_RIM = 11, 12, 13, 14, 15
+COL_RELIEF, COL_GRADIENT, COL_REACH, COL_CREST, COL_PEAK, COL_HARMONICS = 16, 17, 19, 20, 21, 22
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lift(
+    heights: Float32Array,
+    craters: FloatArray,
+    offsets: FloatArray,
+    far: float,
+    frame: FloatArray,
+    window: Window,
+) -> None:
+    """Lift a window of a grid to the catalogue's heights.
+
+    Parameters
+    ----------
+    heights : ndarray of float32, shape (cells, cells)
+        Heights of the grid, m, rows along y; changed.
+    craters : ndarray, shape (n, 34)
+        Columns `COL_X` to `COL_HARMONICS`; lengths in m, in the site frame.
+    offsets : ndarray, shape (n,)
+        Lift near each crater, m.
+    far : float
+        Lift away from all craters, m: the same for every grid, or the terrain would have steps where two
+        grids meet.
+    frame : ndarray, shape (3,)
+        Spacing, and plane coordinates x, y of the first point, m.
+    window : Window
+    """
+    cell, x0, y0 = frame
+    left, right, low, high = window
+    weight = np.full((high - low, right - left), _FAR_WEIGHT)
+    total = np.full((high - low, right - left), _FAR_WEIGHT * far)
+    for k in range(craters.shape[0]):
+        reach = craters[k, COL_REACH] * LEVEL_REACH / REACH
+        xc, yc = craters[k, COL_X], craters[k, COL_Y]
+        for j in range(
+            max(low, int(np.ceil((yc - reach - y0) / cell))), min(high, int((yc + reach - y0) / cell) + 1)
+        ):
+            for i in range(
+                max(left, int(np.ceil((xc - reach - x0) / cell))),
+                min(right, int((xc + reach - x0) / cell) + 1),
+            ):
+                r2 = ((x0 + i * cell - xc) ** 2 + (y0 + j * cell - yc) ** 2) / (reach * reach)
+                if r2 < 1.0:
+                    w = (1.0 - r2) ** 2 / (r2 + _SOFTENING)
+                    weight[j - low, i - left] += w
+                    total[j - low, i - left] += w * offsets[k]
+    for j in range(low, high):
+        for i in range(left, right):
+            heights[j, i] += total[j - low, i - left] / weight[j - low, i - left]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stamp(
+    heights: Float32Array,
+    relief: Float32Array,
+    craters: FloatArray,
+    frame: FloatArray,
+    radius_m: float,
+    fade: int,
+    window: Window,
+) -> None:
+    """Stamp craters, in their order, into a window of a grid.
+
+    Parameters
+    ----------
+    heights : ndarray of float32, shape (cells, cells)
+        Heights of the grid with the lift to the catalogue's heights, m, rows along y; changed.
+    relief : ndarray of float32, shape (rows, columns)
+        Heights of the window without the lift, m.
+    craters : ndarray, shape (n, 34)
+        Columns `COL_X` to `COL_HARMONICS`; lengths in m, in the site frame.
+    frame : ndarray, shape (3,)
+        Spacing, and plane coordinates x, y of the first point, m.
+    radius_m : float
+        The body's radius.
+    fade : int
+        Craters too small for the next coarser grid fade out over so many cells from the border.
+    window : Window
+    """
+    cell, x0, y0 = frame
+    n = heights.shape[1]
+    left, right, low, high = window
+    free = np.ones((high - low, right - left), dtype=np.float32)
+    for k in range(craters.shape[0]):
+        c = craters[k]
+        xc, yc, a, b, reach = c[COL_X], c[COL_Y], c[COL_A], c[COL_B], c[COL_REACH]
+        height, depth, rim, crest, peak = c[COL_HEIGHT], c[COL_DEPTH], c[COL_RIM], c[COL_CREST], c[COL_PEAK]
+        harmonics = c[COL_HARMONICS:]
+        # An outline deviates by at most the sum of its harmonics.
+        widest = 1.0 + np.sum(np.abs(harmonics))
+        irregular = np.any(harmonics != 0.0)
+        radius = np.sqrt(a * b)
+        sunk = np.isnan(height)
+        base = 0.0 if sunk else height
+        # Smaller craters would only be aliased.
+        if b < _SMALLEST_CELLS * cell:
+            continue
+        shared = b >= _SHARED_CELLS * cell
+        for j in range(
+            max(low, int(np.ceil((yc - reach - y0) / cell))), min(high, int((yc + reach - y0) / cell) + 1)
+        ):
+            y = y0 + j * cell
+            for i in range(
+                max(left, int(np.ceil((xc - reach - x0) / cell))),
+                min(right, int((xc + reach - x0) / cell) + 1),
+            ):
+                x = x0 + i * cell
+                # The direction (x, y, R) meets the rim's plane at (X, Y) of the crater's frame.
+                scale = (radius_m + base) / (c[COL_N] * x + c[COL_N + 1] * y + c[COL_N + 2] * radius_m)
+                X = scale * (c[COL_L1] * x + c[COL_L1 + 1] * y + c[COL_L1 + 2] * radius_m)
+                Y = scale * (c[COL_L2] * x + c[COL_L2 + 1] * y + c[COL_L2 + 2] * radius_m)
+                rho2 = (X / a) ** 2 + (Y / b) ** 2
+                if rho2 >= REACH * REACH * widest * widest:
+                    continue
+                rho = np.sqrt(rho2)
+                if irregular:
+                    rho /= outline(X / a, Y / b, harmonics)
+                    if rho >= REACH:
+                        continue
+                inside = min(min(i, j), n - 1 - max(i, j)) - 4
+                share = 1.0 if shared else min(max(inside / fade, 0.0), 1.0)
+                if sunk:
+                    raised = share * coverage(rho) * (rim + crater_profile(rho, depth, rim, crest))
+                    heights[j, i] += free[j - low, i - left] * raised
+                    continue
+                plane = np.sqrt((radius_m + height) ** 2 + X * X + Y * Y) - radius_m
+                clear = protection(rho - 1.0)
+                rough = relief[j - low, i - left] - (
+                    c[COL_RELIEF] + c[COL_GRADIENT] * (x - xc) + c[COL_GRADIENT + 1] * (y - yc)
+                )
+                target = plane + crater_profile(rho, depth, rim, crest) + roughness(rho - 1.0, rough, radius)
+                if peak > 0.0:
+                    target += peak * np.exp(-0.5 * (rho / PEAK_WIDTH) ** 2)
+                weight = share * coverage(rho)
+                # The flank gives way to the crests of larger craters, the crest does not.
+                own = 1.0 - smoothstep((rho - _OWN_REACH) / _OWN_FADE)
+                weight *= own + (1.0 - own) * free[j - low, i - left]
+                heights[j, i] += weight * (target - heights[j, i])
+                free[j - low, i - left] *= 1.0 - share * (1.0 - clear)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def extremes(heights: Float32Array, first: int, last: int) -> tuple[float, float]:
+    """Highest point and largest squared difference between neighbours.
+
+    Parameters
+    ----------
+    heights : ndarray of float32, shape (cells, cells)
+        Heights of a grid, m.
+    first, last : int
+        Rows from `first` to before `last` count.
+
+    Returns
+    -------
+    top, steep : float
+        m, and m^2.
+    """
+    top = -np.inf
+    steep = 0.0
+    for j in range(first, min(last, heights.shape[0] - 1)):
+        for i in range(heights.shape[1] - 1):
+            h = heights[j, i]
+            d = (heights[j, i + 1] - h) ** 2 + (heights[j + 1, i] - h) ** 2
+            top = max(top, h)
+            steep = max(steep, d)
+    return top, steep
