@@ -38,7 +38,7 @@ _AREA_PER_RANGE = 2.0
 _REACH_FACTOR = 3.0
 # Margin on the image's bounds in normalised coordinates.
 _BORDER_FACTOR = 1.05
-# Least separation of two rims, rad, that counts for the accuracy of the roll that they give.
+# Minimum separation of two rims, rad, that counts for the accuracy of the roll that they give.
 _MIN_SEPARATION_RAD = 0.05
 # Rounds in which an expanded pose is re-estimated.
 _MAX_EXPANSIONS = 4
@@ -118,7 +118,7 @@ class ExpandedPose:
     score: float
 
     def same_matches(self, other: "ExpandedPose") -> bool:
-        """Tell whether another pose explains the same rims by the same craters.
+        """Return whether another pose explains the same rims by the same craters.
 
         Parameters
         ----------

@@ -115,7 +115,7 @@ def _judge(
     problem: ResectionProblem, options: SolveOptions, gTb: FloatArray, costs: FloatArray, N: FloatArray,
     converged: BoolArray,
 ) -> ResectionResult:  # fmt: skip
-    """Turn local minima, lowest cost first, into a result: do they fit, are they determined and probable."""
+    """Convert local minima, lowest cost first, to a result: do they fit, are they determined and probable."""
     # The negated form is also true for NaN.
     if not len(costs) or not costs[0] < UNSEEN**2:
         return ResectionResult(

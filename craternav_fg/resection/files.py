@@ -11,6 +11,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.columns import ID
+from craternav_fg.catalogs.common_shift import share_of_rims
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
@@ -167,7 +168,7 @@ def resection_problem(
 
 
 def _direction(expected: str, values: Sequence[float]) -> FloatArray:
-    """Give the unit vector along `values`."""
+    """Return the unit vector along `values`."""
     v = np.array(values)
     largest = np.abs(v).max()
     if not largest > 0.0:
@@ -177,15 +178,15 @@ def _direction(expected: str, values: Sequence[float]) -> FloatArray:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body) -> dict[str, Any]:
-    """Turn a result into lists, numbers and texts for JSON.
+def as_plain_data(problem: ResectionProblem, result: ResectionResult, catalog: Catalog) -> dict[str, Any]:
+    """Convert a result to lists, numbers and texts for JSON.
 
     Parameters
     ----------
     problem : ResectionProblem
     result : ResectionResult
-    body : Body
-        For altitudes.
+    catalog : Catalog
+        The rims' craters, in their order: for altitudes, and for the shift that they have in common.
 
     Returns
     -------
@@ -193,6 +194,8 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body
         Without poses unless the status is solved or ambiguous.
     """
     usable = result.status in (Status.SOLVED, Status.AMBIGUOUS)
+    kept = np.array([name not in result.wrong for name in problem.rims.identifiers])
+    weights = kept / problem.rims.covariance[:, [0, 1], [0, 1]].mean(axis=1)
     return {
         "status": result.status.name.lower(),
         "reason": result.reason,
@@ -202,7 +205,7 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, body: Body
         "sigma_scale": result.sigma_scale,
         "focal_scale": _number(result.focal_scale),
         "focal_scale_sigma": _number(result.focal_scale_sigma),
-        "poses": [_pose(problem, pose, body) for pose in result.poses] if usable else [],
+        "poses": [_pose(problem, pose, catalog, weights) for pose in result.poses] if usable else [],
     }
 
 
@@ -211,9 +214,19 @@ def _number(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _pose(problem: ResectionProblem, pose: PoseSolution, body: Body) -> dict[str, Any]:
-    """One solution as plain data."""
+def _pose(
+    problem: ResectionProblem, pose: PoseSolution, catalog: Catalog, weights: FloatArray
+) -> dict[str, Any]:
+    """Return one solution as plain data; the weights (n,) of the rims are 0 for those that were rejected."""
     gP = pose.gTb[:3, 3]
+    share = 1.0
+    if problem.attitude is not None:
+        share = share_of_rims(pose.covariance[:3, :3], problem.attitude.sigma_rad**2 * np.eye(3))
+    elif problem.prior is not None:
+        share = share_of_rims(pose.covariance[:3, :3], problem.prior.covariance[:3, :3])
+    of_map = catalog.image_covariance(pose.gTb, weights, share)
+    covariance = pose.covariance + frames.rotate_position_block(of_map, pose.gTb[:3, :3].T)
+    position_covariance = pose.position_covariance + of_map[3:, 3:]
     latitude, longitude = frames.latitude_longitude(gP)
     return {
         "probability": pose.probability,
@@ -222,10 +235,10 @@ def _pose(problem: ResectionProblem, pose: PoseSolution, body: Body) -> dict[str
         "attitude_wxyz": frames.to_quaternion_wxyz(pose.gTb[:3, :3]).tolist(),
         "latitude_deg": float(np.degrees(latitude)),
         "longitude_deg": float(np.degrees(longitude)),
-        "altitude_m": float(body.altitude_m(gP)),
-        "covariance": pose.covariance.tolist(),
-        "position_sigma_m": np.sqrt(np.diag(pose.position_covariance)).tolist(),
-        "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(pose.covariance)[:3])).tolist(),
+        "altitude_m": float(catalog.body.altitude_m(gP)),
+        "covariance": covariance.tolist(),
+        "position_sigma_m": np.sqrt(np.diag(position_covariance)).tolist(),
+        "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(covariance)[:3])).tolist(),
         "residuals": dict(zip(problem.rims.identifiers, pose.residuals.tolist(), strict=True)),
     }
 

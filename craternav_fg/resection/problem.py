@@ -32,7 +32,7 @@ class ResectionError(EstimationError):
 
 @contextmanager
 def _as_resection_error() -> Iterator[None]:
-    """Turn a factor's error about a field into one of this package's."""
+    """Convert a factor's error about a field to one of this package's."""
     try:
         yield
     except FactorError as error:
@@ -162,7 +162,7 @@ class MatchedRims:
         Returns
         -------
         ndarray, shape (n, 5)
-            Predicted less measured, whitened; very large where a rim is not visible.
+            Predicted minus measured, whitened; very large where a rim is not visible.
         """
         out = np.empty((7, 5 * len(self)))
         packed.shape_residuals(np.ascontiguousarray(gTb), self.packed(bTc), False, out)
@@ -243,7 +243,7 @@ class ResectionProblem:
         return 3 if self.attitude is not None and self.attitude.sigma_rad == 0.0 else 0
 
     def prior_arrays(self) -> tuple[FloatArray, FloatArray]:
-        """Give prior or inexact attitude as the kernels take them.
+        """Return prior or inexact attitude as the kernels take them.
 
         Returns
         -------
@@ -262,7 +262,7 @@ class ResectionProblem:
         return np.eye(4), _NO_WEIGHT
 
     def sun_array(self) -> FloatArray:
-        """Give the sun's tilt as the kernels take it.
+        """Return the sun's tilt as the kernels take it.
 
         Returns
         -------
@@ -323,7 +323,7 @@ class PoseSolution:
     covariance : ndarray, shape (6, 6)
         For the right twist [w, rho], rad and m in b; NaN when the pose is undetermined.
     residuals : ndarray, shape (n, 5)
-        Whitened chart residuals of all rims, predicted less measured.
+        Whitened chart residuals of all rims, predicted minus measured.
     cost : float
         Squared norm of all whitened residuals that were minimised, those of prior and sun included.
     probability : float
@@ -365,7 +365,7 @@ class ResectionResult:
         they are too small.
     focal_scale, focal_scale_sigma : float
         Focal length that the rims alone show, over the camera's, and its standard deviation; NaN when it was
-        not estimated (see `focal.with_unknown_focal`).
+        not estimated (see `intrinsics.with_unknown_intrinsics`).
     """
 
     status: Status

@@ -36,8 +36,8 @@ class RobustOptions:
         Number of rims that must agree; one less with a prior, the sun or a known attitude. Fewer rims agree
         on some pose whatever they are matched to. With a known attitude a single rim is taken as it is.
     minimal_sets : int
-        Largest number of minimal sets that are tried, those with the best measured rims first: pairs of rims,
-        or single rims with a known attitude.
+        Largest number of minimal sets that are tried: pairs of rims, or single rims with a known attitude.
+        The first half are those with the best measured rims, the others are spread over the rest.
     log_chance : float
         Natural logarithm of the largest probability that rims which agree do so by chance.
     sigma_scales : tuple of float
@@ -181,7 +181,7 @@ def _scaled_to_residuals(
 
 
 def _least(problem: ResectionProblem, options: RobustOptions) -> int:
-    """Give the number of rims that must agree."""
+    """Return the number of rims that must agree."""
     if problem.attitude is not None:
         # One of several rims that agrees with none of the others proves nothing.
         return 1 if len(problem.rims) == 1 else max(options.least_rims - 1, 2)
@@ -219,12 +219,20 @@ def _of_all(problem: ResectionProblem, pose: PoseSolution) -> PoseSolution:
 
 
 def _seeds(problem: ResectionProblem, options: RobustOptions) -> IntArray:
-    """Minimal sets (m, 2) of rims, those with the best measured first."""
+    """Minimal sets (m, 2) of rims: those with the best measured, and, lest these are wrong, some of all."""
     rims = problem.rims
     order = np.argsort(rims.covariance[:, 2, 2] + rims.covariance[:, 4, 4])
     n = len(order)
     if problem.attitude is not None or n == 1:
-        return np.stack([order, order], axis=-1)[: options.minimal_sets]
+        return np.stack([order, order], axis=-1)[_spread(n, options.minimal_sets)]
     i, j = np.nonzero(~np.eye(n, dtype=bool))
-    first = np.argsort(i + j, kind="stable")[: options.minimal_sets]
-    return np.stack([order[i[first]], order[j[first]]], axis=-1)
+    tried = np.argsort(i + j, kind="stable")[_spread(len(i), options.minimal_sets)]
+    return np.stack([order[i[tried]], order[j[tried]]], axis=-1)
+
+
+def _spread(count: int, most: int) -> IntArray:
+    """Choose at most so many of a ranked list: the first ones, and as many spread evenly over the others."""
+    if count <= most:
+        return np.arange(count)
+    first = most - most // 2
+    return np.append(np.arange(first), np.linspace(first, count - 1, most // 2).astype(np.int64))

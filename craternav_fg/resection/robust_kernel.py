@@ -6,7 +6,7 @@ import numpy.typing as npt
 from craternav_fg.resection.solve_kernel import minimise
 from craternav_fg.resection.start_kernel import start_at_attitude, start_pair
 from factors.kernels.compiled import njit
-from factors.kernels.gauss_newton import solve
+from factors.kernels.gauss_newton import invert, solve
 from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
 from factors.kernels.robust import NONE
 
@@ -51,11 +51,11 @@ def distances2(
     out = np.empty(n)
     rows = np.empty((7, 5 * n))
     shape_residuals(gTb, data, True, rows)
-    information = N[first:, first:].copy()
-    g, x = np.empty(free), np.empty((5, free))
+    covariance, x = np.empty((free, free)), np.empty(free)
+    invert(N[first:, first:].copy(), covariance)
     S, y = np.empty((5, 5)), np.empty(5)
     for k in range(n):
-        H, r = rows[:6, 5 * k : 5 * k + 5], rows[6, 5 * k : 5 * k + 5]
+        H, r = rows[first:6, 5 * k : 5 * k + 5], rows[6, 5 * k : 5 * k + 5]
         out[k] = 0.0
         if members[k]:
             for a in range(5):
@@ -63,13 +63,14 @@ def distances2(
             continue
         for a in range(5):
             for i in range(free):
-                g[i] = H[first + i, a]
-            solve(information, g, x[a])
-        for a in range(5):
-            for b in range(5):
+                x[i] = 0.0
+                for j in range(free):
+                    x[i] += covariance[i, j] * H[j, a]
+            for b in range(a + 1):
                 S[a, b] = 1.0 if a == b else 0.0
                 for i in range(free):
-                    S[a, b] += H[first + i, b] * x[a, i]
+                    S[a, b] += x[i] * H[i, b]
+                S[b, a] = S[a, b]
         solve(S, r, y)
         for a in range(5):
             out[k] += r[a] * y[a]

@@ -161,7 +161,7 @@ def two_poses(
     Parameters
     ----------
     angle : float
-        Of U, rad.
+        Rotation angle of U, rad.
     vRc : ndarray, shape (3, 3)
         Rotation from `looking`.
     root : ndarray, shape (2, 2)
@@ -171,9 +171,9 @@ def two_poses(
     a, b : float
         Semi-axes, m.
     chart : ndarray, shape (5,)
-        Of the rim, normalised image coordinates.
+        Chart of the rim, normalised image coordinates.
     centre : ndarray, shape (3,)
-        Of the rim in g, m.
+        Centre of the rim in g, m.
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     out : ndarray, shape (2, 4, 4)
@@ -230,11 +230,11 @@ def starts_of_one(
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centre : ndarray, shape (3,)
-        Of the rim in g, m.
+        Centre of the rim in g, m.
     axes : ndarray, shape (2, 3)
         Semi-axes in g, m.
     chart : ndarray, shape (5,)
-        Of the rim, normalised image coordinates.
+        Chart of the rim, normalised image coordinates.
 
     Returns
     -------
@@ -294,11 +294,11 @@ def start_at_attitude(
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centre : ndarray, shape (3,)
-        Of the rim in g, m.
+        Centre of the rim in g, m.
     axes : ndarray, shape (2, 3)
         Semi-axes in g, m.
     chart : ndarray, shape (5,)
-        Of the rim, normalised image coordinates.
+        Chart of the rim, normalised image coordinates.
     gTb : ndarray, shape (4, 4)
         Written: the pose.
     """

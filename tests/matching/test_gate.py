@@ -52,7 +52,7 @@ def noise_of(charts, sigma_px=0.5):
 
 
 def scene(rng, catalog, false_share=0.2, missing_share=0.25, altitude_m=ALTITUDE_M):
-    """Give a pose, its rims in some order, and the crater of each, -1 for false ones."""
+    """Return a pose, its rims in some order, and the crater of each, -1 for false ones."""
     gTb = view(rng, altitude_m)
     rows, charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=10.0)
     keep = rng.random(len(rows)) > missing_share
@@ -232,6 +232,7 @@ def test_nothing_in_nothing_out():
     np.testing.assert_array_equal(lost.gTb, away)
 
 
+@pytest.mark.slow
 def test_a_prediction_that_says_nothing_is_searched_in_bounded_memory_and_time():
     """1500 craters in reach: two million pairs of craters for each two rims are too many to hold."""
     rng = np.random.default_rng(8)

@@ -11,9 +11,10 @@ from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.heights import with_rim_heights
 from craternav_fg.catalogs.merge import merge
-from craternav_fg.matching.identify.search import identify
+from craternav_fg.matching.identify.detected import identify_detected
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.vision.detect import find_rims
+from craternav_fg.vision.network_detect import find_rims_network
 from tests.shared_data import shared
 
 
@@ -37,8 +38,14 @@ def camera():
     return Camera(known["width"], known["height"], K[0, 0], K[1, 1], K[0, 2], K[1, 2])
 
 
-def test_all_six_are_identified_within_three_kilometres_of_spice(index, photographs, camera):
-    found = [identify(find_rims(image).ellipses_px, camera, index) for image in photographs]
+def identified(image, camera, index, find=find_rims_network):
+    rims = find(image)
+    return identify_detected(rims.ellipses_px, rims.traced, camera, index)
+
+
+@pytest.mark.parametrize("find", [find_rims_network, find_rims])
+def test_all_six_are_identified_within_three_kilometres_of_spice(index, photographs, camera, find):
+    found = [identified(image, camera, index, find) for image in photographs]
     assert all(one.identified for one in found)
     truth = json.loads(shared("apollo15/spice_truth_297_300.json").read_text())["frames"]
     for k, one in enumerate(found[2:], 297):
@@ -48,11 +55,41 @@ def test_all_six_are_identified_within_three_kilometres_of_spice(index, photogra
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 41.2e3, atol=2.5e3)
 
 
+@pytest.mark.slow
 def test_mirrored_ones_are_refused_and_inverted_ones_are_not_wrong(index, photographs, camera):
     for image in photographs:
         mirrored = np.ascontiguousarray(image[:, ::-1])
-        assert not identify(find_rims(mirrored).ellipses_px, camera, index).identified
-        inverted = identify(find_rims(255 - image).ellipses_px, camera, index)
-        right = identify(find_rims(image).ellipses_px, camera, index)
+        assert not identified(mirrored, camera, index).identified
+        inverted = identified(255 - image, camera, index)
+        right = identified(image, camera, index)
         if inverted.identified:
             assert np.linalg.norm(inverted.gTb[:3, 3] - right.gTb[:3, 3]) < 2e3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_turned_ones_are_identified_as_well(index, photographs, camera, quarters):
+    """From the same places: their principal point is the middle but for a pixel."""
+    for image in photographs:
+        turned = np.ascontiguousarray(np.rot90(image, quarters))
+        found, upright = (identified(one, camera, index) for one in (turned, image))
+        assert found.identified
+        assert np.linalg.norm(found.gTb[:3, 3] - upright.gTb[:3, 3]) < 1.5e3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("find", "limit_m"), [(find_rims_network, 1.5e3), (find_rims, 1e3)])
+def test_smaller_ones_are_identified_as_well(index, photographs, camera, find, limit_m):
+    """At 70 %: fewer rims are found."""
+    side = 708
+    share = side / camera.width_px
+    smaller = Camera(
+        side, side, share * camera.fx_px, share * camera.fy_px,
+        share * (camera.cx_px + 0.5) - 0.5, share * (camera.cy_px + 0.5) - 0.5,
+    )  # fmt: skip
+    for image in photographs:
+        shrunk = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
+        found = identified(shrunk, smaller, index, find)
+        right = identified(image, camera, index, find)
+        assert found.identified
+        assert np.linalg.norm(found.gTb[:3, 3] - right.gTb[:3, 3]) < limit_m

@@ -28,7 +28,7 @@ class Faults:
 
     mirrored: bool = False
     image_scale: float = 1.0
-    shift_px: float = 0.0
+    shift_px: float | np.ndarray = 0.0
     focal_scale: float = 1.0
     size_scale: float = 1.0
     body_scale: float = 1.0
@@ -39,7 +39,7 @@ def matched(
     catalog: Catalog, view: View, rng: np.random.Generator, faults: Faults = Faults(),
     craters: np.ndarray | None = None,
 ) -> ResectionProblem:  # fmt: skip
-    """Give the problem of a view with edge noise and faults."""
+    """Return the problem of a view with edge noise and faults."""
     camera = view.camera
     true, _ = normalised_chart(chart_of_axes(view.ellipses_px), camera)
     spread = np.linalg.cholesky(chart_covariance(true, camera, EDGE_SIGMA_PX, EDGE_POINTS))
@@ -62,7 +62,7 @@ def matched(
 
 
 def scaled_focal(camera: Camera, scale: float) -> Camera:
-    """Give a camera with other focal lengths."""
+    """Return a camera with other focal lengths."""
     return replace(camera, fx_px=scale * camera.fx_px, fy_px=scale * camera.fy_px)
 
 

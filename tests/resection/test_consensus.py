@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.resection.focal import fit_focal, with_unknown_focal
+from craternav_fg.resection.efficient import solve
+from craternav_fg.resection.intrinsics import (
+    IntrinsicsPrior,
+    fit_intrinsics,
+    intrinsics_warnings,
+    with_unknown_intrinsics,
+)
 from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 from craternav_fg.simulation.catalog_views import View, synthetic_catalog
@@ -25,6 +31,7 @@ FAULTS: dict[str, Faults] = {
     "scaled craters": Faults(size_scale=2.0),
     "other body": Faults(body_scale=0.32),
     "other catalogue": Faults(),
+    "pixels from 1": Faults(shift_px=1.0),
 }
 
 
@@ -48,7 +55,7 @@ def silently_wrong(catalog: Catalog, fault: str, count: int, solver: Solver) -> 
     for k in range(count):
         view = draw(catalog, rng, k)
         problem = matched(catalog, view, rng, FAULTS[fault], craters_of(fault, catalog, view, rng))
-        result = with_unknown_focal(problem, solver(problem))
+        result = with_unknown_intrinsics(problem, solver(problem), IntrinsicsPrior(view.camera.focal_px))
         if result.status in (Status.SOLVED, Status.AMBIGUOUS):
             wrong += not is_right(result, view) and not result.warnings
     return wrong
@@ -56,8 +63,8 @@ def silently_wrong(catalog: Catalog, fault: str, count: int, solver: Solver) -> 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_no_fault_is_believed_in_silence(catalog: Catalog, fault: str) -> None:
-    assert silently_wrong(catalog, fault, 15, solve_robustly) == 0
-    assert silently_wrong(catalog, fault, 15, solve_all) == 0
+    assert silently_wrong(catalog, fault, 6, solve_robustly) == 0
+    assert silently_wrong(catalog, fault, 6, solve_all) == 0
 
 
 @pytest.mark.slow
@@ -83,7 +90,7 @@ def right_of(catalog: Catalog, share: float, count: int) -> int:
         view = draw(catalog, rng, k)
         result = solve_robustly(matched(catalog, view, rng, craters=some_swapped(view, rng, share)))
         right += bool(result.poses) and is_right(result, view)
-        if share > 0.5:
+        if share > 0.5 and result.poses:
             assert "rims were left out as wrongly matched" in result.warnings[0]
     return right
 
@@ -91,6 +98,19 @@ def right_of(catalog: Catalog, share: float, count: int) -> int:
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
 def test_the_right_matches_are_found(catalog: Catalog, share: float) -> None:
     assert right_of(catalog, share, 25) == 25
+
+
+def test_the_right_matches_are_found_where_the_best_measured_rims_are_wrong(catalog: Catalog) -> None:
+    rng = np.random.default_rng(7)
+    for k in range(15):
+        view = draw(catalog, rng, k)
+        largest = np.argsort(-view.ellipses_px[:, 2])[: len(view.craters) // 2]
+        craters = view.craters.copy()
+        craters[largest] = craters[np.roll(largest, 1)]
+        result = solve_robustly(matched(catalog, view, rng, craters=craters))
+        assert result.status is Status.SOLVED
+        assert is_right(result, view)
+        assert set(map(str, largest)) <= set(result.wrong)
 
 
 @pytest.mark.slow
@@ -134,20 +154,73 @@ def test_the_focal_length_is_estimated_within_its_sigma(catalog: Catalog, focal_
     for k in range(30):
         view = draw(catalog, rng, k)
         problem = matched(catalog, view, rng, Faults(focal_scale=focal_scale))
-        fit = fit_focal(problem, view.gTb, 0.05)
-        off.append((np.log(fit.scale) + np.log(focal_scale)) / fit.scale_sigma)
+        fit = fit_intrinsics(problem, view.gTb, IntrinsicsPrior(view.camera.focal_px, 0.05))
+        off.append((np.log(fit.focal_scale) + np.log(focal_scale)) / fit.focal_scale_sigma)
     assert np.mean(np.square(off)) == pytest.approx(1.0, abs=0.7)
 
 
-def test_an_unknown_focal_length_keeps_the_covariance_consistent(catalog: Catalog) -> None:
-    """Each image by a camera whose focal length is off by the expected error."""
+def test_a_focal_length_far_off_is_fitted_until_it_converges(catalog: Catalog) -> None:
+    """Ten steps used to end up to 0.7 standard deviations from the minimum."""
+    rng = np.random.default_rng(3)
+    apart = []
+    for k in range(30):
+        view = draw(catalog, rng, k)
+        problem = matched(catalog, view, rng, Faults(focal_scale=0.5))
+        few = problem.rims.take(np.sort(rng.permutation(len(problem.rims))[:3]))
+        problem = ResectionProblem(few)
+        start = solve(problem)
+        if start.poses:
+            prior = IntrinsicsPrior(view.camera.focal_px, focal_sigma=1.0)
+            one, other = (fit_intrinsics(problem, gTb, prior) for gTb in (start.poses[0].gTb, view.gTb))
+            assert one.converged
+            assert other.converged
+            sigma = np.sqrt(one.unknowns_covariance[0, 0])
+            apart.append(abs(one.unknowns[0] - other.unknowns[0]) / sigma)
+    assert len(apart) > 8
+    assert max(apart) < 0.01
+
+
+def test_intrinsics_that_do_not_converge_leave_the_pose_and_are_said(catalog: Catalog) -> None:
+    rng = np.random.default_rng(3)
+    view = draw(catalog, rng, 0)
+    prior = IntrinsicsPrior(view.camera.focal_px)
+    fit = fit_intrinsics(matched(catalog, view, rng, Faults(mirrored=True)), view.gTb, prior)
+    assert not fit.converged
+    np.testing.assert_array_equal(fit.gTb, view.gTb)
+    (warning,) = intrinsics_warnings(fit, prior)
+    assert "did not converge" in warning
+
+
+def test_unknown_intrinsics_keep_the_covariance_consistent(catalog: Catalog) -> None:
+    """Each image by a camera whose intrinsics are off by the expected error."""
     rng = np.random.default_rng(11)
     nees = []
     for k in range(60):
         view = draw(catalog, rng, k)
-        problem = matched(catalog, view, rng, Faults(focal_scale=float(np.exp(0.003 * rng.normal()))))
-        result = with_unknown_focal(problem, solve_all(problem), 0.003)
+        faults = Faults(focal_scale=float(np.exp(0.003 * rng.normal())), shift_px=0.5 * rng.normal(size=2))
+        problem = matched(catalog, view, rng, faults)
+        result = with_unknown_intrinsics(problem, solve_all(problem), IntrinsicsPrior(view.camera.focal_px))
         error = np.empty(6)
         screw_between(np.ascontiguousarray(result.poses[0].gTb), view.gTb, error)
         nees.append(error @ np.linalg.solve(result.poses[0].covariance, error))
     assert 4.8 < np.mean(nees) < 7.4
+
+
+def test_the_principal_point_is_estimated_within_its_covariance(catalog: Catalog) -> None:
+    """Pixels counted from 1, and the same convention for camera and rims."""
+    rng = np.random.default_rng(12)
+    said = {0.0: 0, 1.0: 0}
+    off = []
+    for k in range(40):
+        view = draw(catalog, rng, k)
+        shift_px = float(k % 2)
+        problem = matched(catalog, view, rng, Faults(shift_px=shift_px))
+        prior = IntrinsicsPrior(view.camera.focal_px, focal_sigma=0.0)
+        fit = fit_intrinsics(problem, view.gTb, prior)
+        error = fit.principal_shift_px - shift_px
+        off.append(error @ np.linalg.solve(fit.principal_covariance_px2, error))
+        result = with_unknown_intrinsics(problem, solve_all(problem), prior)
+        said[shift_px] += any("is the first pixel's centre at (0, 0)?" in text for text in result.warnings)
+    assert np.mean(off) == pytest.approx(2.0, abs=1.0)
+    assert said[0.0] == 0
+    assert said[1.0] >= 1

@@ -18,7 +18,7 @@ from tests.resection.scenes import CAMERA, Scene, bTc, camera_pose, level_axes, 
 def mismatched(
     rng: np.random.Generator, scene: Scene, count: int, swapped: bool
 ) -> tuple[ResectionProblem, set[str]]:
-    """Give `count` rims another crater: one another's, or one elsewhere in view of about the size."""
+    """Return `count` rims another crater: one another's, or one elsewhere in view of about the size."""
     rims = scene.measured.rims
     bad = rng.permutation(len(rims))[:count]
     centres, axes = rims.centres.copy(), rims.axes.copy()

@@ -7,9 +7,10 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import normalised_chart
-from craternav_fg.vision.detect import BlindOptions, find_rims
+from craternav_fg.vision.detect import BlindOptions
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.grey import GreyArray
+from craternav_fg.vision.network_detect import find_rims_network
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -57,9 +58,10 @@ def detect_rims(image: GreyArray, camera: Camera, options: BlindOptions = COARSE
     Returns
     -------
     DetectedRims
-        Possibly none.
+        Possibly empty.
     """
-    found = find_rims(image, options=options)
+    found = find_rims_network(image, options=options)
+    found = found.take(found.traced)
     order = np.argsort(-(found.charts_px[:, 2] + found.charts_px[:, 4]), kind="stable")
     charts_px = found.charts_px[order]
     charts, scale = normalised_chart(charts_px, camera)

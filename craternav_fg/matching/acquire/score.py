@@ -41,7 +41,7 @@ def log10_improbability(
     least_px : sequence of float
         Semi-minor axes from which on craters are expected to be found; the one with the best score counts.
     min_found_share : float
-        Least share of the expected craters that must be found.
+        Minimum share of the expected craters that must be found.
 
     Returns
     -------

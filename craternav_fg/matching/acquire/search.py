@@ -33,7 +33,7 @@ IntArray = npt.NDArray[np.int64]
 _MIN_RANGE_SHARE = 0.2
 # Standard deviations of the predicted position by which a crater may be nearer.
 _POSITION_SIGMAS = 3.0
-# Least cosine of the angle between the line of sight and a crater's normal, and least slope contrast.
+# Minimum cosine of the angle between the line of sight and a crater's normal, and minimum slope contrast.
 _MIN_COS_SLANT = 0.15
 _MIN_CONTRAST = 0.1
 # Bounds on predicted craters over the image's width and height: a tenth beyond the border on each side.
@@ -59,11 +59,11 @@ class AcquireOptions:
     sunward_sigma_rad : float
         Standard deviation of the direction in which a crater's wall is darkest.
     min_score : float
-        Least score of a pose that is accepted.
+        Minimum score of a pose that is accepted.
     good_score : float
         Score at which the search ends.
     min_found_share : float
-        Least share of the craters expected in the image that must be found.
+        Minimum share of the craters expected in the image that must be found.
     expected_px : tuple of float
         Semi-minor axes from which on craters are expected to be found; the one with the best score counts,
         since the smallest crater that can be found depends on terrain and illumination.
@@ -149,9 +149,55 @@ def acquire(
         return None
     # The pose only guides a detector: rims of an interpolated, undistorted image are accurate enough.
     straight = undistorted(on_8_bit_scale(image, camera), camera)
-    camera = camera.pinhole
-    rims = detect_rims(straight, camera, options.detect)
-    if len(rims) < 2:
+    rims = detect_rims(straight, camera.pinhole, options.detect)
+    return _acquisition(camera.pinhole, catalog, rows, contrasts, rims, prior, options)
+
+
+def acquire_from_rims(
+    rims: DetectedRims,
+    camera: Camera,
+    catalog: Catalog,
+    gTb: FloatArray,
+    pose_covariance: FloatArray,
+    sun_g: FloatArray,
+    options: AcquireOptions | None = None,
+) -> Acquisition | None:
+    """Find the pose of the body from the rims of one image.
+
+    Parameters
+    ----------
+    rims : DetectedRims
+        The largest first.
+    camera : Camera
+        Without distortion.
+    catalog : Catalog
+    gTb : ndarray, shape (4, 4)
+        Predicted pose.
+    pose_covariance : ndarray, shape (6, 6)
+        Its covariance, as for `acquire`: rad and m.
+    sun_g : ndarray, shape (3,)
+        Unit vector towards the sun in g.
+    options : AcquireOptions, optional
+
+    Returns
+    -------
+    Acquisition or None
+        None when no pose is accepted.
+    """
+    options = options or AcquireOptions()
+    prior = Prior(
+        np.ascontiguousarray(gTb, dtype=np.float64), np.ascontiguousarray(pose_covariance, dtype=np.float64)
+    )
+    rows, contrasts = _craters_in_reach(camera, catalog, prior, sun_g, options)
+    return _acquisition(camera, catalog, rows, contrasts, rims, prior, options)
+
+
+def _acquisition(
+    camera: Camera, catalog: Catalog, rows: IntArray, contrasts: FloatArray, rims: DetectedRims, prior: Prior,
+    options: AcquireOptions,
+) -> Acquisition | None:  # fmt: skip
+    """Search, and give what was found for the body."""
+    if len(rows) < 2 or len(rims) < 2:
         return None
     craters = Craters(
         np.ascontiguousarray(catalog.centres[rows]), np.ascontiguousarray(catalog.axes[rows]),

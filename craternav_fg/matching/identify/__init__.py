@@ -20,8 +20,8 @@ The algorithm, in order, with the module of each step:
    were searched. Two poses of similar evidence are ambiguous.
 8. `refine`: the pose that is returned and its covariance are averaged over the unknown noise.
 
-`search` runs these steps (`search.identify`); `options` and `result` say what it takes and returns; `craters`
-holds the catalogue as compiled code takes it.
+`search` runs these steps (`search.identify`); `detected` does so for rims some of which are coarse. `options`
+and `result` say what it takes and returns; `craters` holds the catalogue as compiled code takes it.
 """
 
 from typing import TYPE_CHECKING

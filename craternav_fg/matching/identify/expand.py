@@ -97,7 +97,7 @@ def associate(
     sphere : float
         Radius of the sphere on which the craters lie, m.
     covariance : ndarray, shape (6, 6)
-        Of the pose, for its right twist in c, rad and m.
+        Covariance of the pose, for its right twist in c, rad and m.
     sigma : ndarray, shape (3,)
         Noise, see `noise`.
     chance : ndarray, shape (n,)

@@ -91,6 +91,7 @@ def size_sigma(view: View, i: int, sigma: float) -> float:
     return np.sqrt(_SIZE_SHARE**2 + (_SIZE_PER_NOISE * sigma / view.radius_px[i]) ** 2)
 
 
+@njit(cache=True, error_model="numpy")
 def size_sigmas(view: View, sigma: float) -> FloatArray:
     """Relative standard deviations of all rims' sizes.
 
@@ -104,7 +105,10 @@ def size_sigmas(view: View, sigma: float) -> FloatArray:
     -------
     ndarray, shape (n,)
     """
-    return np.array([size_sigma(view, i, sigma) for i in range(len(view.radius_px))])
+    out = np.empty(len(view.radius_px))
+    for i in range(len(out)):
+        out[i] = size_sigma(view, i, sigma)
+    return out
 
 
 @njit(cache=True, error_model="numpy")

@@ -54,7 +54,7 @@ def build(points: Points, codes: Codes, weights: FloatArray) -> Tree:
     codes : ndarray of uint32, shape (n,)
         What each point stands for.
     weights : ndarray, shape (5,)
-        Of the dimensions: each node is split where its weighted spread is largest.
+        Weights of the dimensions: each node is split where its weighted spread is largest.
 
     Returns
     -------

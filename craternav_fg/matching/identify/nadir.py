@@ -25,6 +25,9 @@ _GRID_STEP = 0.13
 _GRID_RINGS = 6
 # Times that the step is halved in the descent from a grid point.
 _HALVINGS = 3
+# Verticals around another that are tried: their number, a multiple of 4, so that images that are turned by
+# 90 deg are searched alike; and their angle from it, rad.
+_RING, _RING_RAD = 8, float(np.radians(9.0))
 
 
 @njit(cache=True, error_model="numpy")
@@ -41,7 +44,7 @@ def place(view: View, i: int, down: FloatArray, range_m: float, radius_m: float,
     range_m : float
         Distance of that centre.
     radius_m : float
-        Of the sphere.
+        The sphere's radius.
     X : ndarray, shape (3,)
         Written: position of the rim's centre relative to the body's, in axes of c, m.
 
@@ -180,3 +183,23 @@ def _unit(x: float, y: float, down: FloatArray) -> None:
     """Write the unit vector (3,) along (x, y, 1)."""
     scale = 1.0 / np.sqrt(1.0 + x * x + y * y)
     down[0], down[1], down[2] = x * scale, y * scale, scale
+
+
+def models_around(model: FloatArray) -> FloatArray:
+    """Return models whose verticals lie on a circle around another's.
+
+    Parameters
+    ----------
+    model : ndarray, shape (4,)
+        Unit vector to the body's centre in c, and altitude in the body's radii.
+
+    Returns
+    -------
+    ndarray, shape (8, 4)
+    """
+    down = model[:3]
+    aside = np.cross(down, [0.0, 1.0, 0.0])
+    aside /= np.linalg.norm(aside)
+    turn = 2.0 * np.pi / _RING * np.arange(_RING)[:, None]
+    ring = np.cos(turn) * aside + np.sin(turn) * np.cross(down, aside)
+    return np.column_stack([np.cos(_RING_RAD) * down + np.sin(_RING_RAD) * ring, np.full(_RING, model[3])])

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from craternav_fg.resection.focal import FOCAL_SIGMA
+from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,15 @@ class IdentifyOptions:
         answer.
     candidates : tuple of int
         Triples of craters that are examined per triple of rims, for each noise level.
+    size_factors : tuple of float
+        Sizes of rims in the image over those on the map, tried one after the other until one gives an answer.
+        People trace real rims inside the crests that images show: 5 to 15 % smaller.
+    deep : bool
+        Whether, if there is no answer, candidates are multiplied by the millions of triples in the index.
     triples : int
         Largest number of rim triples that are looked up per noise level and estimate of the vertical. A
-        quarter of it is used for verticals beside the best estimate.
+        quarter of it is used for verticals beside the best estimate. If nothing is found, as many again are
+        looked up with the best estimate.
     tried : int
         Largest number of pairs of a rim and a crater that are tried with a known attitude. It bounds the
         computing time with a large catalogue.
@@ -35,14 +41,22 @@ class IdentifyOptions:
         otherwise the result is ambiguous.
     focal_sigma : float
         Relative standard deviation of the camera's focal length; 0 for an exact one, which is not checked.
+    principal_sigma_px : float
+        Standard deviation of each coordinate of the principal point; 0 for an exact one.
+    focal_stated : bool
+        Whether the user has stated `focal_sigma`: then no warning says that the rims cannot check it.
     """
 
     altitudes_m: tuple[float, float] = (1e3, 2e6)
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
+    size_factors: tuple[float, ...] = (1.0,)
+    deep: bool = False
     triples: int = 96
     tried: int = 3_000_000
     log_chance: float = float(np.log(1e-6))
     log_chance_attitude: float = float(np.log(1e-4))
     log_ambiguity: float = float(np.log(1e-3))
     focal_sigma: float = FOCAL_SIGMA
+    principal_sigma_px: float = PRINCIPAL_SIGMA_PX
+    focal_stated: bool = False

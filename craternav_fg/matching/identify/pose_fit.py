@@ -170,7 +170,7 @@ def centre_freedom_taken(gTc: FloatArray, data: FloatArray, covariance: FloatArr
     data : ndarray, shape (packed,)
         From `pack_rims`.
     covariance : ndarray, shape (6, 6)
-        Of the pose.
+        Covariance of the pose.
     """
     count = (data.shape[0] - packed.HEADER) // packed.CRATER
     out = np.empty((7, 5 * count))

@@ -36,7 +36,8 @@ class Identification:
     gTc, gTb : ndarray, shape (4, 4)
         Pose of the camera and of the body in g; NaN without an answer.
     covariance : ndarray, shape (6, 6)
-        Covariance of the body's pose, for its right twist [w, rho] in b, rad and m; NaN without an answer.
+        Covariance of the body's pose, for its right twist [w, rho] in b, rad and m, with the common shift
+        that the catalogue states; NaN without an answer.
     log_chance : float
         Natural logarithm of an upper bound on the probability that chance explains the rims as well, over
         all poses that were searched. Without an answer, that of the best pose found.
@@ -48,7 +49,7 @@ class Identification:
         Focal length that the rims alone show, over the camera's, and its standard deviation; NaN without an
         answer or when the focal length is exact.
     warnings : tuple of str
-        One line each: that the rims contradict the camera's focal length, or cannot check it.
+        One line each: that the rims contradict the camera's intrinsics, or cannot check its focal length.
     """
 
     status: Status

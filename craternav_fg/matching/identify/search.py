@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.common_shift import share_of_rims
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.chance import log_by_chance
 from craternav_fg.matching.identify.evidence import log_evidence
@@ -26,7 +27,7 @@ from craternav_fg.matching.identify.hypothesis import (
     SPHERE,
     PoseLimits,
 )
-from craternav_fg.matching.identify.nadir import nadirs
+from craternav_fg.matching.identify.nadir import models_around, nadirs
 from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.refine import refine
@@ -41,9 +42,14 @@ from craternav_fg.matching.identify.triple_search import (
     project_all_to_sphere,
     search_triples,
 )
-from craternav_fg.matching.identify.view import View, view_of
+from craternav_fg.matching.identify.view import View, distinct_rows, view_of
 from craternav_fg.measurements import KnownAttitude
-from craternav_fg.resection.focal import FocalFit, fit_focal, focal_warnings
+from craternav_fg.resection.intrinsics import (
+    IntrinsicsFit,
+    IntrinsicsPrior,
+    fit_intrinsics,
+    intrinsics_warnings,
+)
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from factors.kernels.gauss_newton import screw
 
@@ -55,8 +61,6 @@ Int32Array = npt.NDArray[np.int32]
 
 # A hypothesis is formed from a triple.
 _MIN_RIMS = 3
-# Ellipses closer than this in centre and axes, px, are one rim given twice.
-_SAME_PX = 0.05
 # Images with at least so many rims determine the vertical well: one estimate is used, and all noise levels
 # are tried with it before the vertical is varied. With fewer rims, all verticals are tried per noise level.
 _MIN_RIMS_OF_ONE_NADIR = 15
@@ -64,10 +68,11 @@ _MIN_RIMS_OF_ONE_NADIR = 15
 # tried for it: the foreshortening depends only weakly on the altitude.
 _NADIR_RIMS = 40
 _NADIR_HEIGHTS = np.array([0.08, 0.25])
-# Verticals around the best estimate that are also tried: their angle from it, rad, and the divisor of the
-# number of triples.
-_RING_RAD = float(np.radians(9.0))
+# Divisor of the number of triples for verticals around the best estimate.
 _RING_DIVISOR = 4
+# When all that has found nothing, so many times as many triples are looked up with the best vertical, at the
+# noise levels with few candidates: one of many triples has small errors even in a noisy image.
+_LAST_TRIPLES = 2
 # Neighbours of a rim that are paired to triples.
 _PAIRED_NEIGHBOURS = 6
 # Rims around each rim that may be asked when a hypothesis is scored.
@@ -75,12 +80,14 @@ _ORDERED_RIMS = 24
 # Rims of which hypotheses are formed, the largest: memory and time grow with the square of their number.
 _MAX_RIMS = 1500
 # Triples that are looked up between two expansions, hypotheses kept among all triples, how many of them are
-# expanded each time, and the least score of those: with much noise the scores of right and wrong hypotheses
+# expanded each time, and the minimum score of those: with much noise the scores of right and wrong hypotheses
 # differ little, and an expansion costs less than a look-up.
 _LOOKED_UP = 12
 _KEPT_OF_TRIPLES = 24
 _EXPANDED_PER_ROUND = 4
 _MIN_SCORE = 4.0
+# Triples of an index for which the options' number of candidates is meant.
+_TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
 _SINGLE_RIMS = 8
 _KEPT_OF_SINGLE_RIMS = 64
@@ -88,9 +95,9 @@ _KEPT_OF_SINGLE_RIMS = 64
 # centres determine the attitude coarsely.
 _MAX_TURN_RAD = float(np.radians(20.0))
 _ATTITUDE_SIGMAS = 5.0
-# Factor on the standard deviation of the focal length that the rims show: errors of the shapes of small rims
-# are not Gaussian, and it scatters 1.5 times as widely over simulated views.
-_FOCAL_SPREAD = 2.0
+# Factor on the standard deviations of the intrinsics that the rims show: errors of the shapes of small rims
+# are not Gaussian, and the focal length scatters 1.5 times as widely over simulated views.
+_INTRINSICS_SPREAD = 2.0
 # An attitude known more accurately than this, rad, is used with this: its information stays invertible.
 _MIN_ATTITUDE_SIGMA_RAD = 1e-5
 
@@ -117,16 +124,17 @@ class _Search:
     """Data of one call that every step needs."""
 
     def __init__(
-        self, view: View, index: TripleIndex, gRc: FloatArray | None, sigma_rad: float,
+        self, view: View, index: TripleIndex, known: KnownAttitude | None, camera: Camera,
         options: IdentifyOptions,
     ) -> None:  # fmt: skip
         self.view, self.index, self.options = view, index, options
         self.n = len(view.charts)
         self.prior = np.eye(4)
         self.weight = np.zeros((6, 6))
-        self.sigma_rad = max(sigma_rad, _MIN_ATTITUDE_SIGMA_RAD)
+        self.sigma_rad = max(1.0 if known is None else known.sigma_rad, _MIN_ATTITUDE_SIGMA_RAD)
         attitude, min_cos_turn = np.empty((0, 3)), -1.0
-        if gRc is not None:
+        if known is not None:
+            gRc = known.gRb @ camera.bTc[:3, :3]
             attitude = np.ascontiguousarray(gRc)
             self.prior[:3, :3] = gRc
             self.weight[:3, :3] = np.eye(3) / self.sigma_rad**2
@@ -139,7 +147,7 @@ class _Search:
 
     def take_all_rims(self) -> None:
         """Begin hypotheses from all rims alike, those in excess of the size law too."""
-        self.plausible = np.arange(self.n)
+        self.plausible = self.largest
         self.order = image_order(self.view, self.plausible, _ORDERED_RIMS)
 
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
@@ -241,14 +249,14 @@ def identify(
     index : TripleIndex
         The catalogue's index.
     attitude : KnownAttitude, optional
-        One that is known exactly is used with a standard deviation of 1e-5 rad.
+        An exact attitude is used with a standard deviation of 1e-5 rad.
     options : IdentifyOptions
 
     Returns
     -------
     Identification
-        Without an answer for fewer than three rims, and in general for three with an unknown attitude. When
-        a rim is given twice, the second has no crater.
+        No answer for fewer than three rims, and usually none for three with an unknown attitude. If a rim is
+        given twice, the second has no crater.
 
     Raises
     ------
@@ -260,55 +268,71 @@ def identify(
     if not (np.isfinite(ellipses).all() and (ellipses[:, 2:4] > 0.0).all()):
         raise EstimationError("ellipses: expected finite numbers and positive axes")
     n = len(ellipses)
-    once = _once(ellipses)
-    view = view_of(ellipses[once], camera)
+    once = distinct_rows(ellipses)
     if len(once) < _MIN_RIMS:
         reason = f"found {len(once)} rims, expected {_MIN_RIMS} or more"
         return _no_answer(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
-    if attitude is None:
-        search = _Search(view, index, None, 1.0, options)
+    threshold = -(options.log_chance if attitude is None else options.log_chance_attitude)
+    best, found = -np.inf, list[_Expanded]()
+    for factor, depth in _passes(index, attitude, options):
+        view = view_of(ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera)
+        search = _Search(view, index, attitude, camera, options)
+        first = factor == options.size_factors[0]
+        # Single rims are many: they are tried once.
+        found = _expanded(search, depth, attitude is not None and first)
+        if not first:
+            # Each further factor is another way to agree by chance.
+            for one in found:
+                one.log_ratio -= float(np.log(len(options.size_factors)))
+        best = max(best, found[0].log_ratio) if found else best
+        if found and found[0].log_ratio >= threshold:
+            break
     else:
-        search = _Search(view, index, attitude.gRb @ camera.bTc[:3, :3], attitude.sigma_rad, options)
-    found = _by_triples(search)
-    threshold = -options.log_chance
-    if len(search.plausible) < search.n and not (found and found[0].log_ratio >= threshold):
-        # Real images have many large craters, too: the excess may be these.
-        search.take_all_rims()
-        found = sorted(found + _by_triples(search), key=lambda one: -one.log_ratio)
-    if attitude is not None:
-        found = found if found and found[0].log_ratio >= threshold else _by_single_rims(search, found)
-        threshold = -options.log_chance_attitude
-    if not found or found[0].log_ratio < threshold:
-        best = found[0].log_ratio if found else 0.0
         reason = "no pose puts more rims on craters of their size than chance does"
-        return _no_answer(n, Status.NO_ANSWER, reason, -best, began)
+        return _no_answer(n, Status.NO_ANSWER, reason, -best if np.isfinite(best) else 0.0, began)
     if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
         reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} times as probable"
         return _no_answer(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
     return _answer(search.best_variation(found[0]), search, once, n, camera, began)
 
 
-def _once(ellipses: FloatArray) -> IntArray:
-    """Rows of the ellipses (n, 5) that repeat none before them."""
-    kept: list[int] = []
-    for i, row in enumerate(ellipses):
-        others = ellipses[kept]
-        near = np.abs(others[:, :4] - row[:4]).max(axis=1, initial=0.0) if kept else np.empty(0)
-        if not (near < _SAME_PX).any():
-            kept.append(i)
-    return np.array(kept, dtype=np.int64)
+def _passes(
+    index: TripleIndex, attitude: KnownAttitude | None, options: IdentifyOptions
+) -> list[tuple[float, int]]:
+    """Size factors, and multiples of the number of candidates, in the order tried.
+
+    The larger the catalogue, the more of its triples resemble one of rims as much as the right one does. A
+    known attitude needs no triples.
+    """
+    passes = [(factor, 1) for factor in options.size_factors]
+    depth = len(index.tree.points) // _TRIPLES_OF_CANDIDATES
+    further = options.deep and depth > 1 and attitude is None
+    return passes + [(factor, depth) for factor in options.size_factors if further]
 
 
-def _by_triples(search: _Search) -> list[_Expanded]:
+def _expanded(search: _Search, depth: int, singles: bool) -> list[_Expanded]:
+    """Expand hypotheses from triples and, if wanted, from single rims; the best first."""
+    found = _by_triples(search, depth)
+    threshold = -search.options.log_chance
+    if len(search.plausible) < search.n and not (found and found[0].log_ratio >= threshold):
+        # Real images have many large craters, too: the excess may be these.
+        search.take_all_rims()
+        found = sorted(found + _by_triples(search, depth), key=lambda one: -one.log_ratio)
+    if singles and not (found and found[0].log_ratio >= threshold):
+        found = _by_single_rims(search, found)
+    return found
+
+
+def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
     """Expand hypotheses from triples until one has enough evidence; the best first."""
     view, index = search.view, search.index
     radius = index.catalog.body.radius_m
     found: list[_Expanded] = []
-    for model, count, noise, candidates in _stages(search):
+    for model, tried, noise, candidates in _stages(search, depth):
         projection = project_all_to_sphere(
             view, np.ascontiguousarray(model[:3]), float(model[3] * radius), radius
         )
-        triples = _triples(search, projection, noise)[:count]
+        triples = _triples(search, projection, noise)[tried]
         best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
         for start in range(0, len(triples), _LOOKED_UP):
             search_triples(
@@ -335,29 +359,22 @@ def _triples(search: _Search, projection: Projection, noise: float) -> Int32Arra
     return np.concatenate([both, *(one[few:] for one in lists)])
 
 
-def _stages(search: _Search) -> list[tuple[FloatArray, int, float, int]]:
-    """Vertical and altitude (4,), number of triples, noise, and candidates per triple, in the order tried."""
+def _stages(search: _Search, depth: int) -> list[tuple[FloatArray, slice, float, int]]:
+    """Vertical and altitude (4,), which triples, noise, and candidates per triple, in the order tried."""
     view, options = search.view, search.options
     plausible = search.plausible
     largest = plausible[np.argsort(-view.radius_px[plausible])[:_NADIR_RIMS]]
     models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MIN_RIMS_OF_ONE_NADIR else 2)
     models = models[np.argsort(misfits)]
-    tried = [(model, options.triples) for model in models]
-    tried += [(model, options.triples // _RING_DIVISOR) for model in _around(models[0])]
-    levels = list(zip(options.noise_levels_px, options.candidates, strict=True))
+    tried = [(model, slice(options.triples)) for model in models]
+    tried += [(model, slice(options.triples // _RING_DIVISOR)) for model in models_around(models[0])]
+    candidates = [depth * count for count in options.candidates]
+    levels = list(zip(options.noise_levels_px, candidates, strict=True))
+    rest = slice(options.triples, _LAST_TRIPLES * options.triples)
+    last = [(models[0], rest, *level) for level in levels[:-1]]
     if search.n >= _MIN_RIMS_OF_ONE_NADIR:
-        return [(*model, *level) for model in tried for level in levels]
-    return [(*model, *level) for level in levels for model in tried]
-
-
-def _around(model: FloatArray) -> FloatArray:
-    """Models (6, 4) whose verticals lie on a circle around another's."""
-    down = model[:3]
-    aside = np.cross(down, [0.0, 1.0, 0.0])
-    aside /= np.linalg.norm(aside)
-    turn = np.pi / 3.0 * np.arange(6)[:, None]
-    ring = np.cos(turn) * aside + np.sin(turn) * np.cross(down, aside)
-    return np.column_stack([np.cos(_RING_RAD) * down + np.sin(_RING_RAD) * ring, np.full(6, model[3])])
+        return [(*model, *level) for model in tried for level in levels] + last
+    return [(*model, *level) for level in levels for model in tried] + last
 
 
 def _by_single_rims(search: _Search, found: list[_Expanded]) -> list[_Expanded]:
@@ -407,33 +424,43 @@ def _answer(
     covariance = refine(
         search.view, index.craters, search.prior, search.weight, expanded.gTc, expanded.match, expanded.sigma
     )
-    fit = _unknown_focal(expanded, search, covariance) if search.options.focal_sigma else None
+    given = search.options
+    prior = IntrinsicsPrior(
+        search.view.focal_px, given.focal_sigma, given.principal_sigma_px, given.focal_stated
+    )
+    fit = _unknown_intrinsics(expanded, search, covariance, prior) if prior.sigmas.any() else None
     # From the camera's right twist to the body's.
     adjoint = frames.adjoint(camera.bTc)
     names = index.catalog.identifiers
     rows = np.full(n, -1)
     rows[once] = expanded.match
+    gTb = expanded.gTc @ frames.inverse(camera.bTc)
+    seen = index.catalog.take(rows[rows >= 0])
+    share = 1.0
+    if len(search.limits.attitude):
+        share = share_of_rims(covariance[:3, :3], search.sigma_rad**2 * np.eye(3))
+    of_map = seen.image_covariance(gTb, np.ones(len(seen)), share)
     return Identification(
         status=Status.IDENTIFIED,
         reason="",
         craters=tuple(names[row] if row >= 0 else None for row in rows),
         rows=rows,
         gTc=expanded.gTc,
-        gTb=expanded.gTc @ frames.inverse(camera.bTc),
-        covariance=adjoint @ covariance @ adjoint.T,
+        gTb=gTb,
+        covariance=adjoint @ covariance @ adjoint.T + frames.rotate_position_block(of_map, gTb[:3, :3].T),
         log_chance=-expanded.log_ratio,
         sigma_px=float(expanded.sigma[0]),
         seconds=time.perf_counter() - began,
-        focal_scale=np.nan if fit is None else fit.scale,
-        focal_scale_sigma=np.nan if fit is None else fit.scale_sigma,
-        warnings=(
-            () if fit is None else focal_warnings(fit.scale, fit.scale_sigma, search.options.focal_sigma)
-        ),
+        focal_scale=np.nan if fit is None else fit.focal_scale,
+        focal_scale_sigma=np.nan if fit is None else fit.focal_scale_sigma,
+        warnings=() if fit is None else intrinsics_warnings(fit, prior),
     )
 
 
-def _unknown_focal(expanded: _Expanded, search: _Search, covariance: FloatArray) -> FocalFit:
-    """Fit the focal length too: moves the pose and enlarges the covariance (6, 6) in place."""
+def _unknown_intrinsics(
+    expanded: _Expanded, search: _Search, covariance: FloatArray, prior: IntrinsicsPrior
+) -> IntrinsicsFit:
+    """Fit the intrinsics too: moves the pose and enlarges the covariance (6, 6) in place."""
     view, craters = search.view, search.index.craters
     matched = np.flatnonzero(expanded.match >= 0)
     rows = expanded.match[matched]
@@ -446,10 +473,14 @@ def _unknown_focal(expanded: _Expanded, search: _Search, covariance: FloatArray)
     )  # fmt: skip
     known = search.limits.attitude
     attitude = KnownAttitude(known, search.sigma_rad) if len(known) else None
-    fit = fit_focal(ResectionProblem(rims, attitude=attitude), expanded.gTc, search.options.focal_sigma)
-    covariance += fit.log_scale_sigma**2 * np.outer(fit.shift, fit.shift)
-    screw(expanded.gTc, fit.log_scale * fit.shift)
-    return replace(fit, scale_sigma=_FOCAL_SPREAD * fit.scale_sigma)
+    fit = fit_intrinsics(ResectionProblem(rims, attitude=attitude), expanded.gTc, prior)
+    covariance += fit.effect @ fit.unknowns_covariance @ fit.effect.T
+    screw(expanded.gTc, fit.effect @ fit.unknowns)
+    return replace(
+        fit,
+        focal_scale_sigma=_INTRINSICS_SPREAD * fit.focal_scale_sigma,
+        principal_covariance_px2=_INTRINSICS_SPREAD**2 * fit.principal_covariance_px2,
+    )
 
 
 def _no_answer(n: int, status: Status, reason: str, log_chance: float, began: float) -> Identification:

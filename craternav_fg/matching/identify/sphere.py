@@ -16,7 +16,7 @@ def distance_to_sphere(along: float, range2: float, radius: float) -> float:
     range2 : float
         Squared distance of the point from the sphere's centre.
     radius : float
-        Of the sphere, in the same unit.
+        The sphere's radius, in the same unit.
     """
     under = along * along - (range2 - radius * radius)
     if not (along > 0.0 and under > 0.0):

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.matching.identify.craters import Craters
@@ -37,8 +38,6 @@ Int32Array = npt.NDArray[np.int32]
 _MAX_DISTANCE2 = 12.0
 # Other rims after which a hypothesis with a score that is not positive is given up.
 _PATIENCE = 3
-# Rims whose distances to all others are in memory at once.
-_ROWS_AT_ONCE = 1024
 # Least share of a disc around a rim that counts as shown in the image: bounds the estimate of how many
 # neighbours are hidden.
 _MIN_SHOWN = 0.05
@@ -82,7 +81,7 @@ def project_all_to_sphere(view: View, down: FloatArray, height_m: float, radius_
     height_m : float
         Altitude.
     radius_m : float
-        Of the sphere.
+        The sphere's radius.
 
     Returns
     -------
@@ -133,13 +132,10 @@ def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
     ndarray of int32, shape (n, l)
         Neighbours of each of the view's rims, nearest first: itself if it is one of `rims`.
     """
-    p = view.points_px
-    out = np.empty((len(p), min(count, len(rims))), dtype=np.int32)
-    for first in range(0, len(p), _ROWS_AT_ONCE):
-        some = slice(first, first + _ROWS_AT_ONCE)
-        d2 = np.sum((p[some, None] - p[None, rims]) ** 2, axis=-1)
-        out[some] = rims[np.argsort(d2, axis=1)[:, :count]]
-    return out
+    nearest = np.arange(1, min(count, len(rims)) + 1)
+    if not len(nearest):
+        return np.empty((len(view.points_px), 0), dtype=np.int32)
+    return rims[cKDTree(view.points_px[rims]).query(view.points_px, nearest)[1]].astype(np.int32)
 
 
 def image_triples(view: View, projection: Projection, rims: IntArray, count: int, sigma: float) -> Int32Array:
@@ -168,23 +164,46 @@ def image_triples(view: View, projection: Projection, rims: IntArray, count: int
     X, log_size, m_per_px = projection.X[rims], projection.log_size[rims], projection.m_per_px[rims]
     n = len(X)
     share = size_sigmas(view, sigma)[rims]
-    d2 = np.sum((X[:, None] - X[None]) ** 2, axis=-1)
-    large = log_size[None] >= (log_size + np.log(SMALLEST) - share)[:, None]
-    d2[~large | np.eye(n, dtype=bool) | ~(d2 > 0.0)] = np.inf
-    near = np.argsort(d2, axis=1)[:, :count]
+    near, d2 = _large_neighbours(X, log_size, log_size + np.log(SMALLEST) - share, min(count, n))
     first, second = np.triu_indices(near.shape[1], 1)
     i = np.repeat(np.arange(n), len(first))
     j, k = near[:, first].ravel(), near[:, second].ravel()
-    there = np.isfinite(d2[i, j]) & np.isfinite(d2[i, k])
+    to_j, to_k = np.sqrt(d2[:, first].ravel()), np.sqrt(d2[:, second].ravel())
+    there = np.isfinite(to_j) & np.isfinite(to_k)
     i, j, k = i[there], j[there], k[there]
-    perimeter = np.sqrt(d2[i, j]) + np.sqrt(d2[i, k])
+    perimeter = (to_j + to_k)[there]
     side = np.hypot(sigma * m_per_px[i] / perimeter, 0.5 * SIDE_ERROR)
     doubt = np.log(side * side * share[i] * share[j] * share[k])
-    reach_px = np.sqrt(np.take_along_axis(d2, near, axis=1)) / m_per_px[:, None]
+    reach_px = np.sqrt(d2) / m_per_px[:, None]
     shown = _shown(view, rims, np.where(np.isfinite(reach_px), reach_px, 0.0))
     nearer = (np.arange(1, near.shape[1] + 1) / shown)[:, second].ravel()[there]
     triples = np.stack([i, j, k], axis=-1)[np.argsort(doubt + nearer, kind="stable")]
     return rims[triples].astype(np.int32)
+
+
+@njit(cache=True, error_model="numpy")
+def _large_neighbours(
+    X: FloatArray, log_size: FloatArray, least: FloatArray, count: int
+) -> tuple[IntArray, FloatArray]:
+    """Nearest places (n, count) of sizes at least `least` (n,), nearest first, and squared distances.
+
+    Where there are fewer, the distance is infinite.
+    """
+    n = X.shape[0]
+    near = np.zeros((n, count), dtype=np.int64)
+    d2 = np.full((n, count), np.inf)
+    for i in range(n):
+        for j in range(n):
+            x, y, z = X[i, 0] - X[j, 0], X[i, 1] - X[j, 1], X[i, 2] - X[j, 2]
+            away = x * x + y * y + z * z
+            if i == j or not log_size[j] >= least[i] or not 0.0 < away < d2[i, count - 1]:
+                continue
+            place = count - 1
+            while place > 0 and d2[i, place - 1] > away:
+                d2[i, place], near[i, place] = d2[i, place - 1], near[i, place - 1]
+                place -= 1
+            d2[i, place], near[i, place] = away, j
+    return near, d2
 
 
 def _shown(view: View, rims: IntArray, reach_px: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import matrix_of_chart, seen_through_lens
@@ -19,6 +20,10 @@ CENTRE_SIGMA_PX, AXIS_SIGMA_PX = 1.0, 0.5
 # The centre's standard deviation that grows with the rim, over its radius: catalogued centres and irregular
 # outlines are off by about a percent of the size.
 CENTRE_SIGMA_SHARE = 0.01
+
+
+# Ellipses closer than this in centre and axes, px, are one rim given twice.
+_SAME_PX = 0.05
 
 
 class View(NamedTuple):
@@ -41,7 +46,7 @@ class View(NamedTuple):
     focal_px: float
     """Geometric mean of the focal lengths."""
     bounds_px: FloatArray
-    """Bounds of the image in pixels without distortion: least x and y, largest x and y, shape (4,)."""
+    """Bounds of the image in pixels without distortion: minimum x and y, largest x and y, shape (4,)."""
     fx_px: float
     """Focal length along x."""
     fy_px: float
@@ -93,3 +98,28 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
         fy_px=fy,
         principal_px=np.array([camera.cx_px, camera.cy_px]),
     )
+
+
+def distinct_rows(ellipses_px: FloatArray) -> npt.NDArray[np.int64]:
+    """Select the ellipses that repeat none before them.
+
+    Parameters
+    ----------
+    ellipses_px : ndarray, shape (n, 5)
+        See `view_of`.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+        Rows.
+    """
+    kept = np.ones(len(ellipses_px), dtype=np.bool_)
+    tree = cKDTree(ellipses_px[:, :4])
+    near = tree.query_ball_point(ellipses_px[:, :4], _SAME_PX, p=np.inf, return_length=True)
+    # In the order of the rows: one that repeats a row left out is kept. Lists of all rows at once would grow
+    # with the square of the repetitions.
+    for i in np.flatnonzero(near > 1):
+        if kept[i]:
+            same = np.array(tree.query_ball_point(ellipses_px[i, :4], _SAME_PX, p=np.inf))
+            kept[same[same > i]] = False
+    return np.flatnonzero(kept)

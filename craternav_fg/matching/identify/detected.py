@@ -1,0 +1,52 @@
+"""Identification of rims that were detected, some of them as coarse ellipses only."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.camera import Camera
+from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.result import Identification
+from craternav_fg.matching.identify.search import identify
+from craternav_fg.matching.identify.triple_index import TripleIndex
+from craternav_fg.measurements import KnownAttitude
+
+
+def identify_detected(
+    ellipses_px: npt.NDArray[np.float64],
+    traced: npt.NDArray[np.bool_],
+    camera: Camera,
+    index: TripleIndex,
+    attitude: KnownAttitude | None = None,
+    options: IdentifyOptions = IdentifyOptions(),
+) -> Identification:
+    """Identify detected rims: by those that were traced or, where they do not suffice, by all.
+
+    Parameters
+    ----------
+    ellipses_px : ndarray, shape (n, 5)
+        Centre x, y, semi-axes, px, and rotation, rad, as in `vision.detect.FoundRims`.
+    traced : ndarray of bool, shape (n,)
+        Whether each rim was traced; else its ellipse is coarse.
+    camera : Camera
+    index : TripleIndex
+    attitude : KnownAttitude, optional
+    options : IdentifyOptions, optional
+
+    Returns
+    -------
+    Identification
+        With one row for each of the n ellipses.
+    """
+    found = identify(ellipses_px[traced], camera, index, attitude, options)
+    if not found.identified and not traced.all():
+        all_of = identify(ellipses_px, camera, index, attitude, options)
+        return replace(all_of, seconds=found.seconds + all_of.seconds)
+    places = np.flatnonzero(traced)
+    craters: list[str | None] = [None] * len(ellipses_px)
+    rows = np.full(len(ellipses_px), -1)
+    rows[places] = found.rows
+    for place, name in zip(places.tolist(), found.craters, strict=True):
+        craters[place] = name
+    return replace(found, craters=tuple(craters), rows=rows)

@@ -1,0 +1,339 @@
+"""Focal length and principal point as further unknowns: check of the camera's values, effect of their errors.
+
+An error of the focal length moves the camera nearer to the ground or farther away, one of the principal point
+turns it. Only perspective, the ground's curvature and tilted views tell them from the pose, so their priors
+often decide.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
+from craternav_fg.resection.solve_kernel import normal_equations
+from factors.kernels import packed
+from factors.kernels.gauss_newton import screw
+from factors.kernels.robust import NONE
+
+FloatArray = npt.NDArray[np.float64]
+
+# Relative standard deviation of a camera's focal length unless another is known: one that is off by 1 % where
+# the rims cannot tell leaves the pose within five standard deviations.
+FOCAL_SIGMA = 0.003
+# Standard deviation of each coordinate of the principal point, px, unless another is known: conventions of
+# where the first pixel's centre is differ by 0.5 or 1 px.
+PRINCIPAL_SIGMA_PX = 0.5
+# Steps of a fit at most, and predicted decrease of the cost below which it has converged: a step below
+# 1e-3 standard deviations.
+_STEPS, _MIN_GAIN = 30, 1e-6
+# A step is shortened so that the focal length's logarithm changes by at most so much.
+_MAX_STEP = 0.1
+# Largest logarithm that is reported.
+_MAX_LOG_SCALE = 2.0
+# Deviation, in standard deviations, from which an intrinsic is taken to be wrong; the same probability for
+# the principal point's two coordinates together.
+_MAX_DEVIATION = 3.5
+_MAX_DEVIATION_OF_TWO = 3.9
+# A principal point that is off by less than so many standard deviations of its prior is as expected.
+_EXPECTED_SIGMAS = 2.0
+# Relative error of the focal length that must not go unnoticed; standard deviation up to which the rims show
+# it in 999 of 1000 images; and how far, in standard deviations, a smaller one may take the pose.
+_FEARED_ERROR, _UNCHECKED_SIGMA, _HARMLESS_SIGMAS = 0.05, 0.007, 5.0
+
+
+@dataclass(frozen=True)
+class IntrinsicsPrior:
+    """How well the intrinsics of a camera are known.
+
+    Attributes
+    ----------
+    focal_px : float
+        The camera's focal length.
+    focal_sigma : float
+        Relative standard deviation of the focal length; 0 for an exact one.
+    principal_sigma_px : float
+        Standard deviation of each coordinate of the principal point; 0 for an exact one.
+    focal_stated : bool
+        Whether the user has stated how well the focal length is known: then no warning says that the rims
+        cannot check it.
+    """
+
+    focal_px: float
+    focal_sigma: float = FOCAL_SIGMA
+    principal_sigma_px: float = PRINCIPAL_SIGMA_PX
+    focal_stated: bool = False
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Sigmas (3,) of the unknowns: logarithm of the focal length, principal point in c, over it."""
+        principal = self.principal_sigma_px / self.focal_px
+        return np.array([self.focal_sigma, principal, principal])
+
+
+@dataclass(frozen=True)
+class IntrinsicsFit:
+    """A pose with the intrinsics as further unknowns.
+
+    Attributes
+    ----------
+    gTb : ndarray, shape (4, 4)
+    covariance : ndarray, shape (6, 6)
+        For the right twist [w, rho], rad and m in b, the unknown intrinsics included.
+    effect : ndarray, shape (6, 3)
+        Right twist by which the pose moves with each unknown, rad and m in b.
+    unknowns : ndarray, shape (3,)
+        By rims and prior, numbers without unit: logarithm of the true focal length over the camera's; true
+        less the camera's principal point in c, over the focal length.
+    unknowns_covariance : ndarray, shape (3, 3)
+        Their covariance, numbers without unit, the latter two in c; zero for those that are exact.
+    focal_scale : float
+        True focal length over the camera's, by the rims alone; NaN when it is exact.
+    focal_scale_sigma : float
+        Its relative standard deviation; inf when the rims do not tell.
+    principal_shift_px : ndarray, shape (2,)
+        True less the camera's principal point, by the rims alone; NaN when it is exact or they do not tell.
+    principal_covariance_px2 : ndarray, shape (2, 2)
+        Covariance of the shift.
+    converged : bool
+        False when no minimum below the cost of the initial pose was found: all the rest is then of that pose,
+        with the camera's intrinsics.
+    """
+
+    gTb: FloatArray
+    covariance: FloatArray
+    effect: FloatArray
+    unknowns: FloatArray
+    unknowns_covariance: FloatArray
+    focal_scale: float
+    focal_scale_sigma: float
+    principal_shift_px: FloatArray
+    principal_covariance_px2: FloatArray
+    converged: bool
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """Pose and unknowns (3,), the cost there, and its normal equations for their free coordinates."""
+
+    gTb: FloatArray
+    unknowns: FloatArray
+    cost: float
+    A: FloatArray
+    gradient: FloatArray
+
+
+def fit_intrinsics(problem: ResectionProblem, gTb: FloatArray, prior: IntrinsicsPrior) -> IntrinsicsFit:
+    """Fit pose and intrinsics by Gauss-Newton steps.
+
+    Parameters
+    ----------
+    problem : ResectionProblem
+    gTb : ndarray, shape (4, 4)
+        Initial pose.
+    prior : IntrinsicsPrior
+
+    Returns
+    -------
+    IntrinsicsFit
+    """
+    first, sigmas = problem.first_free, prior.sigmas
+    free = np.flatnonzero(sigmas)
+    own = 6 - first
+    fit, converged = _minimised(problem, gTb, sigmas)
+    unknowns, inverse = fit.unknowns, np.linalg.inv(fit.A)
+    covariance, effect, of_unknowns = np.zeros((6, 6)), np.zeros((6, 3)), np.zeros((3, 3))
+    covariance[first:, first:] = inverse[:own, :own]
+    effect[first:, free] = np.linalg.solve(inverse[own:, own:], inverse[own:, :own]).T
+    of_unknowns[np.ix_(free, free)] = inverse[own:, own:]
+    log_scale, log_scale_variance = _by_rims(unknowns[:1], of_unknowns[:1, :1], sigmas[0])
+    shift, shift_covariance = _by_rims(unknowns[1:], of_unknowns[1:, 1:], sigmas[1])
+    return IntrinsicsFit(
+        gTb=fit.gTb,
+        covariance=covariance,
+        effect=effect,
+        unknowns=unknowns,
+        unknowns_covariance=of_unknowns,
+        focal_scale=float(np.exp(np.clip(log_scale[0], -_MAX_LOG_SCALE, _MAX_LOG_SCALE))),
+        focal_scale_sigma=float(np.sqrt(log_scale_variance[0, 0])),
+        principal_shift_px=prior.focal_px * shift,
+        principal_covariance_px2=prior.focal_px**2 * shift_covariance,
+        converged=converged,
+    )
+
+
+def _minimised(problem: ResectionProblem, gTb: FloatArray, sigmas: FloatArray) -> tuple[_Linearised, bool]:
+    """Minimise the cost over pose and unknowns; return the start, and False, when it did not converge."""
+    first, free = problem.first_free, np.flatnonzero(sigmas)
+    own = 6 - first
+    start = at = _linearised(problem, np.array(gTb, dtype=np.float64), np.zeros(3), sigmas)
+    for _ in range(_STEPS):
+        step = -np.linalg.solve(at.A, at.gradient)
+        if -at.gradient @ step < _MIN_GAIN:
+            return (at, True) if at.cost <= start.cost else (start, False)
+        if sigmas[0]:
+            step *= min(1.0, _MAX_STEP / max(abs(step[own]), _MAX_STEP))
+        twist, unknowns, pose = np.zeros(6), at.unknowns.copy(), at.gTb.copy()
+        twist[first:] = step[:own]
+        unknowns[free] += step[own:]
+        screw(pose, twist)
+        # The cost may rise on the way: distance and focal length lie in a curved valley, and steps that never
+        # raise it are short there.
+        at = _linearised(problem, pose, unknowns, sigmas)
+    return start, False
+
+
+def _by_rims(estimate: FloatArray, covariance: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Estimate (k,) and covariance (k, k) without the prior, as in a linear problem; NaN for exact ones."""
+    k = len(estimate)
+    if not sigma:
+        return np.full(k, np.nan), np.full((k, k), np.nan)
+    with_prior = np.linalg.inv(covariance)
+    alone = with_prior - sigma**-2 * np.eye(k)
+    if not np.linalg.eigvalsh(alone)[0] > 0.0:
+        return np.zeros(k), np.diag(np.full(k, np.inf))
+    return np.asarray(np.linalg.solve(alone, with_prior @ estimate)), np.asarray(np.linalg.inv(alone))
+
+
+def _linearised(
+    problem: ResectionProblem, gTb: FloatArray, unknowns: FloatArray, sigmas: FloatArray
+) -> _Linearised:
+    """Compute cost, matrix (k, k) and gradient (k,) for the pose's free coordinates and the free unknowns."""
+    rims, first = problem.rims, problem.first_free
+    prior, weight = problem.prior_arrays()
+    out, N, g = np.empty((7, 5 * len(rims))), np.empty((6, 6)), np.empty(6)
+    chart = rims.chart.copy()
+    chart[:, :2] = np.exp(-unknowns[0]) * (chart[:, :2] - unknowns[1:])
+    chart[:, [2, 4]] -= unknowns[0]
+    data = packed.pack(problem.bTc, rims.centres, rims.axes, chart, rims.whitening, NONE, 1.0)
+    cost = normal_equations(gTb, problem.bTc, data, prior, weight, problem.sun_array(), 1.0, out, N, g)
+    change = np.zeros((3, len(rims), 5))
+    change[0, :, :2], change[0][:, [2, 4]] = chart[:, :2], 1.0
+    change[1, :, 0] = change[2, :, 1] = np.exp(-unknowns[0])
+    free = np.flatnonzero(sigmas)
+    columns = (rims.whitening @ change[free, ..., None]).reshape(len(free), -1)
+    own = 6 - first
+    A = np.empty((own + len(free), own + len(free)))
+    A[:own, :own] = N[first:, first:]
+    A[:own, own:] = out[first:6] @ columns.T
+    A[own:, :own] = A[:own, own:].T
+    A[own:, own:] = columns @ columns.T + np.diag(sigmas[free] ** -2.0)
+    cost += float(np.sum((unknowns[free] / sigmas[free]) ** 2))
+    gradient = np.append(g[first:], columns @ out[6] + unknowns[free] * sigmas[free] ** -2.0)
+    return _Linearised(gTb, unknowns, cost, A, gradient)
+
+
+def with_unknown_intrinsics(
+    problem: ResectionProblem, result: ResectionResult, prior: IntrinsicsPrior
+) -> ResectionResult:
+    """Include the uncertainty of the intrinsics in a result, and warn when the rims contradict them.
+
+    Parameters
+    ----------
+    problem : ResectionProblem
+    result : ResectionResult
+        Result of `solve` or `solve_robustly`.
+    prior : IntrinsicsPrior
+
+    Returns
+    -------
+    ResectionResult
+        With the fitted poses, if there are any.
+    """
+    if result.status not in (Status.SOLVED, Status.AMBIGUOUS) or not prior.sigmas.any():
+        return result
+    kept = np.array([name not in result.wrong for name in problem.rims.identifiers])
+    scaled = problem.inflated(result.sigma_scale)
+    part = replace(scaled, rims=scaled.rims.take(kept))
+    fits = [fit_intrinsics(part, pose.gTb, prior) for pose in result.poses]
+    poses = tuple(
+        replace(
+            pose, gTb=fit.gTb, covariance=fit.covariance,
+            residuals=scaled.rims.residuals(fit.gTb, problem.bTc),
+        )
+        for pose, fit in zip(result.poses, fits, strict=True)
+    )  # fmt: skip
+    best = fits[0]
+    return replace(
+        result,
+        poses=poses,
+        warnings=(*result.warnings, *intrinsics_warnings(best, prior)),
+        focal_scale=best.focal_scale,
+        focal_scale_sigma=best.focal_scale_sigma,
+    )
+
+
+def intrinsics_warnings(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
+    """Return whether the rims contradict the camera's intrinsics, or leave a wrong focal length unnoticed.
+
+    Parameters
+    ----------
+    fit : IntrinsicsFit
+    prior : IntrinsicsPrior
+
+    Returns
+    -------
+    tuple of str
+        At most one line for the focal length, and one for the principal point; a single one when the fit did
+        not converge.
+    """
+    if not fit.converged:
+        return (
+            "pose, focal length and principal point did not converge together: pose and standard deviations "
+            "may be wrong; check the intrinsics, the size of the image and the body",
+        )
+    # A wrong focal length shifts the estimated principal point, too.
+    return _contradicted_focal_length(fit, prior) or (
+        *_unchecked_focal_length(fit, prior),
+        *_contradicted_principal_point(fit, prior),
+    )
+
+
+def _contradicted_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
+    # Also true for NaN.
+    if not prior.focal_sigma or abs(np.log(fit.focal_scale)) < _focal_limit(fit, prior):
+        return ()
+    return (
+        f"the rims contradict the camera's focal length: theirs differs by {_percent(fit)}, with an expected "
+        f"{100.0 * prior.focal_sigma:.2g} %; check the intrinsics, the size of the image and the body",
+    )
+
+
+def _focal_limit(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> float:
+    return _MAX_DEVIATION * float(np.hypot(fit.focal_scale_sigma, prior.focal_sigma))
+
+
+def _percent(fit: IntrinsicsFit) -> str:
+    return f"{100.0 * (fit.focal_scale - 1.0):+.2g} +- {100.0 * fit.focal_scale_sigma:.2g} %"
+
+
+def _unchecked_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
+    if not prior.focal_sigma or prior.focal_stated or fit.focal_scale_sigma <= _UNCHECKED_SIGMA:
+        return ()
+    # A pose that is known less accurately anyway is not wrong by much.
+    moved = min(_focal_limit(fit, prior), _FEARED_ERROR) * fit.effect[:, 0]
+    free = np.diag(fit.covariance) > 0.0
+    moved = moved[free]
+    if moved @ np.linalg.solve(fit.covariance[np.ix_(free, free)], moved) < _HARMLESS_SIGMAS**2:
+        return ()
+    return (
+        f"these rims cannot check the camera's focal length (theirs differs by {_percent(fit)}): its error "
+        "is one of the distance to the ground in the same ratio; --focal-sigma-percent says how well it is "
+        "known",
+    )
+
+
+def _contradicted_principal_point(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
+    shift, covariance = fit.principal_shift_px, fit.principal_covariance_px2
+    if not (np.isfinite(shift).all() and np.isfinite(covariance).all()):
+        return ()
+    if np.linalg.norm(shift) < _EXPECTED_SIGMAS * prior.principal_sigma_px:
+        return ()
+    if shift @ np.linalg.solve(covariance, shift) < _MAX_DEVIATION_OF_TWO**2:
+        return ()
+    sigma = np.sqrt(np.diag(covariance))
+    return (
+        f"the rims contradict the camera's principal point: theirs differs by x {shift[0]:+.2g} +- "
+        f"{sigma[0]:.1g}, y {shift[1]:+.2g} +- {sigma[1]:.1g} px, with an expected "
+        f"{prior.principal_sigma_px:.2g} px; is the first pixel's centre at (0, 0)?",
+    )

@@ -1,0 +1,129 @@
+"""Identification of images: which rims are detected where the first do not suffice."""
+
+import numpy as np
+import pytest
+
+from craternav_fg.bench.identify_ground import Answer, run, summaries
+from craternav_fg.matching.identify import from_image
+from craternav_fg.matching.identify.from_image import identify_image
+from craternav_fg.matching.identify.triple_index import TripleIndex
+from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
+from craternav_fg.simulation.scenes import MOON
+from craternav_fg.vision.detect import FoundRims
+from tests.cli.calls import call
+from tests.shared_data import FOLDER, shared
+
+SUN_RAD = 0.7
+IMAGE = np.zeros((8, 8), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def index():
+    return TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(0), count=2000))
+
+
+@pytest.fixture(scope="module")
+def view(index):
+    return random_view(index.catalog, ViewOptions(), np.random.default_rng(5), true_rims=(16, 24))
+
+
+def rims_of(ellipses):
+    n = len(ellipses)
+    unknown = np.full(n, SUN_RAD)
+    return FoundRims(
+        ellipses, ellipses, np.zeros((n, 5, 5)), np.full(n, 0.9), np.ones(n, bool), unknown, SUN_RAD
+    )
+
+
+@pytest.fixture
+def detector(monkeypatch):
+    """Answers in turn; notes direction towards the sun and minimum quality."""
+    asked, answers = [], []
+
+    def detect(image, sun_angle_rad=None, options=None):
+        asked.append((sun_angle_rad, None if options is None else options.min_quality))
+        return answers[len(asked) - 1]
+
+    monkeypatch.setattr(from_image, "find_rims_network", detect)
+    return asked, answers
+
+
+def test_rims_that_are_identified_are_detected_once(index, view, detector):
+    asked, answers = detector
+    answers.append(rims_of(view.ellipses_px))
+    rims, found = identify_image(IMAGE, view.camera, index)
+    assert found.identified
+    assert view.agrees(found.rows)
+    assert rims is answers[0]
+    assert asked == [(None, None)]
+
+
+def test_the_sun_may_be_on_the_other_side(index, view, detector):
+    asked, answers = detector
+    mirrored, right = rims_of(view.mirrored()), rims_of(view.ellipses_px)
+    answers += [mirrored, right]
+    rims, found = identify_image(IMAGE, view.camera, index)
+    assert found.identified
+    assert rims is right
+    assert asked == [(None, None), (pytest.approx(SUN_RAD + np.pi), None)]
+
+
+def test_less_likely_rims_come_last_and_without_an_answer_the_first_are_given(index, view, detector):
+    asked, answers = detector
+    mirrored = rims_of(view.mirrored())
+    answers += [mirrored, rims_of(view.mirrored()[:6]), mirrored, mirrored]
+    rims, found = identify_image(IMAGE, view.camera, index)
+    assert not found.identified
+    assert rims is mirrored
+    assert len(found.rows) == len(mirrored.ellipses_px)
+    assert [(sun is None, quality) for sun, quality in asked] == [
+        (True, None), (False, None), (False, 0.2), (False, 0.2),
+    ]  # fmt: skip
+    assert asked[3][0] - asked[2][0] == pytest.approx(np.pi)
+
+
+def test_an_image_without_rims(index, view, detector):
+    asked, answers = detector
+    answers += [rims_of(np.empty((0, 5)))] * 2
+    rims, found = identify_image(IMAGE, view.camera, index)
+    assert not found.identified
+    assert len(rims.quality) == 0
+    assert asked == [(None, None), (None, 0.2)]
+
+
+def test_answers_are_grouped():
+    nan = float("nan")
+    answers = [
+        Answer("gld100_mare", 70e3, 20.0, 30, True, False, 400.0, 0.1),
+        Answer("gld100_mare", 150e3, 60.0, 3, False, False, nan, 2.0),
+        Answer("gld100_mixed", 150e3, 60.0, 20, True, True, 9e5, 0.1),
+    ]
+    groups = {one.name: one for one in summaries(answers)}
+    assert list(groups) == [
+        "gld100_mare", "gld100_mixed", "60 to 90 km", "135 to 200 km", "sun 10 to 30 deg",
+        "sun 50 to 70 deg", "all",
+    ]  # fmt: skip
+    assert groups["all"][1:5] == (3, 2, 1, 20.0)
+    assert groups["all"].error_m == 400.0
+    assert np.isnan(groups["gld100_mixed"].error_m)
+
+
+def test_the_benchmark_names_the_folder_it_needs(tmp_path):
+    result = call("bench", "identify-ground")
+    assert result.code == 2
+    assert "expected --data, the folder of the public files" in result.err
+    result = call("bench", "identify-ground", "--data", tmp_path)
+    assert result.code == 2
+    assert "lu1319381.parquet: not found" in result.err
+
+
+@pytest.mark.slow
+def test_images_of_real_ground_among_the_whole_catalogue():
+    """Eight rendered images, the whole Moon's published catalogue: seven are answered."""
+    for name in ("southern_highlands", "imbrium_copernicus", "posidonius"):
+        shared(f"gld100/gld100_256ppd_{name}.tif")
+    shared("gld100/gld100_16ppd_global.tif"), shared("lu1319381.parquet")
+    answers = run(FOLDER, 8, lambda done, total: None)
+    assert sum(one.identified for one in answers) >= 6
+    assert not any(one.wrong for one in answers)
+    assert np.median([one.error_m for one in answers if one.identified]) < 3e3
