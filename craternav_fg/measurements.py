@@ -1,6 +1,6 @@
 """Measurements of one image: rims as ellipse charts, parts of rims as edge points, and the sun's tilt."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +8,7 @@ import numpy.typing as npt
 from craternav_fg.errors import EstimationError
 from factors import validation
 from factors.errors import FactorError
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -19,6 +20,43 @@ EXPECTED_SIGMAS = 5.0
 CORRELATED_SIZE = 6
 # Unknowns of the error that all rims of a descent share, see `vision.error_model.correlated`.
 SHARED_SIZE = 8
+
+
+@njit(cache=True, error_model="numpy")
+def _at_predicted(
+    chart: FloatArray, covariance: FloatArray, predicted: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Factors T (n, 5, 5) of errors at predicted charts, and the covariances T S T', see `expected_at`.
+
+    The identity where the prediction is not finite or contradicts the measurement.
+    """
+    n = len(chart)
+    T = np.zeros((n, 5, 5))
+    out = np.empty((n, 5, 5))
+    for k in range(n):
+        t, S = T[k], covariance[k]
+        for i in range(5):
+            t[i, i] = 1.0
+        a, b, c = chart[k, 2] - predicted[k, 2], chart[k, 3] - predicted[k, 3], chart[k, 4] - predicted[k, 4]
+        # Adjugate of the shape's covariance: two logarithms and a ratio are of like size.
+        p, q, r = S[2, 2], S[3, 3], S[4, 4]
+        d, e, f = S[3, 2], S[4, 2], S[4, 3]
+        aa, bb, cc = q * r - f * f, p * r - e * e, p * q - d * d
+        ab, ac, bc = e * f - d * r, d * f - e * q, d * e - p * f
+        squared = aa * a * a + bb * b * b + cc * c * c + 2.0 * (ab * a * b + ac * a * c + bc * b * c)
+        if squared / (p * aa + d * ab + e * ac) < EXPECTED_SIGMAS**2:
+            t[2, 2] = t[3, 3] = np.exp(a)
+            t[3, 2] = t[2, 2] * b
+            t[4, 4] = np.exp(c)
+        for i in range(5):
+            for j in range(i + 1):
+                total = 0.0
+                for u in range(max(0, i - 1), i + 1):
+                    for v in range(max(0, j - 1), j + 1):
+                        total += t[i, u] * S[u, v] * t[j, v]
+                out[k, i, j] = total
+                out[k, j, i] = total
+    return T, out
 
 
 @dataclass(frozen=True)
@@ -131,19 +169,9 @@ class RimSet:
         charts : ndarray, shape (n, 5)
             Predicted charts, in normalised image coordinates.
         """
-        off = self.chart[:, 2:] - charts[:, 2:]
-        # Two logarithms and a ratio are of like size: no scaling is needed.
-        solved = np.linalg.solve(self.covariance[:, 2:, 2:], off[..., None])[..., 0]
-        near = np.sum(off * solved, axis=1) < EXPECTED_SIGMAS**2
-        T = np.zeros((len(self), 5, 5))
-        T[:] = np.eye(5)
-        first = np.exp(off[near, 0])
-        T[near, 2, 2] = T[near, 3, 3] = first
-        T[near, 3, 2] = first * off[near, 1]
-        T[near, 4, 4] = np.exp(off[near, 2])
-        covariance = T @ self.covariance @ np.swapaxes(T, 1, 2)
+        T, covariance = _at_predicted(self.chart, np.ascontiguousarray(self.covariance), charts)
         correlated, shared = (None if A is None else T @ A for A in (self.correlated, self.shared))
-        return replace(self, covariance=covariance, correlated=correlated, shared=shared)
+        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, shared)
 
     def inflate_correlated(self, factor: float) -> "RimSet":
         """Treat the correlated parts of the error as white, with their variance multiplied by a factor.
@@ -156,6 +184,8 @@ class RimSet:
         factor : float
             Variance inflation; 1 leaves the whole covariance as it is.
         """
+        if self.correlated is None and self.shared is None:
+            return self
         out = self.covariance
         for A in (self.correlated, self.shared):
             if A is not None:
@@ -337,6 +367,5 @@ class FrameMeasurement:
         factor : float
             Variance inflation.
         """
-        return replace(
-            self, rims=self.rims.inflate_correlated(factor), arcs=self.arcs.inflate_correlated(factor)
-        )
+        rims, arcs = self.rims.inflate_correlated(factor), self.arcs.inflate_correlated(factor)
+        return FrameMeasurement(self.stamp_ns, rims, self.sun, arcs)

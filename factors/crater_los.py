@@ -54,7 +54,7 @@ def line_of_sight(chart: FloatArray, covariance: FloatArray, n_c: FloatArray) ->
 
 
 def tangents(direction: FloatArray) -> FloatArray:
-    """Give an orthonormal basis of the plane across a direction.
+    """Return an orthonormal basis of the plane across a direction.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class Loss:
 
 
 def constant_mounting(key: int, bTc: npt.ArrayLike | None, mounting_key: int | None) -> FloatArray:
-    """Give the mounting that a kernel works with: `bTc`, or the identity where the mounting is a variable.
+    """Return the mounting that a kernel works with: `bTc`, or the identity where the mounting is a variable.
 
     With the identity a kernel's body is the camera, and its Jacobian is for the camera's own twist: that of a
     variable bTc.
@@ -220,8 +220,8 @@ def packed_pose_factor_with_errors(
     Returns
     -------
     gtsam.CustomFactor
-        Of the pose, the mounting if it is a variable, and the errors, in this order. Its callback raises
-        `FactorError` when the kernel wrote something that is not finite.
+        Its keys are the pose, the mounting if it is a variable, and the errors, in this order. Its callback
+        raises `FactorError` when the kernel wrote something that is not finite.
 
     Raises
     ------

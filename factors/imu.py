@@ -7,7 +7,6 @@ predicted midpoint of an interval of at most a second: second order in the inter
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 
 import gtsam
 import numpy as np
@@ -15,56 +14,13 @@ import numpy.typing as npt
 
 from factors import validation
 from factors.errors import FactorError
+from factors.imu_noise import ImuNoise
 
 FloatArray = npt.NDArray[np.float64]
 
 # Error of the integration scheme itself, m^2/s: far below a sensor's, but not zero, so that the position
 # block of the preintegrated covariance is regular.
 INTEGRATION_VARIANCE = 1e-10
-
-
-# The square of a density of less underflows.
-LEAST_DENSITY = 1e-150
-
-
-@dataclass(frozen=True)
-class ImuNoise:
-    """Noise of one gyro and one accelerometer axis: continuous-time densities, as in EuRoC's sensor.yaml.
-
-    Attributes
-    ----------
-    gyro_density : float
-        Angular random walk, rad/s/sqrt(Hz).
-    accelerometer_density : float
-        Velocity random walk, m/s^2/sqrt(Hz).
-    gyro_walk : float
-        Bias random walk, rad/s^2/sqrt(Hz).
-    accelerometer_walk : float
-        Bias random walk, m/s^3/sqrt(Hz).
-
-    Raises
-    ------
-    FactorError
-        When one is not positive: a bias without any walk makes the factor's information infinite.
-    """
-
-    gyro_density: float
-    accelerometer_density: float
-    gyro_walk: float
-    accelerometer_walk: float
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = validation.array(field.name, getattr(self, field.name), ())
-            if not value > LEAST_DENSITY:
-                raise FactorError(f"{field.name}: expected a positive number, found {value}")
-
-    @property
-    def densities(self) -> FloatArray:
-        """All four (4,), in the order and units of the fields: what `kernels.strapdown` takes."""
-        return np.array(
-            [self.gyro_density, self.accelerometer_density, self.gyro_walk, self.accelerometer_walk]
-        )
 
 
 def preintegrate(

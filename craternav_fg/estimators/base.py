@@ -18,8 +18,12 @@ from craternav_fg.motion.model import Motion
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
+from factors.errors import FactorError
 
 FloatArray = npt.NDArray[np.float64]
+
+# Errors that extreme numbers cause: a factor that is not finite, a system that GTSAM cannot solve.
+NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,7 @@ class Problem(Descent):
 
 
 class Estimator(Protocol):
-    """An estimator: gives a trajectory at the frames' stamps from measurements."""
+    """An estimator: computes a trajectory at the frames' stamps from measurements."""
 
     @property
     def name(self) -> str:

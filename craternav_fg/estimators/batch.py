@@ -45,13 +45,15 @@ from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
-# Gives factors of one's own from the problem and the indices of the frames' states, on X, V and B of those.
+# Returns custom factors from the problem and the indices of the frames' states, on X, V and B of those.
 OwnFactors = Callable[[Problem, Sequence[int]], Iterable[gtsam.NonlinearFactor]]
 
 # Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
 MAX_OPTIMISATIONS = 5
 # Of the first optimisation, which ends within a few hundredths of a sigma of the optimum.
 ROUGH_LM = LmOptions(relative_tolerance=1e-5)
+# On real ground many rims fit badly; on the robust loss's flat part the optimum is reached slowly.
+FINAL_LM = LmOptions(max_iterations=200)
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.
 SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
@@ -60,10 +62,10 @@ SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
 class BatchSmoother:
     """Levenberg-Marquardt over the whole descent, started from the EKF's result.
 
-    The start is that of the EKF on ellipse charts for the centre-based baseline as well: what the baseline
-    reaches is then its own optimum and not an effect of its start. An optimum whose chi-square is far too
-    large may be a local one. Then the online smoother's result, which costs more but depends less on the
-    first frames, is tried as a start too, and the better optimum is taken.
+    The centre-based baseline also starts from the EKF on ellipse charts, so that its result is its own
+    optimum and not an effect of its start. An optimum whose chi-square is far too large may be local. The
+    online smoother, which costs more but depends less on the first frames, then provides a second start,
+    and the better optimum is taken.
 
     Parameters
     ----------
@@ -72,8 +74,8 @@ class BatchSmoother:
     name : str
         Name under which its results are stored.
     own_factors : callable, optional
-        Called with the problem and the indices of the frames' states, gives further factors of the graph:
-        GTSAM's or one's own, on pose `X(k)`, velocity `V(k)` and biases `B(k)` of a state k.
+        Called with the problem and the indices of the frames' states; returns further factors of the graph,
+        on pose `X(k)`, velocity `V(k)` and biases `B(k)` of a state k.
     """
 
     def __init__(
@@ -177,7 +179,7 @@ def optimum(
     """
     graph = build_graph(problem, options, values, intervals, own_factors)
     for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
-        result = levenberg_marquardt(graph, values)
+        result = levenberg_marquardt(graph, values, FINAL_LM)
         if not result.converged:
             raise EstimationError(
                 f"no convergence in {result.iterations} iterations: measurements, IMU and "

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import C, D, M, X, Y
 
 from craternav_fg import frames
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.intrinsics import add_intrinsics, estimated_intrinsics
@@ -18,8 +19,11 @@ from factors.exposure import exposure_factor
 from factors.kernels.rim_errors import ground_slopes
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 MOUNTING_KEY, DELAY_KEY = C(0), D(0)
+# Errors of a crater on the map, see `ground_slopes`.
+MAP_ERRORS = 6
 # The camera's position on the lander is known far better than images tell.
 LEVER_SIGMA_M = 1e-3
 
@@ -36,7 +40,9 @@ class Calibration:
         Standard deviation of the camera-IMU time offset, from an image's stamp to its exposure, the same for
         all images.
     map_place_sigma : float
-        Standard deviation of a crater's place on the map, east and north, as a share of its mean radius.
+        Standard deviation of a crater's place on the map, east and north, as a share of its mean radius. If a
+        catalogue states its craters' errors, they replace this one and the next two; 0 in all three takes the
+        map as exact.
     map_height_sigma : float
         Standard deviation of its rim's height, as a share of its mean radius.
     map_size_sigma : float
@@ -152,6 +158,28 @@ def add_exposure(
     return int(Y(index))
 
 
+def map_sigmas(catalog: Catalog, craters: IntArray, options: Calibration) -> FloatArray:
+    """Return the prior standard deviations of craters' errors on the map.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    craters : ndarray of int, shape (n,)
+        Rows.
+    options : Calibration
+        Used where the catalogue states no errors.
+
+    Returns
+    -------
+    ndarray, shape (n, 6)
+        In units of the mean radius, in the order of `ground_slopes`.
+    """
+    if catalog.errors is None:
+        return np.broadcast_to(options.map_sigmas, (len(craters), MAP_ERRORS))
+    radius_m = np.sqrt(catalog.semi_major_m[craters] * catalog.semi_minor_m[craters])
+    return np.sqrt(catalog.errors.take(craters).variances(radius_m))
+
+
 def map_errors(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
@@ -183,21 +211,21 @@ def map_errors(
     list of ChartError
         Empty when the map is taken as exact.
     """
-    sigmas = options.map_sigmas
-    if not sigmas.any():
+    if not options.map_sigmas.any():
         return []
     catalog = descent.catalog
+    sigmas = map_sigmas(catalog, rims.craters, options)
     centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
-    roots = ground_slopes(gTb, descent.camera.bTc, centres, axes) * sigmas
+    roots = ground_slopes(gTb, descent.camera.bTc, centres, axes) * sigmas[:, None]
     out = []
     for i, crater in enumerate(rims.craters.tolist()):
         key = int(M(crater))
         if not values.exists(key):
-            values.insert(key, np.zeros(len(sigmas)))
+            values.insert(key, np.zeros(MAP_ERRORS))
         if crater not in known:
             known.add(crater)
-            unit = gtsam.noiseModel.Unit.Create(len(sigmas))
-            graph.push_back(gtsam.PriorFactorVector(key, np.zeros(len(sigmas)), unit))
+            unit = gtsam.noiseModel.Unit.Create(MAP_ERRORS)
+            graph.push_back(gtsam.PriorFactorVector(key, np.zeros(MAP_ERRORS), unit))
         out.append(ChartError(key, [i], roots[i : i + 1]))
     return out
 
@@ -227,12 +255,15 @@ def calibrated(
     if options.time_offset_sigma_s > 0.0:
         variance = float(tree.marginalCovariance(DELAY_KEY)[0, 0])
         delay = (float(values.atVector(DELAY_KEY)[0]), float(np.sqrt(variance)))
-    sigmas = options.map_sigmas
-    if sigmas.any():
-        seen = np.unique(np.concatenate([frame.rims.craters for frame in problem.frames])).tolist()
-        errors = [sigmas * values.atVector(M(crater)) for crater in seen]
-        spread = [sigmas * np.sqrt(np.diag(tree.marginalCovariance(M(crater)))) for crater in seen]
-        craters = {crater: (error, sigma) for crater, error, sigma in zip(seen, errors, spread, strict=True)}
+    if options.map_sigmas.any():
+        seen = np.unique(np.concatenate([frame.rims.craters for frame in problem.frames]))
+        craters = {
+            crater: (
+                sigma * values.atVector(M(crater)),
+                sigma * np.sqrt(np.diag(tree.marginalCovariance(M(crater)))),
+            )
+            for crater, sigma in zip(seen.tolist(), map_sigmas(problem.catalog, seen, options), strict=True)
+        }
     intrinsics = None
     if options.intrinsic_sigmas.any():
         intrinsics = estimated_intrinsics(tree, values, options.intrinsic_sigmas)

@@ -2,12 +2,13 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
+from craternav_fg.estimators import filter_kernel
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.motion.model import Motion
@@ -28,6 +29,9 @@ FloatArray = npt.NDArray[np.float64]
 POSE = slice(0, 6)
 # Share of the variance of a motion model's angular velocity that is added to keep covariances regular.
 _RATE_REGULARISATION = 1e-6
+# Iterations of the trajectory to the start at most, change of a state, over its sigma, at which they end, and
+# share of the prior's offset by which its effect at the start is found.
+_START_STEPS, _SETTLED_SIGMAS, _DIFFERENCE = 10, 0.01, 1e-3
 BIAS = slice(12, 18)
 
 
@@ -75,19 +79,13 @@ class FilterState:
         FilterState
             Its covariance refers to the corrected attitude.
         """
-        gTb = self.gTb.copy()
-        gTb[:3, :3] = self.gTb[:3, :3] @ frames.rotation_exp(delta[ATTITUDE])
-        gTb[:3, 3] += delta[POSITION]
-        J = frames.right_jacobian(delta[ATTITUDE])
-        reset = covariance.copy()
-        reset[ATTITUDE] = J @ reset[ATTITUDE]
-        reset[:, ATTITUDE] = reset[:, ATTITUDE] @ J.T
+        gTb, reset = filter_kernel.corrected(self.gTb, covariance, delta)
         return FilterState(
             gTb,
             self.gV + delta[VELOCITY],
             self.rate + delta[RATE],
             self.bias + delta[BIAS],
-            0.5 * (reset + reset.T),
+            reset,
             self.sensor_bias + delta[SIZE:],
         )
 
@@ -143,10 +141,7 @@ def prior(descent: Descent) -> FilterState:
 
 def propagated_prior(descent: Descent, frames: Sequence[FrameMeasurement]) -> list[FilterState]:
     """States at frames: the prior at the first, propagated by the IMU alone."""
-    states = [prior(descent)]
-    for before, frame in itertools.pairwise(frames):
-        states.append(propagate(states[-1], descent, before.stamp_ns, frame.stamp_ns))
-    return states
+    return _propagated(prior(descent), descent, frames)
 
 
 def states_to_start(problem: Problem) -> list[FilterState]:
@@ -167,13 +162,80 @@ def states_to_start(problem: Problem) -> list[FilterState]:
     ValueError
         When the IMU log does not cover the frames.
     """
-    states = propagated_prior(problem, problem.frames[: problem.start.frame + 1])
-    states[-1] = _conditioned(states[-1], problem.start.gTb, problem.start.pose_covariance)
+    before = propagated_prior(problem, problem.frames[: problem.start.frame])
+    return [*before[: problem.start.frame], states_through_start(problem)[-1]]
+
+
+def states_through_start(problem: Problem) -> list[FilterState]:
+    """States at the frames up to the start's, on the trajectory that the IMU leads to the start.
+
+    After minutes without rims, an attitude that is off by 25 deg has led the prior's mean far away. What the
+    start tells of the velocity is linearised about this trajectory instead, found by iteration.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Returns
+    -------
+    list of FilterState
+        The last one has the start's distribution; the covariances of the others are the prior's.
+
+    Raises
+    ------
+    ValueError
+        When the IMU log does not cover the frames.
+    """
+    start, before = problem.start, problem.frames[: problem.start.frame + 1]
+    expected = prior(problem)
+    states, offset = _propagated(expected, problem, before), np.zeros(len(expected.covariance))
+    found = _conditioned(states[-1], offset, start.gTb, start.pose_covariance)
+    for _ in range(_START_STEPS if start.frame else 0):
+        origin = _moved_alike(states[0], states[-1], found)
+        origin = expected.corrected(origin.minus(expected), expected.covariance)
+        states = _propagated(origin, problem, before)
+        # The prior's mean, in the error state of this trajectory.
+        away = _DIFFERENCE * expected.minus(origin)
+        shifted = _propagated(origin.corrected(away, origin.covariance), problem, before)[-1]
+        offset = shifted.minus(states[-1]) / _DIFFERENCE
+        previous, found = found, _conditioned(states[-1], offset, start.gTb, start.pose_covariance)
+        sigma = np.sqrt(np.diag(found.covariance))
+        if (np.abs(found.minus(previous)) < _SETTLED_SIGMAS * sigma).all():
+            break
+    return [*states[:-1], found]
+
+
+def _propagated(
+    state: FilterState, descent: Descent, frames: Sequence[FrameMeasurement]
+) -> list[FilterState]:
+    states = [state]
+    for before, frame in itertools.pairwise(frames):
+        states.append(propagate(states[-1], descent, before.stamp_ns, frame.stamp_ns))
     return states
 
 
-def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArray) -> FilterState:
-    """Replace the pose's distribution; the other states keep their distribution given the pose."""
+def _moved_alike(first: FilterState, last: FilterState, wanted: FilterState) -> FilterState:
+    """Move a first state so that the IMU, which led it to `last`, leads it near `wanted`."""
+    gTb = first.gTb.copy()
+    gTb[:3, :3] = wanted.gTb[:3, :3] @ last.gTb[:3, :3].T @ first.gTb[:3, :3]
+    gTb[:3, 3] += wanted.gTb[:3, 3] - last.gTb[:3, 3]
+    return replace(
+        first,
+        gTb=gTb,
+        gV=first.gV + wanted.gV - last.gV,
+        rate=first.rate + wanted.rate - last.rate,
+        bias=wanted.bias,
+        sensor_bias=wanted.sensor_bias,
+    )
+
+
+def _conditioned(
+    state: FilterState, offset: FloatArray, gTb: FloatArray, pose_covariance: FloatArray
+) -> FilterState:
+    """Replace the pose's distribution; the other states keep their distribution given the pose.
+
+    The state's distribution is about its mean moved by `offset`.
+    """
     step = np.concatenate(
         [
             frames.rotation_log(state.gTb[:3, :3].T @ gTb[:3, :3]),
@@ -183,7 +245,7 @@ def _conditioned(state: FilterState, gTb: FloatArray, pose_covariance: FloatArra
     P = state.covariance
     rest = slice(POSE.stop, len(P))
     gain = np.linalg.solve(P[POSE, POSE], P[POSE, rest]).T
-    delta = gain @ step
+    delta = offset[rest] + gain @ (step - offset[POSE])
     S = np.empty_like(P)
     S[POSE, POSE] = pose_covariance
     S[rest, POSE] = gain @ pose_covariance

@@ -327,7 +327,7 @@ def state_at(values: gtsam.Values, index: int) -> tuple[FloatArray, FloatArray, 
 
 
 def bias_vector(bias: gtsam.imuBias.ConstantBias) -> FloatArray:
-    """Give a bias in our order, which is not GTSAM's.
+    """Return a bias in our order, which is not GTSAM's.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def bias_vector(bias: gtsam.imuBias.ConstantBias) -> FloatArray:
 
 
 def bias_covariance_ours(covariance: FloatArray) -> FloatArray:
-    """Give the covariance of a bias in our order.
+    """Return the covariance of a bias in our order.
 
     Parameters
     ----------

@@ -351,10 +351,10 @@ def _since(
     now: gtsam.Values,
     added: gtsam.NonlinearFactorGraph,
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Give the snapshot and the factors since, and the values of their variables.
+    """Return the snapshot and the factors since, and the values of their variables.
 
-    Of tracked points the observations since count, without what earlier ones told of the point. Those that
-    factors are about to be added of are kept in any case.
+    For tracked points the observations since then count, without what earlier ones told of the point. Those
+    to which factors are about to be added are kept in any case.
     """
     needed = _keys(added)
     graph = gtsam.NonlinearFactorGraph()

@@ -1,6 +1,5 @@
 """Initial values of all states of a graph, from the states of a filter at the frames."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from craternav_fg.estimators.graph import insert_state, state_stamps
 def initial_values(
     problem: Problem, start: Start, states: Sequence[FilterState], longest_s: float
 ) -> tuple[gtsam.Values, list[int]]:
-    """Give all states of a graph the values of a filter's states.
+    """Initialise all states of a graph with the states of a filter.
 
     Parameters
     ----------
@@ -33,7 +32,8 @@ def initial_values(
     state_indices : list of int
         Indices of the frames' states.
     """
-    at_frames = [*_states_before(problem, start), *states]
+    before = filter_state.states_through_start(replace(problem, start=start))[: start.frame]
+    at_frames = [*before, *states]
     values = gtsam.Values()
     state_indices = []
     last = 0
@@ -49,21 +49,6 @@ def initial_values(
                 _insert(values, last, state)
             last += 1
     return values, state_indices
-
-
-def _states_before(problem: Problem, start: Start) -> list[FilterState]:
-    """States at the frames before the start's: the prior, moved so that the IMU leads to the start."""
-    first = start.frame
-    if first == 0:
-        return []
-    prior = filter_state.propagated_prior(problem, problem.frames[: first + 1])
-    gTb = prior[0].gTb.copy()
-    gTb[:3, :3] = start.gTb[:3, :3] @ prior[-1].gTb[:3, :3].T @ gTb[:3, :3]
-    gTb[:3, 3] += start.gTb[:3, 3] - prior[-1].gTb[:3, 3]
-    states = [replace(prior[0], gTb=gTb)]
-    for before, frame in itertools.pairwise(problem.frames[:first]):
-        states.append(filter_state.propagate(states[-1], problem, before.stamp_ns, frame.stamp_ns))
-    return states
 
 
 def _insert(values: gtsam.Values, index: int, state: FilterState) -> None:

@@ -1,14 +1,14 @@
-"""All that measures, by one interface: rims, sun tilt, IMU, and the sensors of `craternav_fg.sensors`.
+"""One interface for all measurements: rims, sun tilt, IMU, and the sensors of `craternav_fg.sensors`.
 
-An instrument has a name, compares what it measured at a frame with a predicted state, gives its normalised
-innovations, and can be left out. Innovations, `craternav sensors` and `reconstruct --without` make no other
-difference between a rim and a range.
+An instrument has a name, compares its measurements at a frame with a predicted state, returns normalised
+innovations, and can be excluded. Innovations, `craternav sensors` and `reconstruct --without` treat all
+instruments alike.
 
-Factors are the exception, for their cost. The rims of a frame are one factor with one compiled kernel
-(`graph.add_frame`): a factor for each of ten rims would cost eight times as much. The IMU's factor ties two
-states (`graph.add_imu`). A sensor's sample has a factor of its own (`sensor_bank.add_sensors`). `Sensor` has
-a log with a row per sample, while a rim is found near a prediction and gets its covariance there. What the
-factors add to the graph is what the instruments compare; a test holds them together.
+Factors differ, because of their cost. The rims of a frame are one factor with one compiled kernel
+(`graph.add_frame`); separate factors for ten rims would cost eight times as much. The IMU's factor links two
+states (`graph.add_imu`). Each sample of a sensor has its own factor (`sensor_bank.add_sensors`). A `Sensor`
+has a log with one row per sample, while a rim is found near a prediction, where its covariance is evaluated.
+A test checks that the factors agree with the instruments.
 """
 
 from abc import ABC, abstractmethod
@@ -69,7 +69,7 @@ class Instrument(ABC):
     def nis(
         self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
     ) -> list[tuple[float, int]]:
-        """Give the normalised innovations squared of a frame.
+        """Return the normalised innovations squared of a frame.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class Imu(Instrument):
     def nis(
         self, predicted: FilterState, frame: FrameMeasurement, descent: Descent
     ) -> list[tuple[float, int]]:
-        """Give the part of a frame's innovation that an error of the predicted pose can cause.
+        """Return the part of a frame's innovation that an error of the predicted pose can cause.
 
         Parameters
         ----------
@@ -227,9 +227,9 @@ class Sampled(Instrument):
     Attributes
     ----------
     name : str
-        Of the sensor.
+        The sensor's name.
     bank : SensorBank
-        Of all sensors, whose biases are in the state.
+        All sensors whose biases are in the state.
     """
 
     name: str
@@ -264,7 +264,7 @@ CAMERA_AND_IMU: tuple[Instrument, ...] = (Rims(), Sun(), Imu())
 
 
 def instruments(descent: Descent) -> tuple[Instrument, ...]:
-    """Give all that measures in a descent.
+    """Return all instruments of a descent.
 
     Parameters
     ----------

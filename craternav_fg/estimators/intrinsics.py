@@ -75,7 +75,7 @@ def add_intrinsics(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> N
 
 
 def intrinsic_error(rims: RimSet, camera: Camera, sigmas: FloatArray) -> ChartError:
-    """Give the error of a frame's rims from the camera's intrinsics.
+    """Return the error of a frame's rims due to the camera's intrinsics.
 
     Parameters
     ----------

@@ -11,11 +11,12 @@ from gtsam.symbol_shorthand import X
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import conics_of_charts
+from craternav_fg.estimators import filter_kernel
 from craternav_fg.estimators.rim_models import RimModel, rim_factors
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import ArcSet, RimSet, SunTilt
 from factors.custom import Loss
-from factors.kernels import conic, rim, robust, shape, sun
+from factors.kernels import rim, robust, shape, sun
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -78,6 +79,11 @@ def linearise_rims(
     usable : ndarray of bool, shape (n,)
         Rims that are visible ellipses from this pose; the others have zero rows.
 
+    Raises
+    ------
+    LinAlgError
+        When the covariance of a usable rim is not positive definite.
+
     References
     ----------
     Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (19), (25);
@@ -89,21 +95,24 @@ def linearise_rims(
         return _of_factors(model, gTb, rims, camera, catalog)
     n = len(rims)
     rows = rims.craters
-    centres, axes = catalog.centres[rows], catalog.axes[rows]
     if model == "chart":
-        predicted, H, usable = conic.chart_jacobian(gTb, camera.bTc, centres, axes)
-        innovation = rims.chart - predicted
         covariance = rims.covariance
         if noise == "fixed":
             # |q| = 1 makes the columns of dq/dy orthogonal to q: the pseudo-inverse is dy/dq.
             inverse = np.asarray(np.linalg.pinv(conics_of_charts(rims.chart)[1]), dtype=np.float64)
             covariance = inverse @ PAPER_NOISE @ np.swapaxes(inverse, 1, 2)
-    else:
-        conics, _ = conics_of_charts(rims.chart)
-        semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
-        h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
-        innovation = -h
-        covariance = D @ PAPER_NOISE @ np.swapaxes(D, 1, 2)
+        A, residual, usable, sound = filter_kernel.whitened_rims(
+            gTb, camera.bTc, rows, catalog.centres, catalog.axes, rims.chart, covariance
+        )
+        if not sound:
+            raise np.linalg.LinAlgError("Matrix is not positive definite")
+        return A, residual, usable
+    centres = catalog.centres[rows]
+    conics, _ = conics_of_charts(rims.chart)
+    semi_axes = np.stack([catalog.semi_major_m[rows], catalog.semi_minor_m[rows]], axis=-1)
+    h, H, D, usable = shape.shape_jacobian(gTb, camera.bTc, centres, catalog.gRl[rows], semi_axes, conics)
+    innovation = -h
+    covariance = D @ PAPER_NOISE @ np.swapaxes(D, 1, 2)
     A = np.zeros((n, 5, 6))
     residual = np.zeros((n, 5))
     if usable.any():

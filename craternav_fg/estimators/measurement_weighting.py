@@ -1,10 +1,9 @@
 """Weights of measurements: covariances evaluated at the predicted measurement, and limits on innovations.
 
-A fit gives its covariance at what it measured. There the weight depends on the measurement's own error: a rim
-measured too small gets a larger error of its logarithm and less weight, so that on average all rims seem too
-large. Evaluated at the image that a pose from other data predicts, the weights do not depend on it. The
-smoothers take that pose from their own first solution, the online smoother and the filter from the
-prediction.
+The covariance of a fit is evaluated at the measured ellipse, so the weight depends on the measurement's own
+error: a rim measured too small has a larger error of its logarithm and less weight, and on average all rims
+seem too large. Weights evaluated at the image predicted by a pose from other data avoid this. The smoothers
+take that pose from their first solution, the online smoother and the filter from the prediction.
 """
 
 from dataclasses import replace
@@ -14,6 +13,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators import filter_kernel
 from craternav_fg.measurements import FrameMeasurement
 from factors.kernels import conic
 
@@ -55,8 +55,8 @@ def noise_inflation(
         Whitened derivatives in the prior's error.
     residual : ndarray, shape (n, m)
         Whitened, measured minus predicted.
-    covariance : ndarray, shape (k, k)
-        Covariance of the prior's error.
+    covariance : ndarray, shape (K, K), K >= k
+        Covariance of the prior's error, whose first k entries count.
     limit : float
         Largest normalised innovation, in sigmas.
 
@@ -68,13 +68,11 @@ def noise_inflation(
         Scale f >= 1 of each noise covariance at which the innovation is at most the limit; it bounds a
         measurement's influence as Huber's loss does.
     """
-    predicted = A @ covariance @ np.swapaxes(A, 1, 2)
-    # Whitened: no scaling is needed.
-    solved = np.linalg.solve(predicted + np.eye(A.shape[1]), residual[:, :, None])[:, :, 0]
-    squared = np.sum(residual * solved, axis=1)
+    squared = filter_kernel.squared_innovations(A, residual, covariance)
     factor = np.ones(len(A))
+    k = A.shape[2]
     for i in np.flatnonzero(squared > limit * limit):
-        values, vectors = np.linalg.eigh(predicted[i])
+        values, vectors = np.linalg.eigh(A[i] @ covariance[:k, :k] @ A[i].T)
         values = np.maximum(values, 0.0)
         parts = (vectors.T @ residual[i]) ** 2
         # Convex and falling in the factor: Newton from the left cannot overshoot.

@@ -164,6 +164,48 @@ class OnlineSession:
         insert_state(values, 0, gtsam.NavState(gtsam.Pose3(gTb), initial.gV), np.zeros(6))
         self._update(graph, values, 0, frame.stamp_ns)
 
+    def begin_late(self, problem: Problem) -> None:
+        """Take the frames up to the start's, the first with rims, at once.
+
+        Frame by frame the IMU would lead a poor prior so far from that frame that no step from there finds
+        back. Here all is linearised about the trajectory that leads to the start.
+
+        Parameters
+        ----------
+        problem : Problem
+            Its start is at a later frame than the first.
+        """
+        frames = problem.frames[: problem.start.frame + 1]
+        states = filter_state.states_through_start(problem)
+        graph, values = FactorGraph(), gtsam.Values()
+        add_prior(graph, self._descent.initial)
+        variables, near = RimVariables(values, self._errors), states[0].gTb
+        add_frame(graph, self._descent, self._options, X(0), frames[0], variables=variables, near=near)
+        begin = gtsam.NavState(gtsam.Pose3(states[0].gTb), states[0].gV)
+        insert_state(values, 0, begin, states[0].bias)
+        samples = self._bank.at(frames[0].stamp_ns)
+        weights = innovation_weights(samples, states[0], frames[0].stamp_ns)
+        add_sensors(graph, values, self._descent, samples, 0, frames[0].stamp_ns, weights=weights)
+        last = 0
+        for k, before in enumerate(self._states_without_rims(problem, frames[:-1])):
+            begin_ns = frames[k].stamp_ns
+            self._log.append(begin_ns, before)
+            self._frame_states.append(last)
+            last = self._extend(graph, values, states[k], last, begin_ns, frames[k + 1], states[k + 1])
+        self._update(graph, values, last, frames[-1].stamp_ns)
+
+    def _states_without_rims(
+        self, problem: Problem, frames: Sequence[FrameMeasurement]
+    ) -> Sequence[FilterState]:
+        """Give the estimates at frames before the start, each from the data up to it."""
+        if not self._descent.sensors:
+            return filter_state.propagated_prior(self._descent, frames)
+        session = OnlineSession(self._descent, self._options)
+        session.begin(frames[0], problem.start)
+        for frame in frames[1:]:
+            session.update(frame)
+        return session.states
+
     def predict(self, stamp_ns: int) -> FilterState:
         """Predict the state at a later stamp by the IMU; the session does not change.
 
@@ -201,7 +243,18 @@ class OnlineSession:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = FactorGraph()
         values = gtsam.Values()
-        state, last = self.state, self._last
+        last = self._extend(graph, values, self.state, self._last, begin_ns, frame)
+        self._add_features(graph, values, last, frame.stamp_ns)
+        self._update(graph, values, last, frame.stamp_ns)
+
+    def _extend(
+        self, graph: FactorGraph, values: gtsam.Values, state: FilterState, last: int, begin_ns: int,
+        frame: FrameMeasurement, reached: FilterState | None = None,
+    ) -> int:  # fmt: skip
+        """Add the states from one frame to the next, the next one's measurements, and give its index.
+
+        The values are predicted by the IMU; at the next frame they are those of `reached`, if it is given.
+        """
         longest_s = longest_interval_s(self._descent, self._options)
         for end_ns in state_stamps(begin_ns, frame.stamp_ns, longest_s):
             ahead = filter_state.propagate(state, self._descent, begin_ns, int(end_ns))
@@ -211,6 +264,8 @@ class OnlineSession:
             else:
                 midpoint = 0.5 * (state.gTb[:3, 3] + ahead.gTb[:3, 3])
                 add_imu(graph, self._descent, last, begin_ns, int(end_ns), midpoint, state.bias)
+            if reached is not None and end_ns == frame.stamp_ns:
+                ahead = reached
             last += 1
             insert_state(values, last, gtsam.NavState(gtsam.Pose3(ahead.gTb), ahead.gV), ahead.bias)
             state, begin_ns = ahead, int(end_ns)
@@ -223,8 +278,7 @@ class OnlineSession:
             weights = innovation_weights(samples, state, frame.stamp_ns)
             holds = self._solver.tree.valueExists
             add_sensors(graph, values, self._descent, samples, last, frame.stamp_ns, holds, weights)
-        self._add_features(graph, values, last, frame.stamp_ns)
-        self._update(graph, values, last, frame.stamp_ns)
+        return last
 
     def _add_features(self, graph: FactorGraph, values: gtsam.Values, index: int, stamp_ns: int) -> None:
         """Add the factors of tracked points at a frame."""
@@ -317,7 +371,7 @@ class OnlineSession:
         )
 
     def _position_sigma_m(self) -> float:
-        """Give the standard deviation of the position at the last frame."""
+        """Return the standard deviation of the position at the last frame."""
         if self._newest is None:
             return float(np.sqrt(3.0) * self._descent.initial.position_sigma_m)
         covariance = self._newest.covariance[strapdown.POSITION, strapdown.POSITION]
@@ -393,7 +447,7 @@ class OnlineSmoother:
 
 
 class FixedLagSmoother:
-    """As the online smoother, but states older than a lag are marginalised: cost and memory stay bounded.
+    """Online smoother that marginalises states older than a lag, so that cost and memory stay bounded.
 
     The estimate at a frame uses all data up to it; states older than the lag are no longer relinearised.
 
@@ -431,7 +485,11 @@ class FixedLagSmoother:
 
 def _run(session: OnlineSession, problem: Problem) -> OnlineSession:
     """Process all frames of a problem."""
-    session.begin(problem.frames[0], problem.start)
-    for frame in problem.frames[1:]:
+    first = problem.start.frame
+    if first:
+        session.begin_late(problem)
+    else:
+        session.begin(problem.frames[0], problem.start)
+    for frame in problem.frames[first + 1 :]:
         session.update(frame)
     return session

@@ -80,7 +80,7 @@ def linearise_points(
     Returns
     -------
     residual : ndarray, shape (n, 2)
-        Whitened, measured less predicted.
+        Whitened, measured minus predicted.
     of_point : ndarray, shape (n, 2, 3)
         Derivatives of the whitened prediction in the point, 1/m.
     of_pose : ndarray, shape (n, 2, 6)

@@ -174,7 +174,7 @@ def estimator(name: str) -> Estimator:
 
 
 def present_name(name: str) -> str:
-    """Give the present name of an estimator that a file of an earlier version names.
+    """Return the current name of an estimator that a file of an earlier version names.
 
     Parameters
     ----------

@@ -116,13 +116,13 @@ def equivalent_points(rims: RimSet) -> tuple[list[FloatArray], list[FloatArray]]
 
 
 def _of_dimension(loss: Loss, dimension: int) -> Loss:
-    """Give the loss that begins at the same probability in fewer dimensions."""
+    """Return the loss that begins at the same probability in fewer dimensions."""
     beyond = chdtrc(FULL_DIMENSION, loss.scale**2)
     return Loss(loss.kind, float(np.sqrt(chdtri(dimension, beyond))))
 
 
 def _of_mean(loss: Loss) -> Loss:
-    """Give the loss on the root mean square of a rim's whitened distances.
+    """Return the loss on the root mean square of a rim's whitened distances.
 
     Of points on the fitted ellipse the five dimensions of its error remain, spread over all of them.
     """

@@ -113,15 +113,15 @@ class SensorBank:
                 self._samples.setdefault(stamp, []).append(Sample(sensor, row, part, key))
 
     def at(self, stamp_ns: int) -> list[Sample]:
-        """Give the samples at a stamp."""
+        """Return the samples at a stamp."""
         return self._samples.get(stamp_ns, [])
 
     def between(self, begin_ns: int, end_ns: int) -> list[int]:
-        """Give the stamps of samples inside an interval, without its ends."""
+        """Return the stamps of samples inside an interval, without its ends."""
         return sorted(stamp for stamp in self._samples if begin_ns < stamp < end_ns)
 
     def epochs(self, frames: Sequence[FrameMeasurement]) -> tuple[FrameMeasurement, ...]:
-        """Give the frames, and an empty one at each stamp between them at which only sensors measured.
+        """Return the frames, and an empty one at each stamp between them at which only sensors measured.
 
         Parameters
         ----------
@@ -236,7 +236,7 @@ def linearise_sample(
     A : ndarray, shape (m, 18 + b)
         Whitened derivatives.
     residual : ndarray, shape (m,)
-        Whitened, measured less predicted, at the state of before.
+        Whitened, measured minus predicted, at the state of before.
     """
     found = sample.linearise(SensorState(stamp_ns, state.gTb, state.gV, state.rate), state.sensor_bias)
     A = np.zeros((len(found.error), len(delta)))
@@ -257,7 +257,7 @@ def innovation_weight(
     A : ndarray, shape (m, 18 + b)
         Whitened derivatives at the prediction, see `linearise_sample`.
     residual : ndarray, shape (m,)
-        Whitened, measured less predicted.
+        Whitened, measured minus predicted.
     covariance : ndarray, shape (18 + b, 18 + b)
         Covariance of the prediction, in the units of the error state.
     gate_sigmas : float

@@ -2,6 +2,8 @@
 
 From a prior of 25 deg and 4 km that frame's problem has many local minima. Annealing, which lowers the
 measurement noise in steps from 300 times its size, lets the well-determined coarse geometry decide first.
+After minutes without rims the prior is far wider. Where that leads to a pose from which most rims are out of
+sight, the pose of the rims alone, which needs no prior, is the start of a second optimisation.
 """
 
 from collections.abc import Sequence
@@ -18,6 +20,9 @@ from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import scaled_inverse
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.resection.efficient import solve
+from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -58,17 +63,36 @@ def find_start(
     of_pose = prior.covariance[filter_state.POSE, filter_state.POSE]
     covariance = rotate_position_block(of_pose, prior.gTb[:3, :3].T)
     noise = gtsam.noiseModel.Gaussian.Covariance(0.5 * (covariance + covariance.T))
-    values = gtsam.Values()
-    values.insert(X(0), gtsam.Pose3(prior.gTb))
-    for scale in ANNEALING_SCALES:
-        graph = FactorGraph()
-        graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(prior.gTb), noise))
-        add_frame(graph, descent, options, X(0), frames[index], noise_scale=scale)
-        values = levenberg_marquardt(graph, values).values
+    expected = gtsam.PriorFactorPose3(X(0), gtsam.Pose3(prior.gTb), noise)
+
+    def optimum(gTb: FloatArray, scales: Sequence[float]) -> tuple[FactorGraph, gtsam.Values]:
+        values = gtsam.Values()
+        values.insert(X(0), gtsam.Pose3(gTb))
+        for scale in scales:
+            graph = FactorGraph()
+            graph.push_back(expected)
+            add_frame(graph, descent, options, X(0), frames[index], noise_scale=scale)
+            values = levenberg_marquardt(graph, values).values
+        return graph, values
+
+    graph, values = optimum(prior.gTb, ANNEALING_SCALES)
+    if _out_of_sight(descent, frames[index], values.atPose3(X(0)).matrix()):
+        rims = MatchedRims.of(frames[index].rims, descent.catalog)
+        found = solve(ResectionProblem(rims, descent.camera.bTc, sun=frames[index].sun)).poses
+        if found:
+            graph, values = optimum(found[0].gTb, ANNEALING_SCALES[-1:])
     information, _ = graph.linearize(values).hessian()
     posterior = scaled_inverse(information)
     gTb = np.ascontiguousarray(values.atPose3(X(0)).matrix())
     return Start(gTb, rotate_position_block(posterior, gTb[:3, :3]), index)
+
+
+def _out_of_sight(descent: Descent, frame: FrameMeasurement, gTb: FloatArray) -> bool:
+    """Whether most of a frame's rims cannot be seen from a pose: nothing then corrects it."""
+    rows = frame.rims.craters
+    centres, axes = descent.catalog.centres[rows], descent.catalog.axes[rows]
+    seen = project_rims(np.ascontiguousarray(gTb), descent.camera.bTc, centres, axes)[1]
+    return bool(2 * np.count_nonzero(seen) < len(rows))
 
 
 def make_problem(

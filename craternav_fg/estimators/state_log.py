@@ -114,7 +114,7 @@ class StateLog:
         self._count = 0
 
     def _blocks(self) -> Iterator[npt.NDArray[np.void]]:
-        """Give the rows, some at a time."""
+        """Return the rows, some at a time."""
         for first in range(0, self._written, _BLOCK):
             assert self._file is not None
             self._file.seek(first * self._type.itemsize)

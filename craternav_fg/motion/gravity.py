@@ -86,9 +86,12 @@ def read_gravity(path: Path, degree: int = MAX_DEGREE) -> GravityField:
     rows = [(k, line.replace(",", " ").split()) for k, line in enumerate(lines, 1) if line.strip()]
     if not rows or len(rows[0][1]) < _HEADER_COLUMNS:
         raise InputError(path, "expected a SHADR header: radius (km), mu (km^3/s^2), ..., degree", line=1)
-    radius_km, *_ = _numbers(path, *rows[0], _HEADER_COLUMNS)
+    radius_km, *_, normalisation = _numbers(path, *rows[0], _HEADER_COLUMNS)
     if not radius_km > 0.0:
         raise InputError(path, f"expected a reference radius in km, found {radius_km:g}", line=rows[0][0])
+    if normalisation != 1.0:
+        problem = f"expected the normalisation 1, of fully normalised coefficients, found {normalisation:g}"
+        raise InputError(path, problem, line=rows[0][0])
     top = min(degree, MAX_DEGREE)
     C, S = np.zeros((top + 1, top + 1)), np.zeros((top + 1, top + 1))
     C[0, 0] = 1.0

@@ -85,7 +85,7 @@ MotionSection = Annotated[
 
 
 def motion_table(motion: Motion, gravity_field: str) -> dict[str, Any]:
-    """Give the table that describes a motion model.
+    """Return the table that describes a motion model.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """White noise on the translation's jerk: a Gaussian-process prior whose body-fixed acceleration random-walks.
 
 The acceleration is a state and takes the place of the accelerometer's bias, with the opposite sign. The
-rotation is that of `white_acceleration`: a state has no angular acceleration, so this one is white. That
-differs from Tang et al. (2019), whose prior has white jerk in all six components.
+attitude follows the gyro, or has the rate prior of the other models: a random walk of the angular velocity.
+The prior of Tang et al. (2019) has white jerk in the rotation, too, with the angular acceleration as a state.
 """
 
 from craternav_fg.motion.model import Motion

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from craternav_fg.config import Positive, Vector
+from craternav_fg.config import Direction, Positive
 from craternav_fg.sensors.protocol import (
     ATTITUDE,
     POSITION,
@@ -35,16 +35,16 @@ class AltimeterSettings(SensorSettings):
     """`mav0/altimeter0/sensor.yaml`."""
 
     sensor_type: Literal["altimeter"] = "altimeter"
-    boresight: Vector = (0.0, 0.0, 1.0)
+    boresight: Direction = (0.0, 0.0, 1.0)
     """Direction of the beam in the sensor's axes; its length does not matter."""
     noise_m: Positive = 1.0
     """Standard deviation of a range."""
     noise_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Further standard deviation, as a share of the range."""
     surface_sigma_m: Annotated[float, Field(ge=0.0)] = 0.0
-    """Standard deviation of the ground about the height that the catalogue tells."""
+    """Standard deviation of the ground about the height that the catalogue states."""
     bias_sigma_m: Annotated[float, Field(ge=0.0)] = 0.0
-    """Standard deviation of the constant range bias; 0: none is estimated."""
+    """Standard deviation of the constant range bias; 0 if no bias is estimated."""
 
 
 class Altimeter(Sensor):

@@ -27,7 +27,7 @@ class Plugin:
     value: Any
 
     def refused(self, problem: str) -> CraternavError:
-        """Give the error that tells what is wrong with it."""
+        """Return the error that describes what is wrong with it."""
         return CraternavError(f"{self.name} of the package {self.package}: {problem}")
 
 

@@ -4,9 +4,9 @@ Your own sensor derives from `Sensor` and defines
 
 - `name`: its folder is `mav0/NAME0`;
 - `Settings`: the keys of its `sensor.yaml` (a subclass of `SensorSettings`);
-- `columns`: the columns of its `data.csv` behind the stamp;
+- `columns`: the columns of its `data.csv` after the stamp;
 - `rows`: the length of a sample's residual;
-- `linearise`: predicted less measured, in sigmas, with derivatives. The factor of the smoothers, the update
+- `linearise`: predicted minus measured, in sigmas, with derivatives. The factor of the smoothers, the update
   of the filters, the innovations and the bound all call this one function;
 - `draw`: a measurement drawn at a true state, for simulation.
 
@@ -92,7 +92,7 @@ class Linearisation:
     Attributes
     ----------
     error : ndarray, shape (m,)
-        Predicted less measured, in sigmas: of unit covariance at the true state.
+        Predicted minus measured, in sigmas: of unit covariance at the true state.
     jacobian : ndarray, shape (m, 18)
         Its derivative in the error state, see `STATE_SIZE`.
     bias_jacobian : ndarray, shape (m, b)
@@ -150,7 +150,7 @@ class Sensor(ABC):
     @classmethod
     @abstractmethod
     def columns(cls, settings: Any) -> tuple[Column, ...]:
-        """Columns of `data.csv` behind the stamp, with their units."""
+        """Columns of `data.csv` after the stamp, with their units."""
 
     @property
     @abstractmethod
@@ -211,7 +211,7 @@ class Sensor(ABC):
         return np.asarray(values * rng.uniform(0.5, 1.5, len(values)))
 
     def fault(self, row: int) -> tuple[str, str] | None:
-        """Say what is impossible about a sample: column, and what was expected and found; None if nothing is.
+        """Describe the fault of an impossible sample: its column, and what was expected and found; else None.
 
         Parameters
         ----------

@@ -36,7 +36,7 @@ class RangingSettings(SensorSettings):
     range_noise_m: Positive = 3.0
     rate_noise_m_s: Positive = 0.002
     bias_sigma_m: Annotated[float, Field(ge=0.0)] = 0.0
-    """Standard deviation of the constant range bias; 0: none is estimated."""
+    """Standard deviation of the constant range bias; 0 if no bias is estimated."""
 
 
 class Ranging(Sensor):

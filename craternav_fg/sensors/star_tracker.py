@@ -3,14 +3,13 @@
 Zero when the measured attitude of the sensor is iRg(t) gRb bRs.
 """
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from craternav_fg import frames
-from craternav_fg.config import Positive
+from craternav_fg.config import Positive, Quaternion
 from craternav_fg.sensors.protocol import (
     ATTITUDE,
     STATE_SIZE,
@@ -33,10 +32,8 @@ class StarTrackerSettings(SensorSettings):
 
     sensor_type: Literal["star_tracker"] = "star_tracker"
     epoch_ns: int = 0
-    """When g lies as the next key says."""
-    inertial_attitude_wxyz: Annotated[tuple[float, ...], Field(min_length=4, max_length=4)] = (
-        1.0, 0.0, 0.0, 0.0,
-    )  # fmt: skip
+    """Time at which the next key holds."""
+    inertial_attitude_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
     """iRg at the epoch: the attitude of the body-fixed frame in the inertial one, Hamilton, scalar first."""
     cross_sigma_arcsec: Positive = 10.0
     """Standard deviation about each axis across the boresight, which is the sensor's z."""

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from craternav_fg.config import Positive, Vector
+from craternav_fg.config import Direction, Positive
 from craternav_fg.sensors.protocol import (
     ATTITUDE,
     RATE,
@@ -34,7 +34,7 @@ class VelocimeterSettings(SensorSettings):
     """`mav0/velocimeter0/sensor.yaml`."""
 
     sensor_type: Literal["velocimeter"] = "velocimeter"
-    beams: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=8)] = (
+    beams: Annotated[tuple[Direction, ...], Field(min_length=1, max_length=8)] = (
         (SLANT, 0.0, 0.9238795325112867),
         (-SLANT, 0.0, 0.9238795325112867),
         (0.0, SLANT, 0.9238795325112867),
@@ -46,7 +46,7 @@ class VelocimeterSettings(SensorSettings):
     noise_share: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Further standard deviation, as a share of the speed."""
     bias_sigma_m_s: Annotated[float, Field(ge=0.0)] = 0.0
-    """Standard deviation of each beam's constant bias; 0: none is estimated."""
+    """Standard deviation of each beam's constant bias; 0 if no bias is estimated."""
 
 
 class Velocimeter(Sensor):

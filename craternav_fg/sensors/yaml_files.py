@@ -90,7 +90,7 @@ def _expanded(node: yaml.Node, sizes: dict[int, int], depth: int) -> int:
 
 
 def _numbers(value: Any) -> Any:
-    """Turn texts such as 1e-05 into numbers: YAML 1.1 wants a decimal point in a number."""
+    """Convert texts such as 1e-05 to numbers: YAML 1.1 wants a decimal point in a number."""
     if isinstance(value, dict):
         return {str(key): _numbers(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -29,7 +29,7 @@ def whiten_all(S: FloatArray, W: FloatArray) -> tuple[int, int]:
         `SOUND`, or the fault of the first covariance that has one: `ASYMMETRIC`, `VARIANCE` (a variance that
         is not positive) or `INDEFINITE`.
     index : int
-        Of that covariance; -1 when all are sound.
+        Row of that covariance; -1 when all are sound.
     """
     m = S.shape[1]
     scale = np.empty(m)
@@ -124,7 +124,7 @@ def first_bad_axes(axes: FloatArray) -> tuple[int, float, float]:
     Returns
     -------
     index : int
-        Of that pair, or -1.
+        Row of that pair, or -1.
     a, b : float
         Its lengths, m.
     """

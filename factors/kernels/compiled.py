@@ -1,26 +1,33 @@
 """Compilation of kernels, with a cache that knows the sources of all that a kernel calls.
 
 numba's own cache is keyed by the kernel's file alone. It serves stale code when a kernel or a constant of
-another file changes, and fails when a module that it refers to has moved.
+another file changes, and fails when a module that it refers to has moved. Processes that share it all compile
+the same kernels, and mix up their files when they compile one kernel for different arguments; here one
+compiles a kernel at a time, and the others wait for the result.
 """
 
+import fcntl
 import functools
 import hashlib
 import inspect
 import pickle
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numba
 from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
 
 _ROOT = Path(__file__).resolve().parents[2]
 # `from package.module import names`; what is imported for type checkers only is indented.
 _IMPORT = re.compile(r"^from ((?:craternav_fg|factors)[\w.]*) import (?:\(([^)]*)\)|(.+))", re.MULTILINE)
 # What a cache raises whose modules have moved, or whose file was cut short.
 _UNREADABLE = (ImportError, AttributeError, EOFError, pickle.UnpicklingError)
+# How long to wait for another process that compiles the same kernel: it may have been stopped.
+_PATIENCE_S, _POLL_S = 120.0, 0.02
 
 
 class _Cache(FunctionCache):
@@ -29,9 +36,25 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         self._cache_file._source_stamp = sources_digest(Path(inspect.getfile(function)))
+        self._lock: IO[bytes] | None = None
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Give the compiled version for a signature, None where there is none."""
+        """Return the compiled version for a signature; None where it is ours to compile."""
+        found = self._load(signature, context)
+        if found is None and self._lock is None:
+            self._lock = _locked(Path(self._cache_file._index_path).with_suffix(".lock"))
+            found = self._load(signature, context)
+        return found
+
+    def release(self) -> None:
+        """Let other processes compile the kernel, or load what was compiled."""
+        if self._lock is not None:
+            # A process forked meanwhile has the same file open.
+            fcntl.flock(self._lock, fcntl.LOCK_UN)
+            self._lock.close()
+            self._lock = None
+
+    def _load(self, signature: Any, context: Any) -> Any:
         try:
             return super().load_overload(signature, context)
         except _UNREADABLE:
@@ -46,13 +69,34 @@ class _Cache(FunctionCache):
             return False
 
 
+def _locked(path: Path) -> IO[bytes] | None:
+    """Lock a file against other processes; None where it cannot be locked, or not for a long time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("ab")
+    except OSError:
+        return None
+    end_s = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < end_s:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(_POLL_S)
+        except OSError:
+            break
+        else:
+            return file
+    file.close()
+    return None
+
+
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function with numba when it is first called.
 
     Parameters
     ----------
     **options
-        Of `numba.njit`. With `cache=True` the compiled code is kept on disk until its sources change.
+        Options of `numba.njit`. With `cache=True` the compiled code is kept on disk until its sources change.
 
     Returns
     -------
@@ -64,7 +108,17 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**options)(function)
         if cached:
-            dispatcher._cache = _Cache(function)
+            cache = dispatcher._cache = _Cache(function)
+            compile_for = dispatcher.compile
+
+            def compile_alone(signature: Any) -> Any:
+                with global_compiler_lock:
+                    try:
+                        return compile_for(signature)
+                    finally:
+                        cache.release()
+
+            dispatcher.compile = compile_alone
         return dispatcher
 
     return compiled
@@ -96,7 +150,7 @@ def sources_digest(file: Path) -> str:
     Returns
     -------
     str
-        Of the file, and of the files from which it imports kernels or constants, and so on.
+        Key of the file and of the files from which it imports kernels or constants, and so on.
     """
     digest = hashlib.sha256()
     for source in sorted(_closure(file.resolve())):

@@ -121,7 +121,7 @@ def moments(
     m_x, m_y : float
         Centre of the image ellipse, normalised.
     S_xx, S_xy, s : float
-        Of its matrix S, with s = S_yy - S_xy^2/S_xx. All five are 0 where not visible.
+        Entries of its matrix S, with s = S_yy - S_xy^2/S_xx. All five are 0 where not visible.
     """
     q33 = az * az + bz * bz - pz * pz
     facing = px * (ay * bz - az * by) + py * (az * bx - ax * bz) + pz * (ax * by - ay * bx)

@@ -155,7 +155,7 @@ def move(pose: FloatArray, delta: FloatArray) -> None:
     Parameters
     ----------
     pose : ndarray, shape (4, 4)
-        Of the body in g, m; moved in place.
+        Pose of the body in g, m; moved in place.
     delta : ndarray, shape (6,)
         Twist [w, rho] in b, rad and m.
     """
@@ -188,7 +188,7 @@ def screw(pose: FloatArray, delta: FloatArray) -> None:
     Parameters
     ----------
     pose : ndarray, shape (4, 4)
-        Of the body in g, m; moved in place.
+        Pose of the body in g, m; moved in place.
     delta : ndarray, shape (6,)
         Twist [w, rho] in b, rad and m.
     """

@@ -34,9 +34,9 @@ def map_poses(
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centres, axes, gains : ndarray, shapes (m, 3), (m, 2, 3), (m, 3)
-        Of the craters: rims in g, m; directions in g in which their walls are darkest.
+        The craters: rims in g, m; directions in g in which their walls are darkest.
     charts, weights, tilts : ndarray, shapes (n, 5), (n, 5, 5), (n,)
-        Of the rims: ellipse charts, inverses of their covariances, directions in the image in which their
+        The rims: ellipse charts, inverses of their covariances, directions in the image in which their
         walls are darkest, rad.
     tilt_weight : float
         Inverse variance of a tilt, 1/rad^2, divided among a pose's rims, as their errors are common; 0 for
@@ -115,11 +115,11 @@ def distances2(
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centres, axes : ndarray, shapes (m, 3), (m, 2, 3)
-        Of the craters in g, m.
+        Rims of the craters in g, m.
     charts : ndarray, shape (n, 5)
         Ellipse charts of the rims.
     rim_covariance : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariances of the charts.
     gate : float
         Beyond it the distance is inf.
     reach : ndarray, shape (2,)
@@ -128,7 +128,8 @@ def distances2(
     Returns
     -------
     ndarray, shape (n, m)
-        Of every rim from every crater, in squared sigmas of 5 degrees of freedom; inf beyond gate or reach.
+        Squared distance of every rim from every crater, in sigmas (5 degrees of freedom); inf beyond gate or
+        reach.
     """
     count = charts.shape[0]
     out = np.full((count, centres.shape[0]), np.inf)
@@ -186,11 +187,11 @@ def nearest(
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centres, axes : ndarray, shapes (m, 3), (m, 2, 3)
-        Of the craters in g, m.
+        Rims of the craters in g, m.
     charts : ndarray, shape (n, 5)
         Ellipse charts of the rims.
     rim_covariance : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariances of the charts.
     reach : ndarray, shape (2,)
         Largest |u|, |v| of a crater's image centre, normalised; craters beyond it are skipped.
 
@@ -235,11 +236,11 @@ def support(
     bTc : ndarray, shape (4, 4)
         Mounting of the camera.
     centres, axes : ndarray, shapes (m, 3), (m, 2, 3)
-        Of the craters in g, m.
+        Rims of the craters in g, m.
     charts : ndarray, shape (n, 5)
         Ellipse charts of the rims.
     rim_covariance : ndarray, shape (n, 5, 5)
-        Of the charts.
+        Covariances of the charts.
     reach : ndarray, shape (2,)
         Largest |u|, |v| of a crater's image centre, normalised; craters beyond it are skipped.
 

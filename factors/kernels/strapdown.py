@@ -278,7 +278,7 @@ def propagate(
     bias : ndarray, shape (6,)
         Gyro (rad/s), accelerometer (m/s^2), in b.
     covariance : ndarray, shape (18, 18)
-        Of the error state.
+        Covariance of the error state.
     dt_s : ndarray, shape (m,)
         Durations of the rows, m >= 1.
     gyro, accelerometer : ndarray, shape (m, 3)

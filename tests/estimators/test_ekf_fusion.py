@@ -1,6 +1,7 @@
 """Fusion rules on linear sub-filters: which of them is consistent."""
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
 from craternav_fg.estimators.ekf.fusion import combine, fuse_updates
@@ -75,3 +76,11 @@ def test_equation_29_weighs_by_information():
     np.testing.assert_allclose(
         covariance / np.outer(units, units), np.linalg.inv(rows.T @ rows), rtol=1e-9, atol=1e-12
     )
+
+
+def test_a_covariance_that_is_not_positive_definite_is_refused():
+    update = LinearMeasurement(np.eye(2), np.ones(2))
+    with pytest.raises(np.linalg.LinAlgError):
+        fuse_updates(np.array([[1.0, 2.0], [2.0, 1.0]]), [update], "exact")
+    with pytest.raises(np.linalg.LinAlgError):
+        fuse_updates(np.eye(2), [LinearMeasurement(np.full((1, 2), np.nan), np.ones(1))], "exact")

@@ -70,7 +70,7 @@ def nearest_other(catalog: Catalog, crater: int) -> int:
 def with_wrong_matches(
     data: Dataset, share: float, rng: np.random.Generator, kind: str
 ) -> tuple[list[FrameMeasurement], Right]:
-    """Give a share of all rims another crater: one of those in view, the nearest, or always the same."""
+    """Return a share of all rims another crater: one of those in view, the nearest, or always the same."""
     assert data.measurements is not None
     counts = [len(frame.rims) for frame in data.measurements]
     all_craters = np.concatenate([frame.rims.craters for frame in data.measurements])

@@ -35,7 +35,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Problem, Traj
 
 
 def spoilt_factor(key: int) -> gtsam.CustomFactor:
-    """Give a factor that cannot be evaluated."""
+    """Return a factor that cannot be evaluated."""
     return pose_factor(key, 3, lambda gTb, bTc, linearise, e, J: e.fill(np.nan), np.eye(4))
 
 
@@ -230,7 +230,7 @@ def test_a_tree_that_grew_hands_on_what_it_knows(
 
 
 def with_other_sensors(folder: Path, sensors: dict[str, Any]) -> Problem:
-    """Give a descent of 40 s with further sensors."""
+    """Return a descent of 40 s with further sensors."""
     return problem(folder, scenario(duration_s=40.0, sensors=sensors), 0)[0]
 
 

@@ -9,13 +9,20 @@ from craternav_fg.camera import Camera
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.intrinsics import intrinsic_slopes
+from craternav_fg.estimators.motion import longest_interval_s
 from craternav_fg.estimators.start import make_problem
+from craternav_fg.evaluation.consistency import mean_interval
+from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.trajectory import Trajectory
 
 STATED = Camera(1012, 1012, 672.0, 672.0, 505.0, 506.0)
 
@@ -64,9 +71,10 @@ def data(tmp_path_factory):
     return Dataset.open(simulate("orbit_coast", tmp_path_factory.mktemp("orbit") / "data", trial=2))
 
 
-def test_intrinsics_are_estimated_along_with_an_orbit(data):
-    true = np.array([1.5e-3, -2.0, 1.0, 8e-4])
+def _through(data: Dataset, true: np.ndarray) -> list[FrameMeasurement]:
+    """Measurements through a camera whose intrinsics are off: focal length, principal point, distortion."""
     frames = []
+    assert data.measurements is not None
     for frame in data.measurements:
         rims = frame.rims
         moved = replace(
@@ -78,6 +86,12 @@ def test_intrinsics_are_estimated_along_with_an_orbit(data):
         points = points_on(rims.chart)
         shift = _fitted(data.camera.normalised(moved.pixels(points))) - _fitted(points)
         frames.append(replace(frame, rims=replace(rims, chart=rims.chart + shift)))
+    return frames
+
+
+def test_intrinsics_are_estimated_along_with_an_orbit(data):
+    true = np.array([1.5e-3, -2.0, 1.0, 8e-4])
+    frames = _through(data, true)
     problem = make_problem(Descent.of(data), frames)
     options = Calibration(focal_sigma=3e-3, principal_point_sigma_px=4.0, radial_sigma=1e-3)
     found = BatchSmoother(GraphOptions(calibration=options)).estimate(problem)
@@ -99,3 +113,42 @@ def test_one_of_them_alone(data):
     assert abs(values[3]) < 3.5 * sigmas[3]
     with pytest.raises(EstimationError, match="focal_sigma: expected 0 or more"):
         Calibration(focal_sigma=-1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", [True, False], ids=["known", "estimated"])
+def test_an_orbit_reaches_the_bound_with_and_without_intrinsics(known, tmp_path):
+    """The bound is the covariance of the graph that is linearised at the truth."""
+    rng, trials = np.random.default_rng(1), 20
+    sigmas = np.zeros(4) if known else np.array([3e-3, 2.0, 2.0, 1e-3])
+    options = GraphOptions(
+        calibration=Calibration(
+            focal_sigma=sigmas[0], principal_point_sigma_px=sigmas[1], radial_sigma=sigmas[3]
+        )
+    )
+    ratios2, consistency = [], []
+    for trial in range(trials):
+        data = Dataset.open(simulate("orbit_coast", tmp_path / f"data{trial}", trial=trial))
+        frames = _through(data, sigmas * rng.normal(size=4))
+        problem = make_problem(Descent.of(data), frames)
+        found = BatchSmoother(options).estimate(problem)
+        error = errors(found, data.truth)
+        consistency.append(np.mean(nees(error.pose, found.pose_covariance)))
+        bound2 = np.trace(_at_truth(problem, options, data.truth)[:, 3:, 3:], axis1=1, axis2=2)
+        ratios2.append(np.sum(error.position_m**2, axis=1) / bound2)
+    low, high = mean_interval(6, trials)
+    assert low < np.mean(consistency) < high
+    # Over the trials at each frame, then over the frames.
+    assert np.mean(np.sqrt(np.mean(ratios2, axis=0))) < 1.1
+
+
+def _at_truth(problem: Problem, options: GraphOptions, truth: Trajectory) -> np.ndarray:
+    """Pose covariances (k, 6, 6) of the graph at the true states."""
+    states = [
+        replace(filter_state.prior(problem), gTb=gTb, gV=gV, bias=bias)
+        for gTb, gV, bias in zip(truth.gTb, truth.gV, truth.bias, strict=True)
+    ]
+    start = replace(problem.start, frame=0)
+    values, indices = initial_values(problem, start, states, longest_interval_s(problem, options))
+    graph = build_graph(problem, options, values)
+    return trajectory(problem, options, graph, values, indices).pose_covariance

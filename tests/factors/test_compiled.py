@@ -89,3 +89,32 @@ def test_the_digest_covers_called_files_and_no_others() -> None:
     assert {"packed.py", "conic.py", "compiled.py"} <= files
     assert "sun.py" not in files
     assert sources_digest(KERNELS / "packed.py") != sources_digest(KERNELS / "sun.py")
+
+
+def test_of_two_processes_one_compiles(package: Path) -> None:
+    # Both begin at once, and compilation takes long: the other one waits for the kernel and reads it.
+    code = """
+import sys
+from factors.kernels.compiled import njit
+from factors.kernels.called import scaled
+import factors.kernels.calling as here
+kernels = here.added, here.both, scaled
+print("ready", flush=True)
+sys.stdin.readline()
+here.added(3.0)
+print(sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
+"""
+    command = [sys.executable, "-c", code]
+    pair = [
+        subprocess.Popen(command, cwd=package, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    for process in pair:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+    for process in pair:
+        assert process.stdin is not None
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    misses = [int(process.communicate()[0]) for process in pair]
+    assert sorted(misses) == [0, 3]

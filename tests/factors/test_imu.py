@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from factors.checking import numerical_jacobian
 from factors.errors import FactorError
-from factors.imu import ImuNoise, imu_factor, preintegrate
+from factors.imu import imu_factor, preintegrate
+from factors.imu_noise import ImuNoise
 from tests.factors.conftest import MOON
 
 NOISE = ImuNoise(2e-5, 3.4e-4, 1e-9, 1e-8)

@@ -13,7 +13,8 @@ from factors.crater_centre import crater_centre_factor
 from factors.crater_los import crater_los_factor
 from factors.errors import FactorError
 from factors.implicit_shape import implicit_shape_factor
-from factors.imu import ImuNoise, imu_factor, preintegrate
+from factors.imu import imu_factor, preintegrate
+from factors.imu_noise import ImuNoise
 from factors.rim_points import rim_points_factor
 from factors.sun_tilt import sun_tilt_factor
 from tests.factors.conftest import make_view, rim_points

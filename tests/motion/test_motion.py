@@ -268,6 +268,7 @@ def test_a_table_of_normalised_coefficients_is_read(tmp_path):
         ("", "header"),
         ("1738, 4902\n", "header"),
         ("-1, 4902, 0, 2, 2, 1\n", "radius"),
+        ("1738, 4902, 0, 2, 2, 0\n2, 0, -2e-4, 0\n", ":1: expected the normalisation 1, .* found 0"),
         ("1738, 4902, 0, 2, 2, 1\n2, 0, x, 0\n", ":2: expected 4 numbers"),
         ("1738, 4902, 0, 2, 2, 1\n2, 3, 1e-5, 0\n", ":2: expected degree and order"),
     ],

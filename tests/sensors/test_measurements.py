@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, S, V, X
+from pydantic import ValidationError
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -163,3 +164,17 @@ def test_the_factor_has_the_measurements_derivatives(name: str, seed: int) -> No
         slope = weight * (ends[0] - ends[1]) / (2.0 * size)
         scale = np.abs(J[:, j - j % 3 : j - j % 3 + 3]).max() + 1e-9
         np.testing.assert_allclose(J[:, j], slope, atol=5e-6 * scale)
+
+
+@pytest.mark.parametrize(
+    ("settings", "values"),
+    [
+        (AltimeterSettings, {"boresight": (0.0, 0.0, 0.0)}),
+        (VelocimeterSettings, {"beams": ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))}),
+        (StarTrackerSettings, {"inertial_attitude_wxyz": (0.0, 0.0, 0.0, 0.0)}),
+    ],
+)
+def test_directions_and_quaternions_of_length_zero_are_refused(settings, values) -> None:
+    """An altimeter without a boresight would measure nothing, in silence."""
+    with pytest.raises(ValidationError, match="expected numbers of which one is not zero"):
+        settings(T_BS=mounting(np.random.default_rng(1)), **values)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
-from craternav_fg.estimators.ekf.fusion import Rule, combine, fuse_updates
+from craternav_fg.estimators.ekf.fusion import Rule, combine, fuse_rows, stacked
 from craternav_fg.estimators.ekf.point_features import FeatureWindow
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import (
@@ -43,12 +43,12 @@ class EkfOptions:
         Each rim's own covariance, evaluated at the predicted measurement, or the paper's Qn for all of them;
         with "eq19" the latter is the paper's implicit measurement, eq. (25).
     fusion : {"exact", "paper", "paper-fed-back", "covariance-intersection"}
-        "exact" counts the prior that sub-filters share once. "paper" lets them run on by themselves and
-        publishes eq. (29). "paper-fed-back" writes eq. (29) back into them in every frame, which makes them
-        over-confident. "covariance-intersection" (weights 1/n) is conservative.
+        "exact" counts the shared prior of the sub-filters once. "paper" runs the sub-filters independently
+        and publishes eq. (29). "paper-fed-back" feeds eq. (29) back into them in every frame, which makes
+        them overconfident. "covariance-intersection" (weights 1/n) is conservative.
     iterations : int
-        Linearisations per update; the second makes the first updates after a start wrong by a degree or a
-        kilometre consistent.
+        Linearisations per update; the second makes the first updates consistent if the start is wrong by a
+        degree or a kilometre.
     limit_sigmas : float or None
         A rim's noise is inflated until its normalised innovation (5 degrees of freedom) is at most this;
         None: never.
@@ -187,53 +187,35 @@ class DistributedEkf:
             rims = with_predicted_covariances(frame, prior.gTb, problem.camera, problem.catalog).rims
         factors: FloatArray | None = None
         weights: list[float] = []
-        for _ in range(options.iterations):
-            point = prior if not delta.any() else prior.corrected(delta, covariance)
+        for iteration in range(options.iterations):
+            point = prior.corrected(delta, covariance) if iteration else prior
             A, residual, usable = linearise_rims(
-                point.gTb,
-                rims,
-                problem.camera,
-                problem.catalog,
-                model=options.measurement,
-                noise=options.noise,
-            )
-            J = right_jacobian(delta[:3])
-            A[:, :, :3] = A[:, :, :3] @ J
-            residual = residual + A @ delta[POSE]
+                point.gTb, rims, problem.camera, problem.catalog,
+                model=options.measurement, noise=options.noise,
+            )  # fmt: skip
             if factors is None:
                 rims, keep, factors = self._weights(rims, A, residual, usable, prior)
                 A, residual, usable = A[keep], residual[keep], usable[keep]
-            root = np.sqrt(factors)
-            updates = [
-                LinearMeasurement(A[i] / root[i], residual[i] / root[i]) for i in np.flatnonzero(usable)
-            ]
-            updates += [
-                _relative(arc, J, delta)
-                for arc in linearise_arcs(point.gTb, frame.arcs, problem.camera, problem.catalog)
-            ]
-            sun = linearise_sun(point.gTb, frame.sun, problem.camera)
-            if sun is not None:
-                sun = _relative(sun, J, delta)
-                # A central filter uses the sun once; independent sub-filters use it once each.
-                users = 1 if rule == "exact" else len(updates)
-                updates = [_with(u, sun) if i < users else u for i, u in enumerate(updates)] or [sun]
+            rows, count = _pose_rows(A, residual, usable, factors, point.gTb, frame, problem, rule)
+            if iteration:
+                rows = _relative(rows, delta)
             if samples:
-                rows = [linearise_sample(one, point, delta, frame.stamp_ns) for one in samples]
+                compared = [linearise_sample(one, point, delta, frame.stamp_ns) for one in samples]
                 if not weights:
                     gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
                     weights = [
                         innovation_weight(one, *row, prior.covariance, gate)
-                        for one, row in zip(samples, rows, strict=True)
+                        for one, row in zip(samples, compared, strict=True)
                     ]
-                updates = [_widened(update, len(delta)) for update in updates]
-                updates += [
+                updates = [
                     LinearMeasurement(np.sqrt(weight) * A, np.sqrt(weight) * residual)
-                    for weight, (A, residual) in zip(weights, rows, strict=True)
+                    for weight, (A, residual) in zip(weights, compared, strict=True)
                     if weight > 0.0
                 ]
-            if not updates:
+                rows, count = stacked([_widened(rows, len(delta)), *updates]), count + len(updates)
+            if not count:
                 return point
-            delta, covariance = fuse_updates(prior.covariance, updates, rule)
+            delta, covariance = fuse_rows(prior.covariance, rows, count, rule)
         return prior.corrected(delta, covariance)
 
     def _weights(
@@ -248,7 +230,7 @@ class DistributedEkf:
         options = self.options
         limit = np.inf if options.limit_sigmas is None else options.limit_sigmas
         gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
-        sigmas, factors = noise_inflation(A, residual, prior.covariance[POSE, POSE], limit)
+        sigmas, factors = noise_inflation(A, residual, prior.covariance, limit)
         keep = usable & (sigmas <= gate)
         # When all rims disagree with the prediction, the prediction is suspect.
         if not keep.any():
@@ -256,20 +238,37 @@ class DistributedEkf:
         return rims.take(keep), keep, factors[keep]
 
 
-def _relative(update: LinearMeasurement, J: FloatArray, delta: FloatArray) -> LinearMeasurement:
+def _pose_rows(
+    A: FloatArray, residual: FloatArray, usable: npt.NDArray[np.bool_], factors: FloatArray, gTb: FloatArray,
+    frame: FrameMeasurement, problem: Problem, rule: Rule,
+) -> tuple[LinearMeasurement, int]:  # fmt: skip
+    """Stack what a frame tells of the pose (rims of given noise factors, arcs, sun); count sub-filters."""
+    root = np.sqrt(factors)[:, None]
+    A, residual = A / root[:, :, None], residual / root
+    if not usable.all():
+        A, residual = A[usable], residual[usable]
+    rows, count = [LinearMeasurement(A.reshape(-1, POSE.stop), residual.ravel())], len(A)
+    if len(frame.arcs):
+        arcs = linearise_arcs(gTb, frame.arcs, problem.camera, problem.catalog)
+        rows, count = rows + arcs, count + len(arcs)
+    sun = linearise_sun(gTb, frame.sun, problem.camera)
+    if sun is not None:
+        count = max(count, 1)
+        # A central filter uses the sun once; independent sub-filters use it once each.
+        often = 1.0 if rule == "exact" else np.sqrt(count)
+        rows.append(LinearMeasurement(often * sun.A, often * sun.residual))
+    return stacked(rows), count
+
+
+def _relative(update: LinearMeasurement, delta: FloatArray) -> LinearMeasurement:
     """Refer a measurement linearised at a corrected pose to the prior's error."""
     A = update.A.copy()
-    A[:, :3] = A[:, :3] @ J
+    A[:, :3] = A[:, :3] @ right_jacobian(delta[:3])
     return LinearMeasurement(A, update.residual + A @ delta[POSE])
 
 
-def _with(update: LinearMeasurement, sun: LinearMeasurement) -> LinearMeasurement:
-    """Stack the sun's tilt on another measurement."""
-    return LinearMeasurement(np.vstack([update.A, sun.A]), np.concatenate([update.residual, sun.residual]))
-
-
 def _widened(update: LinearMeasurement, size: int) -> LinearMeasurement:
-    """Give a measurement of the first states as one of all."""
+    """Return a measurement of the first states as one of all."""
     A = np.zeros((len(update.A), size))
     A[:, : update.A.shape[1]] = update.A
     return LinearMeasurement(A, update.residual)

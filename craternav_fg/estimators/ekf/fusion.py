@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.estimators import filter_kernel
 from craternav_fg.estimators.linearisation import LinearMeasurement
-from craternav_fg.linalg import square_root, whitening
+from craternav_fg.linalg import whitening
 
 FloatArray = npt.NDArray[np.float64]
 Rule = Literal["paper-fed-back", "exact", "covariance-intersection"]
@@ -42,37 +43,71 @@ def fuse_updates(
     covariance : ndarray, shape (n, n)
         Covariance of the fused estimate.
 
+    Raises
+    ------
+    LinAlgError
+        When the covariance is not positive definite.
+
     References
     ----------
     Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (29); docs/equations.md.
     """
-    k = updates[0].A.shape[1]
-    L = square_root(covariance)
-    count = len(updates)
-    # Whitened information of sub-filter i: I + A_i' A_i on the first k states, I on the others (L is
-    # lower triangular, so the first k states depend on the first k whitened ones only).
-    gain = np.zeros((k, k))
-    vector = np.zeros(k)
-    for update in updates:
-        A = update.A @ L[:k, :k]
-        gain += A.T @ A
-        vector += A.T @ update.residual
-    if rule == "exact":
-        prior = 1.0
-    elif rule == "paper-fed-back":
-        prior = float(count)
-    else:
-        prior = 1.0
-        gain /= count
-        vector /= count
-    # Whitened coordinates need no scaling. The inverse of a small factor, not a triangular solve: LAPACK's
-    # starts threads whatever the size.
-    inverse = np.linalg.inv(np.linalg.cholesky(prior * np.eye(k) + gain))
-    root = L / np.sqrt(prior)
-    root[:, :k] = L[:, :k] @ inverse.T
-    delta = root[:, :k] @ (inverse @ vector)
-    out: FloatArray = root @ root.T
+    return fuse_rows(covariance, stacked(updates), len(updates), rule)
+
+
+def fuse_rows(
+    covariance: FloatArray, rows: LinearMeasurement, count: int, rule: Rule
+) -> tuple[FloatArray, FloatArray]:
+    """Fuse sub-filters as `fuse_updates` does, given the rows of all their measurements.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n)
+        Covariance of the common prior.
+    rows : LinearMeasurement
+        Of k first states.
+    count : int
+        Number of sub-filters.
+    rule : {"exact", "paper-fed-back", "covariance-intersection"}
+        As of `fuse_updates`.
+
+    Returns
+    -------
+    delta : ndarray, shape (n,)
+        Correction of the prior's mean, in the units of the error state.
+    covariance : ndarray, shape (n, n)
+        Covariance of the fused estimate.
+
+    Raises
+    ------
+    LinAlgError
+        When the covariance is not positive definite.
+    """
+    # Whitened information of sub-filter i: I + A_i' A_i.
+    prior = float(count) if rule == "paper-fed-back" else 1.0
+    share = 1.0 / count if rule == "covariance-intersection" else 1.0
+    delta, out, sound = filter_kernel.fused(covariance, rows.A, rows.residual, prior, share)
+    if not sound:
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
     return delta, out
+
+
+def stacked(updates: Sequence[LinearMeasurement]) -> LinearMeasurement:
+    """Stack the rows of measurements of the same states.
+
+    Parameters
+    ----------
+    updates : sequence of LinearMeasurement
+        At least one.
+
+    Returns
+    -------
+    LinearMeasurement
+    """
+    if len(updates) == 1:
+        return updates[0]
+    A = np.concatenate([update.A for update in updates])
+    return LinearMeasurement(A, np.concatenate([update.residual for update in updates]))
 
 
 def combine(deltas: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
