@@ -82,7 +82,7 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Change]:
     Returns
     -------
     list of Change
-        Of all numbers that both have. A number with spreads moved when each median lies outside the
+        One for each number that both have. A number with spreads moved when each median lies outside the
         other's spread.
     """
     out = []

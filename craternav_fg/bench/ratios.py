@@ -97,32 +97,62 @@ def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 10
     """
     values = bench.values(np.random.default_rng(1), scale=0.1)
     ours = FactorGraph()
-    reference = gtsam.NonlinearFactorGraph()
     problem = bench.problem
-    model = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
-    camera = problem.camera
-    calibration = gtsam.Cal3_S2(FOCAL_PX, FOCAL_PX, 0.0, camera.cx_px, camera.cy_px)
-    mounting = gtsam.Pose3(camera.bTc)
     for i, frame in enumerate(problem.frames):
         add_frame(ours, problem, GraphOptions(), X(i), frame)
-        if landmarks:
+    if landmarks:
+        reference = gtsam.NonlinearFactorGraph()
+        for i in range(len(problem.frames)):
             bench.landmark_factors(reference, i)
-            continue
-        for row, chart in zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True):
-            values.insert(L(row), problem.catalog.centres[row])
-            pixel = camera.pixels(chart[:2])
-            reference.push_back(
-                gtsam.GenericProjectionFactorCal3_S2(pixel, model, X(i), L(row), calibration, mounting)
-            )
+    else:
+        reference = projection_factors(bench, values)
     ratio = interleaved(lambda: ours.linearize(values), lambda: reference.linearize(values), repetitions)
     frames = len(problem.frames)
     return replace(ratio, ours_us=ratio.ours_us / frames, reference_us=ratio.reference_us / frames)
 
 
-def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
-    """Compare the optimisation of the whole descent: ours against GTSAM's LM with QR on its own factors.
+def projection_factors(bench: Bench, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+    """Make a `GenericProjectionFactorCal3_S2` with a mounting for every crater, and insert their centres.
 
-    GTSAM's Cholesky, its default, needs ten times as long here: it fails on realistic IMU information.
+    Parameters
+    ----------
+    bench : Bench
+    values : gtsam.Values
+        Changed.
+
+    Returns
+    -------
+    gtsam.NonlinearFactorGraph
+    """
+    graph = gtsam.NonlinearFactorGraph()
+    model = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+    camera = bench.problem.camera
+    calibration = gtsam.Cal3_S2(FOCAL_PX, FOCAL_PX, 0.0, camera.cx_px, camera.cy_px)
+    mounting = gtsam.Pose3(camera.bTc)
+    for i, frame in enumerate(bench.problem.frames):
+        for row, chart in zip(frame.rims.craters.tolist(), frame.rims.chart, strict=True):
+            values.insert(L(row), bench.problem.catalog.centres[row])
+            pixel = camera.pixels(chart[:2])
+            graph.push_back(
+                gtsam.GenericProjectionFactorCal3_S2(pixel, model, X(i), L(row), calibration, mounting)
+            )
+    return graph
+
+
+def batch_graphs(
+    bench: Bench,
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Make the graph of a descent with our factors, the one with GTSAM's own, and their initial values.
+
+    Parameters
+    ----------
+    bench : Bench
+
+    Returns
+    -------
+    ours, reference : gtsam.NonlinearFactorGraph
+        With the same IMU factors.
+    values : gtsam.Values
     """
     values = bench.values(np.random.default_rng(1))
     ours = build_graph(bench.problem, GraphOptions(), values)
@@ -134,6 +164,15 @@ def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
             reference.push_back(factor)
     for i in range(len(bench.gTb)):
         bench.landmark_factors(reference, i)
+    return ours, reference, values
+
+
+def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
+    """Compare the optimisation of the whole descent: ours against GTSAM's LM with QR on its own factors.
+
+    GTSAM's Cholesky, its default, needs ten times as long here: it fails on realistic IMU information.
+    """
+    ours, reference, values = batch_graphs(bench)
     params = gtsam.LevenbergMarquardtParams()
     params.setLinearSolverType("MULTIFRONTAL_QR")
     params.setRelativeErrorTol(RELATIVE_TOLERANCE)

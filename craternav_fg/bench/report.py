@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from craternav_fg.bench import ratios
 from craternav_fg.bench.compare import SPREAD
 from craternav_fg.bench.detect import detect_ms
+from craternav_fg.bench.floors import batch_steps, factor_floor
 from craternav_fg.bench.guided import guided_costs
 from craternav_fg.bench.identification import identify_scalars
 from craternav_fg.bench.images import render_costs
@@ -98,7 +99,7 @@ class Result:
     online: Online
 
     def json(self) -> dict[str, float | list[float]]:
-        """Give all numbers by name: each ratio's median, its 10 % and 90 % points, its median on the wall."""
+        """Return all numbers by name: median, 10 % and 90 % points and wall-clock median of each ratio."""
         out: dict[str, float | list[float]] = {}
         for name, ratio in self.ratios.items():
             out[name] = ratio.median
@@ -139,8 +140,12 @@ def run(sizes: Sizes, report: Report) -> Result:
         bench = make(100, craters)
         measured[f"factor_ratio_n{craters}"] = ratios.factor_ratio(bench)
         measured[f"factor_ratio_landmark_n{craters}"] = ratios.factor_ratio(bench, landmarks=True)
+        measured[f"factor_floor_n{craters}"] = factor_floor(bench)
         step()
-    measured["batch_ratio"] = ratios.batch_ratio(make(sizes.batch_frames, 5))
+    bench = make(sizes.batch_frames, 5)
+    measured["batch_ratio"] = ratios.batch_ratio(bench)
+    steps_of_batch, counts = batch_steps(bench)
+    measured.update(steps_of_batch)
     step()
     batch_s = ratios.batch_seconds([make(frames, 5) for frames in sizes.frames])
     for _ in sizes.frames:
@@ -164,6 +169,7 @@ def run(sizes: Sizes, report: Report) -> Result:
         "online_flatness": float(np.median([run.flatness for run in online])),
         "online_frames_per_s": 1.0 / float(np.mean([run.ours_s[:, 0].mean() for run in online])),
         "online_frames": float(sizes.online_frames),
+        **counts,
         **resection_scalars(sizes.resection_problems),
     }
     step()

@@ -39,7 +39,7 @@ class Cell:
 
 
 def run_cell(cell: Cell) -> list[dict[str, float]]:
-    """Give the position errors of eq. (10) started at the truth, and of eq. (13) started at its solution.
+    """Return the position errors of eq. (10) started at the truth, and of eq. (13) started at its solution.
 
     Parameters
     ----------

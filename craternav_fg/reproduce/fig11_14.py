@@ -109,7 +109,7 @@ def papers_set_up(options: ReproduceOptions, craters: int) -> bool:
 
 
 def fine_conditions(options: ReproduceOptions) -> list[tuple[float, float]]:
-    """Give altitude, m, and noise, px, at which the paper's two craters are tried with less noise."""
+    """Return altitude, m, and noise, px, at which the paper's two craters are tried with less noise."""
     if options.altitudes_km[1] != 100.0 or not papers_set_up(options, 2):
         return []
     return [(1e5, FINE_NOISE_PX)]

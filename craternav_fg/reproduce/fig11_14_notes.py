@@ -51,7 +51,7 @@ def efficiency(conditions: Mapping[float, Condition]) -> str:
         text += f"; in {np.mean(fitted == 0.0):.1%} the points of a rim determine no ellipse"
     lost = (fitted > 0.0) & (found == 0.0)
     if lost.any():
-        text += f"; in {np.mean(lost):.1%} the efficient solver gives no pose"
+        text += f"; in {np.mean(lost):.1%} the efficient solver finds no pose"
     if (found > 1).any():
         text += f"; in {np.mean(found > 1):.1%} it gives several, of which the nearest to the truth counts"
     return text + "." + _not_converged(conditions)
@@ -69,7 +69,7 @@ def _ratios(km: float, condition: Condition) -> str:
 
 
 def _not_converged(conditions: Mapping[float, Condition]) -> str:
-    """Say in which share of the counted trials each method of the paper did not converge."""
+    """Return the share of counted trials in which each method of the paper did not converge."""
     parts = []
     for equation in (CENTRES, EDGES, TWO, SHAPES):
         name = f"{equation.corrected}_converged"
@@ -104,9 +104,9 @@ def _values(conditions: Mapping[float, Condition], method: str) -> str:
 
 
 def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
-    """Say where the minimisation of eq. (11) with its printed sign ends."""
+    """Describe where the minimisation of eq. (11) with its printed sign ends."""
     off = np.concatenate([c.values(method) for c in conditions.values()])
-    where = "the minimisation gives no pose. "
+    where = "the minimisation finds no pose. "
     if len(off):
         median = float(np.median(off)) / 1e3
         far = f"{median:.2g} km" if median < _FAR_KM else "more than a million km"
@@ -212,7 +212,7 @@ def _beside_bound(
 
 
 def fine_noise(corrected: float, paper: float, noise_px: float) -> str:
-    """Give the error of eq. (23) at a noise that is not the paper's beside the paper's printed error.
+    """Return the error of eq. (23) at a noise that is not the paper's beside the paper's printed error.
 
     References
     ----------

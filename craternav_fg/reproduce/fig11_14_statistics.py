@@ -71,7 +71,7 @@ class Condition:
         Returns
         -------
         ndarray, shape (n,)
-            In `unit`, without the trials in which the method gives no pose.
+            In `unit`, without the trials in which the method finds no pose.
         """
         column = self.columns[f"{method}_{self.unit}"][self.counted]
         return np.asarray(column[np.isfinite(column)])
@@ -96,7 +96,7 @@ class Condition:
         return float(values.std()) if kind == STD else float(np.sqrt(np.mean(values**2)))
 
     def bound(self, kind: str) -> float | None:
-        """Give the same statistic of errors that are Gaussian with the bound as their covariance."""
+        """Return the same statistic of errors that are Gaussian with the bound as their covariance."""
         if not self.counted.any():
             return None
         square = float(np.mean(self.bounds() ** 2))
@@ -106,7 +106,7 @@ class Condition:
         return float(np.sqrt(square - mean**2)) if kind == STD else float(np.sqrt(square))
 
     def standard_error(self, method: str, kind: str) -> float:
-        """Give the standard error of a method's mean or standard deviation."""
+        """Return the standard error of a method's mean or standard deviation."""
         values = self.values(method)
         std = float(values.std()) if len(values) else 0.0
         if std == 0.0 or kind == MEAN:

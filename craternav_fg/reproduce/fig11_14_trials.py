@@ -75,7 +75,7 @@ class Batch:
 
 
 def run_batch(batch: Batch) -> list[dict[str, float]]:
-    """Give the errors of every method in every trial of a batch; NaN where a method gives no pose.
+    """Return the errors of every method in every trial of a batch; NaN where a method finds no pose.
 
     `converged` of a method of the paper is 0 where the error is that of the pose at which it stopped.
     """
@@ -174,7 +174,7 @@ def simulate(
     Returns
     -------
     pyarrow.Table
-        A row per trial: the errors of each method, NaN where it gives no pose; whether it converged; the
+        A row per trial: the errors of each method, NaN where it finds no pose; whether it converged; the
         bound.
     """
     conditions = [(1e3 * km, options.noise_px) for km in altitudes_km(options)] + list(extra)

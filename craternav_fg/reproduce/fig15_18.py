@@ -113,7 +113,7 @@ def _errors(name: str, quantity: str, trials: Descents, kind: str) -> list[Row]:
 
 
 def _verdict(printed: float, value: dict[str, float | None], unit: str) -> str:
-    """Say whether the paper's filter and the corrected one are within the paper's number."""
+    """Return whether the paper's filter and the corrected one are within the paper's number."""
     words = []
     for name, who in ((PAPERS, "the paper's filter"), (FILTER, "the chart EKF")):
         found = value[name]
@@ -124,7 +124,7 @@ def _verdict(printed: float, value: dict[str, float | None], unit: str) -> str:
 
 
 def _told(verdict: str, trials: Descents, *names: str) -> str:
-    """Add to a verdict which of the row's estimators gave no trajectory in some trials."""
+    """Add to a verdict which of the row's estimators produced no trajectory in some trials."""
     return "; ".join(part for part in (verdict, without(trials, names)) if part)
 
 
@@ -188,7 +188,7 @@ def _than(who: str, ratio: float | None, whose: str) -> str:
 
 
 def _consistency(name: str, trials: Descents) -> list[Row]:
-    """Give the ANEES over all altitudes, and bin by bin."""
+    """Return the ANEES over all altitudes, and bin by bin."""
     found = {one: trials.of(one) for one in fig15_18_trials.ESTIMATORS}
     edges = [1e3 * km for km in BINS_KM]
     altitude_m = 1e3 * trials.altitude_km

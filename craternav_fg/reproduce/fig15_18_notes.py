@@ -41,7 +41,7 @@ _NAMES = {
 
 
 def without(trials: Descents, names: Iterable[str] = ESTIMATORS) -> str:
-    """Say which estimators gave no trajectory, in how many trials; empty when all gave one in each."""
+    """Name the estimators without a trajectory, and in how many trials; empty if there are none."""
     count = len(trials.numbers)
     many = f" in {{}} of {count} trials" if count > 1 else ""
     lost = [f"{name}{many.format(trials.lost[name])}" for name in names if trials.lost[name]]

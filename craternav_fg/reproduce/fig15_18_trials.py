@@ -46,7 +46,7 @@ def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.
     Returns
     -------
     pyarrow.Table
-        Of `craternav_fg.campaign.trial.SCHEMA`.
+        Columns as in `craternav_fg.campaign.trial.SCHEMA`.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def simulate(options: ReproduceOptions, progress: Progress | None = None) -> pa.
 
 
 def scenario_of(options: ReproduceOptions) -> Scenario:
-    """Give the paper's third case with the seed of the options; the default seed is the scenario's own.
+    """Return the paper's third case with the seed of the options; the default seed is the scenario's own.
 
     With the default seed the trials are those of a campaign of the scenario.
     """
@@ -76,7 +76,7 @@ class Trial:
 
 
 def first_trials(options: ReproduceOptions, count: int) -> list[Trial]:
-    """Give the first trials of figs. 17 and 18, at most `count`."""
+    """Return the first trials of figs. 17 and 18, at most `count`."""
     scenario = scenario_of(options)
     return [Trial(scenario, number) for number in range(min(options.descents, count))]
 
@@ -108,7 +108,7 @@ def table(results: Sequence[TrialResult]) -> pa.Table:
 
 @dataclass(frozen=True)
 class Errors:
-    """An estimator's errors in one quantity, in the trials in which it gave a trajectory.
+    """An estimator's errors in one quantity, in the trials in which it produced a trajectory.
 
     Means over no trial are NaN.
 
@@ -199,7 +199,7 @@ class Descents:
         return int(np.argmin(np.abs(self.altitude_km - altitude_km)))
 
     def first(self) -> "Descents":
-        """Give the first trial alone."""
+        """Return the first trial alone."""
         return Descents(self.data.filter(pc.equal(self.data["trial"], self.numbers[0])), self.unit)
 
     def of(self, name: str) -> Errors:
@@ -233,7 +233,7 @@ class Descents:
 
     @functools.cached_property
     def lost(self) -> dict[str, int]:
-        """Number of trials in which each estimator gave no trajectory."""
+        """Number of trials in which each estimator produced no trajectory."""
         return {name: len(self.numbers) - len(self.of(name).trials) for name in ESTIMATORS}
 
     @functools.cached_property

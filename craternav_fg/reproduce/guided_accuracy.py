@@ -16,6 +16,7 @@ from craternav_fg.vision.guided_options import SINGLE_IMAGE, GuidedOptions
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 # The bias of the sizes is taken over the rims below this semi-minor axis: a bias in px is largest there.
 SMALL_PX = 60.0
@@ -55,6 +56,8 @@ class RimErrors:
 
     Attributes
     ----------
+    craters : ndarray of int, shape (n,)
+        Rows of the catalogue.
     centre_px : ndarray, shape (n, 2)
     axes_px : ndarray, shape (n, 2)
         Errors of the semi-major and the semi-minor axis.
@@ -66,6 +69,7 @@ class RimErrors:
         Number of rims that should be measured, including those that are.
     """
 
+    craters: IntArray
     centre_px: FloatArray
     axes_px: FloatArray
     chi2: FloatArray
@@ -150,7 +154,7 @@ def rim_errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> R
     chi2 = squared_distance(error, rims.covariance)
     measured, true = (axes_of_chart(pixel_chart(charts, one.camera)) for charts in (rims.chart, truth))
     difference = measured - true
-    return RimErrors(difference[:, :2], difference[:, 2:4], chi2, true[:, 3], len(wanted))
+    return RimErrors(rims.craters, difference[:, :2], difference[:, 2:4], chi2, true[:, 3], len(wanted))
 
 
 def accuracy(

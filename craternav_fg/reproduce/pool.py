@@ -7,8 +7,8 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 from typing import TypeVar
 
-from craternav_fg.campaign.workers import processes
 from craternav_fg.errors import CraternavError
+from craternav_fg.workers import processes
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

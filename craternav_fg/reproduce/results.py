@@ -50,7 +50,7 @@ class Row:
     headline: bool = True
 
     def as_dict(self) -> dict[str, str | float | None]:
-        """Give the fields by name, as reproduction.json holds them."""
+        """Return the fields by name, as reproduction.json holds them."""
         return {name: getattr(self, name) for name in FIELDS}
 
 
@@ -141,7 +141,7 @@ def verdict(
 
 
 def known(value: float) -> float | None:
-    """Give a number as a row holds it: None where it is not finite."""
+    """Return a number as a row holds it: None where it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 

@@ -3,6 +3,7 @@
 Not part of the paper, which has eqs. (10), (11) and (19) in a filter alone.
 """
 
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ ESTIMATORS = ("smoother", "online", "ekf")
 MAX_TRIALS = 10
 # Of the altitude, over which the ANEES is averaged.
 BINS_KM = (100.0, 70.0, 40.0, 10.0)
+_BINS = tuple(f"ANEES, {high:.0f} to {low:.0f} km" for high, low in itertools.pairwise(BINS_KM))
 # A view with so many rims determines the pose by itself; fewer are judged apart.
 ENOUGH_RIMS = 3
 # Starting poses around the truth at a frame: their number, turn, and shift as a share of the altitude.
@@ -54,7 +56,7 @@ class Kept:
     Attributes
     ----------
     trials : int
-        That gave a trajectory.
+        That produced a trajectory.
     rms_m : float
         RMS position error over trials and frames.
     few_rims_rms_m : float
@@ -103,7 +105,9 @@ def rim_models(options: ReproduceOptions, progress: Progress | None = None) -> R
         for quantity, unit, value in (
             ("position error, RMS", "m", one.rms_m),
             ("ANEES", "", one.anees),
+            *zip(_BINS, itertools.repeat(""), one.anees_by_altitude, strict=False),
             ("CPU time per frame", "ms", one.frame_ms),
+            ("basin", "", one.basin),
         ):
             rows.append(
                 Row(NAME, quantity, condition, unit, corrected=value, verdict=NO_NUMBER, headline=unit == "m")
@@ -123,7 +127,7 @@ def evaluate(data: pa.Table) -> dict[tuple[RimModel, str], Kept]:
     Returns
     -------
     dict of (str, str) to Kept
-        By measurement and estimator; a pair that gave no trajectory is missing.
+        By measurement and estimator; a pair that produced no trajectory is missing.
     """
     found: dict[tuple[RimModel, str], Kept] = {}
     for model in RIM_MODELS:
@@ -172,7 +176,7 @@ def note(kept: dict[tuple[RimModel, str], Kept], trials: int) -> str:
     for model in RIM_MODELS[1:]:
         one = kept.get((model, "online"))
         if one is None:
-            parts.append(f"{model} gave no trajectory.")
+            parts.append(f"{model} produced no trajectory.")
             continue
         consistent = "" if one.anees < 2.0 * chart.anees else f", but an ANEES of {number(one.anees)}"
         parts.append(

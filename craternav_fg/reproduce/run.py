@@ -51,7 +51,7 @@ CONTENTS = (MARKER, "reproduction.md", *(f"{name}.*" for name in (*FIGURES, *OTH
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """Give the figures of some names, "all" included, in the paper's order.
+    """Return the figures of some names, "all" included, in the paper's order.
 
     Raises
     ------

@@ -28,7 +28,7 @@ def compared(value: float, reference: float, within: float = EQUAL_WITHIN) -> st
 
 
 def changed(first: float, last: float) -> str:
-    """Say by which factor a number grows or falls: "grows by a factor of 3.7".
+    """Describe the factor by which a number grows or falls: "grows by a factor of 3.7".
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def errors_px(rims: pa.Table, kind: str, method: str) -> FloatArray:
     Returns
     -------
     ndarray, shape (3, n)
-        Of the centre and the semi-axes.
+        Errors of the centre and the semi-axes.
     """
     x, y, major, minor = _signed_px(rims, kind, method)
     return np.abs(np.stack([np.hypot(x, y), major, minor]))

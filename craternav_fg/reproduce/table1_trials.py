@@ -99,7 +99,7 @@ class Sets:
 
 
 def run_image(image: Image) -> tuple[list[dict[str, object]], list[dict[str, object]], list[float]]:
-    """Give the rows of `Sets.rims` and of `Sets.images`, and the crest offsets of one image."""
+    """Return the rows of `Sets.rims` and of `Sets.images`, and the crest offsets of one image."""
     rng = np.random.default_rng([image.seed, 5, image.number])
     if image.kind == CREST:
         return [], [], _crests(image, rng)
@@ -121,7 +121,7 @@ def run_image(image: Image) -> tuple[list[dict[str, object]], list[dict[str, obj
                 errors[method][k] = (found[detected] - one.ellipses_px[true])[:4]
     for method, prediction in PREDICTIONS[image.kind].items():
         frame, e = measure(one, SINGLE_IMAGE, prediction, rng)
-        measured = [k for row in frame.rims.craters if (k := place.get(int(row))) is not None]
+        measured = [place[int(row)] for row in e.craters]
         errors[method][measured] = np.hstack([e.centre_px, e.axes_px])
         chi2[method][measured] = e.chi2
         if method == GUIDED and frame.sun is not None:
@@ -156,7 +156,7 @@ def _crests(image: Image, rng: np.random.Generator) -> list[float]:
 
 
 def counts(options: ReproduceOptions) -> dict[str, int]:
-    """Give the number of images of each set."""
+    """Return the number of images of each set."""
     return {kind: max(options.images // over, 1) for kind, over in _IMAGES_OVER.items()}
 
 

@@ -74,7 +74,7 @@ def table2(data: pa.Table, options: ReproduceOptions) -> Reproduction:
 
 
 def _deviations(data: pa.Table, method: str, tag: str) -> FloatArray:
-    """Give standard deviations (altitudes, 6) of the coefficients' errors, NaN for fewer than two rims."""
+    """Return standard deviations (altitudes, 6) of the coefficients' errors, NaN for fewer than two rims."""
     altitude = data["altitude_km"].to_numpy()
     errors = np.stack([data[f"{method}_{name}{tag}"].to_numpy() for name in COEFFICIENTS])
     parts = [errors[:, (altitude == km) & np.isfinite(errors[0])] for km in TABLE2]
@@ -88,7 +88,7 @@ def _steps() -> FloatArray:
 
 
 def _out_of_line(row: int, column: int) -> str:
-    """Say when a printed number is far from that of the next lower altitude."""
+    """Remark that a printed number is far from that of the next lower altitude."""
     steps = _steps()
     if row == len(steps) or abs(np.log(steps[row, column])) <= np.log(_OUT_OF_LINE_FACTOR):
         return ""

@@ -44,7 +44,7 @@ class Batch:
 
 
 def run_batch(batch: Batch) -> list[dict[str, float]]:
-    """Give the errors of every method in every image of a batch; NaN where it finds no rim."""
+    """Return the errors of every method in every image of a batch; NaN where it finds no rim."""
     return [_run_image(batch, image) for image in range(batch.first, batch.last)]
 
 

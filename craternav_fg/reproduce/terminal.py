@@ -9,7 +9,7 @@ from craternav_fg.reproduce.results import NO_NUMBER, NUMBERS, Reproduction, num
 
 
 def tables(result: Reproduction) -> Iterator[tuple[str, Table]]:
-    """Give heading and table of each quantity: its headline rows, without columns that have no number."""
+    """Return heading and table of each quantity: its headline rows, without columns that have no number."""
     headlines = [row for row in result.rows if row.headline]
     for quantity, unit in dict.fromkeys((row.quantity, row.unit) for row in headlines):
         rows = [row for row in headlines if (row.quantity, row.unit) == (quantity, unit)]

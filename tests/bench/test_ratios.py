@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from craternav_fg.bench import detect, images, pipeline, ratios, report
+from craternav_fg.bench import detect, floors, images, pipeline, ratios, report
 from craternav_fg.bench.problems import Bench, make
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli.app import app
@@ -27,7 +27,12 @@ TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5, 1, 3)
 PROMISED = {
     "factor_ratio_n10",
     "factor_ratio_n30",
+    "factor_floor_n10",
     "batch_ratio",
+    "batch_step_ratio",
+    "batch_step_floor",
+    "batch_iterations",
+    "batch_reference_iterations",
     "online_mean_ratio",
     "online_p99_ratio",
     "fixed_lag_ratio",
@@ -70,6 +75,22 @@ def test_both_sides_solve_their_problem(bench: Bench) -> None:
             np.linalg.norm(result.values.atPose3(X(i)).translation() - bench.gTb[i, :3, 3]) for i in range(60)
         ]
         assert max(off) < 60.0
+
+
+def test_a_floor_has_the_same_system_to_solve(bench: Bench) -> None:
+    """Frozen callbacks give what ours give at one point, and at any other."""
+    ours, _, values = ratios.batch_graphs(bench)
+    linear = ours.linearize(values)
+    frozen = floors._frozen(ours, linear)
+    moved = bench.values(np.random.default_rng(2))
+    for number in range(ours.size()):
+        if not isinstance(ours.at(number), gtsam.CustomFactor):
+            continue
+        A, b = linear.at(number).jacobian()
+        for where in (values, moved):
+            found = frozen.at(number).linearize(where).jacobian()
+            assert_allclose(found[0], A)
+            assert_allclose(found[1], b)
 
 
 def test_reference_session_tracks_as_ours_does(bench: Bench) -> None:
@@ -117,6 +138,7 @@ def quiet(what: str, done: int, total: int) -> None:
     """Report nothing."""
 
 
+@pytest.mark.slow
 def test_command_writes_figure_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "QUICK", TINY)
     monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
@@ -153,6 +175,7 @@ def test_a_figure_of_no_known_kind_is_refused_before_anything_is_measured(tmp_pa
     assert "expected a name that ends in .png" in str(done.exception)
 
 
+@pytest.mark.slow
 def test_what_an_image_costs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "ALTITUDES_M", (20e3, 8e3))
     monkeypatch.setattr(images, "FRAMES", 1)

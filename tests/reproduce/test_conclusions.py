@@ -77,7 +77,7 @@ def test_fig03_says_whether_the_error_grows(power: float, share: str) -> None:
 
 
 def rims(errors: Mapping[tuple[str, str], tuple[float, float]]) -> Sets:
-    """Give two rims of each set: error of the centre in x and of both semi-axes, by set and method."""
+    """Return two rims of each set: error of the centre in x and of both semi-axes, by set and method."""
     rows = []
     for kind in (FINE, IRREGULAR):
         for image in range(2):
@@ -100,7 +100,7 @@ def test_table1_gives_the_biases_and_the_ratio_of_the_rims() -> None:
 
 
 def coefficients(scale: float) -> pa.Table:
-    """Give two rims at each altitude whose errors have the paper's standard deviations times a scale."""
+    """Return two rims at each altitude whose errors have the paper's standard deviations times a scale."""
     rows = []
     for km, printed in table2.TABLE2.items():
         for sign in (-1.0, 1.0):

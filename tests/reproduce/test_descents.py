@@ -217,6 +217,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short")
+@pytest.mark.slow
 def test_figures_of_simulated_descents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lag_module, "BAND_KM", (100.0, 0.0))
     monkeypatch.setattr(lag_module, "LAGS_S", (4.0, 10.0))

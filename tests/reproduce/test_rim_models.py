@@ -56,7 +56,7 @@ def test_the_note_is_computed(data: pa.Table) -> None:
     assert f"chart {100 * kept['chart', 'online'].basin:.0f} %" in text
     worse = dict(kept)
     del worse["points", "online"]
-    assert "points gave no trajectory" in rim_models.note(worse, 1)
+    assert "points produced no trajectory" in rim_models.note(worse, 1)
 
 
 def test_the_ablation_includes_it() -> None:

@@ -150,7 +150,7 @@ def test_every_statistic_is_of_the_same_trials() -> None:
     for method in fig11_14_trials.METHODS:
         np.testing.assert_array_equal(fewer.values(method), whole.values(method)[kept])
     assert fewer.bound(RMS) == pytest.approx(np.sqrt(np.mean(whole.bounds()[kept] ** 2)))
-    assert "the same 7 of 8 trials; in 12.5% the efficient solver gives no pose" in pose_notes.efficiency(
+    assert "the same 7 of 8 trials; in 12.5% the efficient solver finds no pose" in pose_notes.efficiency(
         {10.0: fewer, 100.0: Condition(data, 1e5, 1.0, "m")}
     )
 
