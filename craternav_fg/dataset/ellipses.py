@@ -26,6 +26,7 @@ from craternav_fg.tables import Column, Table, read_table
 from craternav_fg.tables.sizes import LARGEST
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 CENTRE_X = "ellipseCenterX(px)"
 CENTRE_Y = "ellipseCenterY(px)"
@@ -37,6 +38,7 @@ IMAGE = "inputImage"
 CLASSIFICATION = "crater_classification"
 SIGMA = "sigma_px"
 COVARIANCE = "covariance"
+TRACED = "traced"
 # The challenge's code for a state of degradation that is not given.
 NOT_CLASSIFIED = -1
 # Accepted standard deviations of edge points, px: beyond them the covariance of a fit is rounding errors.
@@ -45,7 +47,8 @@ SIGMA_RANGE_PX = (1e-6, 1e3)
 # many (by chance once in 1e6) and fill so much of its width and height.
 _MIN_RIMS_OF_QUARTER, _FILLED_SHARE = 10, 0.8
 # Rotations of so many elongated rims, all of at most pi, are in radians: degrees are by chance once in 1e6.
-_MIN_TURNED_RIMS, _ELONGATED = 4, 1.05
+# More elongated rims do not count: an oblique view makes them, and aligns them with the horizon.
+_MIN_TURNED_RIMS, _ELONGATED, _FORESHORTENED = 4, 1.05, 1.3
 # Accepted semi-axes: a tenth of a pixel, to this many times the longer side of the image.
 _MIN_SEMI_AXIS_PX = 0.1
 # Smallest eigenvalue of the correlations of an ellipse's errors: a smaller one is rounding.
@@ -68,7 +71,7 @@ class MatchedEllipses:
     sigmas_px : ndarray, shape (n,), or None
         Standard deviation of each rim's edge points along its normal; None without such a column.
     covariances : ndarray, shape (n, 5, 5), or None
-        Of each row of `ellipses_px`, px and rad; None without such a column.
+        Covariance of each row of `ellipses_px`, px and rad; None without such a column.
     """
 
     table: Table
@@ -103,7 +106,36 @@ def read_ellipses(path: Path, camera: Camera) -> FloatArray:
         Naming file, line and column: a value out of range, a rim outside the image, rims that only fill the
         quarter of the image at the origin, or rotations in radians.
     """
-    return _ellipses(read_table(path, tuple(Column(name) for name in ELLIPSE), others=True), camera)
+    return read_detected_ellipses(path, camera)[0]
+
+
+def read_detected_ellipses(path: Path, camera: Camera) -> tuple[FloatArray, BoolArray]:
+    """Read the ellipses of an image, and whether their rims were traced.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with the columns of `read_ellipses` and optionally `traced`, 0 for coarse ellipses.
+    camera : Camera
+        Whose image it is.
+
+    Returns
+    -------
+    ellipses_px : ndarray, shape (n, 5)
+        As `read_ellipses` returns them.
+    traced : ndarray of bool, shape (n,)
+        All true without such a column.
+
+    Raises
+    ------
+    InputError
+        As `read_ellipses`.
+    """
+    columns = (*(Column(name) for name in ELLIPSE), Column(TRACED, optional=True))
+    table = read_table(path, columns, others=True)
+    ellipses = _ellipses(table, camera)
+    traced = table.columns.get(TRACED)
+    return ellipses, np.ones(len(ellipses), np.bool_) if traced is None else traced != 0.0
 
 
 def read_matched_ellipses(path: Path, camera: Camera) -> MatchedEllipses:
@@ -162,8 +194,8 @@ def write_matched_ellipses(path: Path, ellipses_px: FloatArray, craters: Sequenc
     _write(path, (ID,), ellipses_px[known], ([craters[row]] for row in known), decimals=4)
 
 
-def write_detected_ellipses(path: Path, ellipses_px: FloatArray, image_name: str) -> None:
-    """Write the ellipses found in an image, in the columns of NASA's crater detection challenge.
+def write_detected_ellipses(path: Path, ellipses_px: FloatArray, traced: BoolArray, image_name: str) -> None:
+    """Write the ellipses found in an image, in the columns of NASA's crater detection challenge and `traced`.
 
     Parameters
     ----------
@@ -171,17 +203,23 @@ def write_detected_ellipses(path: Path, ellipses_px: FloatArray, image_name: str
         The file appears whole or not at all.
     ellipses_px : ndarray, shape (n, 5)
         As `read_ellipses` returns them, best first.
+    traced : ndarray of bool, shape (n,)
+        Whether the rim was traced: 1, else 0.
     image_name : str
         Name of the image's file.
     """
-    added = ([image_name, NOT_CLASSIFIED] for _ in ellipses_px)
-    _write(path, (IMAGE, CLASSIFICATION), ellipses_px, added, decimals=3)
+    added = ([image_name, NOT_CLASSIFIED, int(each)] for each in traced)
+    _write(path, (IMAGE, CLASSIFICATION, TRACED), ellipses_px, added, decimals=3)
 
 
 def detections_as_plain_data(
-    ellipses_px: FloatArray, charts_covariance_px: FloatArray, quality: FloatArray, sun_angle_rad: float
+    ellipses_px: FloatArray,
+    charts_covariance_px: FloatArray,
+    quality: FloatArray,
+    traced: BoolArray,
+    sun_angle_rad: float,
 ) -> dict[str, Any]:
-    """Turn the ellipses found in an image into lists and numbers, for JSON.
+    """Convert the ellipses found in an image to lists and numbers, for JSON.
 
     Parameters
     ----------
@@ -191,15 +229,20 @@ def detections_as_plain_data(
         Covariances of their charts in pixels.
     quality : ndarray, shape (n,)
         From 0 to 1: how surely each is the rim of a crater.
+    traced : ndarray of bool, shape (n,)
+        Whether each rim was traced.
     sun_angle_rad : float
         Direction in the image, from x towards y, towards the sun; NaN when unknown.
     """
     keys = ("center_x_px", "center_y_px", "semi_major_px", "semi_minor_px")
     rows = []
-    for ellipse, covariance, good in zip(ellipses_px, charts_covariance_px, quality, strict=True):
+    for ellipse, covariance, good, exact in zip(
+        ellipses_px, charts_covariance_px, quality, traced, strict=True
+    ):
         row = {key: round(float(value), 3) for key, value in zip(keys, ellipse, strict=False)}
         row["rotation_deg"] = round(float(np.rad2deg(ellipse[4])), 3)
         row["quality"] = round(float(good), 4)
+        row["traced"] = bool(exact)
         row["center_sigma_px"] = round(float(np.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))), 3)
         rows.append(row)
     sun_angle_deg = None if np.isnan(sun_angle_rad) else round(float(np.rad2deg(sun_angle_rad)), 1)
@@ -302,7 +345,8 @@ def _check_size(table: Table, ellipses_px: FloatArray, camera: Camera) -> None:
 
 def _check_degrees(table: Table, ellipses: FloatArray) -> None:
     """Refuse rotations of ellipses (n, 5) that are in radians; those of circles mean nothing."""
-    turned = (ellipses[:, 2] > _ELONGATED * ellipses[:, 3]) & (ellipses[:, 4] != 0.0)
+    ratio = ellipses[:, 2] / ellipses[:, 3]
+    turned = (ratio > _ELONGATED) & (ratio < _FORESHORTENED) & (ellipses[:, 4] != 0.0)
     if turned.sum() >= _MIN_TURNED_RIMS and np.abs(ellipses[turned, 4]).max() <= np.pi:
         raise InputError(
             table.path,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input
@@ -14,6 +14,10 @@ from craternav_fg.files import SizeLimit, open_input
 MAX_PIXELS = 25_000_000
 # Modes of Pillow that are read as they are; others, such as a palette or CMYK, are converted to colour.
 _PLAIN = ("1", "L", "LA", "I", "I;16", "I;16B", "I;16L", "F", "RGB", "RGBA")
+
+
+class TooManyPixelsError(InputError):
+    """An image is too large to be read as one array."""
 
 
 def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
@@ -32,7 +36,9 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
     Raises
     ------
     InputError
-        When the file is missing, not an image, damaged or too large.
+        When the file is missing, not an image, or damaged.
+    TooManyPixelsError
+        When it is too large.
     """
     try:
         with open_input(path, SizeLimit.IMAGE) as stream, warnings.catch_warnings():
@@ -40,12 +46,15 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
             with Image.open(stream) as image:
                 width, height = image.size
                 if width * height > MAX_PIXELS:
-                    raise InputError(
+                    raise TooManyPixelsError(
                         path, f"{width} x {height} px are more than {MAX_PIXELS // 10**6} million: crop it"
                     )
                 mode = "RGBA" if image.mode == "P" and "transparency" in image.info else "RGB"
                 return np.asarray(image if image.mode in _PLAIN else image.convert(mode))
     except Image.DecompressionBombError as error:
-        raise InputError(path, f"more than {MAX_PIXELS // 10**6} million pixels: crop it") from error
+        raise TooManyPixelsError(path, f"more than {MAX_PIXELS // 10**6} million pixels: crop it") from error
+    except UnidentifiedImageError as error:
+        # Pillow's text names a Python object.
+        raise InputError(path, "cannot be read as an image: unknown format") from error
     except (OSError, SyntaxError, ValueError) as error:
         raise InputError(path, f"cannot be read as an image: {error}") from error

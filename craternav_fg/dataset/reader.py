@@ -44,7 +44,7 @@ _UNIT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Dataset(Recording):
-    """A recording on disk. Its `truth` is at the frames' stamps, interpolated where the file has others.
+    """A recording on disk. Its `truth` is given at the frames' stamps, interpolated if necessary.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class Dataset(Recording):
     image_paths : tuple of Path, length k
         Paths of the frames' images; they need not exist when there are `measurements`.
     ignored : tuple of str
-        Folders below `mav0` that no sensor known here reads.
+        Folders below `mav0` that belong to no known sensor.
     in_colour : int
-        Images that are in colour; they are read as their luma.
+        Number of colour images; their luma is used.
     """
 
     path: Path
@@ -136,7 +136,7 @@ class Dataset(Recording):
         )
 
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
-        """Read the truth at given stamps, interpolated where the file has others; None without a truth.
+        """Read the truth at given stamps, interpolated where the file has others; None without truth.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A descent as it was recorded or simulated: what its sensors measured and what is known beside them."""
+"""A descent as it was recorded or simulated: its measurements, and what else is known."""
 
 from dataclasses import dataclass
 

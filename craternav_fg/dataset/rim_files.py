@@ -326,13 +326,19 @@ def _check_covariances(path: Path, covariances: FloatArray, roots: dict[str, Flo
     sigmas = np.sqrt(np.abs(np.diagonal(covariances, axis1=1, axis2=2)))
     skew = np.abs(covariances - np.swapaxes(covariances, 1, 2))
     scale = sigmas[:, :, None] * sigmas[:, None, :]
-    sound = np.all(skew <= _MAX_ASYMMETRY * scale) and scale.min() > 0.0
+    sound = np.all(skew <= _MAX_ASYMMETRY * scale, axis=(1, 2)) & (sigmas.min(axis=1) > 0.0)
     # A chart's components differ by orders of magnitude: the correlation tells what rounding has left.
-    if not sound or np.linalg.eigvalsh(covariances / scale)[:, 0].min() <= _MIN_EIGENVALUE:
-        raise InputError(path, "expected symmetric positive definite matrices", column="covariance")
+    correlations = covariances[sound] / scale[sound]
+    sound[sound] = np.linalg.eigvalsh(correlations)[:, 0] > _MIN_EIGENVALUE
+    if not sound.all():
+        problem = f"row {int(np.argmin(sound)) + 1}: expected a symmetric positive definite matrix"
+        raise InputError(path, problem, column="covariance")
+    if not roots:
+        return
     white = covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((5, 5)))
-    if roots and np.linalg.eigvalsh(white)[:, 0].min() <= 0.0:
-        problem = "expected parts that are less than the whole covariance"
+    less = np.linalg.eigvalsh(white)[:, 0] > 0.0
+    if not less.all():
+        problem = f"row {int(np.argmin(less)) + 1}: expected parts that are less than the whole covariance"
         raise InputError(path, problem, column=next(iter(roots)))
 
 
@@ -377,6 +383,9 @@ def _rows_of_frames(path: Path, frame_rows: IntArray, craters: IntArray, count: 
     """Rows of each frame, in the order of the catalogue; no crater may be there twice."""
     order = np.lexsort((craters, frame_rows))
     frame, crater = frame_rows[order], craters[order]
-    if np.any((np.diff(frame) == 0) & (np.diff(crater) == 0)):
-        raise InputError(path, "expected each crater once in a frame, found one twice")
+    again = np.flatnonzero((np.diff(frame) == 0) & (np.diff(crater) == 0))
+    if len(again):
+        rows = sorted((order[again[0] : again[0] + 2] + 1).tolist())
+        problem = f"row {rows[1]}: expected each crater once in a frame, found that of row {rows[0]} again"
+        raise InputError(path, problem, column="crater_id")
     return np.split(order, np.searchsorted(frame, np.arange(1, count)))

@@ -48,6 +48,7 @@ class _CameraFile(Section):
     psf_sigma_px: Annotated[float, Field(ge=0.0, le=10.0)] = Camera.psf_sigma_px
     bit_depth: Annotated[int, Field(ge=8, le=16)] = Camera.bit_depth
     focal_sigma_percent: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    principal_sigma_px: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
 
 
 class _ImuFile(Section):
@@ -81,21 +82,8 @@ def read_camera(path: Path) -> Camera:
     text = read_text(path)
     model = validate(path, parse_yaml(path, text), _CameraFile, text=text)
     (width, height), (fx, fy, cx, cy) = model.resolution, model.intrinsics
-    if not (0.0 <= cx <= width - 1 and 0.0 <= cy <= height - 1):
-        raise InputError(
-            path,
-            f"expected the principal point inside the {width} x {height} image, found ({cx:g}, {cy:g})",
-            line=line_of(text, ["intrinsics"]),
-            column="intrinsics",
-        )
-    least, most = _FOCAL_RANGE_IMAGES
-    if not (least <= fx / width <= most and least <= fy / height <= most):
-        raise InputError(
-            path,
-            f"expected focal lengths in px that fit the {width} x {height} image, found {fx:g} and {fy:g}",
-            line=line_of(text, ["intrinsics"]),
-            column="intrinsics",
-        )
+    if wrong := intrinsics_problem(width, height, model.intrinsics):
+        raise InputError(path, wrong, line=line_of(text, ["intrinsics"]), column="intrinsics")
     bTc = mounting(path, text, model.T_BS.data)
     lens_model, coefficients = _lens(path, text, model)
     try:
@@ -108,8 +96,32 @@ def read_camera(path: Path) -> Camera:
         raise InputError(path, str(error), line=line, column="distortion_coefficients") from None
 
 
-def read_focal_sigma(path: Path) -> float | None:
-    """Read how well the focal length is known from the camera's sensor.yaml.
+def intrinsics_problem(width: int, height: int, intrinsics: tuple[float, float, float, float]) -> str:
+    """Describe what is wrong about intrinsics that do not belong to an image.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of the image, px.
+    intrinsics : tuple of float
+        Focal lengths and principal point: fx, fy, cx, cy, px.
+
+    Returns
+    -------
+    str
+        What was expected and found; empty when they fit.
+    """
+    fx, fy, cx, cy = intrinsics
+    if not (0.0 <= cx <= width - 1 and 0.0 <= cy <= height - 1):
+        return f"expected the principal point inside the {width} x {height} image, found ({cx:g}, {cy:g})"
+    least, most = _FOCAL_RANGE_IMAGES
+    if not (least <= fx / width <= most and least <= fy / height <= most):
+        return f"expected focal lengths in px that fit the {width} x {height} image, found {fx:g} and {fy:g}"
+    return ""
+
+
+def read_intrinsics_sigmas(path: Path) -> tuple[float | None, float | None]:
+    """Read how well the intrinsics are known from the camera's sensor.yaml.
 
     Parameters
     ----------
@@ -117,8 +129,11 @@ def read_focal_sigma(path: Path) -> float | None:
 
     Returns
     -------
-    float or None
-        Relative standard deviation, from `focal_sigma_percent`; None when the file does not say.
+    focal_sigma : float or None
+        Relative standard deviation of the focal length, from `focal_sigma_percent`; None when the file does
+        not say.
+    principal_sigma_px : float or None
+        Standard deviation of each coordinate of the principal point; None when the file does not say.
 
     Raises
     ------
@@ -126,8 +141,9 @@ def read_focal_sigma(path: Path) -> float | None:
         As `read_camera`.
     """
     text = read_text(path)
-    percent = validate(path, parse_yaml(path, text), _CameraFile, text=text).focal_sigma_percent
-    return None if percent is None else 0.01 * percent
+    model = validate(path, parse_yaml(path, text), _CameraFile, text=text)
+    percent = model.focal_sigma_percent
+    return None if percent is None else 0.01 * percent, model.principal_sigma_px
 
 
 def read_imu_noise(path: Path) -> ImuNoise:
@@ -244,7 +260,7 @@ def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
 
 
 def lens_of(name: str) -> str | None:
-    """Give the lens model that a name means; None when it means none that is known.
+    """Return the lens model that a name means; None when it means none that is known.
 
     Parameters
     ----------

@@ -14,7 +14,8 @@ from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.images import ImageArray, write_image
 from craternav_fg.dataset.measurements import write_measurements
 from craternav_fg.dataset.recording import Recording
-from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml
+from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, intrinsics_problem
+from craternav_fg.errors import InputError
 from craternav_fg.files import replacing_folder
 from craternav_fg.motion.gravity import gravity_text
 from craternav_fg.sensors.files import write_sensor
@@ -55,13 +56,16 @@ def write_dataset(
     Raises
     ------
     InputError
-        When the folder holds something else, or cannot be written.
+        When the folder holds something else, or cannot be written, or the intrinsics do not fit the images.
     ValueError
         When there are neither images nor measurements, or both, or not one for each stamp.
     """
     if (images is None) == (recording.measurements is None):
         raise ValueError("give either images or measurements")
-    stamps = recording.stamps_ns
+    camera, stamps = recording.camera, recording.stamps_ns
+    intrinsics = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+    if wrong := intrinsics_problem(camera.width_px, camera.height_px, intrinsics):
+        raise InputError(folder / layout.CAMERA_SENSOR, wrong, column="intrinsics")
     with replacing_folder(folder, marker=layout.DESCRIPTION, ours=layout.CONTENTS) as temporary:
         for name in (layout.IMAGES, *([] if recording.imu is None else [layout.IMU_DATA])):
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
@@ -75,7 +79,7 @@ def write_dataset(
             for name, image in zip(names, images, strict=True):
                 write_image(temporary / layout.IMAGES / name, image)
         write_table(temporary / layout.CAMERA_DATA, layout.CAMERA_COLUMNS, [stamps, names], comment=True)
-        (temporary / layout.CAMERA_SENSOR).write_text(camera_yaml(recording.camera, _rate_hz(stamps)))
+        (temporary / layout.CAMERA_SENSOR).write_text(camera_yaml(camera, _rate_hz(stamps)))
         large = len(recording.catalog) > _MAX_CSV_CRATERS
         write_catalog(temporary / (layout.LARGE_CRATERS if large else layout.CRATERS), recording.catalog)
         _write_logs(temporary, recording)

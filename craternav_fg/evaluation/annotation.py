@@ -30,6 +30,8 @@ class Matches:
         Distance of the centres; NaN likewise.
     all_marked_px : ndarray, shape (m,)
         Radii of all marked craters.
+    found_by : ndarray of int, shape (m,)
+        Row of the detection of each marked crater; -1 where there is none.
     """
 
     quality: FloatArray
@@ -37,12 +39,19 @@ class Matches:
     marked_radius_px: FloatArray
     centre_error_px: FloatArray
     all_marked_px: FloatArray
+    found_by: IntArray
 
     @classmethod
     def joined(cls, parts: "list[Matches]") -> "Matches":
         """Put the matches of several images together."""
         names = ("quality", "radius_px", "marked_radius_px", "centre_error_px", "all_marked_px")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        before = np.cumsum([0, *(len(part.quality) for part in parts[:-1])])
+        found_by = [
+            np.where(part.found_by >= 0, part.found_by + first, -1)
+            for part, first in zip(parts, before, strict=True)
+        ]
+        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return cls(**joined, found_by=np.concatenate(found_by))
 
 
 @dataclass(frozen=True)
@@ -92,18 +101,20 @@ def match_circles(ellipses_px: FloatArray, quality: FloatArray, circles_px: Floa
     order = np.argsort(-quality, kind="stable")
     radius = np.sqrt(ellipses_px[order, 2] * ellipses_px[order, 3])
     marked, error = np.full(len(order), np.nan), np.full(len(order), np.nan)
-    free = np.ones(len(circles_px), dtype=np.bool_)
+    found_by = np.full(len(circles_px), -1)
     for k, row in enumerate(order):
         off = np.hypot(*(circles_px[:, :2] - ellipses_px[row, :2]).T)
         size = np.abs(np.log(circles_px[:, 2] / radius[k]))
         (open_,) = np.nonzero(
-            free & (off < CENTRE_SHARE * circles_px[:, 2] + CENTRE_PX) & (size < np.log(SIZE_FACTOR))
+            (found_by < 0)
+            & (off < CENTRE_SHARE * circles_px[:, 2] + CENTRE_PX)
+            & (size < np.log(SIZE_FACTOR))
         )
         if len(open_):
             best = open_[int(np.argmin(off[open_] / circles_px[open_, 2] + size[open_]))]
-            free[best] = False
+            found_by[best] = k
             marked[k], error[k] = circles_px[best, 2], off[best]
-    return Matches(quality[order], radius, marked, error, circles_px[:, 2])
+    return Matches(quality[order], radius, marked, error, circles_px[:, 2], found_by)
 
 
 def scores(matches: Matches, min_radius_px: float, min_quality: float) -> Scores:
@@ -117,7 +128,7 @@ def scores(matches: Matches, min_radius_px: float, min_quality: float) -> Scores
     matches : Matches
     min_radius_px : float
     min_quality : float
-        Least quality of a detection; the average precision counts all.
+        Minimum quality of a detection; the average precision counts all.
 
     Returns
     -------

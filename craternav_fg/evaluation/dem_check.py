@@ -45,7 +45,7 @@ class DemCheck:
     best : float
         At the pose that correlates best.
     altitude_m : float
-        Altitude of that pose less the estimated one.
+        Altitude of that pose minus the estimated one.
     shift_px : ndarray, shape (2,)
         Shift of the image of that pose, px.
     rotation_rad : float

@@ -65,7 +65,7 @@ class Innovations:
         )
 
     def as_dict(self) -> dict[str, dict[str, float | int]]:
-        """Give mean, interval and total dimension of each sensor that measured, as metrics.json has them."""
+        """Return mean, interval and total dimension of each sensor that measured, for metrics.json."""
         others = sorted(set(self.sensor) - set(SENSORS))
         parts = {sensor: self.of(sensor) for sensor in (*SENSORS, *others) if sensor in self.sensor}
         return {

@@ -73,7 +73,7 @@ class Metrics:
     frames: int
 
     def as_dict(self) -> dict[str, float | int | None]:
-        """Give the fields by name, as metrics.json holds them."""
+        """Return the fields by name, as metrics.json holds them."""
         return asdict(self)
 
 
@@ -122,7 +122,7 @@ def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def metrics(estimate: Trajectory, truth: Trajectory | None) -> Metrics:
-    """Summarise an estimate's errors.
+    """Summarise the errors of an estimate.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class Offsets:
     enu_m : ndarray, shape (k, 3)
         Difference of the positions, m, along east, north and up in g at the reference's position.
     sigma_m : ndarray, shape (k, 3)
-        Standard deviations that are claimed, m, along the same directions in g.
+        Standard deviations that are stated, m, along the same directions in g.
     attitude_rad : ndarray, shape (k, 3)
         Rotation vector in b from the reference's attitude.
     """
@@ -95,6 +95,11 @@ def leave_one_out(problem: Problem, estimator: Estimator) -> Offsets:
     Offsets
         Prediction less the frame's own position, with the sigmas of both together. Frames with few rims are
         left out.
+
+    Raises
+    ------
+    EstimationError
+        When no frame has enough rims, or a prediction has no covariance.
     """
     found: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
     for k, frame in enumerate(problem.frames):
@@ -103,7 +108,8 @@ def leave_one_out(problem: Problem, estimator: Estimator) -> Offsets:
         others = list(problem.frames)
         others[k] = FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
         predicted = estimator.estimate(_without(problem, others))
-        assert predicted.pose_covariance is not None
+        if predicted.pose_covariance is None:
+            raise EstimationError(f"{estimator.name}: expected a trajectory with covariances")
         gTb, covariance = predicted.gTb[k], predicted.pose_covariance[k]
         own = _alone(problem, frame, gTb)
         enu = frames.east_north_up(*frames.latitude_longitude(own[0][None, :3, 3]))[0]
@@ -116,12 +122,14 @@ def leave_one_out(problem: Problem, estimator: Estimator) -> Offsets:
                 frames.rotation_log(own[0][:3, :3].T @ gTb[:3, :3]),
             )
         )
+    if not found:
+        raise EstimationError(f"no frame has {_MIN_RIMS} rims, with which its own pose is compared")
     columns = [np.array([one[i] for one in found]) for i in range(4)]
     return Offsets(columns[0].astype(np.int64), columns[1], columns[2], columns[3])
 
 
 def _without(problem: Problem, others: Sequence[FrameMeasurement]) -> Problem:
-    """Give a problem with other frames, and the start that follows from them."""
+    """Return a problem with other frames, and the start that follows from them."""
     return replace(problem, frames=others, start=find_start(problem, others))
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc
 
 from craternav_fg import frames
 from craternav_fg.estimators.base import Descent, Problem
@@ -163,4 +163,4 @@ def improbable(mean_square: float, dimension: int, probability: float) -> bool:
     bool
     """
     total = mean_square * dimension
-    return bool(min(chi2.cdf(total, dimension), chi2.sf(total, dimension)) < probability)
+    return bool(min(chdtr(dimension, total), chdtrc(dimension, total)) < probability)

@@ -178,7 +178,7 @@ def states_at(frames: Sequence[ImportedFrame], body: Body) -> Trajectory | None:
     Returns
     -------
     Trajectory or None
-        Of the camera; None when no frame has a state.
+        Trajectory of the camera; None when no frame has a state.
     """
     known = [k for k, frame in enumerate(frames) if frame.state is not None]
     if not known:

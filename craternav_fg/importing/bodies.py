@@ -11,7 +11,7 @@ _KNOWN = {"Moon": (4.902800118e12, 2.6616995e-6)}
 
 
 def with_gravity(body: Body, mu_m3_s2: float | None) -> Body:
-    """Give a body its gravity, and its spin where it has none.
+    """Complete a body by its gravity, and by its spin if it has none.
 
     Parameters
     ----------

@@ -51,10 +51,8 @@ def of_cubes(cubes: Sequence[Cube]) -> tuple[Camera, list[ImportedFrame], list[I
             raise InputError(cube.path, f"expected {expected}, found {other.width_px} x {other.height_px}")
         off = np.abs(np.subtract(_intrinsics(one), _intrinsics(other))).max()
         if off > _SAME_CAMERA_PX:
-            problem = (
-                f"shows another part of the photograph than {first.path} ({off:.0f} px apart): give --images"
-            )
-            raise InputError(cube.path, problem)
+            problem = f"shows another part of the photograph than {first.path} ({off:.0f} px apart)"
+            raise InputError(cube.path, f"{problem}: give --photographs")
     frames = [ImportedFrame(cube.path, cube.stamp_ns, cube.state) for cube in cubes]
     images = grey_levels([cube.pixels() for cube in cubes], BIT_DEPTH)
     return replace(first.camera, bit_depth=BIT_DEPTH), frames, images

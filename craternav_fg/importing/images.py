@@ -1,4 +1,4 @@
-"""Plain grey images and the table of their times."""
+"""Grey images, plain or of PDS4 products, and their times: of a table or of the labels."""
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import InputError
+from craternav_fg.importing.pds4 import is_label, read_pds4
 from craternav_fg.tables import Column, read_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -19,7 +20,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def stamp_of(utc: datetime) -> int:
-    """Give the stamp of a time: UTC since 1970 without leap seconds.
+    """Return the stamp of a time: UTC since 1970 without leap seconds.
 
     Parameters
     ----------
@@ -65,14 +66,14 @@ def read_times(path: Path) -> dict[str, int]:
     return out
 
 
-def stamps_of(images: Sequence[Path], times: Path) -> list[int]:
+def stamps_of(images: Sequence[Path], times: Path | None) -> list[int]:
     """Look up the times of images.
 
     Parameters
     ----------
     images : sequence of Path
-    times : Path
-        Table, see `read_times`.
+    times : Path or None
+        Table, see `read_times`; None where all images are PDS4 labels, which have their times.
 
     Returns
     -------
@@ -82,8 +83,13 @@ def stamps_of(images: Sequence[Path], times: Path) -> list[int]:
     Raises
     ------
     InputError
-        When the table has no time for one of them.
+        When the table, or the label, has no time for one of them.
     """
+    if times is None:
+        plain = next((path for path in images if not is_label(path)), None)
+        if plain is not None:
+            raise InputError(plain, "has no time of its own, as PDS4 labels have: give --times")
+        return [stamp_of(read_pds4(path).middle()) for path in images]
     known = read_times(times)
     for path in images:
         if path.name not in known:
@@ -91,14 +97,20 @@ def stamps_of(images: Sequence[Path], times: Path) -> list[int]:
     return [known[path.name] for path in images]
 
 
-def grey_images(paths: Sequence[Path], size_px: tuple[int, int] | None = None) -> Iterator[ImageArray]:
+def grey_images(
+    paths: Sequence[Path], size_px: tuple[int, int] | None = None, bit_depth: int | None = None
+) -> Iterator[ImageArray]:
     """Read grey images one by one.
 
     Parameters
     ----------
     paths : sequence of Path
+        Image files, or labels of PDS4 products.
     size_px : (int, int), optional
         Width and height that all must have; by default those of the first.
+    bit_depth : int, optional
+        Bits of the camera's grey levels, 8 to 16, which all images must fit; by default those of the first.
+        PDS4 images of other numbers than grey levels are scaled to them, all alike.
 
     Yields
     ------
@@ -107,12 +119,15 @@ def grey_images(paths: Sequence[Path], size_px: tuple[int, int] | None = None) -
     Raises
     ------
     InputError
-        When an image cannot be read, is not grey, or is of another size or depth than the first.
+        When an image cannot be read, is not grey, is of another size or depth than the first, or has
+        grey levels that the camera cannot have.
     """
     first: tuple[Path, np.dtype[np.generic]] | None = None
+    extent: tuple[float, float] | None = None
     for path in paths:
-        image = read_foreign_image(path)
-        if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        image = _read(path)
+        grey = image.dtype in (np.uint8, np.uint16) or (is_label(path) and image.dtype == np.float64)
+        if image.ndim != 2 or not grey:
             raise InputError(path, f"expected a grey image of 8 or 16 bits, found {_kind(image)}")
         found = image.shape[1], image.shape[0]
         if size_px is None:
@@ -124,7 +139,35 @@ def grey_images(paths: Sequence[Path], size_px: tuple[int, int] | None = None) -
         if first is not None and image.dtype != first[1]:
             raise InputError(path, f"expected {first[1]} pixels as {first[0]}, found {image.dtype}")
         first = first or (path, image.dtype)
-        yield np.asarray(image)
+        if image.dtype == np.float64:
+            extent = extent or _extent(paths)
+            yield _scaled(image, extent, bit_depth or 16)
+        else:
+            yield _fitting(path, np.asarray(image), bit_depth)
+
+
+def _read(path: Path) -> npt.NDArray[np.generic]:
+    return read_pds4(path).pixels() if is_label(path) else read_foreign_image(path)
+
+
+def _fitting(path: Path, image: ImageArray, bit_depth: int | None) -> ImageArray:
+    """Refuse grey levels that the camera cannot have."""
+    depth, largest = 8 * image.dtype.itemsize, int(image.max())
+    if bit_depth is not None and (depth != (8 if bit_depth == 8 else 16) or largest >= 2**bit_depth):
+        problem = f"expected grey levels of {bit_depth} bits, as the camera's bit_depth says"
+        raise InputError(path, f"{problem}, found a {depth}-bit image with levels up to {largest}")
+    return image
+
+
+def _extent(paths: Sequence[Path]) -> tuple[float, float]:
+    """Smallest and largest value of all images."""
+    ends = []
+    for path in paths:
+        image = np.asarray(_read(path), dtype=np.float64)
+        if np.isnan(image).all():
+            raise InputError(path, "expected values, found none but special constants")
+        ends.append((float(np.nanmin(image)), float(np.nanmax(image))))
+    return min(least for least, _ in ends), max(most for _, most in ends)
 
 
 def _kind(image: npt.NDArray[np.generic]) -> str:
@@ -133,7 +176,7 @@ def _kind(image: npt.NDArray[np.generic]) -> str:
 
 
 def grey_levels(images: Sequence[FloatArray], bit_depth: int) -> list[ImageArray]:
-    """Scale images of any values to grey levels, all by one line from the least to the largest value.
+    """Scale images of any values to grey levels, all by one line from the smallest to the largest value.
 
     Parameters
     ----------
@@ -147,10 +190,15 @@ def grey_levels(images: Sequence[FloatArray], bit_depth: int) -> list[ImageArray
     list of ndarray of uint8 or uint16, shape (height, width)
         Grey levels.
     """
-    least = min(float(np.nanmin(image)) for image in images)
-    most = max(float(np.nanmax(image)) for image in images)
+    extent = (
+        min(float(np.nanmin(image)) for image in images),
+        max(float(np.nanmax(image)) for image in images),
+    )
+    return [_scaled(image, extent, bit_depth) for image in images]
+
+
+def _scaled(image: npt.NDArray[np.generic], extent: tuple[float, float], bit_depth: int) -> ImageArray:
+    least, most = extent
     scale = (2**bit_depth - 1) / (most - least) if most > least else 0.0
-    levels = [np.nan_to_num(np.round((image - least) * scale)) for image in images]
-    if bit_depth == 8:
-        return [image.astype(np.uint8) for image in levels]
-    return [image.astype(np.uint16) for image in levels]
+    levels = np.nan_to_num(np.round((image.astype(np.float64) - least) * scale))
+    return levels.astype(np.uint8) if bit_depth == 8 else levels.astype(np.uint16)

@@ -3,6 +3,9 @@
 ISIS counts samples and lines from 1 at the centre of the first pixel, here pixels count from 0. Its camera
 frame has axes of its own for each instrument; what the focal plane's x and y are in the image says the label
 (ITRANSS, ITRANSL). Here x is along the samples, y along the lines, z = x cross y into the scene.
+
+ISIS computes the SPICE tables of a framing camera for the middle of the exposure: StartTime and half of
+ExposureDuration. Labels of Apollo's Metric camera have no ExposureDuration, and the tables are of StartTime.
 """
 
 import math
@@ -29,8 +32,12 @@ FloatArray = npt.NDArray[np.float64]
 _LEAST_VALID = -3.4e38
 # Largest displacement by a lens, px, that is left out: rims are measured to a tenth of a pixel.
 _MAX_DISTORTION_PX = 0.2
-# Longest time, s, that the tables of one image may cover: more is a line-scan camera's.
+# Longest exposure, s, which the tables of one image may cover: more is a line-scan camera's.
 _MAX_EXPOSURE_S = 1.0
+_SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+}
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class Cube:
     ----------
     path : Path
     stamp_ns : int
-        UTC of the start time, ns since 1970 without leap seconds.
+        UTC of the middle of the exposure, ns since 1970 without leap seconds.
     camera : Camera
         Camera of the cube's own pixels.
     parent : Camera
@@ -133,10 +140,25 @@ def _size(label: CubeLabel) -> tuple[int, int]:
 
 
 def _stamp_ns(label: CubeLabel) -> int:
-    start = label.group("IsisCube", "Instrument").get("StartTime")
+    """Return the middle of the exposure, to which the SPICE tables belong."""
+    instrument = label.group("IsisCube", "Instrument")
+    start = instrument.get("StartTime")
     if not isinstance(start, datetime):
         raise InputError(label.path, f"expected a time, found {start}", column="StartTime")
-    return stamp_of(start)
+    return stamp_of(start) + round(0.5e9 * _exposure_s(label, instrument.get("ExposureDuration", 0.0)))
+
+
+def _exposure_s(label: CubeLabel, stated: Any) -> float:
+    """Read a duration; one without a unit is in ms."""
+    unit = str(getattr(stated, "units", "ms")).lower()
+    try:
+        seconds = _SECONDS[unit] * float(getattr(stated, "value", stated))
+    except (KeyError, TypeError, ValueError):
+        seconds = math.nan
+    if not 0.0 <= seconds <= _MAX_EXPOSURE_S:
+        problem = f"expected an exposure of at most {_MAX_EXPOSURE_S:g} s, found {stated}"
+        raise InputError(label.path, problem, column="ExposureDuration")
+    return seconds
 
 
 def _numbers(label: CubeLabel, naif: Any, name: str, count: int) -> FloatArray:
@@ -255,7 +277,11 @@ def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray]:
     middle = 0.5 * (rows[0, -1] + rows[-1, -1])
     k = int(np.argmin(np.abs(rows[:, -1] - middle)))
     # SPICE's quaternions, scalar first, turn coordinates from J2000.
-    R = frames.from_quaternion_wxyz(rows[k, :4] / np.linalg.norm(rows[k, :4]))
+    q = rows[k, :4]
+    # The largest of four numbers whose squares sum to 1; those of very large ones are not finite.
+    if not 0.49 < np.abs(q).max() < 1.01:
+        raise InputError(label.path, f"expected unit quaternions, found {q.tolist()}", column=name)
+    R = frames.from_quaternion_wxyz(q / np.linalg.norm(q))
     rate = rows[k, 4:7] if rows.shape[1] >= 8 else np.zeros(3)
     constant = keywords.get("ConstantRotation")
     if constant is not None:

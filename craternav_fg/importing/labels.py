@@ -37,7 +37,7 @@ class CubeLabel:
     label: Any
 
     def group(self, *names: str) -> Any:
-        """Give a group or object inside others.
+        """Return a group or object inside others.
 
         Parameters
         ----------

@@ -12,10 +12,13 @@ import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.files import SizeLimit, check_input, open_input
 from craternav_fg.importing.assemble import CameraState
 
 FloatArray = npt.NDArray[np.float64]
 
+# What binary kernels begin with; SPICE reads all others as text.
+_BINARY = (b"DAF/", b"DAS/", b"NAIF")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -92,8 +95,7 @@ def _loaded(kernels: Sequence[Path]) -> Iterator[Any]:
         raise CraternavError("SPICE kernels need spiceypy: pip install 'craternav_fg[spice]'") from None
     try:
         for path in kernels:
-            if not path.is_file():
-                raise InputError(path, "kernel is missing")
+            _check(path)
             try:
                 spiceypy.furnsh(str(path))
             except spiceypy.utils.exceptions.SpiceyError as error:
@@ -101,6 +103,13 @@ def _loaded(kernels: Sequence[Path]) -> Iterator[Any]:
         yield spiceypy
     finally:
         spiceypy.kclear()
+
+
+def _check(path: Path) -> None:
+    """Check that a kernel is a file, and no larger than SPICE reads in a few seconds."""
+    with open_input(path, SizeLimit.KERNEL) as stream:
+        is_binary = stream.read(len(_BINARY[0])) in _BINARY
+    check_input(path, SizeLimit.KERNEL if is_binary else SizeLimit.TEXT_KERNEL)
 
 
 def _asked(spice: Any, query: SpiceQuery, utc: str, ask: Any) -> Any:
@@ -112,7 +121,7 @@ def _asked(spice: Any, query: SpiceQuery, utc: str, ask: Any) -> Any:
 
 
 def _said(error: Any) -> str:
-    """Give SPICE's short and long message in a line."""
+    """Return SPICE's short and long message in a line."""
     return " ".join(f"{error.short} {error.long}".split())
 
 

@@ -1,7 +1,7 @@
 """A data set from a ROS bag."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,8 @@ class BagOptions:
         At the stamp of the first image that is kept.
     camera : Camera or None
         Intrinsics and mounting. Without it they are taken from `CameraInfo` and from the static transform
-        between the frames of the camera and of the IMU.
+        between the frames of the camera and of the IMU. Its bit depth gives way to that of the images where
+        they cannot have it.
     time_shift_s : float
         Added to the images' stamps.
     sun : ndarray, shape (3,), or None
@@ -142,6 +143,9 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
                 f" found {options.initial.stamp_ns}",
             )
         camera = options.camera or _camera(bag, topics["images"], camera_frame, imu_frame, depth)
+        # Kalibr does not say how many bits a pixel has.
+        if (camera.bit_depth == 8) != (depth == 8):
+            camera = replace(camera, bit_depth=depth)
         truth = _truth(bag, topics["truth"], stamps)
         recording = Recording(
             body=options.body,
@@ -270,7 +274,15 @@ def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray
     for message in bag.messages(topic):
         found.append(stamp_ns(message))
         rows.append(vector(message.vector))
-    return SunVectors(_increasing(bag, topic, found), np.array(rows))
+    stamps_ns, vectors = _increasing(bag, topic, found), np.array(rows)
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    is_direction = np.isfinite(length[:, 0]) & (length[:, 0] > 0.0)
+    if not is_direction.all():
+        raise InputError(
+            bag.path, f"{topic}: expected directions, found {vectors[~is_direction][0].tolist()}"
+        )
+    # A unit vector keeps its bits.
+    return SunVectors(stamps_ns, np.where(np.abs(length - 1.0) < 1e-9, vectors, vectors / length))
 
 
 def _truth(bag: Bag, topic: str | None, stamps: IntArray) -> Trajectory | None:

@@ -15,6 +15,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.sensor_files import lens_of
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.files import SizeLimit, check_input, entries
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -125,6 +126,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise CraternavError("bags need rosbags: pip install 'craternav_fg[ros]'") from None
     if not path.exists():
         raise InputError(path, "bag is missing")
+    # A pipe in place of one of its files would block.
+    for one in entries(path) if path.is_dir() else [path]:
+        check_input(one, SizeLimit.BAG)
     with _reading(path):
         store = get_typestore(Stores.ROS2_HUMBLE)
         with AnyReader([path], default_typestore=store) as reader:
@@ -133,7 +137,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Turn whatever a damaged bag raises in `rosbags` into one line."""
+    """Convert the errors that a damaged bag raises in `rosbags` to one line."""
     try:
         yield
     except CraternavError:

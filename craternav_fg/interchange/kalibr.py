@@ -43,7 +43,7 @@ class _Imu(Section):
 
 
 def is_camchain(path: Path) -> bool:
-    """Tell whether a YAML file is a camera chain of Kalibr: its first key is `cam0`.
+    """Return whether a YAML file is a camera chain of Kalibr: its first key is `cam0`.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ import pyarrow.csv as pa_csv
 
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input
+from craternav_fg.tables.arrow import numbers
 from craternav_fg.tables.sizes import LARGEST
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,7 +44,7 @@ class Column:
     optional : bool
         Whether the column may be missing.
     may_be_empty : bool
-        Whether cells may be empty; they are read as NaN (numbers only).
+        Whether cells may be empty, which stand for NaN (numbers only).
     """
 
     name: str
@@ -201,13 +202,13 @@ def read_table(
     result = Table(path, data)
     for column in found:
         if column.kind == "number":
-            numbers = data[column.name]
-            good = np.abs(numbers) <= LARGEST
-            bad = np.flatnonzero(~(good | np.isnan(numbers) if column.may_be_empty else good))
+            cells = data[column.name]
+            good = np.abs(cells) <= LARGEST
+            bad = np.flatnonzero(~(good | np.isnan(cells) if column.may_be_empty else good))
             if len(bad):
                 row = int(bad[0])
                 expected = f"expected a finite number, at most {LARGEST:g} in size"
-                result.fail(row, column.name, f"{expected}, found {numbers[row]}")
+                result.fail(row, column.name, f"{expected}, found {cells[row]}")
     return result
 
 
@@ -226,7 +227,8 @@ def write_table(path: Path, columns: Sequence[Column], data: Sequence[Any], *, c
     texts = []
     for column, values in zip(columns, data, strict=True):
         if column.kind == "number":
-            texts.append(list(map(repr, np.asarray(values, dtype=np.float64).tolist())))
+            numbers = np.asarray(values, dtype=np.float64).tolist()
+            texts.append(["" if column.may_be_empty and x != x else repr(x) for x in numbers])
         elif column.kind == "integer":
             texts.append([str(int(v)) for v in values])
         else:
@@ -248,8 +250,9 @@ def _from_arrow(values: pa.ChunkedArray, column: Column) -> Any:
         if "" in texts:
             raise _EmptyCellError
         return texts
-    array = values.to_numpy()
-    return np.ascontiguousarray(array, dtype=np.int64 if column.kind == "integer" else np.float64)
+    if column.kind == "number":
+        return numbers(values)
+    return np.array(np.from_dlpack(values.combine_chunks()))
 
 
 def _read_header(

@@ -314,15 +314,18 @@ RIM_CASES = {
     "no number": (set_cell(1, "chart", [0.0, 0.0, None, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "no ellipse": (set_cell(1, "chart", [0.0, 0.0, 1e30, 0.0, 0.0]), [layout.RIMS, "row 2", "an ellipse"]),
     "no size": (set_cell(1, "chart", [0.0, 0.0, 1e308, 0.0, 0.0]), [layout.RIMS, "row 2", "finite"]),
-    "covariance": (set_cell(1, "covariance", [0.0] * 25), [layout.RIMS, "covariance", "positive definite"]),
-    "rim twice": (spoiled(lambda rows: rows.append(rows[0])), [layout.RIMS, "once"]),
+    "covariance": (
+        set_cell(1, "covariance", [0.0] * 25),
+        [layout.RIMS, "covariance", "row 2", "positive"],
+    ),
+    "rim twice": (spoiled(lambda rows: rows.append(rows[0])), [layout.RIMS, "row 1 again"]),
     "missing column": (changed(lambda t: t.drop_columns(["chart"])), [layout.RIMS, "chart", "missing"]),
     "unknown column": (
         changed(lambda t: t.append_column("colour", pa.nulls(len(t)))),
         [layout.RIMS, "colour", "unknown"],
     ),
     "single precision": (changed(lambda t: floats(t, "rms_px")), [layout.RIMS, "rms_px", "double", "float"]),
-    "part too large": (set_cell(1, "correlated", [1.0] * 25), [layout.RIMS, "correlated", "less than"]),
+    "part too large": (set_cell(1, "correlated", [1.0] * 25), [layout.RIMS, "row 2", "less than"]),
     "part not finite": (set_cell(1, "shared", [np.inf] * 40), [layout.RIMS, "shared", "row 2", "finite"]),
     "part of some rims": (
         set_cell(1, "shared", None),

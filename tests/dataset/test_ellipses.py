@@ -20,12 +20,23 @@ ELLIPSES = np.array(
 
 def test_detected_ellipses_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "new" / "rims.csv"
-    tables.write_detected_ellipses(path, ELLIPSES, "image, 1.png")
+    tables.write_detected_ellipses(path, ELLIPSES, np.ones(3, dtype=bool), "image, 1.png")
     assert_allclose(tables.read_ellipses(path, CAMERA), ELLIPSES, atol=1e-3)
     with path.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert {row["inputImage"] for row in rows} == {"image, 1.png"}
     assert {row["crater_classification"] for row in rows} == {"-1"}
+
+
+def test_whether_detected_ellipses_were_traced_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "rims.csv"
+    tables.write_detected_ellipses(path, ELLIPSES, np.array([True, False, True]), "image.png")
+    found, traced = tables.read_detected_ellipses(path, CAMERA)
+    assert_allclose(found, ELLIPSES, atol=1e-3)
+    assert traced.tolist() == [True, False, True]
+    # NASA's own tables have no such column.
+    path.write_text(",".join(tables.ELLIPSE) + "\n20,30,12,8,28\n")
+    assert tables.read_detected_ellipses(path, CAMERA)[1].tolist() == [True]
 
 
 def test_matched_ellipses_are_read_again_with_their_craters(tmp_path: Path) -> None:
@@ -37,8 +48,21 @@ def test_matched_ellipses_are_read_again_with_their_craters(tmp_path: Path) -> N
     assert_allclose(found.ellipses_px, ELLIPSES[[0, 2]], atol=1e-4)
 
 
+def test_rims_that_an_oblique_view_aligns_are_not_in_radians(tmp_path: Path) -> None:
+    """An image of the horizon's direction along x: all major axes are within 3 deg of it."""
+    aligned = np.array([[20.0 * k, 50.0, 12.0, 6.0, np.radians(k - 3.5)] for k in range(1, 7)])
+    tables.write_matched_ellipses(tmp_path / "oblique.csv", aligned, list("ABCDEF"))
+    assert_allclose(tables.read_ellipses(tmp_path / "oblique.csv", CAMERA), aligned, atol=1e-4)
+    aligned[:, 3] = 10.0
+    tables.write_matched_ellipses(tmp_path / "nadir.csv", aligned, list("ABCDEF"))
+    with pytest.raises(InputError, match="they are in radians"):
+        tables.read_ellipses(tmp_path / "nadir.csv", CAMERA)
+
+
 def test_tables_without_ellipses_are_read_but_not_without_matches(tmp_path: Path) -> None:
-    tables.write_detected_ellipses(tmp_path / "none.csv", np.empty((0, 5)), "dark.png")
+    tables.write_detected_ellipses(
+        tmp_path / "none.csv", np.empty((0, 5)), np.empty(0, dtype=bool), "dark.png"
+    )
     assert tables.read_ellipses(tmp_path / "none.csv", CAMERA).shape == (0, 5)
     tables.write_matched_ellipses(tmp_path / "unmatched.csv", ELLIPSES, [None] * 3)
     with pytest.raises(InputError, match=r"unmatched\.csv: expected at least one rim"):
@@ -81,14 +105,15 @@ def test_sigmas_of_edge_points_are_read(tmp_path: Path) -> None:
 
 def test_plain_data_of_detections_is_json() -> None:
     covariance = np.tile(np.diag([0.01, 0.03, 1e-4, 1e-4, 1e-4]), (3, 1, 1))
-    plain = tables.detections_as_plain_data(ELLIPSES, covariance, np.array([0.9, 0.8, 0.7]), np.nan)
+    traced = np.array([True, False, True])
+    quality = np.array([0.9, 0.8, 0.7])
+    plain = tables.detections_as_plain_data(ELLIPSES, covariance, quality, traced, np.nan)
     read = json.loads(json.dumps(plain, allow_nan=False))
     assert read["sun_angle_deg"] is None
     assert read["rims"][0] == {
         "center_x_px": 20.0, "center_y_px": 30.0, "semi_major_px": 12.5, "semi_minor_px": 8.25,
-        "rotation_deg": 28.648, "quality": 0.9, "center_sigma_px": 0.141,
+        "rotation_deg": 28.648, "quality": 0.9, "traced": True, "center_sigma_px": 0.141,
     }  # fmt: skip
-    assert (
-        tables.detections_as_plain_data(ELLIPSES[:0], covariance[:0], np.empty(0), np.pi)["sun_angle_deg"]
-        == 180.0
-    )
+    assert not read["rims"][1]["traced"]
+    none = tables.detections_as_plain_data(ELLIPSES[:0], covariance[:0], np.empty(0), traced[:0], np.pi)
+    assert none["sun_angle_deg"] == 180.0

@@ -58,3 +58,6 @@ def test_frames_are_predicted_from_the_others(tmp_path):
     spoiled[4] = replace(data.measurements[5], stamp_ns=frame.stamp_ns)
     worse = leave_one_out(replace(problem, frames=spoiled), BatchSmoother())
     assert np.abs(worse.enu_m / worse.sigma_m)[4].max() > 10.0
+    few = [replace(frame, rims=frame.rims.take(np.arange(5))) for frame in problem.frames]
+    with pytest.raises(EstimationError, match="no frame has 6 rims"):
+        leave_one_out(replace(problem, frames=few), BatchSmoother())

@@ -61,6 +61,18 @@ def test_wrong_images_and_times_are_refused(tmp_path):
         list(grey_images([colour]))
     with pytest.raises(InputError, match=r"times.csv: expected a row for colour.png, found 2 others"):
         stamps_of([colour], tmp_path / "times.csv")
+    label = tmp_path / "detached.lbl"
+    label.write_text('PDS_VERSION_ID = PDS3\n^IMAGE = "frame.img"\nEND\n')
+    with pytest.raises(InputError, match=r"detached.lbl: cannot be read as an image: unknown format$"):
+        list(grey_images([label]))
+    deep = tmp_path / "deep.png"
+    cv2.imwrite(str(deep), np.full((48, 64), 5000, np.uint16))
+    assert next(grey_images([deep], bit_depth=13))[0, 0] == 5000
+    for bit_depth in (8, 12):
+        with pytest.raises(
+            InputError, match=rf"deep.png: expected grey levels of {bit_depth} bits.*up to 5000"
+        ):
+            list(grey_images([deep], bit_depth=bit_depth))
     for line, problem in (
         ("a.png,noon", r":2: utc: expected a time"),
         ("a.png,2000-01-01\na.png,2000-01-02", ":3"),

@@ -14,6 +14,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.importing.cubes import of_cubes, of_photographs
 from craternav_fg.importing.isis import read_cube
+from tests.importing.cubes import ROWS, TYPES, write_cube
 from tests.importing.moon import moon_catalog
 from tests.shared_data import shared
 
@@ -92,7 +93,7 @@ def test_crops_lie_where_the_label_says_in_the_photographs(frame):
 
 
 def test_crops_of_other_places_are_no_data_set():
-    with pytest.raises(InputError, match=r"shows another part of the photograph than .*: give --images"):
+    with pytest.raises(InputError, match=r"shows another part of the photograph than .*: give --photographs"):
         of_cubes([read_cube(path) for path in _cubes()])
 
 
@@ -118,7 +119,7 @@ def test_the_command_imports_the_six_photographs(tmp_path):
         str(catalog),
     ]
     for k in range(295, 301):
-        arguments += ["--images", str(shared(f"apollo15/AS15-M-0{k}_SML.png"))]
+        arguments += ["--photographs", str(shared(f"apollo15/AS15-M-0{k}_SML.png"))]
     app([*arguments, "--times", str(_times(tmp_path))], standalone_mode=False)
     data = Dataset.open(tmp_path / "data")
     assert data.imu is None
@@ -136,83 +137,10 @@ def test_the_command_imports_the_six_photographs(tmp_path):
 
 # --- cubes of the tests' own ---
 
-LABEL = """Object = IsisCube
-  Object = Core
-    StartByte = 8193
-    Format = BandSequential
-    Group = Dimensions
-      Samples = {width}
-      Lines = {height}
-      Bands = 1
-    End_Group
-    Group = Pixels
-      Type = {kind}
-      ByteOrder = Lsb
-      Base = 0.0
-      Multiplier = 1.0
-    End_Group
-  End_Object
-  Group = Instrument
-    TargetName = Moon
-    StartTime = {start}
-  End_Group
-  Group = Kernels
-    NaifFrameCode = -1
-  End_Group
-End_Object
-Object = Label
-  Bytes = 8192
-End_Object
-{tables}Object = NaifKeywords
-  BODY301_RADII = (1737.4, 1737.4, 1737.4)
-  INS-1_FOCAL_LENGTH = 100.0
-  INS-1_ITRANSS = (0.0, 50.0, 0.0)
-  INS-1_ITRANSL = (0.0, 0.0, 50.0)
-  {extra}
-End_Object
-End
-"""
-ROWS = {
-    "InstrumentPointing": [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e-3, 5.0],
-    "InstrumentPosition": [1900.0, 1.0, 2.0, 0.1, 1.6, 0.2, 5.0],
-    "BodyRotation": [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.7e-6, 5.0],
-    "SunPosition": [0.0, 1.5e8, 0.0, 0.0, 0.0, 0.0, 5.0],
-}
-TYPES = {"UnsignedByte": np.uint8, "SignedWord": np.int16, "Real": np.float32}
-
-
-def _cube(
-    path: Path,
-    *,
-    kind="Real",
-    size=(24, 20),
-    tables=tuple(ROWS),
-    extra="",
-    start="2000-01-01T12:00:00",
-    rows=1,
-) -> Path:
-    width, height = size
-    pixels = (np.arange(width * height).reshape(height, width) % 200).astype(TYPES[kind])
-    begin, text, data = 8192 + pixels.nbytes, "", b""
-    for name in tables:
-        values = np.array([[*ROWS[name][:-1], ROWS[name][-1] + 10.0 * k] for k in range(rows)])
-        fields = "".join(
-            f"  Group = Field\n    Name = F{k}\n    Type = Double\n    Size = 1\n  End_Group\n"
-            for k in range(values.shape[1])
-        )
-        text += (
-            f"Object = Table\n  Name = {name}\n  StartByte = {begin + len(data) + 1}\n"
-            f"  Bytes = {values.nbytes}\n  Records = {rows}\n  ByteOrder = Lsb\n{fields}End_Object\n"
-        )
-        data += b"".join(struct.pack("<d", value) for value in values.ravel())
-    label = LABEL.format(width=width, height=height, kind=kind, start=start, tables=text, extra=extra)
-    path.write_bytes(label.encode().ljust(8192, b"\0") + pixels.tobytes() + data)
-    return path
-
 
 @pytest.mark.parametrize("kind", TYPES)
 def test_pixels_of_any_depth_are_read(tmp_path, kind):
-    cube = read_cube(_cube(tmp_path / "a.cub", kind=kind))
+    cube = read_cube(write_cube(tmp_path / "a.cub", kind=kind))
     expected = (np.arange(480).reshape(20, 24) % 200).astype(float)
     levels = cube.pixels()
     # Some of the least values of a byte or a word are special pixels.
@@ -222,7 +150,7 @@ def test_pixels_of_any_depth_are_read(tmp_path, kind):
 
 
 def test_a_camera_without_axes_reversed_looks_along_z(tmp_path):
-    cube = read_cube(_cube(tmp_path / "a.cub"))
+    cube = read_cube(write_cube(tmp_path / "a.cub"))
     np.testing.assert_allclose(cube.state.gTc[:3, :3], np.eye(3), atol=1e-15)
     assert cube.camera.fx_px == 5000.0
     # The boresight at half the size in ISIS's pixels, which count from 1.
@@ -232,7 +160,7 @@ def test_a_camera_without_axes_reversed_looks_along_z(tmp_path):
 
 
 def test_cubes_of_one_camera_are_a_data_set(tmp_path):
-    paths = [_cube(tmp_path / f"{k}.cub", start=f"2000-01-01T12:00:{10 * k:02d}") for k in range(3)]
+    paths = [write_cube(tmp_path / f"{k}.cub", start=f"2000-01-01T12:00:{10 * k:02d}") for k in range(3)]
     camera, frames, images = of_cubes([read_cube(path) for path in reversed(paths)])
     assert [frame.path.stem for frame in frames] == ["0", "1", "2"]
     assert camera.bit_depth == 12
@@ -251,10 +179,12 @@ def test_wrong_cubes_are_refused_by_one_line(tmp_path):
     text = tmp_path / "text.cub"
     text.write_text("no cube at all\n")
     refused(text, "expected an ISIS cube with an attached label")
-    refused(_cube(tmp_path / "a.cub", tables=()), "expected a table InstrumentPointing .*spiceinit.*no table")
+    refused(
+        write_cube(tmp_path / "a.cub", tables=()), "expected a table InstrumentPointing .*spiceinit.*no table"
+    )
     missing = [name for name in ROWS if name != "SunPosition"]
-    refused(_cube(tmp_path / "b.cub", tables=tuple(missing)), "expected a table SunPosition")
-    whole = _cube(tmp_path / "c.cub").read_bytes()
+    refused(write_cube(tmp_path / "b.cub", tables=tuple(missing)), "expected a table SunPosition")
+    whole = write_cube(tmp_path / "c.cub").read_bytes()
     for cut in (9000, len(whole) - 100):
         short = tmp_path / f"short{cut}.cub"
         short.write_bytes(whole[:cut])
@@ -266,25 +196,61 @@ def test_wrong_cubes_are_refused_by_one_line(tmp_path):
         .replace(b"    StartByte = 8193\n", b"    StartByte = 1\n    ^Core = d.img\n")
     )
     refused(detached, "found a detached label of d.img")
-    refused(_cube(tmp_path / "e.cub", rows=3), "found one over 20.0 s: a line scan")
-    refused(_cube(tmp_path / "f.cub", extra="INS-1_OD_K = (0.0, 1.0)"), "OD_K: expected a lens")
+    refused(write_cube(tmp_path / "e.cub", rows=3), "found one over 20.0 s: a line scan")
+    refused(write_cube(tmp_path / "f.cub", extra="INS-1_OD_K = (0.0, 1.0)"), "OD_K: expected a lens")
+    huge = tmp_path / "huge.cub"
+    huge.write_bytes(whole[: 8192 + 4 * 480] + struct.pack("<d", 1e300) + whole[8200 + 4 * 480 :])
+    refused(huge, "InstrumentPointing: expected unit quaternions, found .*1e.300")
     no_focal = tmp_path / "g.cub"
     no_focal.write_bytes(whole.replace(b"INS-1_FOCAL_LENGTH", b"INS-1_FOCAL_WIDTHS"))
     refused(no_focal, "INS-1_FOCAL_LENGTH: expected 1 numbers, found None")
 
 
 def test_cubes_of_other_sizes_are_refused(tmp_path):
-    one = _cube(tmp_path / "a.cub")
-    other = _cube(tmp_path / "b.cub", size=(20, 20), start="2000-01-01T12:00:10")
+    one = write_cube(tmp_path / "a.cub")
+    other = write_cube(tmp_path / "b.cub", size=(20, 20), start="2000-01-01T12:00:10")
     with pytest.raises(InputError, match=r"b.cub: expected 24 x 20 px, as .*a.cub, found 20 x 20"):
         of_cubes([read_cube(one), read_cube(other)])
 
 
 def test_a_cube_without_a_photograph_of_its_time_is_refused(tmp_path):
-    cube = read_cube(_cube(tmp_path / "a.cub"))
+    cube = read_cube(write_cube(tmp_path / "a.cub"))
     image = tmp_path / "a.png"
     cv2.imwrite(str(image), np.zeros((20, 24), np.uint8))
     times = tmp_path / "times.csv"
     times.write_text("filename,utc\na.png,2001-01-01T12:00:00\n")
     with pytest.raises(InputError, match=r"a.cub: expected an image of its time among 1, found none"):
         of_photographs([cube], [image], times)
+
+
+def test_a_camera_that_could_not_be_read_again_is_not_written(tmp_path):
+    write_catalog(tmp_path / "craters.csv", moon_catalog())
+    cube = write_cube(tmp_path / "a.cub", focal_mm=100.0)
+    data = tmp_path / "data"
+    with pytest.raises(InputError, match=r"sensor.yaml: .*expected focal lengths in px that fit the 24 x 20"):
+        app(
+            ["import", "isis", str(cube), "--catalog", str(tmp_path / "craters.csv"), "-o", str(data)],
+            standalone_mode=False,
+        )
+    assert not data.exists()
+
+
+@pytest.mark.parametrize(
+    ("exposure", "half_ms"),
+    [("", 0), ("20.0", 10), ("20 <ms>", 10), ("20 <MilliSeconds>", 10), ("0.02 <seconds>", 10)],
+)
+def test_the_stamp_is_the_middle_of_the_exposure(tmp_path, exposure, half_ms):
+    line = f"\n    ExposureDuration = {exposure}" if exposure else ""
+    cube = read_cube(write_cube(tmp_path / "a.cub", exposure=line))
+    assert np.datetime64(cube.stamp_ns, "ns") == np.datetime64("2000-01-01T12:00:00") + np.timedelta64(
+        half_ms, "ms"
+    )
+
+
+@pytest.mark.parametrize("exposure", ["-3 <ms>", "2 <s>", "4 <ticks>", "N/A", "(1, 2)"])
+def test_a_wrong_exposure_is_refused(tmp_path, exposure):
+    line = f"\n    ExposureDuration = {exposure}"
+    with pytest.raises(
+        InputError, match=r"a.cub: ExposureDuration: expected an exposure of at most 1 s, fou"
+    ):
+        read_cube(write_cube(tmp_path / "a.cub", exposure=line))

@@ -13,105 +13,15 @@ from craternav_fg.errors import InputError
 from craternav_fg.importing.images import stamp_of
 from craternav_fg.importing.spice import SpiceQuery, camera_states
 from tests.dataset.samples import recording
+from tests.importing.kernels import RATE, attitude_of, write_kernels
 from tests.importing.moon import moon_catalog
 
 spice = pytest.importorskip("spiceypy")
 
-BEGIN, END = -1000.0, 1000.0
-SPIN = 2.6617e-6
-LSK = r"""KPL/LSK
-\begindata
-DELTET/DELTA_T_A = 32.184
-DELTET/K = 1.657D-3
-DELTET/EB = 1.671D-2
-DELTET/M = ( 6.239996D0 1.99096871D-7 )
-DELTET/DELTA_AT = ( 10, @1972-JAN-1 32, @1999-JAN-1 )
-\begintext
-"""
-# A body-fixed frame that turns about z, a clock of whole seconds, and the frame of a camera with a C kernel.
-TEXT = r"""KPL/FK
-\begindata
-FRAME_CAM = -999100
-FRAME_-999100_NAME = 'CAM'
-FRAME_-999100_CLASS = 3
-FRAME_-999100_CLASS_ID = -999100
-FRAME_-999100_CENTER = -999
-CK_-999100_SCLK = -999
-CK_-999100_SPK = -999
-BODY301_POLE_RA = ( 0. 0. 0. )
-BODY301_POLE_DEC = ( 90. 0. 0. )
-BODY301_PM = ( -90. 13.17635 0. )
-SCLK_KERNEL_ID = ( @2000-JAN-1 )
-SCLK_DATA_TYPE_999 = ( 1 )
-SCLK01_TIME_SYSTEM_999 = ( 1 )
-SCLK01_N_FIELDS_999 = ( 1 )
-SCLK01_MODULI_999 = ( 1000000000 )
-SCLK01_OFFSETS_999 = ( 0 )
-SCLK01_OUTPUT_DELIM_999 = ( 1 )
-SCLK_PARTITION_START_999 = ( 0 )
-SCLK_PARTITION_END_999 = ( 1000000000 )
-SCLK01_COEFFICIENTS_999 = ( 0 -100000 1 )
-\begintext
-"""
-RATE = np.array([1e-4, -9e-4, 2e-4])
-R0 = frames.rotation_exp(np.array([0.3, -0.4, 0.5]))
-
-
-def _attitude(et):
-    """From the camera to J2000."""
-    return R0 @ frames.rotation_exp(RATE * et)
-
 
 @pytest.fixture
 def kernels(tmp_path):
-    (tmp_path / "naif.tls").write_text(LSK)
-    (tmp_path / "frames.tf").write_text(TEXT)
-    epochs = np.linspace(BEGIN, END, 401)
-    handle = spice.spkopn(str(tmp_path / "orbit.bsp"), "test", 0)
-    w, r = 9e-4, 1850.0
-    states = np.stack(
-        [r * np.cos(w * epochs), r * np.sin(w * epochs), 0 * epochs,
-         -r * w * np.sin(w * epochs), r * w * np.cos(w * epochs), 0 * epochs], axis=1,
-    )  # fmt: skip
-    spice.spkw09(
-        handle, -999, 301, "J2000", BEGIN, END, "orbit", 7, len(epochs), np.ascontiguousarray(states), epochs
-    )
-    sun = np.tile([1.0e8, 1.1e8, 2.0e6, 0.0, 0.0, 0.0], (len(epochs), 1))
-    spice.spkw09(
-        handle, 10, 301, "J2000", BEGIN, END, "sun", 7, len(epochs), np.ascontiguousarray(sun), epochs
-    )
-    spice.spkcls(handle)
-    spice.furnsh(str(tmp_path / "naif.tls"))
-    spice.furnsh(str(tmp_path / "frames.tf"))
-    handle = spice.ckopn(str(tmp_path / "attitude.bc"), "test", 0)
-    ticks = np.array([spice.sce2c(-999, et) for et in epochs])
-    quats = np.array([spice.m2q(np.ascontiguousarray(_attitude(et).T)) for et in epochs])
-    rates = np.array([_attitude(et) @ RATE for et in epochs])
-    spice.ckw03(
-        handle,
-        ticks[0],
-        ticks[-1],
-        -999100,
-        "J2000",
-        True,
-        "attitude",
-        len(epochs),
-        ticks,
-        quats,
-        rates,
-        1,
-        ticks[:1],
-    )
-    spice.ckcls(handle)
-    spice.kclear()
-    meta = tmp_path / "all.tm"
-    names = ["naif.tls", "frames.tf", "orbit.bsp", "attitude.bc"]
-    listed = " ".join(f"'$K/{name}'" for name in names)
-    meta.write_text(
-        f"KPL/MK\n\\begindata\nPATH_VALUES = ( '{tmp_path}' )\nPATH_SYMBOLS = ( 'K' )\n"
-        f"KERNELS_TO_LOAD = ( {listed} )\n\\begintext\n"
-    )
-    return meta
+    return write_kernels(tmp_path)
 
 
 def _query(meta):
@@ -131,7 +41,7 @@ def test_states_are_those_of_the_kernels(kernels):
         gRj = frames.rotation_exp([0.0, 0.0, -(turn + np.pi / 2)])
         inertial = 1850e3 * np.array([np.cos(9e-4 * et), np.sin(9e-4 * et), 0.0])
         np.testing.assert_allclose(state.gTc[:3, 3], gRj @ inertial, atol=10.0)
-        np.testing.assert_allclose(state.gTc[:3, :3], gRj @ _attitude(et), atol=1e-5)
+        np.testing.assert_allclose(state.gTc[:3, :3], gRj @ attitude_of(et), atol=1e-5)
         np.testing.assert_allclose(state.rate, RATE, atol=1e-8)
         assert spin == pytest.approx((0.0, 0.0, np.radians(13.17635) / 86400.0), abs=1e-12)
         speed = 1850e3 * 9e-4 * np.array([-np.sin(9e-4 * et), np.cos(9e-4 * et), 0.0])
@@ -148,11 +58,16 @@ def test_what_kernels_do_not_cover_is_refused(kernels, tmp_path):
     other = SpiceQuery((kernels,), "-999", "NO_SUCH_FRAME", "MOON", "IAU_MOON")
     with pytest.raises(InputError, match="NO_SUCH_FRAME"):
         camera_states(other, [_stamp(0.0)])
-    with pytest.raises(InputError, match="kernel is missing"):
+    with pytest.raises(InputError, match="file is missing"):
         camera_states(SpiceQuery((tmp_path / "none.tm",), "-999", "CAM", "MOON", "IAU_MOON"), [0])
     wrong = tmp_path / "wrong.bsp"
     wrong.write_text("no kernel")
     with pytest.raises(InputError, match=r"wrong.bsp: (cannot be loaded|expected kernels)"):
+        camera_states(SpiceQuery((wrong,), "-999", "CAM", "MOON", "IAU_MOON"), [0])
+    # SPICE would read it for minutes.
+    with wrong.open("wb") as stream:
+        stream.truncate(1 << 34)
+    with pytest.raises(InputError, match=r"wrong.bsp: expected at most 64 MiB, found 16384"):
         camera_states(SpiceQuery((wrong,), "-999", "CAM", "MOON", "IAU_MOON"), [0])
     # The pool is left empty.
     assert spice.ktotal("ALL") == 0

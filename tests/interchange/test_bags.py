@@ -1,6 +1,7 @@
 """Data sets through ROS bags and back, and bags that are wrong."""
 
 import contextlib
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,6 +86,10 @@ def test_grey_levels_of_twelve_bits_and_other_lenses(
     # The bag does not say how many of the sixteen bits are used.
     import_bag(tmp_path / "flight", tmp_path / "given", options(data, camera=data.camera))
     assert Dataset.open(tmp_path / "given").camera.bit_depth == 12
+    # Nor does Kalibr's camera chain, whose camera has 8 bits then.
+    kalibr = replace(data.camera, bit_depth=8)
+    import_bag(tmp_path / "flight", tmp_path / "kalibr", options(data, camera=kalibr))
+    assert Dataset.open(tmp_path / "kalibr").camera.bit_depth == 16
 
 
 def test_a_mcap_file_by_itself(tmp_path: Path) -> None:
@@ -218,7 +223,7 @@ def test_the_commands(tmp_path: Path) -> None:
     ]  # fmt: skip
     done = call(*arguments)
     assert done.code == 0, done.err
-    assert "3 images, 41 samples" in done.out
+    assert "3 images, 41 IMU samples" in done.out
     again = Dataset.open(tmp_path / "again")
     assert isinstance(again.catalog, Catalog)
     assert again.imu_noise == data.imu_noise
@@ -229,3 +234,28 @@ def test_the_commands(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").sun.vectors, [[0.0, 0.0, 1.0]])
     done = call(*arguments, "--force", "--sun", "0,0,0")
     assert (done.code, done.err.count("\n")) == (2, 1)
+
+
+def test_a_pipe_in_a_bag_is_refused(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "rosbag2")
+    (file,) = (tmp_path / "flight").glob("*.db3")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(InputError, match="expected a file, found a pipe"):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+
+
+@pytest.mark.parametrize("length", [1.5e8, 0.0, np.nan])
+def test_the_suns_vectors_may_have_any_length_but_zero(tmp_path: Path, length: float) -> None:
+    data = dataset(tmp_path / "data")
+    scaled = replace(data.sun, vectors=length * data.sun.vectors)
+    export_bag(replace(data, sun=scaled), tmp_path / "flight", "rosbag2")
+    if length > 0.0:
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+        again = Dataset.open(tmp_path / "again")
+        np.testing.assert_allclose(again.sun.vectors, data.sun.vectors, atol=1e-15)
+    else:
+        with pytest.raises(InputError, match="expected directions"):
+            import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+        assert not (tmp_path / "again").exists()

@@ -1,6 +1,7 @@
 """Kalibr in and out; TUM, KITTI, GeoJSON, KML and COLMAP out."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -75,6 +76,15 @@ def test_kalibr_reads_back(tmp_path: Path, camera: Camera) -> None:
     np.testing.assert_allclose(found.bTc, camera.bTc, atol=1e-15)
     (tmp_path / "imu.yaml").write_text(kalibr_imu_yaml(NOISE, 200.0, "/imu0"))
     assert read_kalibr_imu(tmp_path / "imu.yaml") == NOISE
+
+
+def test_the_noise_that_the_page_of_bags_writes_down_is_read(tmp_path):
+    page = Path(__file__).resolve().parents[2] / "docs/howto/bags.md"
+    (text,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    (tmp_path / "imu.yaml").write_text(text)
+    noise = read_kalibr_imu(tmp_path / "imu.yaml")
+    assert (noise.gyro_density, noise.accelerometer_density) == (1e-5, 1e-4)
+    assert (noise.gyro_walk, noise.accelerometer_walk) == (1e-7, 1e-5)
 
 
 def test_a_chain_as_kalibr_writes_it(tmp_path: Path) -> None:
