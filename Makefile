@@ -8,7 +8,7 @@ WORKERS ?= 2
 SLOW_MIN ?= 25
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-all fuzz lint format docs clean
+.PHONY: help warmup demo test test-slow test-all fuzz lint format docs clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /make \1\t/'
@@ -29,6 +29,9 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	@touch $@ $(VENV)/.core
+
+warmup: $(VENV)/.core  ## compile all kernels now, so that no first run waits for them
+	$(BIN)/craternav warmup
 
 demo: $(VENV)/.core  ## simulate a lunar descent, reconstruct it, compare the estimators (runs/demo)
 	$(BIN)/craternav demo --force

@@ -5,9 +5,9 @@
 >>> result = cn.reconstruct(data, estimators=["smoother", "ekf"])
 >>> cn.plot(result, data, "bounds").savefig("errors.png")
 
-The names below are the public interface; every other module is an attribute, too, such as
-`cn.evaluation.consistency`, and the measurement equations are `cn.factors`. A module is imported when one of
-its names is first used, so that `import craternav_fg` costs nothing.
+The names below are the public interface. Other modules are attributes as well, such as
+`cn.evaluation.consistency`; the measurement equations are `cn.factors`. A module is imported when one of its
+names is first used, so `import craternav_fg` is fast.
 """
 
 import importlib
@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from craternav_fg.simulation.scenario_file import Scenario as Scenario
     from craternav_fg.simulation.scenario_file import load_scenario as load_scenario
     from craternav_fg.trajectory import Trajectory as Trajectory
-    from craternav_fg.vision.detect import find_rims as detect  # noqa: F401
     from craternav_fg.vision.guided_options import GuidedOptions as FrontEndOptions  # noqa: F401
+    from craternav_fg.vision.network_detect import find_rims_network as detect  # noqa: F401
 
 __version__ = "0.1.0"
 
@@ -86,7 +86,7 @@ _PUBLIC = {
     "TripleIndex": "matching.identify.triple_index",
     "Trajectory": "trajectory",
     "compare": "runs.compare",
-    "detect": "vision.detect:find_rims",
+    "detect": "vision.network_detect:find_rims_network",
     "identify": "matching.identify.search",
     "load_scenario": "simulation.scenario_file",
     "metrics": "evaluation.metrics",

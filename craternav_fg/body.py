@@ -16,9 +16,9 @@ class Body:
     Attributes
     ----------
     name : str
-        Shown to the user; nothing depends on it but the match with a catalogue's.
+        Shown to the user, and compared with the catalogue's body.
     radius_m : float
-        Radius of the sphere above which heights count.
+        Radius of the sphere to which heights refer.
     mu_m3_s2 : float
         Gravitational parameter.
     spin_rad_s : tuple of float

@@ -139,7 +139,7 @@ class Camera:
         return gTb @ self.bTc
 
     def normalised(self, points_px: FloatArray) -> FloatArray:
-        """Turn pixels into normalised image coordinates.
+        """Convert pixels to normalised image coordinates.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class Camera:
         return self._through_lens(points, inverse=True)[..., :2] if self.distorts else points
 
     def pixels(self, points: FloatArray) -> FloatArray:
-        """Turn normalised image coordinates into pixels.
+        """Convert normalised image coordinates to pixels.
 
         Parameters
         ----------
@@ -210,14 +210,14 @@ class Camera:
         return self.pixels(points_c[..., :2] / points_c[..., 2:])
 
     def contains(self, points_px: FloatArray, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Tell which points lie in the image.
+        """Determine which points lie in the image.
 
         Parameters
         ----------
         points_px : ndarray, shape (..., 2)
             Pixels.
         margin_px : float
-            Least distance from the centres of the outermost pixels; negative: outside.
+            Minimum distance from the centres of the outermost pixels; negative: outside.
 
         Returns
         -------

@@ -7,17 +7,27 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from craternav_fg.body import Body
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, read_bytes
 
+
+def _not_zero(values: tuple[float, ...]) -> tuple[float, ...]:
+    if not any(values):
+        raise ValueError("expected numbers of which one is not zero")
+    return values
+
+
 Vector = tuple[float, float, float]
+# Of any length but zero.
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
+Quaternion = Annotated[tuple[float, float, float, float], AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0.0)]
 M = TypeVar("M", bound="Section")
 
-# Least and largest size of a number in settings.
+# Minimum and maximum size of a number in settings.
 _SIZES = (1e-60, 1e60)
 # Characters of a wrong value that an error shows.
 _MAX_SHOWN = 60

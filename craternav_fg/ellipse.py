@@ -367,7 +367,7 @@ def conics_of_charts(charts: FloatArray) -> tuple[FloatArray, FloatArray]:
     conics : ndarray, shape (n, 6)
         (A, B, C, D, E, F) of eq. (3), of unit norm.
     jacobians : ndarray, shape (n, 6, 5)
-        Of the conics in the charts.
+        Derivatives of the conics by the charts.
 
     References
     ----------

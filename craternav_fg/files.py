@@ -47,6 +47,12 @@ class SizeLimit(IntEnum):
     """Images."""
     RASTER = 1 << 31
     """Elevation models."""
+    BAG = 1 << 44
+    """Bags, which are read message by message."""
+    KERNEL = 1 << 44
+    """SPICE's binary kernels, which are read where they are asked."""
+    TEXT_KERNEL = 1 << 26
+    """SPICE's text kernels, which are read whole: 80 MB take a second."""
 
 
 @contextmanager
@@ -136,7 +142,7 @@ def read_bytes(path: Path, limit: SizeLimit) -> bytes:
 
 
 def exists(path: Path) -> bool:
-    """Tell whether there is a file or folder of a name, whatever it is.
+    """Return whether there is a file or folder of a name, whatever it is.
 
     Parameters
     ----------
@@ -189,7 +195,7 @@ def entries(folder: Path) -> list[Path]:
 
 
 def _unread(path: Path, error: OSError) -> InputError:
-    """Say why a file cannot be read."""
+    """Explain why a file cannot be read."""
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
         return InputError(path, "file is missing")
     if error.errno == errno.ENXIO:

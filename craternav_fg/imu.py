@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors.imu import ImuNoise
+from factors.imu_noise import ImuNoise
 
 __all__ = ["ImuLog", "ImuNoise"]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-# Least cosine of incidence and of emission: nearer to grazing the law divides by next to nothing.
+# Minimum cosine of incidence and of emission: nearer to grazing the law divides by next to nothing.
 _LEAST_COSINE = 0.01
 
 

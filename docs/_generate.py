@@ -1,7 +1,7 @@
 """Pages of the documentation that are made from the code, and equations as MathML.
 
-A hook of mkdocs. The reference of the command line comes from the commands, that of the API from
-`craternav_fg.__all__`, those of options, sensors and scenarios from their classes.
+A hook of mkdocs. The reference of the command line comes from the commands, the API from
+`craternav_fg.__all__`, and options, sensors and scenarios from their classes.
 """
 
 import ast
@@ -54,32 +54,32 @@ import craternav_fg as cn
 ```
 
 These names are the public interface. A module is imported when one of its names is first used, so the
-import itself costs nothing. `cn.__version__` is the version, here {version}.
+import itself is fast. `cn.__version__` is the version, here {version}.
 
-Other modules can be imported too, as some pages show. They may change between versions.
+Other modules can be imported as well, as some pages show, but may change between versions.
 
 """
 OPTIONS_HEAD = """# Options file
 
-An options file is a TOML file for the front end and the estimators. A key that is left out keeps its
-default. The file below holds every key with its default. Each comment is the first sentence of the
-documentation of its class.
+An options file is a TOML file for the front end and the estimators. Missing keys keep their defaults. The
+file below lists every key with its default. Each comment is the first sentence of the documentation of the
+class.
 
 """
 SENSORS_HEAD = """# Sensor files
 
-A sensor beside the camera and the IMU has a folder `mav0/NAME0` with two files. `sensor.yaml` holds its
+A sensor other than the camera and the IMU has a folder `mav0/NAME0` with two files. `sensor.yaml` holds its
 settings. `data.csv` holds its samples: `#timestamp [ns]` and the columns below, one row per sample, with
 stamps that increase strictly and lie within the descent.
 
 """
 FEATURES_HEAD = """## `mav0/features0`
 
-Point features that were tracked from image to image, without a map.
+Point features tracked from image to image, without a map.
 
 """
 FEATURES_COLUMNS = """Columns of `data.csv`: `timestamp [ns]` (of a frame), `track_id` (an integer, the same
-for all images of a point), `x [px]`, `y [px]` in the image as it was taken.
+in all images of a point), `x [px]`, `y [px]` (distorted pixels of the image).
 """
 SCENARIO_HEAD = """# Scenario file
 
@@ -112,7 +112,7 @@ def _block(found: re.Match[str]) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Give the text of each generated page by its path."""
+    """Return the text of each generated page by its path."""
     return {
         "reference/cli.md": "".join(_commands()),
         "reference/api.md": "".join(_api()),
@@ -125,8 +125,18 @@ def pages() -> dict[str, str]:
 def _commands() -> Iterator[str]:
     group = every_command()
     text = get_docs_for_click(obj=group, ctx=typer.Context(group), name="craternav", title="Command line")
+    # typer cuts the sentences in its lists of commands short.
+    for command in _subcommands(group):
+        line = f"* `{command.name}`: "
+        text = text.replace(f"{line}{command.get_short_help_str()}\n", f"{line}{command.help}\n")
     # An example is a console block: copied with a click, and easy to see.
     yield re.sub(r"^Example: (craternav .*)$", r"```console\n$ \1\n```", text, flags=re.MULTILINE)
+
+
+def _subcommands(group: Any) -> Iterator[Any]:
+    for command in getattr(group, "commands", {}).values():
+        yield command
+        yield from _subcommands(command)
 
 
 def _api() -> Iterator[str]:
@@ -158,20 +168,23 @@ def _sensors() -> Iterator[str]:
 def _scenario() -> Iterator[str]:
     yield SCENARIO_HEAD
     seen: set[type] = set()
-    yield from _section("the file itself", Scenario, seen)
+    yield from _section("Top level", Scenario, seen)
 
 
 def _section(title: str, kind: type[BaseModel], seen: set[type]) -> Iterator[str]:
-    """Give the keys of a table, and then those of the tables inside it."""
+    """Return the keys of a table, and then those of the tables inside it."""
     seen.add(kind)
     said = "" if kind is Scenario else f"{_first_sentence(kind)}\n\n"
     yield f"## {title}\n\n{said}{_table(kind)}"
     for name, field in kind.model_fields.items():
         inner = [one for one in _models(field.annotation) if one not in seen]
         for one in inner:
-            path = name if kind is Scenario else f"{title.strip('`[]')}.{name}"
-            source = one.model_fields.get("source")
-            suffix = f', source = "{get_args(source.annotation)[0]}"' if source else ""
+            # A title is `[path]`, with or without its source.
+            path = name if kind is Scenario else f"{title.split(']')[0].strip('`[')}.{name}"
+            # Tables of one name differ by the value of a key.
+            key = next((key for key in ("source", "model") if key in one.model_fields), None)
+            values = get_args(one.model_fields[key].annotation) if key else ()
+            suffix = f', {key} = "{values[0]}"' if values else ""
             yield from _section(f"`[{path}]`{suffix}", one, seen)
 
 

@@ -1,6 +1,8 @@
 """Settings of all tests."""
 
+import atexit
 import os
+import shutil
 import signal
 import tempfile
 
@@ -9,6 +11,7 @@ from hypothesis import settings
 
 # Tests neither read nor fill the user's cache.
 os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="craternav-cache-")
+atexit.register(shutil.rmtree, os.environ["XDG_CACHE_HOME"], ignore_errors=True)
 
 # A shell starts background jobs deaf to Ctrl-C; the tests of it are not about that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -16,8 +19,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # Files that take longest: begun first, so that no worker is left alone with one at the end.
 LONGEST = (
-    "test_notebooks.py", "test_fuzz.py", "test_identify.py", "test_ratios.py", "test_command_line.py",
-    "test_cluster.py",
+    "test_notebooks.py", "test_fuzz.py", "test_command_line.py", "test_ratios.py", "test_identify.py",
+    "test_plugins.py", "test_pose.py", "test_network_detect.py", "test_sun.py", "test_detect.py",
+    "test_run.py", "test_safety.py", "test_guided.py", "test_sensor_checks.py", "test_hard_cases.py",
+    "test_mistakes.py", "test_own_sensor.py", "test_late_rims.py", "test_refine.py", "test_cluster.py",
 )  # fmt: skip
 
 pytest_plugins = ("pytester", "tests.slow_budget")
@@ -25,6 +30,13 @@ pytest_plugins = ("pytester", "tests.slow_budget")
 # The first example of a property may compile a kernel: time says nothing there.
 settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.getgroup("slow tests").addoption(
+        "--views", type=int, metavar="N", default=50,
+        help="views that tests of wrong answers draw of each fault (default: 50)",
+    )  # fmt: skip
 
 
 @pytest.hookimpl(tryfirst=True)

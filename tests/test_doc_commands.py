@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,8 @@ PAGES = ["README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROO
 BLOCK = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 # Set up and run elsewhere: `make demo` is the fixture, its environment that of the tests.
 ELSEWHERE = ("make", "source")
+# Programs whose options are not checked.
+OTHER_PROGRAMS = ("python ", ".venv/bin/", "pip ", "make ")
 # The demo's descent at an eighth of the cost: half as many images, of a quarter of the pixels.
 SMALL = """
 base = "lunar_descent"
@@ -93,6 +96,22 @@ def test_commands_parse(page: str, words: list[str]) -> None:
         rest = rest[1:]
     if "--help" not in rest:
         command.make_context(words[1], rest)
+
+
+def options(command: Any) -> Iterator[str]:
+    for parameter in command.params:
+        yield from parameter.opts
+    for inner in getattr(command, "commands", {}).values():
+        yield from options(inner)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_options_that_the_text_names_exist(page: str) -> None:
+    known = {*options(every_command()), "--help"}
+    prose = BLOCK.sub("", (ROOT / page).read_text(encoding="utf-8"))
+    codes = [code for code in re.findall(r"`([^`]+)`", prose) if not code.startswith(OTHER_PROGRAMS)]
+    quoted = [word for code in codes for word in re.split(r"[ ,|]+", code)]
+    assert not [word for word in quoted if re.fullmatch(r"--[a-z][a-z0-9-]+", word) and word not in known]
 
 
 @pytest.fixture(scope="session")

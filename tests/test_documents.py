@@ -1,6 +1,7 @@
 """README, CONTRIBUTING and docs name modules, files, commands and targets that exist."""
 
 import ast
+import functools
 import importlib
 import re
 from pathlib import Path
@@ -46,12 +47,12 @@ def exists(dotted: str) -> bool:
 def test_dotted_names(text: str) -> None:
     names = set(re.findall(r"`((?:\w+\.)+\w+)(?:\([^`]*\))?`", text))
     ours = {name for name in names if name.split(".")[0] in {"craternav_fg", "factors", *PACKAGES, *MODULES}}
-    files = {
-        name for name in ours if name.endswith((".py", ".toml", ".csv", ".parquet", ".png", ".md", ".html"))
-    }
+    endings = (".py", ".toml", ".yaml", ".csv", ".parquet", ".png", ".md", ".html")
+    files = {name for name in ours if name.endswith(endings)}
     assert not [name for name in sorted(ours - files) if not exists(name)]
 
 
+@functools.cache
 def members() -> dict[str, set[str]]:
     """Names in the body of each class of the packages."""
     found: dict[str, set[str]] = {}

@@ -116,7 +116,7 @@ def test_a_folder_that_may_not_be_read_is_not_empty(tmp_path: Path, request: pyt
 
 
 def test_a_name_with_a_zero_byte_is_refused() -> None:
-    with pytest.raises(InputError, match="embedded null byte"), open_input(Path("a\0b"), SizeLimit.JSON):
+    with pytest.raises(InputError, match="embedded null"), open_input(Path("a\0b"), SizeLimit.JSON):
         pass
 
 

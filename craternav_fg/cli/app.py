@@ -4,11 +4,13 @@ A command's module is imported when the command is called: the help of all of th
 """
 
 import importlib
+import inspect
 import warnings
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 from typer.core import TyperGroup
+from typer.models import ParameterInfo
 
 import craternav_fg
 from craternav_fg.cli.commands import COMMANDS
@@ -29,8 +31,8 @@ class _Lazy(TyperGroup):
 app = typer.Typer(
     cls=_Lazy,
     help="Reconstruct a planetary landing from crater rims and an IMU.",
-    epilog="Results go below ./runs; -o names another place, and import and export need it. What is there is "
-    "replaced by --force alone.",
+    epilog="Results go below ./runs unless -o names another place; import and export require -o. Existing "
+    "results are replaced only with --force.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -55,13 +57,27 @@ for _name, _command in COMMANDS.items():
 
 
 def _loaded(names: Any) -> TyperGroup:
-    """Give the group of all commands, with those of the names imported."""
+    """Return the group of all commands, with those of the names imported."""
     for name in names:
         for module in COMMANDS[name].modules:
             importlib.import_module(f"craternav_fg.cli.{module}")
+    _leave_files_unchecked(app)
     group = typer.main.get_command(app)
     assert isinstance(group, TyperGroup)
     return group
+
+
+def _leave_files_unchecked(group: typer.Typer) -> None:
+    """Leave it to those who read a file to say, in one line, that it may not be read."""
+    for command in group.registered_commands:
+        assert command.callback is not None
+        for parameter in inspect.signature(command.callback).parameters.values():
+            for about in get_args(parameter.annotation)[1:]:
+                if isinstance(about, ParameterInfo):
+                    about.readable = False
+    for one in group.registered_groups:
+        assert one.typer_instance is not None
+        _leave_files_unchecked(one.typer_instance)
 
 
 def every_command() -> TyperGroup:

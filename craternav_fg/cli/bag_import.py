@@ -94,7 +94,7 @@ def bag(
     )  # fmt: skip
     report = import_bag(path, output, options)
     if report.skipped:
-        warn(f"{path}: {report.skipped} images left out: the IMU log does not cover them")
+        warn(f"{path}: {report.skipped} images skipped: the IMU log does not cover them")
     if as_json:
         values = {"dataset": str(output), "topics": report.topics, "frames": report.frames}
         more = {"skipped": report.skipped, "imu_samples": report.samples, "truth": report.truth}
@@ -102,7 +102,7 @@ def bag(
         return
     for what, topic in report.topics.items():
         say(f"{what}: {topic or 'none'}")
-    say(f"{report.frames} images, {report.samples} samples of the IMU")
+    say(f"{report.frames} images, {report.samples} IMU samples")
     say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 
 

@@ -8,46 +8,41 @@ from typing import Annotated, Any
 
 import typer
 
-from craternav_fg.campaign.read import read_campaign
+from craternav_fg.campaign.read import failed_trials
 from craternav_fg.campaign.run import CampaignOptions
 from craternav_fg.campaign.run import montecarlo as run_campaign
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.estimator_option import EstimatorOption
 from craternav_fg.cli.option_groups import with_option_groups
-from craternav_fg.cli.options import JsonOption, names_of, require_free
-from craternav_fg.cli.scenario_options import ScenarioArgument, SeedOption, seeded
+from craternav_fg.cli.options import JsonOption, WorkerOptions, names_of, require_free
+from craternav_fg.cli.scenario_options import DataOption, ScenarioArgument, SeedOption, chosen
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits, warn
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
-from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from craternav_fg.simulation.scenario_file import Scenario
 
 # Figures of an estimator in summary.json and their headings.
 _COLUMNS = {
     "converged": "conv.",
-    "position_final_mean_m": "mean\nm",
-    "position_final_rms_m": "RMS\nm",
-    "attitude_final_mean_deg": "mean\ndeg",
+    "position_final_mean_m": "pos.\nmean\nm",
+    "position_final_rms_m": "pos.\nRMS\nm",
+    "attitude_final_mean_deg": "att.\nmean\ndeg",
     "rms_over_pcrb": "RMS\n/PCRB",
     "anees": "ANEES",
     "time_per_trial_s": "time\ns",
 }
 _LEGEND = (
-    "conv.: trials with final errors below 2 % of the altitude and 1 deg; mean, RMS: of the final errors of\n"
-    "position (m) and attitude (deg); RMS/PCRB: RMS position error over its posterior Cramér-Rao bound,\n"
-    "averaged over the altitude; ANEES of the pose: 6 expected; time: of a trial"
+    "conv.: trials with final errors below 2 % of the altitude and 1 deg; pos., att.: mean and RMS of the\n"
+    "final errors of position and attitude; RMS/PCRB: RMS position error over its posterior Cramér-Rao\n"
+    "bound, averaged over the altitude; ANEES of the pose: 6 expected; time: per trial"
 )
 
 
 @dataclass(frozen=True)
-class Where:
-    """Who runs the trials."""
+class Where(WorkerOptions):
+    """Who runs the trials, and where the scenario's data are."""
 
-    workers: Annotated[
-        int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
-    ] = None
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler whose workers run the trials instead.")
-    ] = None
+    data: DataOption = None
 
 
 @app.command(epilog=example("montecarlo paper_case3 -n 30 -o runs/campaign -e smoother,ekf"))
@@ -68,8 +63,8 @@ def montecarlo(
     retry: Annotated[bool, typer.Option("--retry", help="Repeat the trials that failed.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run trials of a scenario with every estimator, or the missing trials of a campaign."""
-    _check_one_of(where.workers, where.scheduler)
+    """Run a campaign: many trials of a scenario with every estimator. Continue it if it exists."""
+    workers, scheduler = where.checked(os.cpu_count() or 1)
     # A campaign that is there is completed: nothing is replaced.
     require_free(output, force=True)
     options = CampaignOptions(
@@ -77,21 +72,17 @@ def montecarlo(
         first=trial,
         estimators=names_of(estimators, DEFAULT),
         images=images,
-        workers=os.cpu_count() or 1 if where.workers is None else where.workers,
-        scheduler=where.scheduler,
+        workers=workers,
+        scheduler=scheduler,
         retry=retry,
     )
-    summary = _run(seeded(load_scenario(scenario), seed), output, options)
-    _report_failures(read_campaign(output).failed, summary["trials"])
+    summary = _run(chosen(scenario, seed, where.data), output, options)
+    if summary["failed"]:
+        _report_failures(failed_trials(output), summary["trials"])
     if as_json:
         out.print_json(json.dumps(summary))
     else:
         _show(output, summary)
-
-
-def _check_one_of(workers: int | None, scheduler: str | None) -> None:
-    if workers is not None and scheduler is not None:
-        raise CraternavError("expected --workers or --scheduler, found both")
 
 
 def _run(scenario: Scenario, folder: Path, options: CampaignOptions) -> dict[str, Any]:
@@ -105,8 +96,6 @@ def _run(scenario: Scenario, folder: Path, options: CampaignOptions) -> dict[str
 
 def _report_failures(failed: dict[int, str], trials: int) -> None:
     """Warn of trials that failed; it is an error when all have."""
-    if not failed:
-        return
     first = min(failed)
     message = f"{len(failed)} of {trials} trials failed, the first: trial {first}: {failed[first]}"
     if len(failed) == trials:
@@ -123,6 +112,6 @@ def _show(folder: Path, summary: dict[str, Any]) -> None:
     for name, values in summary["estimators"].items():
         count = values["trajectories"]
         if count != trials:
-            say(f"{name}: figures are over the {count} of {trials} trials that gave a trajectory")
+            say(f"{name}: statistics of the {count} of {trials} trials that produced a trajectory")
     say(_LEGEND)
     say(f"{trials} trials, {summary['wall_s']:.0f} s: {folder}")

@@ -20,7 +20,13 @@ from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import catalog_commands, example
-from craternav_fg.cli.catalog_reading import assumed_body, body_of_radius, skipped_lines
+from craternav_fg.cli.catalog_reading import (
+    assumed_body,
+    body_of_radius,
+    skipped_lines,
+    warn_of_exact_rims,
+    warn_of_lost_heights,
+)
 from craternav_fg.cli.catalog_summary import MAX_LISTED, show, summarise
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
@@ -114,7 +120,7 @@ def import_(
     ] = Path("runs/catalog.parquet"),
     dem: Annotated[
         Path | None,
-        typer.Option(help="Elevation model (GeoTIFF, longitude and latitude) for the heights of the rims."),
+        typer.Option(help="Elevation model (GeoTIFF) for the heights of the rims."),
     ] = None,
     dem_unit_m: DemUnitOption = 1.0,
     force: ForceOption = False,
@@ -130,6 +136,8 @@ def import_(
     catalog = _joined(parts)
     if dem is not None:
         catalog = _with_heights(catalog, dem, dem_unit_m)
+    warn_of_lost_heights(tables, [part.craters for part in parts], catalog)
+    warn_of_exact_rims(tables, [part.craters for part in parts])
     write_catalog(output, catalog)
     values = {
         "catalog": str(output),
@@ -175,7 +183,7 @@ def _joined(parts: Sequence[_Table]) -> Catalog:
         again = known.intersection(part.craters.identifiers)
         if again:
             raise InputError(
-                part.path, f"expected each identifier once, found {min(again)!r} in another table, too"
+                part.path, f"expected each identifier once, found {min(again)!r} in another table as well"
             )
         known.update(part.craters.identifiers)
     return Catalog.joined([part.craters for part in parts])

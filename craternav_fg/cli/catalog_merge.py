@@ -14,7 +14,7 @@ from craternav_fg.catalogs.merge import MergeOptions, difference, merge, write_s
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import catalog_commands, example
-from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.catalog_reading import read_any_catalog, warn_of_lost_heights
 from craternav_fg.cli.option_groups import never_replacing
 from craternav_fg.cli.options import (
     CatalogBodyOption,
@@ -55,7 +55,7 @@ def merge_(
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Merge catalogues; of duplicates, keep the best shape."""
+    """Merge catalogues, keeping the best shape of each duplicate."""
     require_suffix(output, (SUFFIX, ".csv"))
     outputs = [output] if sources is None else [output, sources]
     require_kept(catalogs, outputs)
@@ -64,6 +64,7 @@ def merge_(
     options = MergeOptions(place_share, size_factor)
     merged = merge(parts, names, options)
     craters = merged.catalog if dem is None else _with_heights(merged.catalog, dem, dem_unit_m)
+    warn_of_lost_heights(catalogs, parts, craters)
     write_catalog(output, craters)
     if sources is not None:
         with replacing(sources) as temporary:

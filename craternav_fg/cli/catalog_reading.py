@@ -1,6 +1,7 @@
 """How commands read a catalogue of any origin, and say what was skipped or assumed."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from craternav_fg.body import Body
@@ -42,13 +43,30 @@ def warn_of(path: Path, report: ImportReport) -> None:
         warn(assumed_body(path, "--body-radius-m"))
 
 
+def warn_of_lost_heights(paths: Sequence[Path], parts: Sequence[Catalog], joined: Catalog) -> None:
+    """Warn when heights of some catalogues are lost, as others that were joined with them state none."""
+    without = [str(path) for path, part in zip(paths, parts, strict=True) if not part.has_heights]
+    if not joined.has_heights and len(without) < len(parts):
+        warn(f"no heights of rims are written, as {', '.join(without)} states none: --dem sets those of all")
+
+
+def warn_of_exact_rims(paths: Sequence[Path], parts: Sequence[Catalog]) -> None:
+    """Warn when some of the catalogues that are joined state errors, and others do not."""
+    without = [str(path) for path, part in zip(paths, parts, strict=True) if part.errors is None]
+    if 0 < len(without) < len(parts):
+        warn(
+            f"{', '.join(without)} states no errors of rims: beside the others these rims count as exact; "
+            "craternav catalog merge estimates their errors"
+        )
+
+
 def assumed_body(path: Path, option: str) -> str:
     """Say that a catalogue is assumed to be the Moon's, and which option says otherwise."""
     return f"{path}: does not name its body, the Moon is assumed ({option} gives another)"
 
 
 def skipped_lines(report: ImportReport) -> list[str]:
-    """Say how many rows were skipped, by reason."""
+    """Return how many rows were skipped, by reason."""
     reasons = [row.reason.partition(", found ")[0] for row in report.skipped]
     lines = []
     for reason, count in Counter(reasons).most_common():

@@ -1,17 +1,20 @@
-"""Command that measures a catalogue's rims on an elevation model."""
+"""Command that improves a catalogue's rims by an elevation model or by the images of a descent."""
 
 import json
 from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from craternav_fg.catalogs.dem import read_dem
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX, write_parquet
 from craternav_fg.cli.app import catalog_commands, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
     CatalogBodyOption,
     DemUnitOption,
@@ -22,45 +25,90 @@ from craternav_fg.cli.options import (
     require_suffix,
 )
 from craternav_fg.cli.terminal import out, progress_bars, say
+from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
-from craternav_fg.mapping.refine import Outcome, RefinedRims, RefineOptions, refine_on_dem
+from craternav_fg.files import SizeLimit, check_input
+from craternav_fg.mapping.apply_errors import RunOutcome, apply_errors
+from craternav_fg.mapping.measured_rim import Outcome, disagrees
+from craternav_fg.mapping.refine import RefinedRims, RefineOptions
+from craternav_fg.mapping.refine_chunks import DemFile, KeptChunks, refine_in_chunks
+from craternav_fg.runs.read import read_map_errors, read_run
+from craternav_fg.workers import cluster
+
+# Rounding of a catalogue in a file.
+_SAME_PLACE_M = 1.0
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """What the elevation model shows."""
+
+    dem_unit_m: DemUnitOption = 1.0
+    min_diameter_steps: Annotated[
+        float, typer.Option(min=4.0, help="Smallest diameter to measure, in grid steps of the model.")
+    ] = RefineOptions.min_diameter_steps
+    resolution_steps: Annotated[
+        float, typer.Option(min=0.1, help="Shortest length that the model resolves, in grid steps.")
+    ] = RefineOptions.resolution_steps
 
 
 @catalog_commands.command(
     epilog=example("catalog refine craters.parquet --dem gld100.tif -o refined.parquet")
 )
+@with_option_groups
 def refine(
     catalog: Annotated[
         Path, typer.Argument(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
     ],
-    dem: Annotated[Path, typer.Option(help="Elevation model (GeoTIFF, longitude and latitude).")],
+    measured: MeasureOptions,
+    dem: Annotated[
+        Path | None,
+        typer.Option(help="Elevation model (GeoTIFF); it may have gaps.", show_default=False),
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            "--images",
+            "--images-of-run",
+            help="Run of map_refining_smoother, in place of --dem.",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write (.parquet).")] = Path(
         "runs/refined.parquet"
     ),
-    dem_unit_m: DemUnitOption = 1.0,
-    min_diameter_steps: Annotated[
-        float, typer.Option(min=4.0, help="Smallest diameter to measure, in grid steps of the model.")
-    ] = RefineOptions.min_diameter_steps,
-    resolution_steps: Annotated[
-        float, typer.Option(min=0.1, help="Shortest length that the model resolves, in grid steps.")
-    ] = RefineOptions.resolution_steps,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler whose workers do the work instead.")
+    ] = None,
     body_radius_m: CatalogBodyOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure rims on an elevation model: ellipses, heights and covariances in place of circles."""
+    """Improve rims by an elevation model, or by the images of a reconstructed descent."""
+    _require_one(dem, images)
     require_suffix(output, (SUFFIX,))
-    require_kept([catalog, dem], [output])
+    require_kept([catalog, *filter(None, [dem, images])], [output])
     require_free(output, force=force)
     craters, _ = read_any_catalog(catalog, body_radius_m)
-    model = read_dem(dem, dem_unit_m, craters.body.radius_m)
-    options = RefineOptions(min_diameter_steps=min_diameter_steps, resolution_steps=resolution_steps)
-    with progress_bars() as report:
-        rims = refine_on_dem(
-            craters, model, options, progress=lambda done, total: report("refined craters", done, total)
+    if images is not None:
+        _by_images(catalog, craters, images, output, as_json)
+        return
+    assert dem is not None
+    options = RefineOptions(
+        min_diameter_steps=measured.min_diameter_steps, resolution_steps=measured.resolution_steps
+    )
+    check_input(dem, SizeLimit.RASTER)
+    model = DemFile(str(dem.resolve()), measured.dem_unit_m, craters.body.radius_m)
+    kept = KeptChunks.beside(output, craters, model, options)
+    with ExitStack() as stack:
+        report = stack.enter_context(progress_bars())
+        workers = None if scheduler is None else stack.enter_context(cluster(scheduler))
+        rims = refine_in_chunks(
+            craters, model, options, kept, lambda done, total: report("refined craters", done, total), workers
         )
     _require_refined(rims, catalog, dem)
     write_parquet(output, rims.catalog, rims.columns())
+    kept.remove()
     values = {"catalog": str(output), "craters": len(craters), "outcomes": _counts(rims), **_figures(rims)}
     if as_json:
         out.print_json(json.dumps(values))
@@ -74,9 +122,54 @@ def refine(
     say(f"{output}")
 
 
+def _require_one(dem: Path | None, images: Path | None) -> None:
+    if (dem is None) == (images is None):
+        raise InputError("catalog refine", "expected either --dem or --images")
+
+
+def _by_images(path: Path, craters: Catalog, images: Path, output: Path, as_json: bool) -> None:
+    """Correct rims by the errors that a run's smoother has estimated."""
+    run = read_run(images)
+    errors = read_map_errors(run)
+    used = Dataset.open(run.dataset).catalog
+    rows = {name: row for row, name in enumerate(craters.identifiers)}
+    there = {name: row for row, name in enumerate(used.identifiers)}
+    for name in errors:
+        if name not in rows or name not in there:
+            raise InputError(path, f"has no crater {name}, which the run {images} has seen")
+        off_m = float(np.linalg.norm(craters.centres[rows[name]] - used.centres[there[name]]))
+        if off_m > _SAME_PLACE_M:
+            problem = (
+                f"crater {name} is {off_m:.0f} m from its place in the run's catalogue, expected the same"
+            )
+            raise InputError(path, problem)
+    found = apply_errors(craters, {rows[name]: one for name, one in errors.items()})
+    counts = found.counts()
+    told = ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
+    if not counts.get(RunOutcome.REFINED.value):
+        raise InputError(images, f"corrects no rim of {path}: {told}")
+    write_parquet(output, found.catalog, found.columns())
+    shift_m = float(np.nanmedian(np.linalg.norm(found.shift_m, axis=1)))
+    sigma_m = float(np.nanmedian(np.linalg.norm(found.sigma_m, axis=1)))
+    if as_json:
+        values = {"median_shift_m": shift_m, "median_center_sigma_m": sigma_m}
+        out.print_json(
+            json.dumps({"catalog": str(output), "craters": len(craters), "outcomes": counts, **values})
+        )
+        return
+    say(f"{len(craters)} craters: {told}")
+    say(f"refined rims: centres moved by {shift_m:.0f} m in the median, {sigma_m:.0f} m left (one sigma)")
+    say(f"{output}")
+
+
 def _require_refined(rims: RefinedRims, catalog: Path, dem: Path) -> None:
     if not rims.refined.any():
         raise InputError(dem, f"shows no rim of {catalog}: {_told(_counts(rims))}")
+    if disagrees(rims.outcomes):
+        problem = (
+            "the catalogue disagrees with the model by a kilometre or more, or is of another place or size"
+        )
+        raise InputError(catalog, f"{problem} ({dem}: {_told(_counts(rims))})")
 
 
 def _counts(rims: RefinedRims) -> dict[str, int]:
@@ -89,7 +182,7 @@ def _told(counts: dict[str, int]) -> str:
 
 
 def _figures(rims: RefinedRims) -> dict[str, Any]:
-    """Give the refined rims' medians."""
+    """Return the refined rims' medians."""
     shift = rims.shift_m[rims.refined]
     east, north = np.median(shift, axis=0)
     spread = 1.4826 * np.median(np.abs(shift - (east, north)), axis=0)

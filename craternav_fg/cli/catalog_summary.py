@@ -14,6 +14,8 @@ MAX_LISTED = 20
 _MAX_PRINTED = 5
 # Craters without a wider gap of longitudes between them lie all around the body.
 _MIN_GAP_DEG = 20.0
+# Stands for an unknown standard deviation, as NaN is not equal to itself.
+_UNKNOWN = -1.0
 # Of the diameters: smallest, median, largest, and the interval that holds 90 %.
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
@@ -48,6 +50,7 @@ def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, A
         "longitude_deg": _longitudes_deg(catalog),
         "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
         "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
+        "errors": _errors(catalog),
         "crossed_rims": len(np.unique(overlaps.crossings)),
         "duplicates": len(overlaps.duplicates),
         "first_duplicates": [[catalog.identifiers[row] for row in pair] for pair in first.tolist()],
@@ -76,6 +79,8 @@ def show(values: dict[str, Any]) -> None:
     say("  longitudes  all around" if around else f"  longitudes  {west:.2f} to {east:.2f} deg, eastwards")
     heights = f"{bottom:.0f} to {top:.0f} m above the sphere" if bottom or top else "none: all on the sphere"
     say(f"  rim heights {heights}")
+    for line in _told(values["errors"]):
+        say(line)
     say(f"  crossings   {values['crossed_rims']:,} craters whose rim crosses another's")
     if not values["duplicates"]:
         say("  duplicates  no pairs that are probably one crater entered twice")
@@ -87,6 +92,50 @@ def show(values: dict[str, Any]) -> None:
     if values["duplicates"] > _MAX_PRINTED:
         more = values["duplicates"] - _MAX_PRINTED
         say(f"              and {more:,} more (--pairs FILE.csv writes them all)")
+
+
+def _errors(catalog: Catalog) -> dict[str, Any]:
+    """Medians of the standard deviations that the catalogue states; empty where it states none."""
+    found: dict[str, Any] = {}
+    own, shift = catalog.errors, catalog.common_shift
+    if own is not None:
+        found |= {
+            "place_sigma_m": float(np.median(own.place_m)),
+            "size_sigma": float(np.median(own.size)),
+            "height_sigma_m": float(np.median(own.height_m)),
+        }
+    if shift is not None:
+        sigmas = np.nan_to_num(np.stack([shift.place_m, shift.height_m]), nan=_UNKNOWN)
+        sources, counts = np.unique(np.vstack([shift.source, sigmas]), axis=1, return_counts=True)
+        found["common_shift"] = [
+            {
+                "craters": int(count),
+                "source": int(source),
+                "place_sigma_m": None if place == _UNKNOWN else float(place),
+                "height_sigma_m": None if height == _UNKNOWN else float(height),
+            }
+            for source, place, height, count in zip(*sources, counts, strict=True)
+        ]
+    return found
+
+
+def _told(errors: dict[str, Any]) -> list[str]:
+    lines = []
+    if "place_sigma_m" in errors:
+        lines.append(
+            f"  errors      each crater: place {errors['place_sigma_m']:.0f} m, size "
+            f"{100.0 * errors['size_sigma']:.1f} %, height {errors['height_sigma_m']:.0f} m (medians)"
+        )
+    lines += [
+        f"              {one['craters']:,} craters of source {one['source']} in common: place "
+        f"{_metres(one['place_sigma_m'])}, height {_metres(one['height_sigma_m'])}"
+        for one in errors.get("common_shift", [])[:_MAX_PRINTED]
+    ]
+    return lines
+
+
+def _metres(sigma: float | None) -> str:
+    return "not stated" if sigma is None else f"{sigma:.0f} m"
 
 
 def _longitudes_deg(catalog: Catalog) -> list[float]:

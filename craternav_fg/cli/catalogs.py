@@ -166,7 +166,7 @@ def _place(latitude_deg: float | None, longitude_deg: float | None) -> tuple[flo
 
 
 def _crater(catalog: Catalog, row: int, distance_m: float) -> dict[str, Any]:
-    """Give a crater as JSON can carry it."""
+    """Return a crater as JSON can carry it."""
     return {
         "identifier": catalog.identifiers[row],
         "distance_km": 1e-3 * float(distance_m),

@@ -1,4 +1,4 @@
-"""Which command is in which module, and what it does in a sentence, in the order of the help."""
+"""The commands in the order of the help: module and one-sentence description."""
 
 from typing import NamedTuple
 
@@ -26,12 +26,13 @@ COMMANDS = {
     "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
     "compare": Command("Compare the estimators of one or more runs.", ("comparison",)),
     "evaluate": Command(
-        "Check a run against an elevation model, a-priori states, or frames left out.",
+        "Check a run against an elevation model, a-priori states, or held-out frames.",
         ("evaluation",),
     ),
-    "report": Command("Write a report: one interactive HTML page that needs no network.", ("report",)),
+    "report": Command("Write a report: one interactive HTML page that works offline.", ("report",)),
     "montecarlo": Command(
-        "Run trials of a scenario with every estimator, or the missing trials of a campaign.", ("campaigns",)
+        "Run a campaign: many trials of a scenario with every estimator. Continue it if it exists.",
+        ("campaigns",),
     ),
     "catalog": Command(
         "Crater catalogues: import, merge, refine, summarise, list, draw.",
@@ -44,7 +45,7 @@ COMMANDS = {
     "export": Command(
         "Export data sets and trajectories: ROS bags, Kalibr, TUM, KITTI, GeoJSON, KML, COLMAP.", ("exports",)
     ),
-    "detect": Command("Detect crater rims in an image without any prior.", ("detection",)),
+    "detect": Command("Detect crater rims in images without any prior.", ("detection",)),
     "identify": Command(
         "Identify the craters of an image, and the lander's pose, without any prior.", ("identification",)
     ),
@@ -57,6 +58,10 @@ COMMANDS = {
     "reproduce": Command(
         "Reproduce figures and tables of Tian et al. (2019), with a verdict on each number.",
         ("reproduction",),
+    ),
+    "warmup": Command(
+        "Compile all kernels, so that the first run does not have to; compiled code stays on disk.",
+        ("warm_up",),
     ),
     "bench": Command(
         "Measure speed against GTSAM's own C++ factors, or detection against annotated images.",

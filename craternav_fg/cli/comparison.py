@@ -1,4 +1,4 @@
-"""Command that puts runs side by side."""
+"""Command that compares runs."""
 
 import json
 from collections.abc import Sequence

@@ -15,7 +15,7 @@ from craternav_fg.cli.estimator_option import EstimatorOption
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import ForceOption, JsonOption, names_of, require_free
 from craternav_fg.cli.run_summary import show_run
-from craternav_fg.cli.scenario_options import ScenarioArgument, SeedOption, TrialOption, seeded
+from craternav_fg.cli.scenario_options import DataOption, ScenarioArgument, SeedOption, TrialOption, chosen
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
@@ -29,8 +29,8 @@ from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.pipeline.reconstruct import Progress
 from craternav_fg.runs.execute import execute_run
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
+from craternav_fg.runs.warm_up import warming_up
 from craternav_fg.simulation.scenario import simulate as simulate_scenario
-from craternav_fg.simulation.scenario_file import load_scenario
 
 
 @app.command(epilog=example("demo -o runs/demo --seed 7"))
@@ -41,15 +41,17 @@ def demo(
     ] = "lunar_descent",
     seed: SeedOption = None,
     trial: TrialOption = None,
+    data: DataOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a descent, reconstruct it with every estimator, and compare them."""
     began_s = time.perf_counter()
     require_free(output, force=force)
-    case = seeded(load_scenario(scenario), seed)
+    case = chosen(scenario, seed, data)
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
-        simulate_scenario(case, folder / DATASET, trial=trial, progress=_simulated(report))
+        with warming_up():
+            simulate_scenario(case, folder / DATASET, trial=trial, progress=_simulated(report))
         simulated_s = time.perf_counter() - began_s
         summary = execute_run(
             Dataset.open(folder / DATASET),
@@ -71,6 +73,7 @@ def simulate(
     ),
     seed: SeedOption = None,
     trial: TrialOption = None,
+    data: DataOption = None,
     measured: Annotated[
         bool,
         typer.Option("--measured", help="Simulate measured rims in place of images, as montecarlo does."),
@@ -86,7 +89,7 @@ def simulate(
 ) -> None:
     """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
     require_free(output, force=force)
-    case = seeded(load_scenario(scenario), seed)
+    case = chosen(scenario, seed, data)
     if measured:
         case = as_measured(case, images=False)
     with progress_bars() as report:
@@ -106,7 +109,7 @@ class Choice:
         list[str] | None,
         typer.Option(
             metavar="SENSOR",
-            help="Leave out a sensor, rims, sun or features; several by commas, or repeated.",
+            help="Sensors to exclude (also rims, sun, features), separated by commas or as repeated options.",
         ),
     ] = None
     rims: Annotated[
@@ -178,9 +181,12 @@ def _estimators(names: Sequence[str], file: OptionsFile | None, rims: str | None
         return chosen
     if rims not in RIM_MODELS:
         raise InputError("--rims", f"expected one of {', '.join(RIM_MODELS)}, found {rims!r}")
-    for one in chosen:
-        if isinstance(one, BatchSmoother | OnlineSmoother | FixedLagSmoother):
-            one.options = replace(one.options, rims=rims)
+    smoothers = [one for one in chosen if isinstance(one, BatchSmoother | OnlineSmoother | FixedLagSmoother)]
+    if not smoothers:
+        found = ", ".join(one.name for one in chosen)
+        raise InputError("--rims", f"expected a smoother among the estimators, found {found}")
+    for one in smoothers:
+        one.options = replace(one.options, rims=rims)
     return chosen
 
 

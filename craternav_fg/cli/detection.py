@@ -1,109 +1,269 @@
-"""Command that detects rims in an image."""
+"""Command that detects rims in images and mosaics."""
 
 import json
 import math
+import os
 import time
-from enum import StrEnum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 import typer
 
+from craternav_fg.body import Body
+from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import ForceOption, JsonOption, require_free, require_kept
-from craternav_fg.cli.terminal import out, say, warn
-from craternav_fg.dataset.ellipses import detections_as_plain_data, write_detected_ellipses
-from craternav_fg.dataset.foreign_images import read_foreign_image
-from craternav_fg.errors import InputError
+from craternav_fg.cli.option_groups import with_option_groups
+from craternav_fg.cli.options import ForceOption, JsonOption, WorkerOptions, require_free, require_kept
+from craternav_fg.cli.terminal import out, progress_bars, say, warn
+from craternav_fg.dataset.ellipses import write_detected_ellipses
+from craternav_fg.dataset.foreign_images import TooManyPixelsError, read_foreign_image
+from craternav_fg.detection.images import SUMMARY, Where, detect_images, rims_as_plain_data
+from craternav_fg.detection.mosaics import CATALOG, OVERLAY, TABLE, detect_mosaic, is_mosaic
+from craternav_fg.detection.settings import DetectionSettings, Method
+from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import replacing
 from craternav_fg.plots.detections import write_overlay
 from craternav_fg.vision.brightness import brightness
-from craternav_fg.vision.canny import find_rims_canny
-from craternav_fg.vision.detect import BlindOptions, FoundRims, find_rims
-from craternav_fg.vision.learned import find_rims_learned
+from craternav_fg.vision.detect import BlindOptions, FoundRims
+
+_TABLE, _FOLDER = Path("runs/detect.csv"), Path("runs/detect")
 
 
-class Method(StrEnum):
-    """Blind detectors."""
+@dataclass(frozen=True)
+class Search:
+    """What is searched."""
 
-    TEMPLATE = "template"
-    LEARNED = "learned"
-    CANNY = "canny"
-
-
-_DETECTORS = {Method.TEMPLATE: find_rims, Method.LEARNED: find_rims_learned, Method.CANNY: find_rims_canny}
-
-
-@app.command(epilog=example("detect frame.png --sun-deg 180 -o runs/rims.csv"))
-def detect(
-    image: Annotated[Path, typer.Argument(help="Image file of any origin: PNG, TIFF, JPEG.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="CSV of ellipses; the overlay is written beside it.")
-    ] = Path("runs/detect.csv"),
     sun_deg: Annotated[
         float | None,
         typer.Option(
             help="Direction towards the sun in the image, deg: 0 right, 90 down, 180 left.",
             show_default="estimated from the image",
         ),
-    ] = None,
+    ] = None
     method: Annotated[
         Method,
         typer.Option(
-            help="Template candidates, checked by rules (template) or by a network (learned); or Canny edges."
+            help="A network proposes craters (network); a matched filter and rules, which find less in "
+            "photographs (template); or Canny edges."
         ),
-    ] = Method.TEMPLATE,
-    min_radius_px: Annotated[
-        float, typer.Option(min=4.0, help="Smallest radius to search, px.")
-    ] = BlindOptions.min_radius_px,
+    ] = Method.NETWORK
+    min_radius_px: Annotated[float, typer.Option(min=4.0, help="Smallest radius to search, px.")] = (
+        BlindOptions.min_radius_px
+    )
     min_quality: Annotated[
         float,
         typer.Option(
             min=0.0,
             max=1.0,
-            help="Smallest quality of a rim; a lower limit finds more rims, also false ones.",
+            help="Smallest quality of a rim; lower values list more rims, including false ones.",
         ),
-    ] = BlindOptions.min_quality,
+    ] = BlindOptions.min_quality
+
+    def settings(self) -> DetectionSettings:
+        """Return them checked.
+
+        Returns
+        -------
+        DetectionSettings
+
+        Raises
+        ------
+        InputError
+            When the direction towards the sun is no number.
+        """
+        if self.sun_deg is not None and not math.isfinite(self.sun_deg):
+            raise InputError("--sun-deg", f"expected an angle in degrees, found {self.sun_deg}")
+        return DetectionSettings(self.method, self.sun_deg, self.min_radius_px, self.min_quality)
+
+
+@dataclass(frozen=True)
+class ShownBody:
+    """What a mosaic shows."""
+
+    body: Annotated[
+        str | None,
+        typer.Option(help="Body of a mosaic with coordinates.", show_default="that of its coordinates"),
+    ] = None
+    body_radius_m: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Radius of the sphere of --body.", show_default="that known by its name"),
+    ] = None
+
+    def named(self) -> Body | None:
+        """Return the body, None when none is named.
+
+        Returns
+        -------
+        Body or None
+
+        Raises
+        ------
+        InputError
+            When its radius is not known.
+        """
+        if self.body is None and self.body_radius_m is None:
+            return None
+        return named_body(self.body or "", self.body_radius_m)
+
+
+@app.command(epilog=example("detect frames/*.png -o runs/rims"))
+@with_option_groups
+def detect(
+    images: Annotated[list[Path], typer.Argument(help="Image files of any origin: PNG, TIFF, JPEG.")],
+    search: Search,
+    where: WorkerOptions,
+    shown: ShownBody,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="CSV of ellipses of one image, with the overlay beside it; or a folder, for several images "
+            "or a mosaic.",
+            show_default=f"{_TABLE}, or the folder {_FOLDER}",
+        ),
+    ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Detect crater rims in an image without any prior."""
+    """Detect crater rims in images without any prior."""
+    settings = search.settings()
+    if len(images) == 1 and not _is_folder(output):
+        _detect_one(images[0], output or _TABLE, settings, force=force, as_json=as_json)
+        return
+    folder = output or _FOLDER
+    _require_folder(folder, len(images))
+    require_kept(images, [folder])
+    run_by = Where(*where.checked(os.cpu_count() or 1))
+    body = shown.named()
+    if len(images) == 1 and (body is not None or is_mosaic(images[0])):
+        _detect_mosaic(images[0], folder, settings, run_by, body, force=force, as_json=as_json)
+    else:
+        _detect_many(images, folder, settings, run_by, force=force, as_json=as_json)
+
+
+def _require_folder(folder: Path, count: int) -> None:
+    if folder.suffix == ".csv" and not folder.is_dir():
+        raise InputError(folder, f"expected a folder for the results of {count} images")
+    require_free(folder, force=True)
+
+
+def _is_folder(output: Path | None) -> bool:
+    return output is not None and (output.suffix == "" or output.is_dir())
+
+
+def _detect_one(
+    image: Path, output: Path, settings: DetectionSettings, *, force: bool, as_json: bool
+) -> None:
+    """Write table and overlay of one image."""
     overlay = output.with_name(f"{output.stem}_overlay.png")
     require_kept([image], [output, overlay])
     require_free(output, force=force)
-    sun_rad = _angle_rad("--sun-deg", sun_deg)
-    pixels = read_foreign_image(image)
+    try:
+        pixels = read_foreign_image(image)
+    except TooManyPixelsError as error:
+        raise CraternavError(f"{error}, or name a folder (-o FOLDER) to read it in windows") from None
     began_s = time.perf_counter()
-    options = BlindOptions(min_radius_px=min_radius_px, min_quality=min_quality)
-    rims = _DETECTORS[method](pixels, sun_rad, options)
+    rims = settings.detect(pixels, settings.sun_rad)
     detect_ms = 1e3 * (time.perf_counter() - began_s)
-    _warn_of_sun(image, rims)
+    values = rims_as_plain_data(rims)
+    warning = values.pop("warning")
+    if warning is not None:
+        warn(f"{image}: {warning}")
     with replacing(output) as table, replacing(overlay) as picture:
         # Both, or neither.
-        write_detected_ellipses(table, rims.ellipses_px, image.name)
+        write_detected_ellipses(table, rims.ellipses_px, rims.traced, image.name)
         write_overlay(picture, pixels, rims)
     if as_json:
-        values = {"image": str(image), "method": method.value, "detect_ms": detect_ms, **_plain(rims)}
+        values = {"image": str(image), "method": settings.method.value, "detect_ms": detect_ms, **values}
         out.print_json(json.dumps({**values, "csv": str(output), "overlay": str(overlay)}))
         return
-    towards_deg = math.degrees(rims.sun_angle_rad) % 360.0
-    sun = "" if math.isnan(towards_deg) else f", the sun towards {towards_deg:.0f} deg"
-    found = f"{len(rims)} rims" if len(rims) else f"no rims: {_why_none(pixels, options)}"
-    say(f"{found}{sun}\n{output}\n{overlay}")
+    coarse = int(np.sum(~rims.traced))
+    found = f"{len(rims)} rims" if len(rims) else f"no rims: {_why_none(pixels, settings.options())}"
+    found += f" ({coarse} not traced, coarse)" if coarse else ""
+    say(f"{found}{_sun(rims)}\n{output}\n{overlay}")
 
 
-def _angle_rad(option: str, angle_deg: float | None) -> float | None:
-    if angle_deg is None:
-        return None
-    if not math.isfinite(angle_deg):
-        raise InputError(option, f"expected an angle in degrees, found {angle_deg}")
-    return math.radians(angle_deg)
+def _detect_many(
+    images: list[Path],
+    folder: Path,
+    settings: DetectionSettings,
+    where: Where,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write tables and overlays of several images into a folder; it is an error when some cannot be read."""
+    try:
+        with progress_bars() as report:
+            rows = detect_images(images, folder, settings, where, force=force, progress=report)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("finished images are kept; the same command resumes") from None
+    for row in rows:
+        if row["warning"] is not None:
+            warn(f"{row['image']}: {row['warning']}")
+        if row["error"] is not None:
+            warn(row["error"])
+    failed = sum(row["error"] is not None for row in rows)
+    if as_json:
+        out.print_json(json.dumps({"folder": str(folder), "images": rows}))
+    else:
+        rims = sum(row["rims"] or 0 for row in rows)
+        say(f"{rims} rims in {len(rows) - failed} of {len(rows)} images\n{folder / SUMMARY}")
+    if failed:
+        raise CraternavError(
+            f"{failed} of {len(rows)} images failed, see the warnings above; the others are done"
+        )
+
+
+def _detect_mosaic(
+    image: Path,
+    folder: Path,
+    settings: DetectionSettings,
+    where: Where,
+    body: Body | None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write table, overlay and catalogue of a mosaic; it is an error when windows cannot be read."""
+    try:
+        with progress_bars() as report:
+            found = detect_mosaic(image, folder, settings, where, body=body, force=force, progress=report)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("finished windows are kept; the same command resumes") from None
+    for error in found.errors:
+        warn(error)
+    if found.contradicted:
+        warn(
+            f"{image}: in {found.contradicted} of {found.windows} windows craters look lit from elsewhere "
+            "than --sun-deg says; omit it to estimate the direction"
+        )
+    if found.undecided:
+        warn(
+            f"{image}: {found.undecided} windows do not show from where they are lit: craters lit from both "
+            "sides are listed there; --sun-deg gives the direction"
+        )
+    catalog = folder / CATALOG if found.craters else None
+    if as_json:
+        values = {"image": str(image), "windows": found.windows, "rims": len(found.rims)}
+        values |= {"catalog": None if catalog is None else str(catalog), "craters": found.craters}
+        out.print_json(json.dumps({**values, "csv": str(folder / TABLE)}))
+    else:
+        say(f"{len(found.rims)} rims in {found.windows} windows\n{folder / TABLE}\n{folder / OVERLAY}")
+        if found.craters is None:
+            say("no catalogue: the image has no coordinates")
+        if catalog is not None:
+            say(f"{catalog}")
+    if found.errors:
+        raise CraternavError(f"{len(found.errors)} of {found.windows} windows failed; the others are done")
 
 
 def _why_none(pixels: npt.NDArray[np.generic], options: BlindOptions) -> str:
-    """Say why an image shows no rims."""
+    """Explain why an image shows no rims."""
     grey = brightness(pixels)
     known = grey[np.isfinite(grey)]
     if not len(known):
@@ -116,15 +276,9 @@ def _why_none(pixels: npt.NDArray[np.generic], options: BlindOptions) -> str:
     return "nothing looks like a lit crater, or what does is lit from no common direction"
 
 
-def _warn_of_sun(path: Path, rims: FoundRims) -> None:
-    """Warn of a direction of the sun that was given and that the craters contradict."""
-    if rims.sun_contradicted:
-        given, seen = (math.degrees(a) % 360.0 for a in (rims.sun_angle_rad, rims.seen_sun_angle_rad))
-        warn(
-            f"{path}: the sun is given at {given:.0f} deg in the image, but its craters look lit from "
-            f"{seen:.0f} deg; omit --sun-deg to estimate it from the image"
-        )
-
-
-def _plain(rims: FoundRims) -> dict[str, Any]:
-    return detections_as_plain_data(rims.ellipses_px, rims.covariance_px, rims.quality, rims.sun_angle_rad)
+def _sun(rims: FoundRims) -> str:
+    """Describe where the sun is."""
+    if math.isnan(rims.sun_angle_rad):
+        return ", the image does not show from where it is lit" if len(rims) else ""
+    sure = "" if math.isnan(rims.sun_probability) else f" (probability {rims.sun_probability:.2f})"
+    return f", the sun towards {math.degrees(rims.sun_angle_rad) % 360.0:.0f} deg{sure}"

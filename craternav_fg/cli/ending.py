@@ -5,16 +5,19 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 # Exit code of a known error, that of typer for wrong usage.
 KNOWN_ERROR_CODE = 2
 # Added to the number of a signal: the exit code that a shell expects.
 _SIGNAL_CODE = 128
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+# After this time a signal whose exception was lost is raised again.
+_AGAIN_S = 0.01
 
 
 @contextmanager
@@ -22,15 +25,18 @@ def one_line_endings() -> Iterator[None]:
     """End the process in one line, however the commands within end.
 
     A signal need not arrive as `KeyboardInterrupt`: numba and GTSAM turn it into errors of their own. That
-    one has come is therefore remembered.
+    one has come is therefore remembered. It need not arrive at all: in a function that C calls, as where
+    numba compiles, Python prints an exception and goes on. The signal is then raised again.
     """
     received: list[int] = []
+    lost: list[threading.Timer] = []
 
     def stop(number: int, _frame: FrameType | None) -> None:
-        if received:
+        if received and not lost:
             # The second time at once, whatever is left behind.
             os._exit(_SIGNAL_CODE + number)
-        received.append(number)
+        lost.clear()
+        received[:] = [number]
         raise KeyboardInterrupt
 
     # A command in the background of a script is to ignore Ctrl-C.
@@ -38,6 +44,8 @@ def one_line_endings() -> Iterator[None]:
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
             signal.signal(number, stop)
+    report = sys.unraisablehook
+    sys.unraisablehook = _raising_again(received, lost, report)
     _escape_what_cannot_be_printed()
     try:
         yield
@@ -55,12 +63,32 @@ def one_line_endings() -> Iterator[None]:
             raise
         _end(line, KNOWN_ERROR_CODE)
     finally:
+        for timer in lost:
+            timer.cancel()
+        sys.unraisablehook = report
         for number, handler in before.items():
             signal.signal(number, handler)
         atexit.unregister(_ignore_signals)
         atexit.register(_ignore_signals)
     if received:
         _end_by(received[0], None)
+
+
+def _raising_again(
+    received: list[int], lost: list[threading.Timer], report: Callable[[Any], object]
+) -> Callable[[Any], object]:
+    """Make a hook for exceptions that Python cannot raise: that of a signal comes again, unprinted."""
+
+    def hook(unraisable: Any) -> None:
+        if not (received and issubclass(unraisable.exc_type, KeyboardInterrupt)):
+            report(unraisable)
+            return
+        timer = threading.Timer(_AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, received[0]))
+        timer.daemon = True
+        lost.append(timer)
+        timer.start()
+
+    return hook
 
 
 def _ignore_signals() -> None:

@@ -13,7 +13,7 @@ EstimatorOption = Annotated[
         "--estimator",
         "-e",
         metavar="NAME[,NAME...]",
-        help=f"Estimators to run, of {', '.join(ESTIMATORS)}; may be repeated.",
+        help=f"Estimators to run, separated by commas or as repeated options: {', '.join(ESTIMATORS)}.",
         show_default=f"all but {', '.join(ON_REQUEST)}",
         autocompletion=completing(estimators),
     ),

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 from craternav_fg.catalogs.dem import read_dem
@@ -42,6 +43,7 @@ def dem_(
     """Correlate each photograph with the elevation model, shaded at the estimated pose and sun."""
     result = read_run(run)
     name, trajectory = _trajectory(result, name)
+    covariance = _covariances(run, name, trajectory)
     data = Dataset.open(result.dataset)
     model = read_dem(dem, dem_unit_m, data.body.radius_m)
     checks = []
@@ -55,8 +57,6 @@ def dem_(
             )
             report("frames", k + 1, len(data))
     up = trajectory.gP / np.linalg.norm(trajectory.gP, axis=1, keepdims=True)
-    covariance = trajectory.pose_covariance
-    assert covariance is not None
     sigma_m = np.sqrt(np.einsum("ki,kij,kj->k", up, covariance[:, 3:, 3:], up))
     save(draw_dem_check(checks, sigma_m), run / "figures" / FIGURE)
     rows = [
@@ -74,7 +74,7 @@ def dem_(
     if as_json:
         out.print_json(json.dumps({"estimator": name, "frames": rows}))
         return
-    table = table_of_numbers("frame", ("correlation", "best", "altitude m", "sigma m", "shift px"))
+    table = table_of_numbers("frame", ("correlation", "best", "offset m", "sigma m", "shift px"))
     for k, one in enumerate(checks):
         table.add_row(
             str(k), f"{one.correlation:.3f}", f"{one.best:.3f}", f"{one.altitude_m:.0f}",
@@ -82,7 +82,7 @@ def dem_(
         )  # fmt: skip
     out.print(table)
     mean = float(np.mean([one.altitude_m for one in checks]))
-    say(f"{name}: estimated less best altitude on the elevation model: mean {mean:.0f} m")
+    say(f"{name}: best minus estimated altitude on the elevation model: mean {mean:.0f} m")
     say(f"{run / 'figures' / FIGURE}")
 
 
@@ -122,6 +122,12 @@ def _trajectory(run: Run, name: str | None) -> tuple[str, Trajectory]:
     return chosen, run.trajectories[chosen]
 
 
+def _covariances(run: Path, name: str, trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    if trajectory.pose_covariance is None:
+        raise InputError(run, f"expected an estimator with covariances, found {name}")
+    return trajectory.pose_covariance
+
+
 def _stated(run: Run) -> Trajectory:
     stated = Dataset.open(run.dataset).apriori
     if stated is None:
@@ -148,7 +154,7 @@ def _finish(name: str, found: Offsets, against: str, as_json: bool) -> None:
     out.print(table)
     if len(found.frames) > 1:
         mean, scatter = found.enu_m.mean(axis=0), found.scatter_m
-        say(f"{name} less {against}: mean {_three(mean)} m, scatter {_three(scatter)} m (east, north, up)")
+        say(f"{name} minus {against}: mean {_three(mean)} m, scatter {_three(scatter)} m (east, north, up)")
     say(f"largest difference {np.max(np.abs(found.enu_m) / found.sigma_m):.1f} sigmas")
 
 

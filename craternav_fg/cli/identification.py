@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,15 +13,16 @@ import typer
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.common_shift import unknown_height_warnings
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import read_any_catalog
+from craternav_fg.cli.intrinsics_options import IntrinsicsOptions
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
     AttitudeOptions,
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
-    FocalSigmaOption,
     ForceOption,
     JsonOption,
     numbers_of,
@@ -29,17 +30,17 @@ from craternav_fg.cli.options import (
     require_kept,
     require_suffix,
 )
-from craternav_fg.cli.poses import focal_sigma, focal_text, show_pose
+from craternav_fg.cli.poses import focal_text, show_pose
 from craternav_fg.cli.terminal import note, out, say, warn
-from craternav_fg.dataset.ellipses import read_ellipses, write_matched_ellipses
+from craternav_fg.dataset.ellipses import read_detected_ellipses, write_matched_ellipses
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.matching.identify.detected import identify_detected
+from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
-from craternav_fg.matching.identify.search import identify as identify_rims
 from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
-from craternav_fg.vision.detect import find_rims
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -48,20 +49,14 @@ _ATTITUDE_SIGMA_DEG = (1e-3, 10.0)
 
 
 @dataclass(frozen=True)
-class _Searched:
-    """Which poses and focal lengths are searched."""
+class WrittenRims:
+    """Where the identified rims are written."""
 
-    altitude_km: Annotated[
-        str | None, typer.Option(help="Lowest and highest altitude to search.", show_default="1,2000")
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Write the rims with their CRATER_ID, for `craternav pose`."),
     ] = None
-    focal_sigma_percent: FocalSigmaOption = None
-
-    def options(self, camera: Path) -> IdentifyOptions:
-        """Give the same as the search takes it."""
-        altitudes_m = _altitudes(self.altitude_km)
-        return IdentifyOptions(
-            altitudes_m=altitudes_m, focal_sigma=focal_sigma(self.focal_sigma_percent, camera)
-        )
+    force: ForceOption = False
 
 
 @app.command(
@@ -75,36 +70,47 @@ def identify(
     camera: CameraOption,
     catalog: CatalogOption,
     attitude: AttitudeOptions,
-    searched: _Searched,
+    intrinsics: IntrinsicsOptions,
+    written: WrittenRims,
+    altitude_km: Annotated[
+        str | None, typer.Option(help="Lowest and highest altitude to search.", show_default="1,2000")
+    ] = None,
     index: Annotated[
         Path | None,
         typer.Option(
             help="Index of the catalogue; built when the file is missing.", show_default="in the user's cache"
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Write the rims with their CRATER_ID, for `craternav pose`."),
-    ] = None,
     body_radius_m: CatalogBodyOption = None,
-    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Identify the craters of an image, and the lander's pose, without any prior."""
     path = index_path(catalog) if index is None else index
     require_suffix(path, [".npz"])
+    output = written.output
     if output is not None:
         require_kept([rims, camera, catalog, path], [output])
-        require_free(output, force=force)
+        require_free(output, force=written.force)
     sensor = read_camera(camera)
     known = _attitude(attitude)
-    options = searched.options(camera)
-    ellipses = read_ellipses(rims, sensor) if rims.suffix.lower() == ".csv" else _from_image(rims, sensor)
+    prior = intrinsics.prior(camera, sensor)
+    options = IdentifyOptions(
+        altitudes_m=_altitudes(altitude_km), focal_sigma=prior.focal_sigma,
+        principal_sigma_px=prior.principal_sigma_px, focal_stated=prior.focal_stated,
+    )  # fmt: skip
+    ellipses, traced, pixels = _read(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     ready, index_note = load_or_build(path, craters)
     if index_note:
         note(f"index: {index_note}")
-    found = identify_rims(ellipses, sensor, ready, known, options)
+    if pixels is None:
+        found = identify_detected(ellipses, traced, sensor, ready, known, options)
+    else:
+        detected, found = identify_image(pixels, sensor, ready, known, options)
+        ellipses = detected.ellipses_px
+    if found.identified:
+        of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
+        found = replace(found, warnings=(*found.warnings, *of_heights))
     values = _plain(found, ellipses, craters.body)
     if output is not None and found.identified:
         write_matched_ellipses(output, ellipses, found.craters)
@@ -140,18 +146,27 @@ def _altitudes(text: str | None) -> tuple[float, float]:
     return 1e3 * values[0], 1e3 * values[1]
 
 
-def _from_image(path: Path, camera: Camera) -> FloatArray:
-    """Detect the ellipses (n, 5), px and rad, of an image of the camera."""
+def _read(
+    path: Path, camera: Camera
+) -> tuple[FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.generic] | None]:
+    """Read ellipses (n, 5), px and rad, and whether each was traced; or an image in which to find them."""
+    if path.suffix.lower() == ".csv":
+        return *read_detected_ellipses(path, camera), None
+    return np.empty((0, 5)), np.empty(0, dtype=np.bool_), _image(path, camera)
+
+
+def _image(path: Path, camera: Camera) -> npt.NDArray[np.generic]:
+    """Read an image of the camera."""
     pixels = read_foreign_image(path)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width_px, camera.height_px):
         size = f"{camera.width_px} x {camera.height_px}"
         raise InputError(path, f"expected an image of the camera's {size} pixels, found {width} x {height}")
-    return find_rims(pixels).ellipses_px
+    return pixels
 
 
 def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str, Any]:
-    """Give lists, numbers and texts that JSON can carry."""
+    """Return lists, numbers and texts that JSON can carry."""
     rims = [
         {"center_x_px": round(float(x), 3), "center_y_px": round(float(y), 3), "crater": name}
         for (x, y), name in zip(ellipses[:, :2], found.craters, strict=True)

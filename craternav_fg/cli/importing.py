@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -32,7 +33,16 @@ from craternav_fg.motion.coast import coast
 FloatArray = npt.NDArray[np.float64]
 
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")]
-TimesOption = Annotated[Path, typer.Option(help="CSV of the images' times: filename, utc (ISO 8601).")]
+ImagesArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="IMAGES...", help="Grey images of one size, or their PDS4 labels (.xml)."),
+]
+TimesOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="CSV of the images' times: filename, utc (ISO 8601).", show_default="those of the PDS4 labels"
+    ),
+]
 MuOption = Annotated[
     float | None,
     typer.Option("--mu-m3-s2", min=0.0, help="Gravitational parameter.", show_default="the Moon's is known"),
@@ -91,7 +101,8 @@ def isis(
     images: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Uncropped photographs in place of the cubes' pixels; may be repeated; needs --times."
+            "--photographs",
+            help="Uncropped photographs in place of the cubes' pixels; may be repeated; needs --times.",
         ),
     ] = None,
     times: Annotated[
@@ -118,25 +129,24 @@ def isis(
 )
 @never_replacing
 def images(
-    paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
+    paths: ImagesArgument,
     output: OutputOption,
-    times: TimesOption,
     camera: CameraOption,
     catalog: CatalogOption,
     sun: Annotated[str, typer.Option(help="Direction towards the sun in the body-fixed frame: x,y,z.")],
+    times: TimesOption = None,
     mu_m3_s2: MuOption = None,
     acceleration_density: AccelerationOption = 1e-5,
     as_json: JsonOption = False,
 ) -> None:
-    """Import plain images with a table of their times."""
+    """Import plain images with a table of their times, or images of PDS4 products."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
     direction = _direction(sun)
     craters, _ = read_any_catalog(catalog, None)
     body = with_gravity(craters.body, mu_m3_s2)
     given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)
-    size = sensor.width_px, sensor.height_px
-    _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)
+    _finish(write_imported(output, given, _images(frames, sensor)), as_json)
 
 
 @import_commands.command(
@@ -149,16 +159,16 @@ def images(
 @never_replacing
 @with_option_groups
 def spice(
-    paths: Annotated[list[Path], typer.Argument(metavar="IMAGES...", help="Grey images of one size.")],
+    paths: ImagesArgument,
     output: OutputOption,
-    times: TimesOption,
     camera: CameraOption,
     catalog: CatalogOption,
     kernels: _Kernels,
     stated: _Stated,
+    times: TimesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Import plain images with states and sun from SPICE kernels."""
+    """Import plain images, or PDS4 products, with states and sun from SPICE kernels."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
     states, spin = camera_states(kernels.query, [frame.stamp_ns for frame in frames])
@@ -169,8 +179,7 @@ def spice(
         frames, sensor, with_gravity(known, stated.mu_m3_s2), craters, coast(stated.acceleration_density),
         stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
-    size = sensor.width_px, sensor.height_px
-    _finish(write_imported(output, given, grey_images([f.path for f in frames], size)), as_json)
+    _finish(write_imported(output, given, _images(frames, sensor)), as_json)
 
 
 def _pixels(
@@ -180,7 +189,7 @@ def _pixels(
     if images is None and times is None:
         return of_cubes(cubes)
     if images is None or times is None:
-        raise InputError("--images, --times", "expected both, found one")
+        raise InputError("--photographs, --times", "expected both, found one")
     return of_photographs(cubes, images, times)
 
 
@@ -191,7 +200,13 @@ def _direction(sun: str) -> FloatArray:
     return np.array(direction)
 
 
-def _frames(paths: list[Path], times: Path) -> list[ImportedFrame]:
+def _images(frames: list[ImportedFrame], camera: Camera) -> Iterator[ImageArray]:
+    """Grey levels of plain images."""
+    size_px = camera.width_px, camera.height_px
+    return grey_images([frame.path for frame in frames], size_px, camera.bit_depth)
+
+
+def _frames(paths: list[Path], times: Path | None) -> list[ImportedFrame]:
     """Frames of plain images, in the order of time."""
     frames = [ImportedFrame(path, stamp) for path, stamp in zip(paths, stamps_of(paths, times), strict=True)]
     return sorted(frames, key=lambda frame: frame.stamp_ns)

@@ -1,4 +1,4 @@
-"""Commands that list what there is: estimators, sensors, scenarios."""
+"""Commands that list estimators, sensors and scenarios."""
 
 import json
 from collections.abc import Mapping

@@ -59,7 +59,7 @@ def with_option_groups(command: Command) -> Command:
 
 
 def never_replacing(command: Command) -> Command:
-    """Give a command the option --force, without which it does not replace its `output`.
+    """Add the option --force to a command, which otherwise does not replace its `output`.
 
     Parameters
     ----------

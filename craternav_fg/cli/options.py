@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from craternav_fg.errors import InputError
+from craternav_fg.errors import CraternavError, InputError
 
 # Kinds of figures that commands write.
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -18,15 +18,6 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JS
 CameraOption = Annotated[Path, typer.Option(help="sensor.yaml of the camera.")]
 CatalogOption = Annotated[
     Path, typer.Option(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
-]
-FocalSigmaOption = Annotated[
-    float | None,
-    typer.Option(
-        min=0.0,
-        max=10.0,
-        help="Standard deviation of the focal length; 0 if exact.",
-        show_default="that of the camera's file, else 0.3",
-    ),
 ]
 CatalogBodyOption = Annotated[
     float | None,
@@ -57,11 +48,45 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing 
 
 
 @dataclass(frozen=True)
+class WorkerOptions:
+    """Who does the work."""
+
+    workers: Annotated[
+        int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
+    ] = None
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler whose workers do the work instead.")
+    ] = None
+
+    def checked(self, cores: int) -> tuple[int, str | None]:
+        """Return the number of processes, by default one per core, and the scheduler.
+
+        Parameters
+        ----------
+        cores : int
+
+        Returns
+        -------
+        tuple of (int, str or None)
+
+        Raises
+        ------
+        CraternavError
+            When both are given, or there is no process.
+        """
+        if self.workers is not None and self.scheduler is not None:
+            raise CraternavError("expected --workers or --scheduler, found both")
+        if self.workers is not None and self.workers < 1:
+            raise CraternavError(f"workers: expected 1 or more, found {self.workers}")
+        return (cores if self.workers is None else self.workers), self.scheduler
+
+
+@dataclass(frozen=True)
 class AttitudeOptions:
     """Attitude that another sensor gives."""
 
     attitude: Annotated[
-        str | None, typer.Option(help="Attitude gRb of another sensor, as a quaternion w,x,y,z.")
+        str | None, typer.Option(help="Attitude gRb from another sensor, as a quaternion w,x,y,z.")
     ] = None
     attitude_sigma_deg: Annotated[
         float | None,
@@ -144,11 +169,11 @@ def require_free(path: Path, *, force: bool) -> None:
     InputError
     """
     if not force and (path.is_file() or (path.is_dir() and any(path.iterdir()))):
-        raise InputError(path, "exists: name another, or replace it by --force")
+        raise InputError(path, "already exists: choose another name, or replace it with --force")
     parts = path.absolute().parts
     if len(parts) > 2 and not Path(*parts[:2]).exists():
         top = Path(*parts[:2])
-        raise InputError(path, f"would make the folder {top} at the root of the file system: make it first")
+        raise InputError(path, f"would make the folder {top} at the root of the file system: create it first")
 
 
 def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:

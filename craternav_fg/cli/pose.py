@@ -1,32 +1,33 @@
 """Command that computes a pose from the matched rims of one image."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from craternav_fg.camera import Camera
+from craternav_fg.catalogs.common_shift import unknown_height_warnings
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import body_of_radius, warn_of
+from craternav_fg.cli.intrinsics_options import IntrinsicsOptions
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import (
     AttitudeOptions,
     CameraOption,
     CatalogBodyOption,
     CatalogOption,
-    FocalSigmaOption,
     JsonOption,
     numbers_of,
 )
-from craternav_fg.cli.poses import focal_sigma, focal_text, show_pose
+from craternav_fg.cli.poses import focal_text, show_pose
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
-from craternav_fg.resection.focal import with_unknown_focal
+from craternav_fg.resection.intrinsics import with_unknown_intrinsics
 from craternav_fg.resection.problem import ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 
@@ -101,8 +102,8 @@ def pose(
     attitude: AttitudeOptions,
     light: KnownSun,
     noise: RimNoise,
+    intrinsics: IntrinsicsOptions,
     robust: Annotated[bool, typer.Option("--robust", help="Find wrong matches and reject them.")] = False,
-    focal_sigma_percent: FocalSigmaOption = None,
     body_radius_m: CatalogBodyOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -116,9 +117,10 @@ def pose(
         matched, craters, sensor, attitude_wxyz=wxyz, attitude_sigma_deg=sigma_deg, sun=light.values()
     )
     result = solve_robustly(problem) if robust else solve_all(problem)
-    if of_focal := focal_sigma(focal_sigma_percent, camera):
-        result = with_unknown_focal(problem, result, of_focal)
-    values = as_plain_data(problem, result, craters.body)
+    result = with_unknown_intrinsics(problem, result, intrinsics.prior(camera, sensor))
+    of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
+    result = replace(result, warnings=(*result.warnings, *of_heights))
+    values = as_plain_data(problem, result, craters)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))
     else:

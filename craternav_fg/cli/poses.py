@@ -1,34 +1,8 @@
 """What the commands on single images print of a pose."""
 
-from pathlib import Path
 from typing import Any
 
 from craternav_fg.cli.terminal import say
-from craternav_fg.dataset.sensor_files import read_focal_sigma
-from craternav_fg.resection.focal import FOCAL_SIGMA
-
-
-def focal_sigma(percent: float | None, camera: Path) -> float:
-    """Give the relative standard deviation of the focal length.
-
-    Parameters
-    ----------
-    percent : float or None
-        The command's option.
-    camera : Path
-        sensor.yaml, asked when there is no option.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InputError
-        When the camera's file is wrong.
-    """
-    found = read_focal_sigma(camera) if percent is None else 0.01 * percent
-    return FOCAL_SIGMA if found is None else found
 
 
 def show_pose(pose: dict[str, Any], before: str = "") -> None:

@@ -38,7 +38,7 @@ def report(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a report: one interactive HTML page that needs no network."""
+    """Write a report: one interactive HTML page that works offline."""
     _check(folders, output, recording)
     for asked in (output, recording):
         if asked is not None:
@@ -59,7 +59,7 @@ def _check(folders: list[Path], output: Path | None, recording: Path | None) -> 
         raise InputError("--output", "expected the file to write for several runs, found none")
     campaigns = [folder for folder in folders if is_campaign(folder)]
     if campaigns and len(folders) > 1:
-        raise InputError(campaigns[0], "is a campaign: expected runs beside one another, or a campaign alone")
+        raise InputError(campaigns[0], "is a campaign: expected several runs, or a single campaign")
     if recording is not None:
         require_suffix(recording, (".rrd", _MCAP))
     if recording is not None and (campaigns or len(folders) > 1):

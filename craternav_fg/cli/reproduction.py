@@ -43,7 +43,9 @@ class Amount:
     trials: Annotated[int, typer.Option(help="Trials per altitude in figs. 11 to 14.")] = 100
     images: Annotated[
         int,
-        typer.Option(help="Images per altitude in table 2; other image sets scale with it."),
+        typer.Option(
+            "--images-per-altitude", help="Images per altitude in table 2; other image sets scale with it."
+        ),
     ] = 128
     descents: Annotated[
         int, typer.Option(help="Trials of figs. 15 to 18, of lag and of ablation (10 at the most).")
@@ -87,4 +89,4 @@ def reproduce(
             say(heading)
             out.print(table)
         out.print(f"{result.note}\n", highlight=False, markup=False)
-    say(f"all numbers: {output / reproduction.MARKER}, drawings and tables: {output / 'reproduction.md'}")
+    say(f"all numbers: {output / reproduction.MARKER}, figures and tables: {output / 'reproduction.md'}")

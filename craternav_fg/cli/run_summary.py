@@ -14,16 +14,14 @@ from craternav_fg.runs.store import FIGURES, METRICS
 
 # Metrics of an estimator and their headings.
 _COLUMNS = {
-    "position_rms_m": "RMS\nm",
-    "position_final_m": "final\nm",
-    "velocity_rms_m_s": "RMS\nm/s",
-    "attitude_rms_deg": "RMS\ndeg",
-    "attitude_final_deg": "final\ndeg",
+    "position_rms_m": "pos.\nRMS\nm",
+    "position_final_m": "pos.\nfinal\nm",
+    "velocity_rms_m_s": "vel.\nRMS\nm/s",
+    "attitude_rms_deg": "att.\nRMS\ndeg",
+    "attitude_final_deg": "att.\nfinal\ndeg",
     "anees": "ANEES",
 }
-_LEGEND = (
-    "errors of position (m), velocity (m/s) and attitude (deg): RMS and final; ANEES of the pose: 6 expected"
-)
+_LEGEND = "pos., vel., att.: errors of position, velocity and attitude; ANEES of the pose: 6 expected"
 
 
 def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
@@ -50,8 +48,8 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
         out.print(table)
         say(_LEGEND)
     else:
-        say("no ground truth, so no errors: figures/sigmas.png shows the claimed standard deviations,")
-        say(f"craternav compare {folder} shows how far the estimates lie apart")
+        say("no ground truth, so no errors: figures/sigmas.png shows the stated standard deviations,")
+        say(f"craternav compare {folder} shows how far the estimates differ")
     if summary["innovations"]:
         say(_innovations(summary["innovations"]))
     for name, values in summary["estimators"].items():
@@ -66,7 +64,7 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
 
 
 def comparison(run: Run) -> dict[str, dict[str, Any]]:
-    """Give the metrics of a run's estimators, and their distance from the smoother.
+    """Return the metrics of a run's estimators, and their distance from the smoother.
 
     Parameters
     ----------
@@ -99,7 +97,7 @@ def show_comparison(compared: Iterable[tuple[str, dict[str, dict[str, Any]]]]) -
     for folder, estimators in compared:
         say(folder)
         out.print(_comparison_table(estimators))
-    say(f"{_LEGEND}\ndiff: RMS distance of the positions from those of the smoother")
+    say(f"{_LEGEND}\ndiff: RMS distance between the positions and those of the smoother")
 
 
 def calibration_line(found: dict[str, Any]) -> str:
@@ -152,4 +150,7 @@ def _innovations(found: dict[str, Any]) -> str:
         f"{sensor} {three_digits(nis['mean'])} ({nis['low']:.2f} to {nis['high']:.2f})"
         for sensor, nis in found["nis"].items()
     )
-    return f"NIS per dimension of {found['filter']}, 1 expected (95 % interval): {', '.join(parts)}"
+    return (
+        f"NIS per dimension of {found['filter']} (95 % interval): {', '.join(parts)}; 1 expected, less where "
+        "errors are correlated between frames, as in images"
+    )

@@ -1,11 +1,12 @@
 """Options that say which case is simulated."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from craternav_fg.cli.options import completing
-from craternav_fg.simulation.scenario_file import Scenario, built_in_scenarios
+from craternav_fg.simulation.scenario_file import Scenario, built_in_scenarios, load_scenario
 
 ScenarioArgument = Annotated[
     str,
@@ -19,20 +20,36 @@ SeedOption = Annotated[
 ]
 TrialOption = Annotated[
     int | None,
-    typer.Option("--trial", min=0, help="Trial of a campaign: use its random numbers."),
+    typer.Option("--trial", min=0, help="Use the random numbers of this trial of a campaign."),
+]
+DataOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of the public files that a scenario needs.", show_default="that of CRATERNAV_DATA"
+    ),
 ]
 
 
-def seeded(scenario: Scenario, seed: int | None) -> Scenario:
-    """Give a scenario with another seed, or as it is without one.
+def chosen(name: str, seed: int | None, data: Path | None) -> Scenario:
+    """Read a scenario.
 
     Parameters
     ----------
-    scenario : Scenario
+    name : str
+        Of a built-in scenario, or the path of a TOML file.
     seed : int or None
+        In place of the scenario's.
+    data : Path or None
+        Folder of public files.
 
     Returns
     -------
     Scenario
+
+    Raises
+    ------
+    InputError
+        When there is no such scenario, it is wrong, or a public file that it needs is missing.
     """
+    scenario = load_scenario(name).with_data(data)
     return scenario if seed is None else scenario.model_copy(update={"seed": seed})

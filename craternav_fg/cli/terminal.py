@@ -113,7 +113,7 @@ class _Rate(ProgressColumn):
 
 @contextmanager
 def progress_bars() -> "Iterator[Report]":
-    """Give a progress report that draws bars on stderr, and nothing where that is no terminal."""
+    """Return a progress report that draws bars on stderr if that is a terminal."""
     columns = (
         TextColumn("{task.description:24}", markup=False),
         BarColumn(),

@@ -1,8 +1,7 @@
-"""Figures of an arc of few frames: rims without their photographs, offsets from a-priori states."""
+"""Figures of a few frames: rims without their photographs, offsets from a-priori states."""
 
 from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
@@ -35,9 +34,8 @@ def draw_rims(
     """
     columns = min(3, len(frames))
     rows = -(-len(frames) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(3.1 * columns, 3.1 * rows), layout="constrained", squeeze=False
-    )
+    figure = Figure(figsize=(3.1 * columns, 3.1 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
     for axis in axes.flat[len(frames) :]:
         axis.axis("off")
     for k, (axis, frame) in enumerate(zip(axes.flat, frames, strict=False)):
@@ -62,7 +60,8 @@ def draw_offsets(found: Offsets) -> Figure:
     -------
     Figure
     """
-    figure, axes = plt.subplots(1, 3, figsize=(9.3, 2.8), layout="constrained")
+    figure = Figure(figsize=(9.3, 2.8), layout="constrained")
+    axes = figure.subplots(1, 3)
     for k, (axis, name) in enumerate(zip(axes, ("east", "north", "up"), strict=True)):
         axis.errorbar(found.frames, found.enu_m[:, k], found.sigma_m[:, k], fmt="o", capsize=3)
         axis.axhline(found.enu_m[:, k].mean(), color="0.6", lw=0.8)

@@ -1,4 +1,4 @@
-"""Figure that puts runs side by side."""
+"""Figure that compares runs."""
 
 import itertools
 from collections.abc import Mapping

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
@@ -25,7 +24,8 @@ def draw_dem_check(checks: Sequence[DemCheck], altitude_sigma_m: FloatArray) -> 
     -------
     Figure
     """
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained")
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
     frames = np.arange(len(checks))
     left.plot(frames, [one.correlation for one in checks], "o", label="at the estimated pose")
     left.plot(frames, [one.best for one in checks], "s", mfc="none", label="at the best pose nearby")
@@ -33,5 +33,5 @@ def draw_dem_check(checks: Sequence[DemCheck], altitude_sigma_m: FloatArray) -> 
     left.legend(loc="lower right")
     right.errorbar(frames, [-one.altitude_m for one in checks], altitude_sigma_m, fmt="o", capsize=3)
     right.axhline(0.0, color="0.6", lw=0.8)
-    right.set(xlabel="frame", ylabel="estimated less best altitude, m", xticks=frames)
+    right.set(xlabel="frame", ylabel="estimated minus best altitude, m", xticks=frames)
     return figure

@@ -31,6 +31,8 @@ OTHER_COLOUR = "#8C510A"
 _DASHED = frozenset({"online", "gnc_smoother"})
 # Ends of the names of estimators with another measurement: the colour of the one without, in another dash.
 _VARIANTS = {"_eq19": "-.", "_los": ":"}
+# Of PNG files, as zlib counts: twice as fast as its default, and files of noisy images are 13 % larger.
+_COMPRESSION = 2
 
 
 def colour(name: str) -> str:
@@ -60,7 +62,7 @@ def finish(axes: Axes) -> None:
 
 
 def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
-    """Give the times since the first stamp.
+    """Return the times since the first stamp.
 
     Parameters
     ----------
@@ -75,7 +77,8 @@ def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write a figure as PNG; its folder is made when missing."""
+    """Write a figure in the format that its name ends in; its folder is made when missing."""
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi)
+    png: dict[str, Any] = {"pil_kwargs": {"compress_level": _COMPRESSION}} if path.suffix == ".png" else {}
+    figure.savefig(path, dpi=dpi, **png)

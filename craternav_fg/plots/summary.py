@@ -33,15 +33,15 @@ def plot(
     Parameters
     ----------
     result : Reconstruction or Run
-        What `reconstruct` gave, or a run's folder read by `read_run`.
+        Result of `reconstruct`, or a run read by `read_run`.
     dataset : Dataset, optional
-        Its truth is what errors are against, and its craters are on the map. A run brings its own truth.
+        Provides the truth for the errors and the craters of the map. A run contains its own truth.
     kind : str, optional
         `"errors"`: norm of the errors over time; `"bounds"`: each component with its 3 sigma;
-        `"consistency"`: NEES of the pose; `"sigmas"`: claimed standard deviations; `"descent"`: altitude and
-        ground track of the first estimator. By default the errors, without a truth the sigmas.
+        `"consistency"`: NEES of the pose; `"sigmas"`: stated standard deviations; `"descent"`: altitude and
+        ground track of the first estimator. By default the errors, without truth the sigmas.
     estimators : sequence of str
-        Which are drawn, all by default.
+        Estimators to draw, all by default.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def plot(
     Raises
     ------
     InputError
-        When errors are to be drawn without a truth, a map without a data set, or there is no such estimator.
+        When errors are to be drawn without truth, a map without a data set, or there is no such estimator.
     """
     truth = None if dataset is None else dataset.truth
     if isinstance(result, Run):
@@ -75,7 +75,7 @@ def plot(
             "plot", f"expected one of {', '.join(_WITH_TRUTH)}, sigmas, descent, found {shown!r}"
         )
     if truth is None:
-        raise InputError("plot", f"expected a data set with a truth for {shown!r}")
+        raise InputError("plot", f"expected a data set with truth for {shown!r}")
     if shown == "errors":
         return draw_errors(drawn, truth, rims)
     return draw_bounds(drawn, truth) if shown == "bounds" else draw_consistency(drawn, truth)

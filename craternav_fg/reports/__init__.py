@@ -1,4 +1,4 @@
-"""The report of a run or a campaign: one HTML page that needs nothing but a browser."""
+"""The report of a run or a campaign: one self-contained HTML page."""
 
 from typing import TYPE_CHECKING
 

@@ -105,8 +105,8 @@ def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
     )
     if fewer:
         caption += (
-            " The figures of an estimator are over the trials in which it gave a trajectory: one that fails "
-            "on hard trials looks better on the others."
+            " The statistics of an estimator cover only the trials in which it produced a trajectory. An "
+            "estimator that fails on hard trials looks better on the others."
         )
     headings = ["estimator", *(["trajectories"] if fewer else []), *(h for _, h in COLUMNS)]
     blocks: list[Block] = [Table(headings, rows, caption)]
@@ -135,8 +135,8 @@ def _errors(campaign: Campaign, names: list[str]) -> Drawing:
         axes.set_ylabel(label)
     panels[1].legend(*_bounds_only(panels[1]), frameon=False, fontsize=9)
     caption = (
-        "RMS over the trials; black: posterior Cramér-Rao bound (PCRB) of the data up to each frame "
-        "(filtering) and of all data (smoothing)."
+        "RMS over the trials. Broken lines: posterior Cramér-Rao bound (PCRB) from the data up to each frame "
+        "(filtering) and from all data (smoothing)."
     )
     return _drawing(figure, "errors", names, caption)
 

@@ -151,7 +151,7 @@ def error_chart(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims:
         e = errors(trajectory, truth)
         parts = (e.position_m, e.velocity_m_s, np.degrees(e.attitude_rad))
         series[name] = [np.linalg.norm(part, axis=1) for part in parts]
-    caption = "Norms of the errors, and the number of rims in each frame."
+    caption = "Norms of the errors, and number of rims in each frame."
     return _series(series, truth, rims, "errors", "error", caption)
 
 
@@ -257,9 +257,9 @@ def consistency_chart(trajectories: Mapping[str, Trajectory], truth: Trajectory)
     band = {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": low, "y1": high, "line": {"width": 0}}
     layout["shapes"] = [{**band, "fillcolor": SOFT, "opacity": 0.18, "layer": "below"}]
     caption = (
-        "NEES of the pose, e' S⁻¹ e, at each frame. In the band: 95 % of the values of a consistent "
-        f"estimator, {low:.1f} to {high:.1f}, mean 6. Errors of successive frames are correlated, so "
-        "excursions last."
+        "NEES of the pose, e' S⁻¹ e, at each frame. For a consistent estimator, the mean is 6 and 95 % of "
+        f"the values lie in the grey band, {low:.1f} to {high:.1f}. Errors are correlated between frames, so "
+        "values may leave the band for many frames in a row."
     )
     return Chart("consistency", {"data": traces, "layout": layout, "time": True}, 380, caption)
 
@@ -302,7 +302,7 @@ def residual_chart(residuals: pa.Table, first_stamp_ns: int, name: str) -> Chart
     layout["shapes"] = [{**mean, "line": {"color": SOFT, "width": 1}}]
     caption = (
         f"χ² per degree of freedom of each rim at the poses of {name}: 1 on average if the covariances are "
-        "consistent, less where few rims determine the pose. Crosses: matches rejected as outliers."
+        "consistent, less if few rims determine the pose. Crosses: matches rejected as outliers."
     )
     return Chart("residuals-chart", {"data": traces, "layout": layout, "time": True}, 340, caption)
 
@@ -386,8 +386,12 @@ def scene_chart(
         f"{axis}axis": {"title": {"text": f"{title}, km"}}
         for axis, title in zip("xyz", ("east", "north", "up"), strict=True)
     }
-    layout = {"scene": {**axes, "aspectmode": "data"}}
-    caption = "Drag to rotate, scroll or pinch to zoom. East, north, up of the first estimate's ground point."
+    # Far enough that no axis title is cut off.
+    camera = {"eye": {"x": 1.45, "y": 1.45, "z": 1.2}}
+    layout = {"scene": {**axes, "aspectmode": "data", "camera": camera}}
+    caption = (
+        "Drag to rotate, scroll or pinch to zoom. The origin is the ground point below the first estimate."
+    )
     return Chart("scene", {"data": traces, "layout": layout, "follow": follow}, 520, caption)
 
 
@@ -417,7 +421,7 @@ def _broken(values: Any) -> list[float | None]:
 
 
 def _rims(catalog: Catalog, first: Trajectory, body: Body) -> FloatArray:
-    """Give closed outlines (n, points, 3), in g, m, of the largest craters near a trajectory."""
+    """Return closed outlines (n, points, 3), in g, m, of the largest craters near a trajectory."""
     reach_m = _REACH_ALTITUDES * float(body.altitude_m(first.gP[0]))
     ground = first.gP * (body.radius_m / np.linalg.norm(first.gP, axis=1, keepdims=True))
     centre = 0.5 * (ground[0] + ground[-1])

@@ -44,7 +44,7 @@ function layoutOf(spec, width) {
     const pad = .01 * (times.at(-1) - times[0]);
     layout.xaxis.range = [times[0] - pad, times.at(-1) + pad];
   }
-  return { ...layout, height: narrow && !layout.scene ? Math.round(.9 * spec.height) : spec.height, showlegend: false,
+  return { ...layout, width: width || undefined, height: narrow && !layout.scene ? Math.round(.9 * spec.height) : spec.height, showlegend: false,
            paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", hovermode: "closest",
            font: { color: colour("ink"), size: narrow ? 11 : 12, family: "system-ui, sans-serif" },
            dragmode: narrow && !layout.scene ? "pan" : undefined,
@@ -59,18 +59,25 @@ function draw(plot) {
   for (const one of spec.follow ?? []) {
     for (const key of ["x", "y", "z"]) if (one[key]) data[one.trace][key] = [one[key][frame]];
   }
-  const options = { responsive: true, displaylogo: false, displayModeBar: plot.clientWidth >= 600 ? "hover" : false,
+  const options = { displaylogo: false, displayModeBar: plot.clientWidth >= 600 ? "hover" : false,
                     scrollZoom: Boolean(spec.layout.scene),
                     modeBarButtons: spec.layout.scene ? [["resetCameraDefault3d", "toImage"]]
                       : [["zoom2d", "pan2d", "resetScale2d", "toImage"]] };
   return Plotly.react(plot, data, layoutOf(spec, plot.clientWidth), options);
 }
+// A window that changes, a telephone that is turned, a tab that is opened after that.
+const sizes = new ResizeObserver(entries => requestAnimationFrame(() => {
+  for (const { target } of entries) {
+    if (target.clientWidth && target.clientWidth !== target._fullLayout?.width) draw(target);
+  }
+}));
 async function first(plot) {
   if (drawn.has(plot) || plot.closest("[hidden]")) return;
   drawn.add(plot);
   await draw(plot);
   plot.classList.remove("waiting");
   plot.style.minHeight = "";
+  sizes.observe(plot);
   if (!charts[plot.dataset.chart].time) return;
   const cursor = document.createElement("div");
   cursor.className = "cursor";

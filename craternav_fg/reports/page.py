@@ -38,7 +38,7 @@ class Cell:
 
 
 def number_cell(value: float | None, *, concern: bool = False) -> Cell:
-    """Give a cell of a number with three digits, a dash for none."""
+    """Return a cell of a number with three digits, a dash for none."""
     if value is None or not math.isfinite(value):
         return Cell("–", float("inf"))
     text = f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
@@ -205,6 +205,6 @@ def _json(data: Any) -> Markup:
 
 @cache
 def _plotly() -> str:
-    """Give Plotly's program, compressed: the browser unpacks it, and a page has 2 MB less."""
+    """Return Plotly's program, compressed: the browser unpacks it, and a page has 2 MB less."""
     script = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"
     return base64.b64encode(gzip.compress(script.read_bytes(), mtime=0)).decode("ascii")

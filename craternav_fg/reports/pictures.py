@@ -34,7 +34,7 @@ _RIM_POINTS, _MIN_MAP_PX = 64, 8.0
 
 
 def frame_pictures(run: Run, dataset: Dataset | None) -> Pictures | None:
-    """Give pictures of a run's frames with their rims; None for a run without images.
+    """Return pictures of a run's frames with their rims; None for a run without images.
 
     Parameters
     ----------

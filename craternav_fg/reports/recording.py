@@ -122,7 +122,7 @@ def _log_frames(
 
 
 def local_level(run: Run, dataset: Dataset) -> tuple[FloatArray, FloatArray]:
-    """Give the local level axes of a recording: east, north, up at the first estimate's ground point.
+    """Return the local level axes of a recording: east, north, up at the first estimate's ground point.
 
     Parameters
     ----------

@@ -56,15 +56,15 @@ def crater_table(residuals: pa.Table) -> Table:
     rows.sort(key=lambda row: -float(row[1][3].key))
     headings = ("crater", "rims", "rejected", f"mean χ² / {DOF}", *COMPONENTS)
     caption = (
-        "Mean whitened residual of each crater, measured minus predicted, in sigmas. A mean that many frames "
-        "agree on is an error of the crater's map entry or outline, or of the illumination. Click a heading "
-        "to sort."
+        "Mean whitened residual of each crater, measured minus predicted, in sigmas. If many frames agree on "
+        "a mean, the cause is the crater's map entry, its outline or the illumination. Click a heading to "
+        "sort."
     )
     return Table(headings, rows, caption)
 
 
 def rejected(residuals: pa.Table) -> npt.NDArray[np.bool_]:
-    """Tell which matches were rejected.
+    """Determine which matches were rejected.
 
     Parameters
     ----------

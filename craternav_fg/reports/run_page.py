@@ -30,7 +30,7 @@ INCONCLUSIVE_ANEES = (2.0, 15.0)
 
 # Estimators that are there to be compared with: what they get wrong is no fault of the run.
 BASELINES = ("ekf_paper", "centre_smoother", "dead_reckoning")
-# NIS beyond which a sensor contradicts the others, as in the warnings of a run.
+# NIS beyond which the report marks a sensor. The warnings of a run judge smaller ones by their probability.
 CONTRADICTING_NIS = 3.0
 
 ERROR_HEADINGS = (
@@ -45,16 +45,16 @@ ERROR_HEADINGS = (
 
 _ANEES_EXPLAINED = (
     "The ANEES is the mean over the frames of e' S⁻¹ e, where e is the error of the pose and S its "
-    "covariance. Over many descents it is 6, the number of coordinates of a pose, when the covariances are "
-    "consistent. Larger: the estimator is overconfident. Errors along one descent are correlated, so a "
-    "single run says little: use a campaign (craternav montecarlo)."
+    "covariance. For consistent covariances, its mean over many descents is 6, the dimension of a pose. A "
+    "larger value means that the estimator is overconfident. Errors along one descent are correlated, so "
+    "a single run proves little: use a campaign (craternav montecarlo)."
 )
 _NIS_EXPLAINED = (
     "The NIS is the squared difference between a measurement and its prediction, relative to their "
     "covariances. It is 1 per dimension when the covariances are consistent and the errors independent. "
-    "Smaller than claimed is expected of rims and sun tilts from images: most of their error is the same in "
-    "every frame that shows a crater, so covariances contain it and innovations do not show it. Above "
-    f"{CONTRADICTING_NIS:g} a sensor contradicts the others: a wrong unit, wrong axes or a time offset."
+    "For rims and sun tilts from images, smaller values are expected: most of their error is the same in "
+    "every frame that shows a crater, so the covariances contain it but the innovations do not show it. "
+    f"Above {CONTRADICTING_NIS:g}, a sensor contradicts the others: check its unit, axes and time offset."
 )
 
 
@@ -101,7 +101,7 @@ def run_page(run: Run) -> Page:
 
 
 def shows_overconfidence(name: str, anees: float | None) -> bool:
-    """Tell whether the ANEES of a single run is of concern.
+    """Return whether the ANEES of a single run is of concern.
 
     Parameters
     ----------
@@ -144,10 +144,10 @@ def _summary(run: Run, missing: str) -> list[Block]:
     caption = f"{describe_frames(run.metrics)}."
     if with_truth:
         low, high = INCONCLUSIVE_ANEES
-        caption += f" The ANEES of a single run scatters: values from {low:g} to {high:g} are inconclusive."
+        caption += f" In a single run, ANEES values from {low:g} to {high:g} are inconclusive."
         known = [name for name in run.trajectories if name in BASELINES]
         if known:
-            caption += f" Baselines that are known to be overconfident or uncorrected: {', '.join(known)}."
+            caption += f" Baselines, for comparison only: {', '.join(known)}."
     blocks.append(Table(headings, rows, caption))
     if with_truth:
         blocks.append(Text(_ANEES_EXPLAINED, title="What is the ANEES?"))
@@ -164,9 +164,9 @@ def _nis(found: dict[str, Any]) -> list[Block]:
         low, high, mean = nis["low"], nis["high"], nis["mean"]
         verdict = "as expected"
         if mean > high:
-            verdict = "contradicts the others" if mean > CONTRADICTING_NIS else "larger than claimed"
+            verdict = "contradicts the others" if mean > CONTRADICTING_NIS else "larger than stated"
         elif mean < low:
-            verdict = "smaller than claimed"
+            verdict = "smaller than stated"
         cells = [
             Cell(sensor, sensor),
             number_cell(mean, concern=mean > CONTRADICTING_NIS),
@@ -176,8 +176,9 @@ def _nis(found: dict[str, Any]) -> list[Block]:
         ]
         rows.append(("", cells))
     caption = (
-        f"Normalised innovations squared (NIS) of {found['filter']} per dimension. It needs no ground truth. "
-        "The interval holds for errors that are independent from frame to frame."
+        f"Normalised innovations squared (NIS) of {found['filter']} per dimension; no truth is needed. The "
+        "interval is for errors that are independent from frame to frame. Those of images are not, so their "
+        "NIS is smaller."
     )
     headings = ["sensor", "NIS per dimension", "95 % interval", "dimensions", "innovations"]
     return [Table(headings, rows, caption), Text(_NIS_EXPLAINED, title="What is the NIS?")]

@@ -67,7 +67,7 @@ def _summary(runs: Sequence[Run], labels: Sequence[str]) -> list[Block]:
 
 
 def _positions(runs: Sequence[Run], labels: Sequence[str]) -> Block:
-    """Draw the position errors of all runs; without a truth the standard deviations."""
+    """Draw the position errors of all runs; without truth the standard deviations."""
     traces = []
     for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
         for name, trajectory in run.trajectories.items():
@@ -81,6 +81,6 @@ def _positions(runs: Sequence[Run], labels: Sequence[str]) -> Block:
             hover = f"{html.escape(label)}, {html.escape(name)}<br>%{{x:.4g}} s: %{{y:.3g}} m<extra></extra>"
             traces.append(line(seconds(trajectory), value, name, line=style, hovertemplate=hover))
     layout = panels(["position error, m"], [1], logarithmic=True)
-    dashes = ", ".join(f"{label} {_DASHES[k % len(_DASHES)]}" for k, label in enumerate(labels))
-    caption = f"Position errors, or standard deviations of runs without a truth. Lines: {dashes}."
+    dashes = ", ".join(f"{label} ({_DASHES[k % len(_DASHES)]})" for k, label in enumerate(labels))
+    caption = f"Position errors, or standard deviations of runs without truth. Line styles: {dashes}."
     return Chart("runs-chart", {"data": traces, "layout": layout}, 460, caption)

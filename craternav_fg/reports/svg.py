@@ -18,7 +18,7 @@ _NAMES = re.compile(r'(\bid="|xlink:href="#|url\(#)')
 
 
 def identifier(name: str) -> str:
-    """Give a name's identifier in a page: letters and digits, whatever the name is.
+    """Return a name's identifier in a page: letters and digits, whatever the name is.
 
     Names come from files: as part of an attribute or a selector they could end it and begin a script.
 
@@ -34,7 +34,7 @@ def identifier(name: str) -> str:
 
 
 def inline_svg(figure: Figure, name: str) -> Markup:
-    """Give a figure as an `<svg>` element that fills the width of the page.
+    """Return a figure as an `<svg>` element that fills the width of the page.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def is_campaign(folder: Path) -> bool:
 
 
 def report(folder: Path | str | Sequence[Path | str], output: Path | str | None = None) -> Path:
-    """Write a report on a run, a campaign or several runs: one HTML page that needs no network.
+    """Write a report on a run, a campaign or several runs: one HTML page that works offline.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def report(folder: Path | str | Sequence[Path | str], output: Path | str | None 
     Returns
     -------
     Path
-        Of the page.
+        The page's path.
 
     Raises
     ------

@@ -27,7 +27,7 @@ def list_column(rows: FloatArray) -> pa.Array:
     Returns
     -------
     pyarrow.FixedSizeListArray, shape (n,)
-        Of lists of d numbers.
+        Column of lists of d numbers.
     """
     flat = pa.array(np.ascontiguousarray(rows).ravel(), pa.float64())
     return pa.FixedSizeListArray.from_arrays(flat, rows.shape[1])

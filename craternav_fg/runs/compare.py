@@ -1,4 +1,4 @@
-"""Runs side by side."""
+"""Comparison of runs."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ REFERENCE = "smoother"
 
 
 def compare(*runs: Run | Path | str) -> pa.Table:
-    """Put the estimators of runs into one table, for pandas or any other tool that reads Arrow.
+    """Return a table of the estimators of runs, for pandas or any other tool that reads Arrow.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def compare(*runs: Run | Path | str) -> pa.Table:
 
 
 def from_reference_m(run: Run, name: str) -> float | None:
-    """Give an estimator's RMS distance from the smoother's positions, m: known without a truth, too.
+    """Return an estimator's RMS distance from the smoother's positions, m, which needs no truth.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Reconstruct a data set and write everything that comes out of it into a run's folder."""
+"""Reconstruct a data set and write the results into a run's folder."""
 
 import time
 from collections.abc import Mapping, Sequence

@@ -155,6 +155,46 @@ def _check_agreement(path: Path, metrics: Mapping[str, Any], trajectories: Mappi
         )
 
 
+def read_map_errors(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return the errors of the map that an estimator of a run has found.
+
+    Parameters
+    ----------
+    run : Run
+
+    Returns
+    -------
+    dict of str to (ndarray, ndarray), shape (6,) each
+        By the crater's identifier, see `trajectory.Calibrated.map_errors`.
+
+    Raises
+    ------
+    InputError
+        When no estimator has estimated them, or numbers are wrong.
+    """
+    path = run.path / store.METRICS
+    parts = [values.get("calibrated") or {} for values in run.metrics["estimators"].values()]
+    found = next((part["map_errors"] for part in parts if part.get("map_errors")), None)
+    if found is None:
+        problem = "expected errors of the map, found none: reconstruct with -e map_refining_smoother"
+        raise InputError(path, problem)
+    try:
+        errors = {
+            str(name): (np.array(one["error"], dtype=np.float64), np.array(one["sigma"], dtype=np.float64))
+            for name, one in found.items()
+        }
+    except (TypeError, ValueError, KeyError, AttributeError):
+        raise InputError(
+            path, "expected six errors and six sigmas for each crater", column="map_errors"
+        ) from None
+    for name, (error, sigma) in errors.items():
+        right = error.shape == (6,) and sigma.shape == (6,) and np.isfinite([*error, *sigma]).all()
+        if not right or not (sigma >= 0.0).all():
+            problem = f"crater {name}: expected six finite errors and six sigmas of 0 or more"
+            raise InputError(path, problem, column="map_errors")
+    return errors
+
+
 def read_residuals(folder: Path) -> pa.Table:
     """Read the residuals of a run.
 
@@ -182,14 +222,14 @@ def read_residuals(folder: Path) -> pa.Table:
 
 
 def _rename(values: dict[str, Any], former: Mapping[str, str]) -> None:
-    """Give values of earlier versions the keys of today."""
+    """Rename the keys of earlier versions to those of today."""
     for old, new in former.items():
         if old in values:
             values[new] = values.pop(old)
 
 
 def describe_frames(metrics: Mapping[str, Any]) -> str:
-    """Say how many frames a run has, and how many rims were measured in each.
+    """Describe how many frames a run has, and how many rims were measured in each.
 
     Parameters
     ----------

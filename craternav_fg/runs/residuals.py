@@ -71,7 +71,7 @@ def residuals_table(result: Reconstruction) -> pa.Table:
 
 
 def _reassociations(trajectory: Trajectory, craters: IntArray, catalog: Catalog) -> list[str | None]:
-    """Give the craters (n,) that rims were used for by identifier; None for the matched ones."""
+    """Return the craters (n,) that rims were used for by identifier; None for the matched ones."""
     if trajectory.rim_craters is None:
         return [None] * len(craters)
     used = np.concatenate(trajectory.rim_craters).tolist()

@@ -114,7 +114,7 @@ def _innovations(result: Reconstruction) -> dict[str, Any] | None:
 
 
 def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
-    """Give the estimated calibration as plain data, craters by their identifiers."""
+    """Return the estimated calibration as plain data, craters by their identifiers."""
     out: dict[str, Any] = {}
     if found.mounting_rad is not None:
         out["mounting_deg"], out["mounting_sigma_deg"] = (

@@ -199,9 +199,9 @@ def test_without_truth_there_are_sigmas_instead_of_errors(
     shutil.copytree(demo[0] / "dataset", data)
     shutil.rmtree(data / "mav0/state_groundtruth_estimate0")
     names = ("-e", "smoother", "-e", "online")
-    done = craternav("reconstruct", data, "-o", tmp_path / "run", *names, "--overlay-every", "4")
-    assert done.returncode == 0, done.stderr
-    assert "no ground truth" in done.stdout
+    done = call("reconstruct", data, "-o", tmp_path / "run", *names, "--overlay-every", "4")
+    assert done.code == 0, done.err
+    assert "no ground truth" in done.out
     pictures = sorted(path.name for path in (tmp_path / "run/overlays").iterdir())
     assert pictures == ["frame_00000_0.0s.png", "frame_00004_16.0s.png"]
     back = read_run(tmp_path / "run")
@@ -221,10 +221,10 @@ def test_images_that_show_something_else_are_warned_of(
     for image in (data / "mav0/cam0/data").iterdir():
         cv2.imwrite(str(image), np.zeros((1024, 1024), dtype=np.uint8))
     names = ("-e", "smoother", "-e", "ekf", "-e", "dead_reckoning")
-    done = craternav("reconstruct", data, "-o", tmp_path / "run", *names, "--overlays")
-    assert done.returncode == 0, done.stderr
+    done = call("reconstruct", data, "-o", tmp_path / "run", *names, "--overlays")
+    assert done.code == 0, done.err
     assert len(list((tmp_path / "run/overlays").iterdir())) == 6
-    assert "warning: no rim was found in any frame" in done.stderr
+    assert "warning: no rim was found in any frame" in done.err
     summary = json.loads((tmp_path / "run/metrics.json").read_text())
     assert summary["innovations"] is None
     estimators = summary["estimators"]
@@ -242,10 +242,10 @@ def test_what_we_did_not_write_is_not_replaced(tmp_path: Path, names: list[str],
     folder.mkdir()
     for name in names:
         (folder / name).touch()
-    done = craternav("demo", "-o", folder, "--force")
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert done.stderr.count("\n") == 1
+    done = call("demo", "-o", folder, "--force")
+    assert done.code == 2
+    assert message in done.err
+    assert done.err.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
 
 
@@ -255,10 +255,10 @@ def test_a_first_image_that_shows_nothing_only_delays_the_start(
     data = tmp_path / "data"
     shutil.copytree(demo[0] / "dataset", data)
     cv2.imwrite(str(data / "mav0/cam0/data/0.png"), np.full((1024, 1024), 100, dtype=np.uint8))
-    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "ekf", "--json")
-    assert done.returncode == 0, done.stderr
-    assert "no rim was found in 1 of 6 frames (the first: 0)" in done.stderr
-    summary = json.loads(done.stdout)
+    done = call("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother", "-e", "ekf", "--json")
+    assert done.code == 0, done.err
+    assert "no rim was found in 1 of 6 frames (the first: 0)" in done.err
+    summary = json.loads(done.out)
     assert summary["craters_per_frame"][0] == 0
     for name in ("smoother", "ekf"):
         # As for the whole descent, whose last frame is known to 8 m.
@@ -273,32 +273,39 @@ def test_version() -> None:
 
 def test_compare_prints_and_tells_json(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, _ = demo
-    done = craternav("compare", run, run)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("dead_reckoning") == 2
-    assert "…" not in done.stdout
-    result = json.loads(craternav("compare", run, "--json").stdout)[str(run)]
+    done = call("compare", run, run)
+    assert done.code == 0, done.err
+    assert done.out.count("dead_reckoning") == 2
+    assert "…" not in done.out
+    result = json.loads(call("compare", run, "--json").out)[str(run)]
     assert result["smoother"]["from_smoother_rms_m"] == 0.0
     assert result["dead_reckoning"]["from_smoother_rms_m"] > 0.0
 
 
-def test_simulate_and_one_estimator_from_measured_rims(tmp_path: Path) -> None:
-    assert craternav("simulate", "paper_case3", "-o", tmp_path / "data").returncode == 0
-    done = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "ekf", "--json")
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)["estimators"]
+@pytest.fixture(scope="module")
+def case3(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The paper's case 3."""
+    data = tmp_path_factory.mktemp("case3") / "data"
+    assert call("simulate", "paper_case3", "-o", data).code == 0
+    return data
+
+
+def test_simulate_and_one_estimator_from_measured_rims(case3: Path, tmp_path: Path) -> None:
+    done = call("reconstruct", case3, "-o", tmp_path / "run", "-e", "ekf", "--json")
+    assert done.code == 0, done.err
+    result = json.loads(done.out)["estimators"]
     assert list(result) == ["ekf"]
     assert result["ekf"]["rim_outlier_share"] < 0.01
-    assert "sigma" not in done.stderr
-    none = craternav("reconstruct", tmp_path / "data", "-o", tmp_path / "other", "--overlays")
-    assert none.returncode == 2
-    assert "has measured rims: expected images for --overlays" in none.stderr
+    assert "sigma" not in done.err
+    none = call("reconstruct", case3, "-o", tmp_path / "other", "--overlays")
+    assert none.code == 2
+    assert "has measured rims: expected images for --overlays" in none.err
     assert not (tmp_path / "other").exists()
 
 
-def test_an_imu_in_units_of_g_is_warned_of(tmp_path: Path) -> None:
+def test_an_imu_in_units_of_g_is_warned_of(case3: Path, tmp_path: Path) -> None:
     data = tmp_path / "data"
-    assert craternav("simulate", "paper_case3", "-o", data).returncode == 0
+    shutil.copytree(case3, data)
     imu = data / "mav0/imu0/data.csv"
     header, *rows = imu.read_text().splitlines()
     cells = [row.split(",") for row in rows]
@@ -306,9 +313,9 @@ def test_an_imu_in_units_of_g_is_warned_of(tmp_path: Path) -> None:
     imu.write_text("\n".join([header, *lines]) + "\n")
     # Without the truth nothing else tells.
     shutil.rmtree(data / "mav0/state_groundtruth_estimate0")
-    done = craternav("reconstruct", data, "-o", tmp_path / "run", "-e", "ekf", "-e", "dead_reckoning")
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"at the poses of ekf \(\d+ %\), which cannot be trusted; check the units", done.stderr)
+    done = call("reconstruct", data, "-o", tmp_path / "run", "-e", "ekf", "-e", "dead_reckoning")
+    assert done.code == 0, done.err
+    assert re.search(r"at the poses of ekf \(\d+ %\), which cannot be trusted; check the units", done.err)
 
 
 def test_help_tells_defaults_that_are_not_values() -> None:
@@ -347,10 +354,10 @@ def test_a_damaged_image_leaves_nothing_half_written(
     shutil.copytree(demo[0] / "dataset", data)
     image = sorted((data / "mav0/cam0/data").iterdir())[3]
     image.write_bytes(image.read_bytes()[:20_000])
-    done = craternav("reconstruct", data, "-o", tmp_path / "run")
-    assert done.returncode == 2
-    assert image.name in done.stderr
-    assert done.stderr.count("\n") == 1
+    done = call("reconstruct", data, "-o", tmp_path / "run")
+    assert done.code == 2
+    assert image.name in done.err
+    assert done.err.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
@@ -366,16 +373,16 @@ def test_a_run_does_not_replace_the_folder_of_its_data(
     demo: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
     run, _ = demo
-    done = craternav("reconstruct", run / "dataset", "-o", run)
-    assert done.returncode == 2
-    assert "would be lost" in done.stderr
+    done = call("reconstruct", run / "dataset", "-o", run)
+    assert done.code == 2
+    assert "would be lost" in done.err
     assert (run / "dataset" / "dataset.toml").is_file()
 
 
 def test_somebody_else_s_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter1.tex").write_text("precious")
-    done = craternav("simulate", "paper_case3", "-o", tmp_path / "thesis", "--force")
-    assert done.returncode == 2
-    assert "not overwritten" in done.stderr
+    done = call("simulate", "paper_case3", "-o", tmp_path / "thesis", "--force")
+    assert done.code == 2
+    assert "not overwritten" in done.err
     assert (tmp_path / "thesis" / "chapter1.tex").read_text() == "precious"

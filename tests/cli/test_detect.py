@@ -15,7 +15,7 @@ from tests.cli.calls import call
 
 HEADER = [
     "ellipseCenterX(px)", "ellipseCenterY(px)", "ellipseSemimajor(px)", "ellipseSemiminor(px)",
-    "ellipseRotation(deg)", "inputImage", "crater_classification",
+    "ellipseRotation(deg)", "inputImage", "crater_classification", "traced",
 ]  # fmt: skip
 
 
@@ -30,7 +30,7 @@ def detect(*arguments):
     return done.code, done.out, done.err
 
 
-@pytest.mark.parametrize("method", ["template", "canny"])
+@pytest.mark.parametrize("method", ["template", "network", "canny"])
 def test_table_json_and_overlay_agree(one, tmp_path, method):
     path, table = tmp_path / "frame.png", tmp_path / "out" / "rims.csv"
     cv2.imwrite(str(path), one.image)
@@ -42,7 +42,7 @@ def test_table_json_and_overlay_agree(one, tmp_path, method):
     assert rows[0] == HEADER
     assert len(rows) - 1 == len(result["rims"]) >= 5
     for row, rim in zip(rows[1:], result["rims"], strict=True):
-        assert row[5:] == ["frame.png", "-1"]
+        assert row[5:] == ["frame.png", "-1", str(int(rim["traced"]))]
         keys = ("center_x_px", "center_y_px", "semi_major_px", "semi_minor_px", "rotation_deg")
         assert [float(cell) for cell in row[:5]] == [rim[key] for key in keys]
         assert -90.0 <= rim["rotation_deg"] <= 90.0
@@ -129,7 +129,7 @@ def _cut_tiff(path):
         (lambda path: path.write_bytes(b""), "cannot be read as an image"),
         (_text, "cannot be read as an image"),
         (_cut, "cannot be read as an image"),
-        (_huge, "6000 x 6000 px are more than 25 million: crop it"),
+        (_huge, "6000 x 6000 px are more than 25 million: crop it, or name a folder (-o FOLDER)"),
         (_header_of_60000, "more than 25 million pixels: crop it"),
         (_cut_tiff, "cannot be read as an image"),
     ],
@@ -157,7 +157,7 @@ def test_table_and_overlay_appear_both_or_neither(one, tmp_path):
     assert sorted(tmp_path.iterdir()) == [path, overlay]
 
 
-@pytest.mark.parametrize("method", ["template", "learned"])
+@pytest.mark.parametrize("method", ["template", "network"])
 def test_an_empty_result_says_why(tmp_path, method):
     path = tmp_path / "frame.tif"
     rng = np.random.default_rng(0)

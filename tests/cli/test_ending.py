@@ -1,5 +1,6 @@
 """However a command ends: one line, and the exit code that a shell expects."""
 
+import ctypes
 import os
 import random
 import signal
@@ -156,6 +157,28 @@ def test_a_signal_that_compiled_code_turns_into_an_error_is_one(capsys: pytest.C
     assert end.value.code == 130
     assert capsys.readouterr().err == "craternav: interrupted\n"
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_signal_whose_exception_is_lost_in_a_callback_of_c_ends_a_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    @ctypes.CFUNCTYPE(None)
+    def called_by_c() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
+
+    def command() -> None:
+        called_by_c()
+        time.sleep(5.0)
+
+    hook = sys.unraisablehook
+    start_s = time.monotonic()
+    with pytest.raises(SystemExit) as end, one_line_endings():
+        command()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "craternav: interrupted\n"
+    assert time.monotonic() - start_s < 4.0
+    assert sys.unraisablehook is hook
 
 
 def test_a_signal_while_python_ends_changes_nothing() -> None:

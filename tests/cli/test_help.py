@@ -1,5 +1,6 @@
 """Help texts: every command says what its options mean, and shows an example that parses."""
 
+import re
 import shlex
 from collections.abc import Iterator
 from typing import Any
@@ -55,3 +56,31 @@ def test_results_go_below_runs_and_imports_and_exports_need_a_place() -> None:
             # Without a default nothing is written, or beside what is shown.
             assert output.required or output.default is None or output.default.parts[0] == "runs", names
     assert "below ./runs" in " ".join(call("--help").out.split())
+
+
+# Numbers without a unit: shares, factors, qualities, multiples of an elevation model's resolution.
+PLAIN = {
+    "--arc-share", "--place-share", "--size-factor", "--min-quality", "--min-diameter-steps",
+    "--resolution-steps",
+}  # fmt: skip
+UNIT = re.compile(r"-(px|m|km|deg|percent|m3-s2|m-s2-sqrt-hz)$")
+
+
+def test_an_option_is_of_one_kind_in_all_commands() -> None:
+    kinds: dict[str, set[str]] = {}
+    for command in COMMANDS.values():
+        for parameter in command.params:
+            kind = re.sub(r"typing|class|list|None|[^A-Za-z]", "", str(parameter.type_descriptor.annotation))
+            kinds.setdefault(max(parameter.opts, key=len), set()).add(kind)
+    assert kinds["--workers"] == {"int"}
+    assert {name: found for name, found in kinds.items() if name.startswith("--") and len(found) > 1} == {}
+
+
+def test_every_number_carries_its_unit_in_its_name() -> None:
+    found = set()
+    for command in COMMANDS.values():
+        for parameter in command.params:
+            if "float" in str(parameter.type_descriptor.annotation):
+                found.add(max(parameter.opts, key=len))
+    assert {"--noise-px", "--dem-unit-m", "--mu-m3-s2"} < found
+    assert {name for name in found if name.startswith("--") and not UNIT.search(name)} <= PLAIN

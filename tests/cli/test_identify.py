@@ -2,16 +2,19 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from craternav_fg import frames
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 from tests.cli.calls import call
+from tests.cli.test_lazy import command_line, imported_by
 
 COLUMNS = [
     "ellipseCenterX(px)", "ellipseCenterY(px)", "ellipseSemimajor(px)", "ellipseSemiminor(px)",
@@ -75,7 +78,7 @@ def test_craters_and_pose(case, identify) -> None:
     assert found["seconds"] > 0.0
     # The index is loaded, and the attitude makes an answer more certain.
     w, x, y, z = 2.0 * frames.to_quaternion_wxyz(scene.gTb[:3, :3])
-    exact = ("--focal-sigma-percent", "0")
+    exact = ("--focal-sigma-percent", "0", "--principal-sigma-px", "0")
     code, output, errors = identify(
         folder / "rims.csv", "--attitude", f"{w},{x},{y},{z}", "--attitude-sigma-deg", 1.5, "--json", *exact
     )
@@ -89,6 +92,34 @@ def test_craters_and_pose(case, identify) -> None:
     assert "; focal length by the rims" in output
     assert f"of {len(found['rims'])} rims identified" in output
     assert all(name in output for name, _ in named)
+
+
+def test_a_common_shift_of_the_map_is_in_the_covariance(case, identify) -> None:
+    folder, catalog, _ = case
+    shifted = replace(catalog, common_shift=CommonShift.of_source(len(catalog), 3000.0, 2000.0))
+    write_catalog(folder / "shifted.csv", shifted)
+    alone, told = (
+        json.loads(identify(folder / "rims.csv", "--catalog", folder / name, "--json")[1])["pose"]
+        for name in ("craters.csv", "shifted.csv")
+    )
+    range_radii = np.linalg.norm(alone["position_m"]) / MOON.radius_m
+    added = np.sum(np.square(told["position_sigma_m"]) - np.square(alone["position_sigma_m"]))
+    assert added == pytest.approx(2.0 * (3000.0 * range_radii) ** 2 + 2000.0**2, rel=1e-6)
+
+
+def test_an_unknown_height_of_the_ground_is_in_the_covariance_and_said(case, identify) -> None:
+    folder, catalog, _ = case
+    write_catalog(folder / "level.csv", replace(catalog, has_heights=False))
+    before, after = (
+        json.loads(identify(folder / "rims.csv", "--catalog", folder / name, "--json")[1])
+        for name in ("craters.csv", "level.csv")
+    )
+    added = np.sum(
+        np.square(after["pose"]["position_sigma_m"]) - np.square(before["pose"]["position_sigma_m"])
+    )
+    assert added > (1e-3 * MOON.radius_m) ** 2
+    assert not any("RIM_HEIGHT_M" in line for line in before["warnings"])
+    assert any("RIM_HEIGHT_M" in line for line in after["warnings"])
 
 
 def test_identified_rims_are_what_pose_reads(case, identify, tmp_path) -> None:
@@ -105,6 +136,16 @@ def test_identified_rims_are_what_pose_reads(case, identify, tmp_path) -> None:
     error = np.array(found["poses"][0]["position_m"]) - scene.gTb[:3, 3]
     assert found["status"] == "solved"
     assert (np.abs(error) < 6.0 * np.array(found["poses"][0]["position_sigma_m"])).all()
+
+
+def test_one_image_needs_neither_pandas_nor_gtsam(case, identify, tmp_path) -> None:
+    folder = case[0]
+    matched = tmp_path / "matched.csv"
+    assert identify(folder / "rims.csv", "-o", matched)[0] == 0
+    files = ("--camera", str(folder / "sensor.yaml"), "--catalog", str(folder / "craters.csv"))
+    for command, rims in (("identify", folder / "rims.csv"), ("pose", matched)):
+        program = command_line(command, str(rims), *files)
+        assert not {"pandas", "gtsam", "matplotlib"} & set(imported_by(program)), command
 
 
 def test_results_never_overwrite_what_they_are_from(case, identify) -> None:
@@ -138,7 +179,7 @@ def test_bad_input(case, identify, tmp_path) -> None:
     half[:, :4] *= 0.5
     write_rims(tmp_path / "half.csv", half)
     # Degrees of a hundredth of a turn, as if in radians.
-    turned[:, 2:4] = [20.0, 15.0]
+    turned[:, 2:4] = [20.0, 17.0]
     turned[:, 4] = np.radians(np.linspace(-1.5, 1.5, len(turned)))
     write_rims(tmp_path / "radians.csv", turned)
     (tmp_path / "image.png").write_bytes(b"no image")

@@ -12,7 +12,7 @@ import pytest
 
 import craternav_fg
 
-HEAVY = ("numba", "gtsam", "cv2", "scipy", "matplotlib", "pyarrow", "pydantic", "numpy")
+HEAVY = ("numba", "gtsam", "cv2", "scipy", "matplotlib", "pyarrow", "pandas", "pydantic", "numpy")
 
 
 def imported_by(program: str) -> list[str]:

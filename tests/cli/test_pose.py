@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from craternav_fg import frames
+from craternav_fg.catalogs.common_shift import CommonShift
+from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset.sensor_files import camera_yaml
 from factors.kernels.conic import project_rims
 from factors.kernels.sun import sun_tilt
@@ -16,7 +18,7 @@ from tests.cli.calls import Done, call, craternav
 from tests.resection.matched_files import CAMERA, MOON, Files, make_files
 
 Run = Callable[..., Done]
-EXACT_FOCAL = ("--focal-sigma-percent", "0")
+EXACT = ("--focal-sigma-percent", "0", "--principal-sigma-px", "0")
 
 
 @pytest.fixture
@@ -41,7 +43,7 @@ def check_pose(pose: dict[str, object], gTb: np.ndarray, within_m: float = 1.0) 
 
 
 def test_a_pose_from_files(files: Files, run: Run) -> None:
-    done = run("--json", *EXACT_FOCAL)
+    done = run("--json", *EXACT)
     assert done.code == 0, done.err
     values = json.loads(done.out)
     assert values["status"] == "solved"
@@ -61,8 +63,57 @@ def test_a_pose_from_files(files: Files, run: Run) -> None:
     assert f"position in g {pose['position_m'][0]:.2f}" in shown.out
 
 
+def test_a_common_shift_of_the_map_is_in_the_covariance(files: Files, run: Run) -> None:
+    (alone,) = json.loads(run("--json", *EXACT).out)["poses"]
+    shift = CommonShift.of_source(len(files.catalog), 300.0, 200.0)
+    write_catalog(files.folder / "craters.csv", replace(files.catalog, common_shift=shift))
+    (pose,) = json.loads(run("--json", *EXACT).out)["poses"]
+    added = np.array(pose["position_sigma_m"]) ** 2 - np.array(alone["position_sigma_m"]) ** 2
+    range_radii = np.linalg.norm(files.gTb[:3, 3]) / MOON.radius_m
+    assert added.sum() == pytest.approx(2.0 * (300.0 * range_radii) ** 2 + 200.0**2, rel=1e-6)
+    of_b = np.array(pose["covariance"])[3:, 3:] - np.array(alone["covariance"])[3:, 3:]
+    up_b = files.gTb[:3, :3].T @ files.gTb[:3, 3] / np.linalg.norm(files.gTb[:3, 3])
+    assert up_b @ of_b @ up_b == pytest.approx(200.0**2, rel=1e-4)
+
+
+def test_a_rejected_rim_brings_no_common_shift_of_its_source(files: Files, run: Run) -> None:
+    rows = files.rows[:]
+    x, rest = rows[0].split(",", 1)
+    rows[0] = f"{float(x) + 60.0},{rest}"
+    places = np.array([3000.0, 0.0, 0.0, 0.0])
+    sigma_m = []
+    for place_m in (places, 0.0 * places):
+        stated = replace(files.catalog, common_shift=CommonShift(place_m, 0.0 * places, np.arange(4)))
+        write_catalog(files.folder / "craters.csv", stated)
+        values = json.loads(run("--json", "--robust", *EXACT, rims=files.rims(*rows)).out)
+        assert values["wrong"] == ["01-a"]
+        sigma_m.append(values["poses"][0]["position_sigma_m"])
+    np.testing.assert_allclose(*sigma_m, rtol=1e-12)
+
+
+def test_an_unknown_height_of_the_ground_is_in_the_covariance_and_said(files: Files, run: Run) -> None:
+    level = replace(files.catalog, height_m=np.zeros(4))
+    found = []
+    for known in (True, False):
+        write_catalog(files.folder / "craters.csv", replace(level, has_heights=known))
+        done = run("--json", "--sigma-px", "10", *EXACT)
+        found.append((json.loads(done.out), done.err))
+    (before, silent), (after, said) = found
+    added = np.sum(
+        np.square(after["poses"][0]["position_sigma_m"]) - np.square(before["poses"][0]["position_sigma_m"])
+    )
+    # The slope of the ground turns the pose, too.
+    assert added > (1e-3 * MOON.radius_m) ** 2
+    turn_deg = [np.linalg.norm(one["poses"][0]["attitude_sigma_deg"]) for one in (before, after)]
+    assert 0.1 < np.sqrt(turn_deg[1] ** 2 - turn_deg[0] ** 2) < 8.2
+    assert "RIM_HEIGHT_M" not in silent
+    assert not any("RIM_HEIGHT_M" in line for line in before["warnings"])
+    assert "1737 m of it" in said
+    assert any("1737 m of it" in line for line in after["warnings"])
+
+
 def test_a_focal_length_that_few_rims_cannot_check_widens_the_pose(files: Files, run: Run) -> None:
-    exact = json.loads(run("--json", *EXACT_FOCAL).out)["poses"][0]
+    exact = json.loads(run("--json", *EXACT).out)["poses"][0]
     done = run("--json")
     values = json.loads(done.out)
     (warning,) = values["warnings"]
@@ -77,19 +128,25 @@ def test_a_focal_length_that_few_rims_cannot_check_widens_the_pose(files: Files,
     assert "focal length by the rims" in run().out
 
 
-def test_the_cameras_file_says_how_well_its_focal_length_is_known(files: Files, run: Run) -> None:
+def test_the_cameras_file_says_how_well_its_intrinsics_are_known(files: Files, run: Run) -> None:
     sensor = files.folder / "sensor.yaml"
-    sensor.write_text(f"{sensor.read_text()}focal_sigma_percent: 0\n")
-    from_file, exact = (json.loads(run("--json", *options).out) for options in ((), EXACT_FOCAL))
+    sensor.write_text(f"{sensor.read_text()}focal_sigma_percent: 0\nprincipal_sigma_px: 0\n")
+    from_file, exact = (json.loads(run("--json", *options).out) for options in ((), EXACT))
     assert from_file == exact
-    assert json.loads(run("--json", "--focal-sigma-percent", "0.3").out)["focal_scale"] is not None
+    stated = json.loads(run("--json", "--focal-sigma-percent", "0.3").out)
+    assert stated["focal_scale"] is not None
+    # Whoever states the sigma knows what it means for the distance.
+    assert stated["warnings"] == []
+    # A poor pose is not wrong by much.
+    poor = json.loads(run("--json", "--sigma-ellipse-px", "20").out)
+    assert not any("focal length" in text for text in poor["warnings"])
 
 
 def test_the_error_of_ellipses_instead_of_that_of_edge_points(files: Files, run: Run) -> None:
     """Half a pixel of centre and axes is more than edge points of one pixel give."""
     loose = json.loads(run("--json", "--sigma-ellipse-px", "0.5").out)["poses"][0]
-    tight = json.loads(run("--json", "--sigma-ellipse-px", "0.05", *EXACT_FOCAL).out)["poses"][0]
-    exact = json.loads(run("--json", "--sigma-ellipse-px", "0.5", *EXACT_FOCAL).out)["poses"][0]
+    tight = json.loads(run("--json", "--sigma-ellipse-px", "0.05", *EXACT).out)["poses"][0]
+    exact = json.loads(run("--json", "--sigma-ellipse-px", "0.5", *EXACT).out)["poses"][0]
     tenfold = 10.0 * np.array(tight["position_sigma_m"])
     np.testing.assert_allclose(exact["position_sigma_m"], tenfold, rtol=1e-3)
     check_pose(loose, files.gTb)
@@ -131,7 +188,7 @@ def test_what_was_skipped_and_assumed_of_a_catalogue_is_said(files: Files, run: 
 
 def test_one_rim_with_an_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
-    options = ("--attitude", quaternion, "--attitude-sigma-deg", "0", "--json", *EXACT_FOCAL)
+    options = ("--attitude", quaternion, "--attitude-sigma-deg", "0", "--json", *EXACT)
     done = run(*options, rims=files.rims(files.rows[0]))
     assert done.code == 0, done.err
     values = json.loads(done.out)

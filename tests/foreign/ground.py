@@ -13,6 +13,9 @@ FloatArray = npt.NDArray[np.float64]
 MapArray = npt.NDArray[np.float32]
 
 MOON_RADIUS_M = 1737400.0
+# Blur of the map, cells: that of its last filter, and that of the slopes' differences and interpolation.
+_FILTER_CELLS = 0.7
+_BLUR_CELLS = float(np.sqrt(_FILTER_CELLS**2 + 1.0 / 3.0 + 1.0 / 6.0))
 RING = 2.0 * np.pi * np.arange(96) / 96
 
 
@@ -76,7 +79,7 @@ def make_ground(
     for crater in drawn:
         _stamp(rng, heights, cell_m, first, crater)
     known = [crater for crater in drawn if crater.known]
-    heights = cv2.GaussianBlur(heights, (0, 0), 0.7)
+    heights = cv2.GaussianBlur(heights, (0, 0), _FILTER_CELLS)
     crests = []
     for crater in known:
         x, y = crater.ring(1.0)
@@ -154,8 +157,8 @@ def _draw_craters(
 
 def _stamp(rng: np.random.Generator, heights: MapArray, cell_m: float, first: float, crater: _Crater) -> None:
     """Replace the ground under a crater by the plane through its surroundings and the crater's profile."""
-    profile = draw_profile(rng, crater.family, crater.wear)
     a, b = crater.semi_axes
+    profile = draw_profile(rng, crater.family, crater.wear, _BLUR_CELLS * cell_m / np.sqrt(a * b))
     side = heights.shape[0]
     x0, y0 = crater.centre
     low_x, low_y = (max(int((v - 2.6 * a - first) / cell_m), 0) for v in (x0, y0))

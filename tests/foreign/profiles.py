@@ -23,8 +23,11 @@ class Profile:
         return np.interp(rho, self.rho, self.height, right=0.0)
 
 
-def draw_profile(rng: np.random.Generator, family: str, wear: float) -> Profile:
-    """Draw a crater of a family; `wear` is 0 for a fresh one and 1 for an old one."""
+def draw_profile(rng: np.random.Generator, family: str, wear: float, blur: float = 0.0) -> Profile:
+    """Draw a crater of a family; `wear` is 0 for a fresh one and 1 for an old one.
+
+    Its crest is at 1 once the height map has blurred it by `blur`, in radii: a blurred crest moves outward.
+    """
     rho = np.arange(0.0, _LAST, _STEP)
     depth = rng.uniform(0.3, 0.42)
     rim = rng.uniform(0.06, 0.1)
@@ -35,11 +38,20 @@ def draw_profile(rng: np.random.Generator, family: str, wear: float) -> Profile:
     # Diffusion: lower, and with a rounder crest. The mirrored branch keeps the centre flat.
     width = rng.uniform(0.008, 0.02) + 0.11 * wear * rng.uniform(0.7, 1.3)
     both = np.concatenate([height[:0:-1], height])
-    height = gaussian_filter1d(both, width / _STEP)[len(rho) - 1 :]
-    height *= 1.0 - 0.35 * wear
-    near = (rho > 0.6) & (rho < 1.6)
-    crest = rho[near][np.argmax(height[near])]
+    height, drawn = (
+        (1.0 - 0.35 * wear) * gaussian_filter1d(both, sigma / _STEP)[len(rho) - 1 :]
+        for sigma in (width, np.hypot(width, blur))
+    )
+    crest = _crest(rho, drawn)
     return Profile(rho / crest, height / crest)
+
+
+def _crest(rho: FloatArray, height: FloatArray) -> float:
+    """Place of the highest point between 0.6 and 1.6: the vertex of the parabola through three samples."""
+    first = int(np.searchsorted(rho, 0.6))
+    i = first + int(np.argmax(height[first : int(np.searchsorted(rho, 1.6))]))
+    before, here, after = height[i - 1 : i + 2]
+    return float(rho[i] + 0.5 * _STEP * (before - after) / (before - 2.0 * here + after))
 
 
 def _wall(rng: np.random.Generator, family: str, rho: FloatArray) -> FloatArray:

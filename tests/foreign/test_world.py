@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.estimators.base import Descent
@@ -26,6 +27,16 @@ def test_profiles_have_their_crest_at_one_radius(family: str) -> None:
         assert rho[near][np.argmax(height[near])] == pytest.approx(1.0, abs=5e-3)
         assert height[0] < height[near].max() - 0.1
         assert profile(np.array([10.0])) == 0.0
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_profile_has_its_crest_at_one_radius_once_a_map_blurred_it(family: str) -> None:
+    profile = draw_profile(np.random.default_rng(1), family, 0.0, blur=0.03)
+    rho = np.arange(0.5, 1.5, 0.001)
+    crest = rho[np.argmax(gaussian_filter1d(profile(rho), 30.0))]
+    assert crest == pytest.approx(1.0, abs=2e-3)
+    # It moves outward, as the wall is steeper than the outer slope.
+    assert rho[np.argmax(profile(rho))] < 0.995
 
 
 def test_rims_and_motion_agree_with_the_data_set(tmp_path: Path) -> None:

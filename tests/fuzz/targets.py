@@ -1,10 +1,6 @@
 """What is spoilt, and the commands that then read it."""
 
-import random
-import shutil
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,19 +16,8 @@ from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenes import MOON
 from tests.campaign.scene import options, small_scenario, write_scenario
 from tests.descents import scenario
-
-
-@dataclass(frozen=True)
-class Target:
-    """A folder of files, which of them are spoilt, and commands that read them in a copy of the folder."""
-
-    folder: Path
-    files: Callable[[Path], list[Path]]
-    commands: Callable[[Path], list[list[str]]]
-
-    def copy(self, place: Path) -> Path:
-        shutil.copytree(self.folder, place, symlinks=True)
-        return place
+from tests.fuzz.foreign_targets import foreign_targets
+from tests.fuzz.target import Target
 
 
 def every_file(folder: Path) -> list[Path]:
@@ -60,7 +45,8 @@ def make_targets(folder: Path) -> dict[str, Target]:
     write_catalog(view / "craters.csv", catalog)
     write_catalog(view / "craters.parquet", catalog)
     TripleIndex.build(catalog).save(view / "index.npz")
-    write_detected_ellipses(view / "rims.csv", scene.ellipses_px, "one.png")
+    traced = np.ones(len(scene.ellipses_px), dtype=np.bool_)
+    write_detected_ellipses(view / "rims.csv", scene.ellipses_px, traced, "one.png")
     names = [catalog.identifiers[row] if row >= 0 else None for row in scene.craters]
     write_matched_ellipses(view / "matched.csv", scene.ellipses_px, names)
     (view / "sensor.yaml").write_text(camera_yaml(scene.camera, 1.0))
@@ -92,9 +78,5 @@ def make_targets(folder: Path) -> dict[str, Target]:
         "run": Target(run, every_file, lambda here: [["report", str(here)], ["compare", str(here)]]),
         "campaign": Target(folder / "campaign", every_file, lambda here: [["report", str(here)]]),
         "view": Target(view, every_file, seen),
+        **foreign_targets(folder),
     }
-
-
-def choose(targets: dict[str, Target], rng: random.Random) -> tuple[str, Target]:
-    name = rng.choice(sorted(targets))
-    return name, targets[name]

@@ -20,7 +20,8 @@ from unittest import mock
 
 from tests.cli.calls import call
 from tests.fuzz.mutate import spoil
-from tests.fuzz.targets import Target, make_targets
+from tests.fuzz.target import Target
+from tests.fuzz.targets import make_targets
 
 MEMORY = 2 << 30
 SECONDS = 20.0
@@ -41,6 +42,11 @@ def figures(*, drawn: bool) -> contextlib.AbstractContextManager[object]:
     return mock.patch("craternav_fg.runs.execute._figures", return_value={})
 
 
+def reading(commands: list[list[str]], path: Path) -> list[list[str]]:
+    """Commands that name a file or a folder above it; all of them where none does."""
+    return [c for c in commands if any(Path(part) in (path, *path.parents) for part in c)] or commands
+
+
 def run_case(targets: dict[str, Target], seed: int, place: Path) -> dict[str, Any]:
     """Spoil a file of a target, run one of its commands, and judge how it ended."""
     rng = random.Random(seed)
@@ -49,7 +55,7 @@ def run_case(targets: dict[str, Target], seed: int, place: Path) -> dict[str, An
     here = target.copy(place / "case")
     path = rng.choice(target.files(here))
     how = spoil(path, rng)
-    command = rng.choice(target.commands(here))
+    command = rng.choice(reading(target.commands(here), path))
     case = {"seed": seed, "command": command[:2], "file": path.name, "how": how, "fault": ""}
     say({"begins": case})
     began = time.process_time()

@@ -12,7 +12,9 @@ from craternav_fg.vision.detect import FoundRims
 def test_the_arrow_points_towards_the_sun(tmp_path: Path) -> None:
     """The sun is to the right, and the tip of an arrow is its broad end."""
     none = np.empty(0)
-    rims = FoundRims(np.empty((0, 5)), np.empty((0, 5)), np.empty((0, 5, 5)), none, none, 0.0)
+    rims = FoundRims(
+        np.empty((0, 5)), np.empty((0, 5)), np.empty((0, 5, 5)), none, none.astype(bool), none, 0.0
+    )
     write_overlay(tmp_path / "a.png", np.zeros((900, 900), np.uint8), rims)
     picture = cv2.imread(str(tmp_path / "a.png"))
     assert picture is not None

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from axe_core_python.selenium import Axe
 from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
@@ -243,6 +244,32 @@ def test_a_telephone_shows_it_without_scrolling_sideways(browser: webdriver.Chro
         assert all(cell.rect["x"] >= 0 and cell.rect["x"] + cell.rect["width"] <= 390 for cell in cells)
     finally:
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def _width_px(plot: WebElement, selector: str) -> float:
+    return float(plot.find_element(By.CSS_SELECTOR, selector).size["width"])
+
+
+def test_charts_follow_the_window(browser: webdriver.Chrome) -> None:
+    tabs = browser.find_elements(By.CSS_SELECTOR, ".choice [role=tab]")
+    plots = browser.find_elements(By.CSS_SELECTOR, ".choice .plot")
+    browser.execute_script("arguments[0].scrollIntoView()", tabs[0])
+    for tab, plot in ((tabs[1], plots[1]), (tabs[0], plots[0])):
+        click(browser, tab)
+        WebDriverWait(browser, 20).until(lambda _, plot=plot: plot.find_elements(By.TAG_NAME, "svg"))
+    narrow = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
+    try:
+        # One that is on the page, and one whose tab is opened when the window is narrow already.
+        for tab, plot in ((tabs[0], plots[0]), (tabs[1], plots[1])):
+            click(browser, tab)
+            # Drawn anew while it is looked at.
+            waiting = WebDriverWait(browser, 10, ignored_exceptions=(StaleElementReferenceException,))
+            waiting.until(lambda _, one=plot: 300 < _width_px(one, "svg.main-svg") <= 390)
+            waiting.until(lambda _, one=plot: 200 < _width_px(one, ".scatterlayer path.js-line") < 390)
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        click(browser, tabs[0])
 
 
 def test_hostile_names_run_no_script(browser: webdriver.Chrome, hostile_page: Path) -> None:

@@ -1,10 +1,12 @@
 """The page of a campaign."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 
 from craternav_fg.campaign import run
@@ -16,6 +18,7 @@ from craternav_fg.reports.page import Table, write_page
 from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
 from tests.cli.calls import call
+from tests.report.conftest import NAMES, SCRIPT, changed
 from tests.report.test_report import Reader, data_of
 
 
@@ -92,3 +95,27 @@ def test_the_worst_trial_is_picked_first(campaign: Path, tmp_path: Path) -> None
     )
     worst = max(final_m, key=lambda trial: final_m[trial])
     assert f'<option value="0">trial {worst}: ' in out.read_text("utf-8")
+
+
+def test_a_page_of_hostile_names_has_one_script(campaign: Path, tmp_path: Path) -> None:
+    """Names of estimators, reasons of failures and the folder's own name, each a script."""
+    folder = tmp_path / "<img src=x onerror=document.title=2>"
+    shutil.copytree(campaign, folder)
+    first = next(iter(read_campaign(campaign).summary["estimators"]))
+    for path in folder.glob("*.toml"):
+        path.write_text(path.read_text().replace(f'"{first}"', json.dumps(NAMES["ekf"])))
+    for path in [*folder.glob("*.json"), *folder.glob("*.jsonl")]:
+        path.write_text(path.read_text().replace(f'"{first}"', json.dumps(NAMES["ekf"])))
+    for path in (folder / "trials").glob("*.parquet"):
+        changed(path, "estimator", lambda name: NAMES["ekf"] if name == first else name)
+        table = pq.read_table(path)
+        metadata = {**table.schema.metadata, b"failures": json.dumps({NAMES["smoother"]: SCRIPT}).encode()}
+        pq.write_table(table.replace_schema_metadata(metadata), path)
+    out = tmp_path / "r.html"
+    write_page(campaign_page(read_campaign(folder)), out)
+    html = out.read_text(encoding="utf-8")
+    assert html.count("<script>") == 1
+    assert html.count("<script") == 3
+    assert "alert(1)" in html
+    for raw in ("<img src=x", "<svg onload", SCRIPT):
+        assert raw not in html

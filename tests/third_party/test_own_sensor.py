@@ -2,10 +2,12 @@
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -63,9 +65,9 @@ def test_it_is_found_simulated_and_estimated(module: str, tmp_path: Path) -> Non
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-lander\nVersion: 1.0\n")
     entry, scenario = blocks("toml")
-    assert entry.startswith('[project.entry-points."craternav_fg.sensors"]')
-    names = entry.splitlines()[1].replace('"', "")
-    (about / "entry_points.txt").write_text(f"[craternav_fg.sensors]\n{names}\n")
+    named = tomllib.loads(entry)["project"]["entry-points"]["craternav_fg.sensors"]
+    lines = [f"{name} = {place}\n" for name, place in named.items()]
+    (about / "entry_points.txt").write_text("[craternav_fg.sensors]\n" + "".join(lines))
     assert "beacon" in json.loads(craternav(tmp_path, "sensors", "--json").stdout)
     table = scenario[scenario.index("[sensors.beacon]") :]
     short = SCENARIO[: SCENARIO.index("[sensors.sun_sensor]")]
@@ -76,5 +78,13 @@ def test_it_is_found_simulated_and_estimated(module: str, tmp_path: Path) -> Non
         tmp_path, "reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "smoother,ekf", "--json"
     )
     assert done.returncode == 0, done.stderr
+    # The files of the page's own log hold what the simulated ones hold.
+    (settings,), (log,) = blocks("yaml"), blocks("text")
+    sensor = tmp_path / "data/mav0/beacon0"
+    assert set(yaml.safe_load(settings)) <= set(yaml.safe_load((sensor / "sensor.yaml").read_text()))
+    assert log.splitlines()[0] == (sensor / "data.csv").read_text().splitlines()[0]
+    (sensor / "sensor.yaml").write_text(settings)
+    found = craternav(tmp_path, "reconstruct", tmp_path / "data", "-o", tmp_path / "own", "-e", "ekf")
+    assert found.returncode == 0, found.stderr
     nis = json.loads(done.stdout)["innovations"]["nis"]["beacon"]
     assert nis["low"] < nis["mean"] < nis["high"]

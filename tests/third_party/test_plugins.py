@@ -120,6 +120,15 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def data(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated") / "data"
+    done = craternav(site, "simulate", site / "short.toml", "-o", folder)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "mav0/sun_sensor0/data.csv").is_file()
+    return folder
+
+
 def craternav(site: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
     path = f"{ROOT}:{site}"
     return subprocess.run(
@@ -135,11 +144,8 @@ def test_the_command_line_lists_them(site: Path) -> None:
     assert "The prior, carried on by the IMU" in estimators["carried"]
 
 
-def test_they_take_part_in_a_run_and_its_report(site: Path, tmp_path: Path) -> None:
-    data, run = tmp_path / "data", tmp_path / "run"
-    done = craternav(site, "simulate", site / "short.toml", "-o", data)
-    assert done.returncode == 0, done.stderr
-    assert (data / "mav0/sun_sensor0/data.csv").is_file()
+def test_they_take_part_in_a_run_and_its_report(site: Path, data: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
     names = ["smoother", "ekf", "carried"]
     done = craternav(site, "reconstruct", data, "-o", run, *(w for n in names for w in ("-e", n)), "--json")
     assert done.returncode == 0, done.stderr
@@ -167,9 +173,7 @@ def test_they_take_part_in_a_run_and_its_report(site: Path, tmp_path: Path) -> N
     assert [("sun_sensor" in page, "carried" in page) for page in pages] == [(True, True), (False, False)]
 
 
-def test_without_the_package_the_folder_is_told_of(site: Path, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    assert craternav(site, "simulate", site / "short.toml", "-o", data).returncode == 0
+def test_without_the_package_the_folder_is_told_of(data: Path, tmp_path: Path) -> None:
     done = craternav(tmp_path, "reconstruct", data, "-o", tmp_path / "run", "-e", "smoother")
     assert done.returncode == 0
     assert "mav0/sun_sensor0" in done.stderr

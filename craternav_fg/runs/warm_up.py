@@ -1,0 +1,101 @@
+"""Compile the kernels by using each once, on small problems; the compiled code stays on disk."""
+
+import multiprocessing
+import signal
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from craternav_fg.dataset import Dataset
+from craternav_fg.errors import CraternavError
+from craternav_fg.estimators.registry import DEFAULT
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.runs.execute import execute_run
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.vision.edge_kernel import trace_rim
+from factors.kernels.compiled import is_cached
+from factors.kernels.packed import shape_residuals
+
+# The demo's descent with few frames, and with few and small images.
+MEASURED = """
+base = "measured_descent"
+[trajectory]
+frame_interval_s = 20.0
+"""
+RENDERED = """
+base = "lunar_descent"
+[camera]
+width_px = 512
+height_px = 512
+[trajectory]
+frame_interval_s = 20.0
+[craters]
+min_apparent_px = 24.0
+max_apparent_px = 150.0
+"""
+
+
+def is_warm() -> bool:
+    """Whether the kernels of a reconstruction have been compiled.
+
+    Returns
+    -------
+    bool
+    """
+    return is_cached(trace_rim) and is_cached(shape_residuals)
+
+
+def warm_up(folder: Path) -> Dataset:
+    """Compile the kernels of simulation, front end, estimators and figures.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the small problems are put.
+
+    Returns
+    -------
+    Dataset
+        One of them, with images.
+    """
+    # What cannot be solved on so small a problem is compiled all the same.
+    with suppress(CraternavError):
+        data = _data(folder, "measured", MEASURED)
+        (folder / "run").mkdir()
+        execute_run(data, folder / "run", DEFAULT, label="../measured", began_s=time.perf_counter())
+    data = _data(folder, "rendered", RENDERED)
+    with suppress(CraternavError):
+        reconstruct(data, ["online"])
+    return data
+
+
+@contextmanager
+def warming_up() -> Iterator[None]:
+    """Compile what a reconstruction needs in another process, unless it is there; wait for it in the end."""
+    if is_warm():
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="craternav-") as folder:
+        process = multiprocessing.get_context("spawn").Process(target=_warm_up, args=(folder,), daemon=True)
+        process.start()
+        try:
+            yield
+            process.join()
+        finally:
+            process.terminate()
+            process.join()
+
+
+def _warm_up(folder: str) -> None:
+    # Ctrl-C is for the process that started this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warm_up(Path(folder))
+
+
+def _data(folder: Path, name: str, scenario: str) -> Dataset:
+    file = folder / f"{name}.toml"
+    file.write_text(scenario)
+    simulate(file, folder / name)
+    return Dataset.open(folder / name)
