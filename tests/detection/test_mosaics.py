@@ -2,9 +2,6 @@
 
 import csv
 import json
-import resource
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -25,6 +22,7 @@ from craternav_fg.errors import CraternavError, InputError
 from tests.campaign import inline
 from tests.cli.calls import call
 from tests.detection.mosaic_scene import CORNERS, EQUIRECTANGULAR, POLAR, RADIUS_M, STEP_M, shaded_map
+from tests.peak_memory import run_measured
 
 SETTINGS = DetectionSettings()
 HERE = Where(1)
@@ -271,10 +269,8 @@ def test_memory_does_not_grow_with_the_mosaic(tmp_path):
             for column in range(10):
                 window = rasterio.windows.Window(1000 * column, 1000 * row, 1000, 1000)
                 raster.write(made.image, 1, window=window)
-    command = [sys.executable, "-m", "craternav_fg", "detect", path, "-o", tmp_path / "out", "--workers", 1]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    done, peak_mb = run_measured("-m", "craternav_fg", "detect", path, "-o", tmp_path / "out", "--workers", 1)
     assert done.returncode == 0, done.stderr
-    # The largest of all processes that have ended, MB.
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0 < 1200.0
+    assert peak_mb < 1200.0
     catalog = read_parquet(tmp_path / "out" / "catalog.parquet", None)
     assert 0.97 * 4000 < len(catalog) < 1.05 * 4000

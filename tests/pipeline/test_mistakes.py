@@ -1,7 +1,5 @@
 """Usual mistakes with images are told apart, on ground of the second world."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from craternav_fg.pipeline.mistakes import likely_mistake
 from craternav_fg.pipeline.reconstruct import reconstruct
 from tests.foreign.files import write
 from tests.foreign.worlds import draw_world
+from tests.peak_memory import run_measured
 
 
 @pytest.fixture(scope="module")
@@ -70,32 +69,17 @@ def test_rims_that_are_excluded_are_not_missed(data: Dataset) -> None:
     assert any("no rim was measured in 2 of 2 frames" in text for text in result.warnings)
 
 
-# Runs Python with some arguments and prints the most memory of it, kB. A process of its own does: a child
-# begins with the memory of its parent, here that of all tests.
-MEASURED = """
-import resource, subprocess, sys
-code = subprocess.call([sys.executable, *sys.argv[1:]], stdout=subprocess.DEVNULL)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-sys.exit(code)
-"""
-
-
 @pytest.mark.slow
 def test_turned_images_need_no_more_memory(tmp_path: Path) -> None:
     """The search for a lost track once grew beyond 4 GB."""
     turned = write(draw_world(1, "gentle", frames=5), tmp_path / "d", 1)
     for path in (turned / "mav0" / "cam0" / "data").iterdir():
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
-    command = ["-m", "craternav_fg", "reconstruct", str(turned), "-o", str(tmp_path / "run")]
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURED, *command, "-e", "online,ekf"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    out = tmp_path / "run"
+    done, peak_mb = run_measured("-m", "craternav_fg", "reconstruct", turned, "-o", out, "-e", "online,ekf")
     text = done.stderr
     # Craters are identified, as from a camera that is turned; the IMU is of one that is not.
     assert "the images contradict the initial state" in text, text
     assert "imu: contradicts what ekf predicts" in text
     assert done.returncode == 0
-    assert int(done.stdout.splitlines()[-1]) < 1 << 20
+    assert peak_mb < 1024.0
