@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import tempfile
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -12,6 +13,11 @@ from hypothesis import settings
 # Tests neither read nor fill the user's cache.
 os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="craternav-cache-")
 atexit.register(shutil.rmtree, os.environ["XDG_CACHE_HOME"], ignore_errors=True)
+
+# Child processes run this checkout, whether it, another one or none is installed.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
 
 # A shell starts background jobs deaf to Ctrl-C; the tests of it are not about that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

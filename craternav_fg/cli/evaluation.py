@@ -110,7 +110,8 @@ def leave_out(
     one = estimator(name) if file is None else file.estimator(name)
     with progress_bars() as report:
         result = reconstruct(data, [one], front_end=None if file is None else file.front_end, progress=report)
-        found = leave_one_out(result.problems[-1], one)
+        stamps_ns = np.array([frame.stamp_ns for frame in result.frames], dtype=np.int64)
+        found = leave_one_out(result.problems, one, stamps_ns)
     _finish(name, found, "the frame's own rims", as_json)
 
 

@@ -15,6 +15,9 @@ from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+# Index of a frame; offset, sigmas and turn (3,) of its prediction.
+_Left = tuple[int, FloatArray, FloatArray, FloatArray]
 
 # Prior of a frame whose pose is estimated alone: so wide that its rims decide.
 _WIDE_ATTITUDE_RAD, _WIDE_POSITION_M = 0.1, 2e4
@@ -81,51 +84,61 @@ def offsets(trajectory: Trajectory, reference: Trajectory) -> Offsets:
     )
 
 
-def leave_one_out(problem: Problem, estimator: Estimator) -> Offsets:
-    """Predict each frame from all others, and compare with where its own rims alone put it.
+def leave_one_out(problems: Sequence[Problem], estimator: Estimator, stamps_ns: IntArray) -> Offsets:
+    """Predict each frame from the others of its segment, and compare with where its own rims alone put it.
 
     Parameters
     ----------
-    problem : Problem
+    problems : sequence of Problem
+        One for each segment of a descent, see `Reconstruction.problems`.
     estimator : Estimator
         That predicts.
+    stamps_ns : ndarray of int, shape (n,)
+        Stamps of the frames whose indices are returned. Problems have further ones where only sensors
+        measured.
 
     Returns
     -------
     Offsets
         Prediction less the frame's own position, with the sigmas of both together. Frames with few rims are
-        left out.
+        left out, and frames without another that shows rims in their segment.
 
     Raises
     ------
     EstimationError
         When no frame has enough rims, or a prediction has no covariance.
     """
-    found: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
-    for k, frame in enumerate(problem.frames):
-        if len(frame.rims) < _MIN_RIMS:
-            continue
-        others = list(problem.frames)
-        others[k] = FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
-        predicted = estimator.estimate(_without(problem, others))
-        if predicted.pose_covariance is None:
-            raise EstimationError(f"{estimator.name}: expected a trajectory with covariances")
-        gTb, covariance = predicted.gTb[k], predicted.pose_covariance[k]
-        own = _alone(problem, frame, gTb)
-        enu = frames.east_north_up(*frames.latitude_longitude(own[0][None, :3, 3]))[0]
-        both = enu.T @ (covariance + own[1])[3:, 3:] @ enu
-        found.append(
-            (
-                k,
-                enu.T @ (gTb[:3, 3] - own[0][:3, 3]),
-                np.sqrt(np.diag(both)),
-                frames.rotation_log(own[0][:3, :3].T @ gTb[:3, :3]),
-            )
-        )
+    index_of = {int(stamp): k for k, stamp in enumerate(stamps_ns)}
+    found: list[_Left] = []
+    for problem in problems:
+        with_rims = sum(len(frame.rims) > 0 for frame in problem.frames)
+        for k, frame in enumerate(problem.frames):
+            if len(frame.rims) >= _MIN_RIMS and with_rims > 1 and frame.stamp_ns in index_of:
+                found.append((index_of[frame.stamp_ns], *_left_out(problem, estimator, k)))
     if not found:
-        raise EstimationError(f"no frame has {_MIN_RIMS} rims, with which its own pose is compared")
+        raise EstimationError(
+            f"no frame has {_MIN_RIMS} rims, with which its own pose is compared, and another frame beside it"
+        )
     columns = [np.array([one[i] for one in found]) for i in range(4)]
     return Offsets(columns[0].astype(np.int64), columns[1], columns[2], columns[3])
+
+
+def _left_out(problem: Problem, estimator: Estimator, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Offset (3,) of a frame's prediction by the others from its own pose, its sigmas, and the turn."""
+    frame, others = problem.frames[k], list(problem.frames)
+    others[k] = FrameMeasurement(frame.stamp_ns, RimSet.empty(), None)
+    predicted = estimator.estimate(_without(problem, others))
+    if predicted.pose_covariance is None:
+        raise EstimationError(f"{estimator.name}: expected a trajectory with covariances")
+    gTb, covariance = predicted.gTb[k], predicted.pose_covariance[k]
+    own = _alone(problem, frame, gTb)
+    enu = frames.east_north_up(*frames.latitude_longitude(own[0][None, :3, 3]))[0]
+    both = enu.T @ (covariance + own[1])[3:, 3:] @ enu
+    return (
+        enu.T @ (gTb[:3, 3] - own[0][:3, 3]),
+        np.sqrt(np.diag(both)),
+        frames.rotation_log(own[0][:3, :3].T @ gTb[:3, :3]),
+    )
 
 
 def _without(problem: Problem, others: Sequence[FrameMeasurement]) -> Problem:

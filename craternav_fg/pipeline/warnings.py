@@ -96,6 +96,29 @@ def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> lis
     ]
 
 
+def too_large(mean_square: float, dimension: int, *, images: bool) -> bool:
+    """Whether innovations or residuals are larger than their noise and chance explain.
+
+    Parameters
+    ----------
+    mean_square : float
+        Mean square per dimension; 1 expected.
+    dimension : int
+        Number of squares.
+    images : bool
+        Whether rims and sun tilts were measured in images, see `inconsistent_sensors`.
+
+    Returns
+    -------
+    bool
+    """
+    return mean_square > _limit(images=images) and improbable(mean_square, dimension, IMPROBABLE)
+
+
+def _limit(*, images: bool) -> float:
+    return MAX_SQUARE_IN_IMAGES if images else MAX_SQUARE
+
+
 def contradicted_without_rims(name: str, innovations: Innovations | None) -> list[str]:
     """Warn of trajectories that rest on sensors which contradict each other, without any rim to decide.
 
@@ -118,7 +141,7 @@ def contradicted_without_rims(name: str, innovations: Innovations | None) -> lis
     for sensor in sorted(set(innovations.sensor)) if innovations is not None else []:
         assert innovations is not None
         part = innovations.of(sensor)
-        if part.mean > MAX_SQUARE and improbable(part.mean, int(part.dimension.sum()), IMPROBABLE):
+        if too_large(part.mean, int(part.dimension.sum()), images=False):
             contradicted.append(f"{sensor} (NIS per dimension {part.mean:.3g}, expected 1)")
     if not contradicted:
         return []
@@ -173,17 +196,14 @@ def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
     share = float(np.mean(sigmas > OUTLIER_SIGMAS))
     inside = part.nis[sigmas <= OUTLIER_SIGMAS].sum()
     rest = float(inside / max(part.dimension[sigmas <= OUTLIER_SIGMAS].sum(), 1))
-    limit = MAX_SQUARE_IN_IMAGES if images else MAX_SQUARE
-    if 0.0 < share < MAX_SENSOR_OUTLIER_SHARE and rest < limit < part.mean:
+    if 0.0 < share < MAX_SENSOR_OUTLIER_SHARE and rest < _limit(images=images) < part.mean:
         return f"{100.0 * share:.2g} % of its samples are outliers (beyond {OUTLIER_SIGMAS:g} sigma)"
-    if not improbable(part.mean, size, IMPROBABLE):
-        return ""
-    if part.mean > limit:
+    if too_large(part.mean, size, images=images):
         return (
             f"contradicts what {name} predicts from the other sensors (NIS per dimension {part.mean:.3g}, "
             "expected 1)"
         )
-    if part.mean < MIN_SQUARE and not images:
+    if part.mean < MIN_SQUARE and not images and improbable(part.mean, size, IMPROBABLE):
         return (
             f"agrees with what {name} predicts better than the stated noise allows (NIS per dimension "
             f"{part.mean:.3g}, expected 1): the stated noise is too large or in another unit"
@@ -196,8 +216,7 @@ def _of_residuals(summary: ResidualSummary, *, images: bool) -> str:
     worst = float(np.max(np.abs(summary.mean)))
     if worst > MAX_MEAN and worst * np.sqrt(summary.count) > MAX_MEAN_SIGMAS and not images:
         return f"its residuals at the smoothed trajectory have a mean of {worst:.2g} sigma"
-    limit = MAX_SQUARE_IN_IMAGES if images else MAX_SQUARE
-    if summary.square > limit and improbable(summary.square, size, IMPROBABLE):
+    if too_large(summary.square, size, images=images):
         return f"its residuals at the smoothed trajectory are {np.sqrt(summary.square):.2g} times their noise"
     return ""
 

@@ -8,6 +8,7 @@ import pyarrow.compute as pc
 from craternav_fg.config import read_text
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
+from craternav_fg.pipeline.warnings import MAX_SQUARE, MAX_SQUARE_IN_IMAGES, too_large
 from craternav_fg.plots.style import colour
 from craternav_fg.reports.charts import (
     bounds_chart,
@@ -30,8 +31,6 @@ INCONCLUSIVE_ANEES = (2.0, 15.0)
 
 # Estimators that are there to be compared with: what they get wrong is no fault of the run.
 BASELINES = ("ekf_paper", "centre_smoother", "dead_reckoning")
-# NIS beyond which the report marks a sensor. The warnings of a run judge smaller ones by their probability.
-CONTRADICTING_NIS = 3.0
 
 ERROR_HEADINGS = (
     ("position_rms_m", "position RMS, m"),
@@ -54,7 +53,8 @@ _NIS_EXPLAINED = (
     "covariances. It is 1 per dimension when the covariances are consistent and the errors independent. "
     "For rims and sun tilts from images, smaller values are expected: most of their error is the same in "
     "every frame that shows a crater, so the covariances contain it but the innovations do not show it. "
-    f"Above {CONTRADICTING_NIS:g}, a sensor contradicts the others: check its unit, axes and time offset."
+    f"A sensor whose NIS is above {MAX_SQUARE:g} ({MAX_SQUARE_IN_IMAGES:g} with images), and larger than "
+    "chance explains, contradicts the others; the run warns of it. Check its unit, axes and time offset."
 )
 
 
@@ -152,27 +152,40 @@ def _summary(run: Run, missing: str) -> list[Block]:
     if with_truth:
         blocks.append(Text(_ANEES_EXPLAINED, title="What is the ANEES?"))
     if run.metrics.get("innovations"):
-        blocks += _nis(run.metrics["innovations"])
+        blocks += nis_blocks(run.metrics["innovations"])
     if missing:
         blocks.append(Text(missing, warning=True))
     return blocks
 
 
-def _nis(found: dict[str, Any]) -> list[Block]:
+def nis_blocks(found: dict[str, Any]) -> list[Block]:
+    """Show a filter's innovations; those that the run's warnings name are highlighted.
+
+    Parameters
+    ----------
+    found : dict
+        Part `innovations` of metrics.json.
+
+    Returns
+    -------
+    list of Block
+        Table and explanation.
+    """
     rows = []
     for sensor, nis in found["nis"].items():
         low, high, mean = nis["low"], nis["high"], nis["mean"]
+        contradicts = too_large(mean, nis["dimension"], images=found.get("images", True))
         verdict = "as expected"
         if mean > high:
-            verdict = "contradicts the others" if mean > CONTRADICTING_NIS else "larger than stated"
+            verdict = "contradicts the others" if contradicts else "larger than stated"
         elif mean < low:
             verdict = "smaller than stated"
         cells = [
             Cell(sensor, sensor),
-            number_cell(mean, concern=mean > CONTRADICTING_NIS),
+            number_cell(mean, concern=contradicts),
             Cell(f"{low:.2f} to {high:.2f}", low),
             number_cell(nis["dimension"]),
-            Cell(verdict, verdict, mean > CONTRADICTING_NIS),
+            Cell(verdict, verdict, contradicts),
         ]
         rows.append(("", cells))
     caption = (

@@ -60,6 +60,8 @@ class _Nis(ResultSection):
 
 class _Innovations(ResultSection):
     filter: str
+    # Runs of former versions do not say; rims from images have the wider limits.
+    images: bool = True
     nis: dict[str, _Nis]
 
 

@@ -110,7 +110,9 @@ def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
 def _innovations(result: Reconstruction) -> dict[str, Any] | None:
     """NIS of the filter's innovations by sensor, which need no truth; None without that filter."""
     found = result.innovations
-    return None if found is None else {"filter": FILTER, "nis": found.as_dict()}
+    if found is None:
+        return None
+    return {"filter": FILTER, "images": result.predicted is not None, "nis": found.as_dict()}
 
 
 def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:

@@ -271,6 +271,17 @@ def test_version() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+\n", done.stdout)
 
 
+def test_child_processes_run_this_checkout(tmp_path: Path) -> None:
+    """Wherever they start, and whatever is installed."""
+    program = "import importlib.util as util; print(*(util.find_spec(name).origin for name in ({}, {})))"
+    done = subprocess.run(
+        [sys.executable, "-c", program.format("'craternav_fg'", "'factors'")],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    here = Path(__file__).parents[2]
+    assert done.stdout.split() == [str(here / name / "__init__.py") for name in ("craternav_fg", "factors")]
+
+
 def test_compare_prints_and_tells_json(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     run, _ = demo
     done = call("compare", run, run)

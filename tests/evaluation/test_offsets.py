@@ -12,9 +12,10 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.evaluation.offsets import leave_one_out, offsets
+from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
-from craternav_fg.trajectory import Trajectory
+from craternav_fg.trajectory import InitialState, Trajectory
 
 
 def test_offsets_are_along_east_north_and_up_of_the_reference():
@@ -43,12 +44,18 @@ def test_offsets_are_along_east_north_and_up_of_the_reference():
         offsets(reference, reference)
 
 
-def test_frames_are_predicted_from_the_others(tmp_path):
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Eight frames of a coasting orbiter."""
     case = load_scenario("orbit_coast")
     short = case.trajectory.model_copy(update={"duration_s": 140.0})
-    data = Dataset.open(simulate(case.model_copy(update={"trajectory": short}), tmp_path / "data", trial=0))
+    folder = tmp_path_factory.mktemp("coast") / "data"
+    return Dataset.open(simulate(case.model_copy(update={"trajectory": short}), folder, trial=0))
+
+
+def test_frames_are_predicted_from_the_others(data: Dataset):
     problem = make_problem(Descent.of(data), data.measurements)
-    found = leave_one_out(problem, BatchSmoother())
+    found = leave_one_out([problem], BatchSmoother(), data.stamps_ns)
     assert found.frames.tolist() == list(range(8))
     ratio2 = (found.enu_m / found.sigma_m) ** 2
     assert 0.2 < ratio2.mean() < 2.5
@@ -56,8 +63,34 @@ def test_frames_are_predicted_from_the_others(tmp_path):
     frame = data.measurements[4]
     spoiled = list(problem.frames)
     spoiled[4] = replace(data.measurements[5], stamp_ns=frame.stamp_ns)
-    worse = leave_one_out(replace(problem, frames=spoiled), BatchSmoother())
+    worse = leave_one_out([replace(problem, frames=spoiled)], BatchSmoother(), data.stamps_ns)
     assert np.abs(worse.enu_m / worse.sigma_m)[4].max() > 10.0
     few = [replace(frame, rims=frame.rims.take(np.arange(5))) for frame in problem.frames]
     with pytest.raises(EstimationError, match="no frame has 6 rims"):
-        leave_one_out(replace(problem, frames=few), BatchSmoother())
+        leave_one_out([replace(problem, frames=few)], BatchSmoother(), data.stamps_ns)
+
+
+def test_frames_of_every_segment_are_left_out(data: Dataset):
+    """Before, those of the last segment alone, with indices in its problem in place of the data set's."""
+    descent = Descent.of(data)
+    # An epoch at which another sensor measured, and a last segment of a single frame.
+    epoch = FrameMeasurement(data.measurements[2].stamp_ns, RimSet.empty(), None)
+    parts = [
+        [*data.measurements[:2], epoch, data.measurements[3]],
+        data.measurements[4:7],
+        data.measurements[7:],
+    ]
+    problems = [
+        make_problem(replace(descent, initial=initial_at(data, part[0].stamp_ns)), part) for part in parts
+    ]
+    found = leave_one_out(problems, BatchSmoother(), np.delete(data.stamps_ns, 2))
+    assert found.frames.tolist() == [0, 1, 2, 3, 4, 5]
+    assert 0.2 < np.mean((found.enu_m / found.sigma_m) ** 2) < 2.5
+
+
+def initial_at(data: Dataset, stamp_ns: int) -> InitialState:
+    """Return the prior of a segment: the truth at its first frame, with the data set's sigmas."""
+    assert data.initial is not None
+    assert data.truth is not None
+    k = data.stamps_ns.tolist().index(stamp_ns)
+    return replace(data.initial, stamp_ns=stamp_ns, gTb=data.truth.gTb[k], gV=data.truth.gV[k])
