@@ -10,6 +10,7 @@ import pytest
 
 from craternav_fg.cli.app import every_command
 from craternav_fg.estimators.registry import ESTIMATORS
+from craternav_fg.reproduce.run import OTHERS
 from craternav_fg.simulation.scenario_file import built_in_scenarios
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -116,6 +117,11 @@ def test_estimators_and_scenarios() -> None:
     text = (ROOT / "docs/hard_cases.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(hard_\w+)`", text))
     assert named == {name for name in built_in_scenarios() if name.startswith("hard_")}
+
+
+def test_figures_that_can_be_reproduced() -> None:
+    text = (ROOT / "docs/howto/paper_figures.md").read_text(encoding="utf-8")
+    assert not [name for name in OTHERS if f"| `{name}`" not in text]
 
 
 def test_the_map_has_every_room() -> None:

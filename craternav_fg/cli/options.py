@@ -90,7 +90,7 @@ class AttitudeOptions:
     ] = None
     attitude_sigma_deg: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Standard deviation of --attitude per axis; 0 if exact."),
+        typer.Option(min=0.0, help="Standard deviation of --attitude per axis, needed with it; 0 if exact."),
     ] = None
 
     def values(self) -> tuple[list[float], float] | None:
