@@ -128,7 +128,7 @@ class BatchSmoother:
         if self.options.rims == "centre":
             return optimum(problem, self.options, values, own_factors=self.own_factors)
         graph = build_graph(problem, self.options, values, own_factors=self.own_factors)
-        values = levenberg_marquardt(graph, values, ROUGH_LM).values
+        values = levenberg_marquardt(graph, values, _solved_for(ROUGH_LM, problem, self.options)).values
         letter = Y if self.options.calibration.of_exposure else X
         poses = [values.atPose3(letter(index)).matrix() for index in state_indices]
         frames = [
@@ -137,6 +137,12 @@ class BatchSmoother:
         ]
         weighted = replace(problem, frames=frames)
         return optimum(weighted, self.options, values, graph.intervals, self.own_factors)
+
+
+def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOptions:
+    """Use Cholesky factorisation for graphs with variables for the errors of rims, in which QR is slow."""
+    errors = options.rim_errors is not None and any(f.rims.correlated is not None for f in problem.frames)
+    return replace(lm, cholesky=errors)
 
 
 def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
@@ -178,8 +184,9 @@ def optimum(
         When the optimisation does not converge.
     """
     graph = build_graph(problem, options, values, intervals, own_factors)
+    final = _solved_for(FINAL_LM, problem, options)
     for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
-        result = levenberg_marquardt(graph, values, FINAL_LM)
+        result = levenberg_marquardt(graph, values, final)
         if not result.converged:
             raise EstimationError(
                 f"no convergence in {result.iterations} iterations: measurements, IMU and "

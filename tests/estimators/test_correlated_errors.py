@@ -2,19 +2,23 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 from scipy.stats import chi2
 
 from craternav_fg.dataset.measurements import read_measurements, write_measurements
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator, Problem
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch import BatchSmoother, build_graph
 from craternav_fg.estimators.correlated_errors import RimErrorOptions
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
+from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
@@ -81,6 +85,34 @@ def test_consistent_with_errors_that_last(
 ) -> None:
     low, high = (chi2.ppf(q, 6 * TRIALS) / TRIALS for q in (0.001, 0.999))
     assert low < mean_nees(estimator, trials) < high
+
+
+@pytest.mark.parametrize("spoilt_steps", [False, True])
+def test_cholesky_factorisation_leads_to_the_same_optimum(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch, spoilt_steps: bool
+) -> None:
+    """Also where its steps hardly lead anywhere, as where rounding spoils them."""
+    p, _ = trials[0]
+    one = replace(p, frames=p.frames[:1])
+    start = OnlineSmoother(KNOWING).run(one).smoothed_values()
+    graph = build_graph(one, KNOWING, start)
+    # Without the IMU of several frames, which Cholesky may refuse.
+    graph.linearize(start).optimize(gtsam.Ordering.ColamdNonlinearFactorGraph(graph))
+    start.update(X(0), start.atPose3(X(0)).retract(np.array([0.0, 0.0, 1e-3, 50.0, 0.0, 0.0])))
+    reference = levenberg_marquardt(graph, start)
+    if spoilt_steps:
+        exactly = gtsam.GaussianFactorGraph.optimize
+
+        def solve(linear: gtsam.GaussianFactorGraph, *how: Any) -> gtsam.VectorValues:
+            step = exactly(linear, *how)
+            return step if gtsam.EliminateQR in how else step.scale(1e-10)
+
+        monkeypatch.setattr(gtsam.GaussianFactorGraph, "optimize", solve)
+    result = levenberg_marquardt(graph, start, LmOptions(cholesky=True))
+    assert reference.converged
+    assert result.converged
+    assert graph.error(start) > 2.0 * reference.error
+    assert result.error == pytest.approx(reference.error, rel=1e-8)
 
 
 def test_too_sure_without(trials: list[tuple[Problem, Trajectory]]) -> None:
