@@ -2,8 +2,8 @@
 
 With it, a rim's chart is normal about that of its crater. Without it, the chart is scattered about the
 crater's as widely as the charts of the rims that do not agree. Its centre may also, each as probably, be
-anywhere in the image, or where a linear map that is fitted to all matches puts it. So a few rims that agree
-prove nothing when all are off in a similar way: by a wrong noise, by another camera, or mirrored.
+anywhere in the image, or where a projective map that is fitted to all matches puts it. So a few rims that
+agree prove nothing when all are off in a similar way: by a wrong noise, by another camera, or mirrored.
 
 The ratio of the densities is averaged over all poses by Laplace's approximation. Over images of wrong matches
 it has the mean 1, and exceeds L with a probability of at most 1 / L (Markov's inequality).
@@ -25,8 +25,9 @@ BoolArray = npt.NDArray[np.bool_]
 # Standard deviations of size (its logarithm) and of shape (each of two numbers) if nothing is known; they
 # count as those of one rim.
 _SIZE_SPREAD, _SHAPE_SPREAD = 0.7, 0.3
-# Fewest rims to which a linear map, of eight parameters, is fitted.
-_MIN_MAPPED = 8
+# Fewest rims to which a projective map, of eleven parameters, is fitted; solutions of linear equations for
+# it, each weighted by the depths of the one before; and the least depth, over that of the rims' middle.
+_MIN_MAPPED, _MAP_ROUNDS, _MIN_DEPTH = 8, 2, 0.05
 # Logarithm of the ratio of the largest to the smallest distance that is possible.
 _LOG_RANGES = float(np.log(1e4))
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -85,14 +86,18 @@ def _by_chance(
     shape2 = (0.5 * shape[others].sum() + _SHAPE_SPREAD**2) / count + own[:, 2, 2] + own[:, 4, 4]
     likewise = -_LOG_2PI - np.log(place2) - 0.5 * place[members] / place2
     anywhere = np.full(len(likewise), -np.log(width * height))
-    at = np.logaddexp.reduce([likewise, anywhere, _on_linear_map(problem)[members]]) - np.log(3.0)
+    at = np.logaddexp.reduce([likewise, anywhere, _on_projective_map(problem)[members]]) - np.log(3.0)
     of_size = -0.5 * _LOG_2PI - 0.5 * np.log(size2) - 0.5 * size[members] / size2
     of_shape = -_LOG_2PI - np.log(shape2) - 0.5 * shape[members] / shape2 - np.log(ratio[members])
     return np.asarray(at + of_size + of_shape)
 
 
-def _on_linear_map(problem: ResectionProblem) -> FloatArray:
-    """Log densities (n,) of the centres about a linear map from craters to the image; -inf with few rims."""
+def _on_projective_map(problem: ResectionProblem) -> FloatArray:
+    """Log densities (n,) of the centres about a projective map of the craters to the image.
+
+    It is fitted to all matches, and -inf with few of them. The map has eleven parameters, those of any camera
+    without distortion and of its mirror image.
+    """
     rims = problem.rims
     n = len(rims)
     if n < _MIN_MAPPED:
@@ -100,8 +105,20 @@ def _on_linear_map(problem: ResectionProblem) -> FloatArray:
     ground = rims.centres - rims.centres.mean(axis=0)
     columns = np.column_stack([ground / np.abs(ground).max(), np.ones(n)])
     centres = rims.chart[:, :2]
-    error2 = np.sum((centres - columns @ np.linalg.lstsq(columns, centres)[0]) ** 2, axis=1)
-    spread2 = error2.sum() / (2.0 * (n - columns.shape[1])) + rims.covariance[:, [0, 1], [0, 1]].mean(axis=1)
+    # Of x = p1 X / p3 X and y = p2 X / p3 X with X = (place, 1), times p3 X; the last of p3 is 1.
+    A = np.zeros((2, n, 11))
+    A[0, :, :4] = A[1, :, 4:8] = columns
+    A[:, :, 8:] = -centres.T[..., None] * columns[:, :3]
+    weight = np.ones(n)
+    for _ in range(_MAP_ROUNDS):
+        rows, right = weight[:, None] * A, weight * centres.T
+        p = np.append(np.linalg.lstsq(rows.reshape(-1, 11), right.ravel())[0], 1.0).reshape(3, 4)
+        x, y, depth = p @ columns.T
+        # A point that the map puts beside or behind the camera is off by the size of the image or more.
+        depth = np.maximum(depth, _MIN_DEPTH)
+        weight = 1.0 / depth
+    error2 = np.sum((centres.T - np.stack([x, y]) / depth) ** 2, axis=0)
+    spread2 = error2.sum() / (2.0 * n - 11.0) + rims.covariance[:, [0, 1], [0, 1]].mean(axis=1)
     return np.asarray(-_LOG_2PI - np.log(spread2) - 0.5 * error2 / spread2)
 
 

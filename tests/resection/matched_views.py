@@ -16,10 +16,11 @@ EDGE_SIGMA_PX, EDGE_POINTS = 1.0, 60
 FAR2 = 38.0
 
 
-def draw(catalog: Catalog, rng: np.random.Generator, index: int) -> View:
+def draw(catalog: Catalog, rng: np.random.Generator, index: int, **options: float) -> View:
     """Draw a view of 12 to 100 true rims without noise; the fields of view alternate."""
-    options = ViewOptions(field_deg=(44.0, 60.0)[index % 2], sigma_px=0.0, false=0.0, missing=0.1)
-    return random_view(catalog, options, rng, true_rims=(12, 100))
+    field_deg = (44.0, 60.0)[index % 2]
+    given = ViewOptions(field_deg=field_deg, sigma_px=0.0, false=0.0, missing=0.1, **options)
+    return random_view(catalog, given, rng, true_rims=(12, 100))
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,25 @@ def test_mirrored_rims_are_no_pose(catalog: Catalog) -> None:
         assert result.poses == ()
 
 
+def test_mirrored_rims_of_slanted_views_are_no_pose(catalog: Catalog) -> None:
+    """Rims near a line agree on a pose that is turned about it; a linear map did not explain the others."""
+    rng = np.random.default_rng(5)
+    for k in range(30):
+        view = draw(catalog, rng, k, largest_tilt_deg=60.0)
+        result = solve_robustly(matched(catalog, view, rng, Faults(mirrored=True)))
+        assert result.status is Status.NO_POSE, result.warnings
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_the_right_matches_of_slanted_views_are_found(catalog: Catalog, share: float) -> None:
+    rng = np.random.default_rng(14)
+    for k in range(15):
+        view = draw(catalog, rng, k, largest_tilt_deg=60.0)
+        result = solve_robustly(matched(catalog, view, rng, craters=some_swapped(view, rng, share)))
+        assert result.status is Status.SOLVED
+        assert is_right(result, view)
+
+
 def right_of(catalog: Catalog, share: float, count: int) -> int:
     """Number of views, a share of whose matches is wrong, with the right pose."""
     rng = np.random.default_rng(7)
