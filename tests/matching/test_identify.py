@@ -564,3 +564,23 @@ def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, m
     assert not identify(view.mirrored(), view.camera, synthetic, options=deep).identified
     assert max(examined) == 7 * 160
     assert {16, 48, 160} <= set(examined)
+
+
+def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatch) -> None:
+    """Those of plains with few rims, and of maps most of whose craters the image does not show."""
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    rims = np.flatnonzero(view.craters >= 0)[:3]
+    gTc = view.gTb @ view.camera.bTc
+    right = np.concatenate(
+        [[2.0], gTc[:3, :3].ravel(), gTc[:3, 3], [MOON.radius_m], rims, view.craters[rims]]
+    )
+
+    def low(*args):
+        args[-1][0] = right
+
+    monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", low)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
+    assert not identify(view.ellipses_px, view.camera, synthetic).identified
+    found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(deep=True))
+    assert found.identified
+    assert view.agrees(found.rows)

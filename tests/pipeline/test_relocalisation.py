@@ -19,10 +19,12 @@ from craternav_fg.measurements import RimSet
 from craternav_fg.pipeline.initial_state import find_initial, propagated_back
 from craternav_fg.pipeline.reconstruct import _joined, reconstruct
 from craternav_fg.pipeline.relocalisation import Relocaliser, index_path
+from craternav_fg.pipeline.tracking import Tracker
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.detect import find_rims
 from craternav_fg.vision.grey import on_8_bit_scale
+from craternav_fg.vision.guided_options import GuidedOptions
 from tests.descents import scenario
 
 
@@ -139,6 +141,34 @@ def test_parts_of_a_trajectory_are_one(folders):
     joined = _joined(cut)
     np.testing.assert_array_equal(joined.gTb, whole.gTb)
     np.testing.assert_array_equal(joined.pose_covariance, whole.pose_covariance)
+
+
+@pytest.mark.parametrize(("found", "kept"), [(4, 0), (6, 0), (7, 7)])
+def test_few_rims_of_many_expected_are_discarded_after_a_poor_prediction(folders, monkeypatch, found, kept):
+    """With a poor prediction, chance puts some rims near the many craters of a real catalogue."""
+    data = Dataset.open(folders[0])
+    gTb, limits = data.truth.gTb[0], GuidedOptions()
+    rows, _ = data.catalog.visible(
+        data.camera, gTb, min_semi_minor_px=limits.min_semi_minor_px, margin_px=limits.margin_px
+    )
+    # As many as a real catalogue has there.
+    expected = data.catalog.take(np.resize(rows, 40))
+    rims = data.measurements[0].rims.take(np.resize(np.arange(3), found))
+    tracker = Tracker.__new__(Tracker)
+    tracker.dataset = SimpleNamespace(
+        camera=data.camera, body=data.body, catalog=expected, sun=data.sun, stamps_ns=data.stamps_ns,
+        image=lambda index: None,
+    )  # fmt: skip
+    tracker.front_end = SimpleNamespace(options=limits)
+    tracker.relocaliser = SimpleNamespace(match=lambda *_: None)
+    monkeypatch.setattr("craternav_fg.pipeline.tracking.acquire", lambda *_: None)
+    frame = dataclasses.replace(data.measurements[0], rims=rims)
+    monkeypatch.setattr(tracker, "_guided", lambda *_: SimpleNamespace(frame=frame))
+    spread = np.diag([0.02] * 3 + [4e3] * 3) ** 2
+    assert len(tracker._measure(0, gTb, spread).frame.rims) == kept
+    # All four that a poorer map has there are kept.
+    tracker.dataset.catalog = expected.take(np.arange(4))
+    assert len(tracker._measure(0, gTb, spread).frame.rims) == found
 
 
 @pytest.fixture(scope="module")

@@ -86,6 +86,10 @@ _LOOKED_UP = 12
 _KEPT_OF_TRIPLES = 24
 _EXPANDED_PER_ROUND = 4
 _MIN_SCORE = 4.0
+# The same in a search with multiplied candidates. Where a plain shows few rims, or the map has many craters
+# that the image does not show, hypotheses of the right craters have scores of 1 to 3: others would end there.
+_DEEP_EXPANDED_PER_ROUND = 24
+_DEEP_MIN_SCORE = 1.0
 # Triples of an index for which the options' number of candidates is meant.
 _TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
@@ -328,6 +332,9 @@ def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
     view, index = search.view, search.index
     radius = index.catalog.body.radius_m
     found: list[_Expanded] = []
+    count, min_score = _EXPANDED_PER_ROUND, _MIN_SCORE
+    if depth > 1:
+        count, min_score = _DEEP_EXPANDED_PER_ROUND, _DEEP_MIN_SCORE
     for model, tried, noise, candidates in _stages(search, depth):
         projection = project_all_to_sphere(
             view, np.ascontiguousarray(model[:3]), float(model[3] * radius), radius
@@ -339,7 +346,7 @@ def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
                 view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
                 triples[start : start + _LOOKED_UP], search.order, noise, candidates, search.limits, best,
             )  # fmt: skip
-            expanded, enough = search.expand_best(best, _EXPANDED_PER_ROUND, _MIN_SCORE, noise)
+            expanded, enough = search.expand_best(best, count, min_score, noise)
             if enough:
                 return expanded[-1:]
             found += expanded
