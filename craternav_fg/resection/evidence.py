@@ -25,9 +25,10 @@ BoolArray = npt.NDArray[np.bool_]
 # Standard deviations of size (its logarithm) and of shape (each of two numbers) if nothing is known; they
 # count as those of one rim.
 _SIZE_SPREAD, _SHAPE_SPREAD = 0.7, 0.3
-# Fewest rims to which a projective map, of eleven parameters, is fitted; solutions of linear equations for
-# it, each weighted by the depths of the one before; and the least depth, over that of the rims' middle.
-_MIN_MAPPED, _MAP_ROUNDS, _MIN_DEPTH = 8, 2, 0.05
+# Fewest rims to which a linear map, of eight parameters, and a projective one, of eleven, are fitted;
+# solutions of linear equations for it, each weighted by the depths of the one before; and the least depth,
+# over that of the rims' middle.
+_MIN_MAPPED, _MIN_PROJECTED, _MAP_ROUNDS, _MIN_DEPTH = 8, 12, 2, 0.05
 # Logarithm of the ratio of the largest to the smallest distance that is possible.
 _LOG_RANGES = float(np.log(1e4))
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -96,7 +97,8 @@ def _on_projective_map(problem: ResectionProblem) -> FloatArray:
     """Log densities (n,) of the centres about a projective map of the craters to the image.
 
     It is fitted to all matches, and -inf with few of them. The map has eleven parameters, those of any camera
-    without distortion and of its mirror image.
+    without distortion and of its mirror image. Few rims would fit it whatever they are matched to: theirs is
+    linear, with eight.
     """
     rims = problem.rims
     n = len(rims)
@@ -109,16 +111,17 @@ def _on_projective_map(problem: ResectionProblem) -> FloatArray:
     A = np.zeros((2, n, 11))
     A[0, :, :4] = A[1, :, 4:8] = columns
     A[:, :, 8:] = -centres.T[..., None] * columns[:, :3]
-    weight = np.ones(n)
+    free = 11 if n >= _MIN_PROJECTED else 8
+    weight, p = np.ones(n), np.append(np.zeros(11), 1.0)
     for _ in range(_MAP_ROUNDS):
-        rows, right = weight[:, None] * A, weight * centres.T
-        p = np.append(np.linalg.lstsq(rows.reshape(-1, 11), right.ravel())[0], 1.0).reshape(3, 4)
-        x, y, depth = p @ columns.T
+        rows, right = weight[:, None] * A[:, :, :free], weight * centres.T
+        p[:free] = np.linalg.lstsq(rows.reshape(-1, free), right.ravel())[0]
+        x, y, depth = p.reshape(3, 4) @ columns.T
         # A point that the map puts beside or behind the camera is off by the size of the image or more.
         depth = np.maximum(depth, _MIN_DEPTH)
         weight = 1.0 / depth
     error2 = np.sum((centres.T - np.stack([x, y]) / depth) ** 2, axis=0)
-    spread2 = error2.sum() / (2.0 * n - 11.0) + rims.covariance[:, [0, 1], [0, 1]].mean(axis=1)
+    spread2 = error2.sum() / (2.0 * n - free) + rims.covariance[:, [0, 1], [0, 1]].mean(axis=1)
     return np.asarray(-_LOG_2PI - np.log(spread2) - 0.5 * error2 / spread2)
 
 
