@@ -27,7 +27,7 @@ import craternav_fg
 from craternav_fg.cli.app import every_command
 from craternav_fg.pipeline.options_file import default_options
 from craternav_fg.sensors.point_features import FeatureSettings
-from craternav_fg.sensors.registry import sensors
+from craternav_fg.sensors.registry import SHIPPED
 from craternav_fg.simulation.scenario_file import Scenario
 
 # Public names in the order of the page; `tests/test_site.py` compares them with `craternav_fg.__all__`.
@@ -154,7 +154,8 @@ def _options() -> Iterator[str]:
 
 def _sensors() -> Iterator[str]:
     yield SENSORS_HEAD
-    for name, kind in sorted(sensors().items()):
+    # Not those of other packages that this environment happens to hold.
+    for name, kind in sorted((kind.name, kind) for kind in SHIPPED):
         yield f"## `mav0/{name}0`\n\n{_first_sentence(kind)}\n\n"
         yield _table(kind.Settings)
         columns = kind.columns(kind.Settings(sensor_type=name))

@@ -4,6 +4,8 @@ import importlib.util
 import re
 import types
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Literal
 
 import pytest
 import typer
@@ -12,7 +14,9 @@ import yaml
 import craternav_fg
 from craternav_fg.cli.app import every_command
 from craternav_fg.dataset import layout
-from craternav_fg.sensors.registry import sensors
+from craternav_fg.sensors import registry
+from craternav_fg.sensors.protocol import SensorSettings
+from craternav_fg.sensors.ranging import Ranging
 
 ROOT = Path(__file__).resolve().parents[1]
 pytest.importorskip("mkdocs", reason="needs the extra docs")
@@ -55,9 +59,27 @@ def test_keys_have_their_kind_limits_default_and_description(pages: dict[str, st
 
 
 def test_every_sensor_is_in_the_reference(pages: dict[str, str]) -> None:
-    for name in sensors():
-        assert f"## `mav0/{name}0`" in pages["reference/sensors.md"]
+    for kind in registry.SHIPPED:
+        assert f"## `mav0/{kind.name}0`" in pages["reference/sensors.md"]
     assert "`range [m]`" in pages["reference/sensors.md"]
+
+
+def test_sensors_of_other_packages_are_not(
+    generate: types.ModuleType, pages: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They belong to this machine, and need not even have defaults."""
+
+    class BeaconSettings(SensorSettings):
+        sensor_type: Literal["beacon"]
+        position_m: float
+
+    class Beacon(Ranging):
+        name = "beacon"
+        Settings = BeaconSettings
+
+    monkeypatch.setattr(registry, "plugins", lambda group: [SimpleNamespace(value=Beacon)])
+    assert "beacon" in registry.sensors()
+    assert generate.pages()["reference/sensors.md"] == pages["reference/sensors.md"]
 
 
 def test_every_column_of_a_data_set_is_described() -> None:
