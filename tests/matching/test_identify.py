@@ -14,7 +14,6 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.chance import chance_at, log_by_chance
 from craternav_fg.matching.identify.evidence import count_visible
-from craternav_fg.matching.identify.nadir import nadirs
 from craternav_fg.matching.identify.search import (
     IdentifyOptions,
     Status,
@@ -22,14 +21,7 @@ from craternav_fg.matching.identify.search import (
     _Search,
     identify,
 )
-from craternav_fg.matching.identify.single_rim_search import search_single_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
-from craternav_fg.matching.identify.triple_search import (
-    image_order,
-    image_triples,
-    project_all_to_sphere,
-    search_triples,
-)
 from craternav_fg.matching.identify.view import view_of
 from craternav_fg.measurements import KnownAttitude
 from craternav_fg.simulation.catalog_views import (
@@ -45,11 +37,6 @@ from tests.shared_data import shared
 
 # The camera of a simulated view is known exactly.
 EXACT_CAMERA = IdentifyOptions(focal_sigma=0.0, principal_sigma_px=0.0)
-
-
-@pytest.fixture(scope="module")
-def synthetic() -> TripleIndex:
-    return TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(0)))
 
 
 @pytest.fixture(scope="module", params=["synthetic", "real"])
@@ -248,56 +235,6 @@ def test_all_craters_that_should_be_seen_are_counted(synthetic, range_m, tilt_ra
     assert wanted > least
     # Of craters right behind the horizon a few more.
     assert wanted <= found < 1.06 * wanted + 3
-
-
-def test_triples_that_the_index_has_come_first(synthetic) -> None:
-    """Those whose nearest neighbours the image shows: it ends where a large crater's neighbours are."""
-    neighbours = synthetic.neighbours
-    first, last = [], []
-    rng = np.random.default_rng(17)
-    for _ in range(30):
-        scene = random_view(synthetic.catalog, ViewOptions(sigma_px=3.0), rng, true_rims=(9, 20))
-        view = view_of(scene.ellipses_px, scene.camera)
-        model = nadirs(view, np.arange(len(scene.craters)), np.array([0.08, 0.25]), 1)[0][0]
-        down, height_m = model[:3].copy(), model[3] * MOON.radius_m
-        projection = project_all_to_sphere(view, down, height_m, MOON.radius_m)
-        craters = scene.craters[image_triples(view, projection, np.arange(len(view.charts)), 6, 3.0)]
-        had = [row.min() >= 0 and set(row[1:]) <= set(neighbours[row[0]]) for row in craters]
-        first.extend(had[:12])
-        last.extend(had[-24:])
-    assert np.mean(first) > 0.3
-    assert np.mean(last) < 0.12
-
-
-def test_neighbours_in_the_image_are_the_nearest(synthetic) -> None:
-    scene = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(19), true_rims=(40, 80))
-    view = view_of(scene.ellipses_px, scene.camera)
-    rims = np.arange(0, len(view.charts), 2)
-    apart = np.linalg.norm(view.points_px[:, None] - view.points_px[rims], axis=-1)
-    np.testing.assert_array_equal(image_order(view, rims, 5), rims[np.argsort(apart, axis=1)[:, :5]])
-    assert image_order(view, rims[:3], 5).shape == (len(view.charts), 3)
-    assert image_order(view, rims[:0], 5).shape == (len(view.charts), 0)
-
-
-def test_single_rims_are_tried_within_bounds(synthetic, monkeypatch) -> None:
-    """Of a large catalogue few rims: no answer comes in time."""
-    rng = np.random.default_rng(16)
-    scene = random_view(synthetic.catalog, ViewOptions(), rng, true_rims=(5, 5))
-    asked = []
-
-    def counted(view, index, craters, rims, *others):
-        asked.append(len(rims) * len(craters.centres))
-        return search_single_rims(view, index, craters, rims, *others)
-
-    monkeypatch.setattr("craternav_fg.matching.identify.search.search_single_rims", counted)
-    count = len(synthetic.catalog)
-    for tried, rims in ((1, 1), (3 * count + 10, 3)):
-        asked.clear()
-        answer = identify(
-            scene.mirrored(), scene.camera, synthetic, tracker(scene, rng), IdentifyOptions(tried=tried)
-        )
-        assert answer.status is Status.NO_ANSWER
-        assert sum(asked) == rims * count
 
 
 def test_pose_of_a_mounted_camera(synthetic) -> None:
@@ -540,47 +477,3 @@ def test_rims_larger_than_those_of_the_map(synthetic: TripleIndex) -> None:
         single = replace(options, size_factors=(1.0,))
         alone += identify(larger, view.camera, synthetic, options=single).identified
     assert alone <= 2
-
-
-def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, monkeypatch) -> None:
-    examined = []
-
-    def noted(*args):
-        examined.append(args[9])
-        search_triples(*args)
-
-    monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", noted)
-    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
-    assert identify(view.ellipses_px, view.camera, synthetic).identified
-    at_once = len(examined)
-    assert max(examined) <= 160
-    # 771,401 triples: seven times as many as this.
-    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
-    assert identify(view.ellipses_px, view.camera, synthetic).identified
-    assert examined[at_once:] == examined[:at_once]
-    assert not identify(view.mirrored(), view.camera, synthetic).identified
-    assert max(examined) <= 160
-    deep = IdentifyOptions(deep=True)
-    assert not identify(view.mirrored(), view.camera, synthetic, options=deep).identified
-    assert max(examined) == 7 * 160
-    assert {16, 48, 160} <= set(examined)
-
-
-def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatch) -> None:
-    """Those of plains with few rims, and of maps most of whose craters the image does not show."""
-    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
-    rims = np.flatnonzero(view.craters >= 0)[:3]
-    gTc = view.gTb @ view.camera.bTc
-    right = np.concatenate(
-        [[2.0], gTc[:3, :3].ravel(), gTc[:3, 3], [MOON.radius_m], rims, view.craters[rims]]
-    )
-
-    def low(*args):
-        args[-1][0] = right
-
-    monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", low)
-    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
-    assert not identify(view.ellipses_px, view.camera, synthetic).identified
-    found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(deep=True))
-    assert found.identified
-    assert view.agrees(found.rows)
