@@ -4,6 +4,7 @@ The rim is traced and fitted as if it had been predicted (see `edges` and `ellip
 time from the first fit, along shorter normals.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,8 @@ from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
+# Tells from `BlindFit.evidence` whether a rim is of use.
+Judge = Callable[[FloatArray], bool]
 
 # Rings of flat terrain around a crater, in radii, and the points on each.
 _GROUND_RING_RADII, _RING_POINTS = (1.5, 1.75, 2.0), 32
@@ -81,7 +84,12 @@ class BlindFitter:
     psf_px: float
     options: FitOptions
 
-    def fit(self, start_px: FloatArray, sun_angle_rad: float) -> BlindFit | None:
+    def fit(
+        self,
+        start_px: FloatArray,
+        sun_angle_rad: float,
+        worth: Judge | None = None,
+    ) -> BlindFit | None:
         """Trace and fit a rim.
 
         Parameters
@@ -90,11 +98,14 @@ class BlindFitter:
             Ellipse near it, chart in pixels.
         sun_angle_rad : float
             Direction towards the sun in the image, from x towards y.
+        worth : callable, optional
+            Tells from `BlindFit.evidence` whether the rim is of use: the last fit, of an irregular
+            outline, takes as long as all before it.
 
         Returns
         -------
         BlindFit or None
-            None where no rim can be traced.
+            None where no rim can be traced, or it is of no use.
         """
         height, width = self.pixels.shape
         camera = Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=self.psf_px)
@@ -123,18 +134,19 @@ class BlindFitter:
                 return None
             chart = fit.chart_px
         assert isinstance(fit, RimFit)
-        # The evidence is that of an ellipse: an irregular outline would explain other edges away.
-        outlined = refine_rim(
-            edges.points_px, chart, camera, self.options, edges.sigma_ratio, brightness_unknown
-        )
-        if isinstance(outlined, FitFailure):
-            return None
         minor, radius = float(semi_minor(chart)), float(mean_radius(start_px))
         moved = float(np.hypot(*(chart[:2] - start_px[:2])))
         if minor < _MIN_MINOR_RADII * radius or moved > _MAX_SHIFT_RADII * radius:
             return None
+        # The evidence is that of an ellipse: an irregular outline would explain other edges away.
         scatter = max(fit.rms_px / minor, MIN_SCATTER_RADII)
-        return BlindFit(outlined, np.array([fit.point_count / edges.tried, scatter, fit.arc_share]))
+        evidence = np.array([fit.point_count / edges.tried, scatter, fit.arc_share])
+        if worth is not None and not worth(evidence):
+            return None
+        outlined = refine_rim(
+            edges.points_px, chart, camera, self.options, edges.sigma_ratio, brightness_unknown
+        )
+        return None if isinstance(outlined, FitFailure) else BlindFit(outlined, evidence)
 
 
 def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:

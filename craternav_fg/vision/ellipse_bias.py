@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision.dense_kernel import factorised
-from craternav_fg.vision.ellipse_distance import signed_distance
+from craternav_fg.vision.ellipse_distance import distance_of
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,7 +58,6 @@ def second_order_bias(
     size = np.exp(0.5 * (y[2] + y[4]))
     h = _DIFFERENCE_STEP_RADII * size
     total = np.zeros(5)
-    moved = np.empty(5)
     steps = np.empty(5)
     for j in range(5):
         # A step of each column that moves the rim by about h.
@@ -66,37 +65,44 @@ def second_order_bias(
             np.abs(root[0, j]) + np.abs(root[1, j])
             + size * (np.abs(root[2, j]) + np.abs(root[3, j]) + np.abs(root[4, j])), 1e-12,
         )  # fmt: skip
+    ea, es = np.exp(y[2]), np.exp(y[4])
+    # Charts beside y, and their exponentials: two for each element and two for each column of the root.
+    near, scale_near = np.empty((20, 5)), np.empty((20, 2))
+    for a in range(5):
+        e = h if a < 2 else h / size
+        for b in range(5):
+            along = e if a == b else 0.0
+            near[2 * a, b], near[2 * a + 1, b] = y[b] + along, y[b] - along
+            along = steps[a] * root[b, a]
+            near[10 + 2 * a, b], near[11 + 2 * a, b] = y[b] + along, y[b] - along
+    for j in range(20):
+        scale_near[j, 0], scale_near[j, 1] = np.exp(near[j, 2]), np.exp(near[j, 4])
     for i in range(points.shape[0]):
         fx, fy = points[i, 0], points[i, 1]
         for _ in range(3):
-            d = signed_distance(fx, fy, y, n, J)
+            d = distance_of(fx, fy, y, ea, es, n, J)
             fx -= d * n[0]
             fy -= d * n[1]
-        r0 = signed_distance(fx, fy, y, n, J)
-        rp = signed_distance(fx + h * n[0], fy + h * n[1], y, nx, Jp)
-        rm = signed_distance(fx - h * n[0], fy - h * n[1], y, nx, Jm)
+        r0 = distance_of(fx, fy, y, ea, es, n, J)
+        outer_x, outer_y, inner_x, inner_y = fx + h * n[0], fy + h * n[1], fx - h * n[0], fy - h * n[1]
+        rp = distance_of(outer_x, outer_y, y, ea, es, nx, Jp)
+        rm = distance_of(inner_x, inner_y, y, ea, es, nx, Jm)
         c = (rp + rm - 2.0 * r0) / (h * h)
         for a in range(5):
             M[a] = (Jp[a] - Jm[a]) / (2.0 * h)
             # K, the mixed derivative of the distance itself, not of the simplified J.
             e = h if a < 2 else h / size
-            for b in range(5):
-                moved[b] = y[b]
-            moved[a] = y[a] + e
-            up = signed_distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
-            um = signed_distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
-            moved[a] = y[a] - e
-            dp = signed_distance(fx + h * n[0], fy + h * n[1], moved, nx, Jx)
-            dm = signed_distance(fx - h * n[0], fy - h * n[1], moved, nx, Jx)
+            p, m = 2 * a, 2 * a + 1
+            up = distance_of(outer_x, outer_y, near[p], scale_near[p, 0], scale_near[p, 1], nx, Jx)
+            um = distance_of(inner_x, inner_y, near[p], scale_near[p, 0], scale_near[p, 1], nx, Jx)
+            dp = distance_of(outer_x, outer_y, near[m], scale_near[m, 0], scale_near[m, 1], nx, Jx)
+            dm = distance_of(inner_x, inner_y, near[m], scale_near[m, 0], scale_near[m, 1], nx, Jx)
             K[a] = (up - um - dp + dm) / (4.0 * h * e)
         trace = 0.0
         for j in range(5):
-            for b in range(5):
-                moved[b] = y[b] + steps[j] * root[b, j]
-            up = signed_distance(fx, fy, moved, nx, Jx)
-            for b in range(5):
-                moved[b] = y[b] - steps[j] * root[b, j]
-            dm = signed_distance(fx, fy, moved, nx, Jx)
+            p, m = 10 + 2 * j, 11 + 2 * j
+            up = distance_of(fx, fy, near[p], scale_near[p, 0], scale_near[p, 1], nx, Jx)
+            dm = distance_of(fx, fy, near[m], scale_near[m, 0], scale_near[m, 1], nx, Jx)
             trace += (up + dm - 2.0 * r0) / (steps[j] * steps[j])
         leverage, KCJ = 0.0, 0.0
         for a in range(5):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from craternav_fg.ellipse import whiten_kernel
 from craternav_fg.vision.dense_kernel import factorised, inverse_block, ordered, solved
 from craternav_fg.vision.ellipse_bias import PSI_VARIANCE, second_order_bias
-from craternav_fg.vision.ellipse_distance import signed_distance
+from craternav_fg.vision.ellipse_distance import distance_of
 from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 from factors.kernels.compiled import njit
 
@@ -71,18 +71,18 @@ _HELD_VARIANCE = 1e-12
 
 @njit(cache=True, error_model="numpy")
 def _point_row(
-    px: float, py: float, motion: FloatArray, sun_px: FloatArray, y: FloatArray, n: FloatArray, w: FloatArray
-) -> float:
-    """Distance as `signed_distance`; writes its derivative (m,) in chart, brightness and outline, too.
+    px: float, py: float, motion: FloatArray, sun_px: FloatArray, y: FloatArray, ea: float, es: float,
+    n: FloatArray, w: FloatArray,
+) -> float:  # fmt: skip
+    """Distance as `distance_of`; writes its derivative (m,) in chart, brightness and outline, too.
 
     The reference brightness moves the point by `motion` (2,) per unit; it has slopes across and along the
     direction `sun_px` (2,) towards the sun. The outline deviates from the ellipse by harmonics of the angle
     in which that is a circle, as shares of the radius: a share moves a tangent by that share of its distance
     from the centre.
     """
-    d = signed_distance(px, py, y, n, w)
+    d = distance_of(px, py, y, ea, es, n, w)
     w[_BRIGHTNESS] = -(n[0] * motion[0] + n[1] * motion[1])
-    ea, es = np.exp(y[2]), np.exp(y[4])
     x = px - y[0]
     u, v = x / ea, (py - y[1] - y[3] * x) / es
     r = np.sqrt(u * u + v * v)
@@ -264,8 +264,9 @@ def fit(
     unit = np.zeros(size_all)
     sigma, length = 1.0, np.inf
     for iteration in range(_MAX_ITERATIONS):
+        ea, es = np.exp(y[2]), np.exp(y[4])
         for i in range(count):
-            d[i] = _point_row(points[i, 0], points[i, 1], motion[i], sun_px, y, n, rows[i])
+            d[i] = _point_row(points[i, 0], points[i, 1], motion[i], sun_px, y, ea, es, n, rows[i])
             for j in range(_BRIGHTNESS, size_all):
                 d[i] += rows[i, j] * nuisance[j]
             r[i] = d[i] * np.sqrt(base[i])
@@ -309,8 +310,9 @@ def fit(
     kept = 0
     psi2, slope, square, mass = 0.0, 0.0, 0.0, 0.0
     unmoved = points.copy()
+    ea, es = np.exp(y[2]), np.exp(y[4])
     for i in range(count):
-        d[i] = _point_row(points[i, 0], points[i, 1], motion[i], sun_px, y, n, rows[i])
+        d[i] = _point_row(points[i, 0], points[i, 1], motion[i], sun_px, y, ea, es, n, rows[i])
         if rows[i, _BRIGHTNESS] != 0.0:
             moved = (
                 rows[i, _BRIGHTNESS] * nuisance[_BRIGHTNESS]

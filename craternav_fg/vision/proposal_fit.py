@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.ellipse import axes_covariance, half_sides
-from craternav_fg.vision.blind_fit import BlindFit, BlindFitter
+from craternav_fg.vision.blind_fit import BlindFit, BlindFitter, Judge
 from craternav_fg.vision.candidates import Candidates
 from craternav_fg.vision.detect import SUN_REACH_SHARE, circle_charts
 
@@ -80,7 +80,7 @@ def measured(
     -------
     MeasuredRims
     """
-    first, charts = first_fits(fitter, circles, starts, sun_angles_rad)
+    first, charts = first_fits(fitter, circles, starts, sun_angles_rad, LEAST_LOG_ODDS)
     covariance = coarse_covariances(charts)
     traced = np.zeros(len(charts), dtype=np.bool_)
     for k, (chart, found) in enumerate(zip(charts.copy(), first, strict=True)):
@@ -89,7 +89,7 @@ def measured(
         for start in [None, chart, *grown]:
             if most > _SURE_LOG_ODDS:
                 break
-            rim = found if start is None else fitter.fit(start, float(sun_angles_rad[k]))
+            rim = found if start is None else fitter.fit(start, float(sun_angles_rad[k]), _above(most))
             if rim is not None and (log_odds := rim_log_odds(rim, chart, covariance[k])) > most:
                 best, most = rim, log_odds
         if best is not None:
@@ -101,7 +101,11 @@ def measured(
 
 
 def first_fits(
-    fitter: BlindFitter, circles: Candidates, starts: Candidates, sun_angles_rad: FloatArray
+    fitter: BlindFitter,
+    circles: Candidates,
+    starts: Candidates,
+    sun_angles_rad: FloatArray,
+    least_log_odds: float = -np.inf,
 ) -> tuple[list[BlindFit | None], FloatArray]:
     """Trace rims from the matched filter's candidates, and find the shape that they have in common.
 
@@ -111,18 +115,21 @@ def first_fits(
     circles, starts : Candidates
     sun_angles_rad : ndarray, shape (n,)
         As in `measured`.
+    least_log_odds : float
+        Rims that cannot have more are not fitted to the end.
 
     Returns
     -------
     fits : list of BlindFit or None, length n
-        Whatever their odds.
+        None where no rim can be traced, or it has fewer odds.
     charts_px : ndarray, shape (n, 5)
         The proposals as ellipses of the common shape, charts in pixels.
     """
     proposed = circle_charts(circles)
     covariance = coarse_covariances(proposed)
     fits = [
-        fitter.fit(start, angle) for start, angle in zip(circle_charts(starts), sun_angles_rad, strict=True)
+        fitter.fit(start, angle, _above(least_log_odds))
+        for start, angle in zip(circle_charts(starts), sun_angles_rad, strict=True)
     ]
     likely = [
         rim.fit.chart_px
@@ -131,6 +138,11 @@ def first_fits(
     ]
     reach_px = SUN_REACH_SHARE * max(fitter.pixels.shape)
     return fits, _of_common_shape(proposed, np.array(likely).reshape(-1, 5), reach_px)
+
+
+def _above(least_log_odds: float) -> Judge:
+    """Tell from a rim's evidence whether its log odds can be above some: at the proposal they are largest."""
+    return lambda evidence: float(RIM_WEIGHTS[:2] @ evidence[:2]) + RIM_OFFSET > least_log_odds
 
 
 def rim_log_odds(rim: BlindFit, proposed_px: FloatArray, covariance_px: FloatArray) -> float:
