@@ -32,10 +32,11 @@ from craternav_fg.estimators.graph import (
 )
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.intrinsics import intrinsic_error
+from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
-from craternav_fg.estimators.optimise import LmOptions, bayes_tree, levenberg_marquardt
+from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.frames import rotate_position_block
@@ -54,6 +55,10 @@ MAX_OPTIMISATIONS = 5
 ROUGH_LM = LmOptions(relative_tolerance=1e-5)
 # On real ground many rims fit badly; on the robust loss's flat part the optimum is reached slowly.
 FINAL_LM = LmOptions(max_iterations=200)
+# In graphs solved by Cholesky factorisation, as a last step by QR follows.
+CHOLESKY_TOLERANCE = 1e-6
+# Largest decrease of the error, half a sum of squares, that this step predicts: a hundredth of a sigma.
+MAX_LAST_DECREASE = 1e-4
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.
 SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
@@ -141,8 +146,9 @@ class BatchSmoother:
 
 def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOptions:
     """Use Cholesky factorisation for graphs with variables for the errors of rims, in which QR is slow."""
-    errors = options.rim_errors is not None and any(f.rims.correlated is not None for f in problem.frames)
-    return replace(lm, cholesky=errors)
+    if options.rim_errors is None or all(f.rims.correlated is None for f in problem.frames):
+        return lm
+    return replace(lm, cholesky=True, relative_tolerance=max(lm.relative_tolerance, CHOLESKY_TOLERANCE))
 
 
 def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
@@ -329,6 +335,9 @@ def trajectory(
 ) -> Trajectory:
     """Read the states of the frames and their marginal covariances from an optimum.
 
+    Steps by Cholesky factorisation leave out some of what rounding spoils. The elimination by QR that the
+    covariances need gives the last step, or, where that is a long one, further steps are taken by QR.
+
     Parameters
     ----------
     problem : Problem
@@ -344,7 +353,14 @@ def trajectory(
     -------
     Trajectory
     """
-    tree = bayes_tree(graph, values)
+    marginals = Marginals(graph, values)
+    if _solved_for(FINAL_LM, problem, options).cholesky:
+        if marginals.predicted_decrease > MAX_LAST_DECREASE:
+            values = levenberg_marquardt(graph, values, FINAL_LM).values
+            marginals = Marginals(graph, values)
+        else:
+            values = values.retract(marginals.step)
+    covariances = marginals.covariances([int(key(n)) for n in state_indices for key in (X, V, B)])
     gTb = np.array([values.atPose3(X(n)).matrix() for n in state_indices])
     return Trajectory(
         stamps_ns=np.array([frame.stamp_ns for frame in problem.frames], dtype=np.int64),
@@ -353,13 +369,11 @@ def trajectory(
         bias=np.array([bias_vector(values.atConstantBias(B(n))) for n in state_indices]),
         pose_covariance=np.array(
             [
-                rotate_position_block(tree.marginalCovariance(X(n)), T[:3, :3])
+                rotate_position_block(covariances[X(n)], T[:3, :3])
                 for n, T in zip(state_indices, gTb, strict=True)
             ]
         ),
-        velocity_covariance=np.array([tree.marginalCovariance(V(n)) for n in state_indices]),
-        bias_covariance=np.array(
-            [bias_covariance_ours(tree.marginalCovariance(B(n))) for n in state_indices]
-        ),
-        calibrated=calibrated(tree, values, options.calibration, problem),
+        velocity_covariance=np.array([covariances[V(n)] for n in state_indices]),
+        bias_covariance=np.array([bias_covariance_ours(covariances[B(n)]) for n in state_indices]),
+        calibrated=calibrated(marginals, values, options.calibration, problem),
     )

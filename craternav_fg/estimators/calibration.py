@@ -12,6 +12,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.intrinsics import add_intrinsics, estimated_intrinsics
+from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.measurements import RimSet
 from craternav_fg.trajectory import Calibrated
 from factors.conic_shape import ChartError
@@ -231,14 +232,13 @@ def map_errors(
 
 
 def calibrated(
-    tree: gtsam.ISAM2, values: gtsam.Values, options: Calibration, problem: Problem
+    marginals: Marginals, values: gtsam.Values, options: Calibration, problem: Problem
 ) -> Calibrated | None:
     """Read the calibration from an optimum.
 
     Parameters
     ----------
-    tree : gtsam.ISAM2
-        For the marginal covariances.
+    marginals : Marginals
     values : gtsam.Values
     options : Calibration
     problem : Problem
@@ -251,22 +251,23 @@ def calibrated(
     mounting = delay = craters = None
     if options.mounting_sigma_rad > 0.0:
         turn = frames.rotation_log(values.atPose3(MOUNTING_KEY).rotation().matrix())
-        mounting = (turn, np.sqrt(np.diag(tree.marginalCovariance(MOUNTING_KEY))[:3]))
+        mounting = (turn, np.sqrt(np.diag(marginals.covariances([MOUNTING_KEY])[MOUNTING_KEY])[:3]))
     if options.time_offset_sigma_s > 0.0:
-        variance = float(tree.marginalCovariance(DELAY_KEY)[0, 0])
+        variance = float(marginals.covariances([DELAY_KEY])[DELAY_KEY][0, 0])
         delay = (float(values.atVector(DELAY_KEY)[0]), float(np.sqrt(variance)))
     if options.map_sigmas.any():
         seen = np.unique(np.concatenate([frame.rims.craters for frame in problem.frames]))
+        covariances = marginals.covariances([int(M(crater)) for crater in seen])
         craters = {
             crater: (
                 sigma * values.atVector(M(crater)),
-                sigma * np.sqrt(np.diag(tree.marginalCovariance(M(crater)))),
+                sigma * np.sqrt(np.diag(covariances[M(crater)])),
             )
             for crater, sigma in zip(seen.tolist(), map_sigmas(problem.catalog, seen, options), strict=True)
         }
     intrinsics = None
     if options.intrinsic_sigmas.any():
-        intrinsics = estimated_intrinsics(tree, values, options.intrinsic_sigmas)
+        intrinsics = estimated_intrinsics(marginals, values, options.intrinsic_sigmas)
     if mounting is None and delay is None and craters is None and intrinsics is None:
         return None
     return Calibrated(mounting, delay, craters, intrinsics)

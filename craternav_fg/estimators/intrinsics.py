@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gtsam.symbol_shorthand import K
 
 from craternav_fg.camera import Camera
+from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.measurements import RimSet
 from factors.conic_shape import ChartError
 
@@ -94,14 +95,13 @@ def intrinsic_error(rims: RimSet, camera: Camera, sigmas: FloatArray) -> ChartEr
 
 
 def estimated_intrinsics(
-    tree: gtsam.ISAM2, values: gtsam.Values, sigmas: FloatArray
+    marginals: Marginals, values: gtsam.Values, sigmas: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Read the intrinsics from an optimum.
 
     Parameters
     ----------
-    tree : gtsam.ISAM2
-        For the marginal covariance.
+    marginals : Marginals
     values : gtsam.Values
     sigmas : ndarray, shape (4,)
         Prior standard deviations: share of the focal length, px, px, k1.
@@ -111,5 +111,5 @@ def estimated_intrinsics(
     values, sigmas : ndarray, shape (4,)
         True less stated intrinsics and their standard deviations: share of the focal length, px, px, k1.
     """
-    spread = np.sqrt(np.diag(tree.marginalCovariance(INTRINSICS_KEY)))
+    spread = np.sqrt(np.diag(marginals.covariances([INTRINSICS_KEY])[INTRINSICS_KEY]))
     return sigmas * values.atVector(INTRINSICS_KEY), sigmas * spread

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt and Gauss-Newton driven from Python, with QR, and covariances.
+"""Levenberg-Marquardt and Gauss-Newton driven from Python, with QR.
 
 GTSAM's own optimisers hand every custom factor a deep copy of all values, and their Cholesky factorisation
 refuses much realistic IMU information. `graph.linearize` and `EliminateQR` have neither problem.
@@ -50,8 +50,9 @@ class LmOptions:
         Damping after the first step that fails, in units of the step scales. It grows by 10 with each failure
         and falls by 10 with each success. Below it steps are not damped (Gauss-Newton).
     cholesky : bool
-        Solve by Cholesky factorisation while it succeeds and the error falls; the last steps are by QR all
-        the same. A fifth of the cost where a frame has many variables.
+        Solve by Cholesky factorisation while it succeeds and the error falls: a fifth of the cost where a
+        frame has many variables. Rounding spoils these steps a little, so that a step by QR may still lower
+        the error by more than the tolerance, see `marginals.Marginals.predicted_decrease`.
     """
 
     max_iterations: int = 50
@@ -160,12 +161,8 @@ def levenberg_marquardt(
         gain = error - new_error
         values, error = candidate, new_error
         damping = 0.1 * damping if damping > options.first_damping else 0.0
-        if gain > _gain_that_ends(error, options):
-            continue
-        if not solver.cholesky:
+        if gain <= _gain_that_ends(error, options):
             return LmResult(values, error, iteration, _at_rest(linear, solver, damping))
-        # A step that rounding has spoilt gains little wherever it is taken.
-        solver.cholesky = False
     return LmResult(values, error, options.max_iterations, False)
 
 
@@ -250,28 +247,3 @@ def _damped(linear: gtsam.GaussianFactorGraph, keys: list[int], damping: float) 
             )
         damped.push_back(gtsam.JacobianFactor(key, *models[letter]))
     return damped
-
-
-def bayes_tree(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.ISAM2:
-    """Linearise and eliminate by QR once; its `marginalCovariance` gives covariances.
-
-    `gtsam.Marginals` offers Cholesky only.
-
-    Parameters
-    ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-
-    Returns
-    -------
-    gtsam.ISAM2
-    """
-    params = gtsam.ISAM2Params()
-    params.setFactorization("QR")
-    params.enableRelinearization = False
-    isam = gtsam.ISAM2(params)
-    # While it is held, callbacks get it and not a copy of all values each.
-    hold = isam.getLinearizationPoint()
-    isam.update(graph, values)
-    del hold
-    return isam

@@ -8,15 +8,17 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
+from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from craternav_fg.dataset.measurements import read_measurements, write_measurements
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator, Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
 from craternav_fg.estimators.correlated_errors import RimErrorOptions
 from craternav_fg.estimators.graph import GraphOptions
+from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.start import find_start
@@ -87,11 +89,11 @@ def test_consistent_with_errors_that_last(
     assert low < mean_nees(estimator, trials) < high
 
 
-@pytest.mark.parametrize("spoilt_steps", [False, True])
+@pytest.mark.parametrize("spoilt_by", [1.0, 0.999, 1e-10])
 def test_cholesky_factorisation_leads_to_the_same_optimum(
-    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch, spoilt_steps: bool
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch, spoilt_by: float
 ) -> None:
-    """Also where its steps hardly lead anywhere, as where rounding spoils them."""
+    """Also where rounding spoils its steps, so that they end near the optimum or lead nowhere."""
     p, _ = trials[0]
     one = replace(p, frames=p.frames[:1])
     start = OnlineSmoother(KNOWING).run(one).smoothed_values()
@@ -99,20 +101,43 @@ def test_cholesky_factorisation_leads_to_the_same_optimum(
     # Without the IMU of several frames, which Cholesky may refuse.
     graph.linearize(start).optimize(gtsam.Ordering.ColamdNonlinearFactorGraph(graph))
     start.update(X(0), start.atPose3(X(0)).retract(np.array([0.0, 0.0, 1e-3, 50.0, 0.0, 0.0])))
-    reference = levenberg_marquardt(graph, start)
-    if spoilt_steps:
-        exactly = gtsam.GaussianFactorGraph.optimize
+    best = levenberg_marquardt(graph, start)
+    assert best.converged
+    assert graph.error(start) > 2.0 * best.error
+    expected = trajectory(one, replace(KNOWING, rim_errors=None), graph, best.values, [0])
+    exactly = gtsam.GaussianFactorGraph.optimize
 
-        def solve(linear: gtsam.GaussianFactorGraph, *how: Any) -> gtsam.VectorValues:
-            step = exactly(linear, *how)
-            return step if gtsam.EliminateQR in how else step.scale(1e-10)
+    def solve(linear: gtsam.GaussianFactorGraph, *how: Any) -> gtsam.VectorValues:
+        step = exactly(linear, *how)
+        return step if gtsam.EliminateQR in how else step.scale(spoilt_by)
 
-        monkeypatch.setattr(gtsam.GaussianFactorGraph, "optimize", solve)
-    result = levenberg_marquardt(graph, start, LmOptions(cholesky=True))
-    assert reference.converged
+    monkeypatch.setattr(gtsam.GaussianFactorGraph, "optimize", solve)
+    result = levenberg_marquardt(graph, start, LmOptions(cholesky=True, relative_tolerance=1e-6))
     assert result.converged
-    assert graph.error(start) > 2.0 * reference.error
-    assert result.error == pytest.approx(reference.error, rel=1e-8)
+    found = trajectory(one, KNOWING, graph, result.values, [0])
+    sigma_m = np.sqrt(np.diag(expected.pose_covariance[0])[3:])
+    assert (np.abs(found.gP - expected.gP) < 1e-3 * sigma_m).all()
+    assert_allclose(
+        found.pose_covariance, expected.pose_covariance, rtol=1e-4, atol=1e-5 * sigma_m.max() ** 2
+    )
+
+
+def test_marginals_are_those_of_isam2(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    values = OnlineSmoother(KNOWING).run(p).smoothed_values()
+    graph = build_graph(p, KNOWING, values)
+    params = gtsam.ISAM2Params()
+    params.setFactorization("QR")
+    params.enableRelinearization = False
+    isam = gtsam.ISAM2(params)
+    isam.update(graph, values)
+    keys = list(values.keys())
+    assert {chr(gtsam.Symbol(key).chr()) for key in keys} == set("xvbrs")
+    found = Marginals(graph, values).covariances(keys)
+    for key in keys:
+        expected = isam.marginalCovariance(key)
+        sigmas = np.sqrt(np.diag(expected))
+        assert_allclose(found[key] / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=1e-8)
 
 
 def test_too_sure_without(trials: list[tuple[Problem, Trajectory]]) -> None:
