@@ -245,9 +245,10 @@ class Isam:
 
     def _photograph(self) -> _Snapshot | None:
         """Take a snapshot of the newest state; None when it is uncertain or cannot be handed on."""
-        symbols = [gtsam.Symbol(key) for key in self._hold.keys()]  # noqa: SIM118 (Values is no mapping)
-        if any(chr(symbol.chr()) not in (*STATE_LETTERS, POINT, *SENSOR_BIASES) for symbol in symbols):
+        every = self._hold.keys()
+        if not {chr(key >> INDEX_BITS) for key in every} <= {*STATE_LETTERS, POINT, *SENSOR_BIASES}:
             return None
+        symbols = [gtsam.Symbol(key) for key in every]
         last = max(symbol.index() for symbol in symbols if chr(symbol.chr()) in STATE_LETTERS)
         keys = [
             symbol.key()
