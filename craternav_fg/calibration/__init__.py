@@ -65,7 +65,8 @@ Not fitted but chosen, each with its reason where it stands:
   candidate and the largest shift of its rim. A wrong rim costs more than a missed one.
 - `CorrelatedErrorOptions.excess_white_share`, a guard: on three rendered descents to Bennu (trials 5, 6,
   31) the smoother's ANEES is 16.5, 11.6 and 8.4 with 2, and 26.4, 13.9 and 14.0 with 0, although the
-  likelihood of the rims' errors is highest with 0.
+  likelihood of the rims' errors is highest with 0. It counts up to a variance factor of 3, see
+  `error_model.correlated`.
 - Expected deviations of outlines before they are seen (`FitOptions.outline_share`,
   `error_model.outline.IRREGULARITY_FACTOR`, `PoolingOptions.min_outline_share`), `ArcOptions.shared_px`, weak
   priors of `edge_kernel`, `ground_level` and `wall_shading`, floors of blind and coarse fits.

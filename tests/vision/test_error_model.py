@@ -80,6 +80,11 @@ def test_correlated_and_shared_parts_leave_a_white_rest(view):
     assert np.linalg.eigvalsh(louder - covariance)[:, 0].min() > -1e-18
     assert np.trace(louder - covariance, axis1=1, axis2=2).min() > 1e-8
     np.testing.assert_allclose(rough - louder, errors.systematic, rtol=1e-9, atol=1e-18)
+    # The errors are scaled by the factor already: beyond a factor of 3 nothing more is added.
+    bound, beyond = (
+        split(errors, f, np.arange(count), *view, CorrelatedErrorOptions())[0] for f in (3.0, 20.0)
+    )
+    np.testing.assert_array_equal(bound, beyond)
 
 
 def test_errors_of_the_map_are_added_and_stay_with_their_craters(view):

@@ -26,6 +26,10 @@ IntArray = npt.NDArray[np.int64]
 # Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
 # growth along l2. The other column is a shift along the normal.
 _IN_PLANE, _HEIGHT = [0, 1, 3, 4, 5], 2
+# Largest excess of a frame's variance factor over 1 for which white variance is added. The systematic
+# variance is multiplied by the factor already, so without a bound the added one grows with its square: on
+# rough ground of another renderer (`tests/foreign`), with factors of 10 to 25, to ten times the error.
+_MAX_EXCESS = 2.0
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,9 @@ class CorrelatedErrorOptions:
         to frame.
     excess_white_share : float
         White variance to add where a frame's rims scatter more than they claim (`frame_scatter`), as a share
-        of the systematic variance per unit of the excess of the variance factor over 1. On rough terrain many
-        rims are worse than the median, neighbouring ones alike. Set to 0 for single images: it is consistent
-        for estimators that fuse frames.
+        of the systematic variance per unit of the excess of the variance factor over 1, of which at most 2
+        count. On rough terrain many rims are worse than the median, neighbouring ones alike. Set to 0 for
+        single images: it is consistent for estimators that fuse frames.
     camera_shift_px : float
         Common shift towards the camera along the ground, for a camera at the horizon. One component grows
         with the sine of the emission angle, another of the same size with its cube.
@@ -271,7 +275,8 @@ def split(
     covariance = errors.covariance + shared @ np.swapaxes(shared, 1, 2)
     covariance += map_covariance(rows, gTb, camera, catalog, options)
     covariance -= options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
-    covariance = covariance + options.excess_white_share * (variance_factor - 1.0) * errors.systematic
+    excess = min(variance_factor - 1.0, _MAX_EXCESS)
+    covariance = covariance + options.excess_white_share * excess * errors.systematic
     return covariance, correlated, shared
 
 
