@@ -16,8 +16,8 @@ from craternav_fg.dataset.annotated_images import annotated_images
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.evaluation.annotation import match_circles
 from craternav_fg.vision.brightness import brightness, filled
-from craternav_fg.vision.detect import BlindOptions
-from craternav_fg.vision.network_detect import lit_from, vote
+from craternav_fg.vision.detect import BlindOptions, candidates_in
+from craternav_fg.vision.network_detect import lit_from, voted_quarter
 from craternav_fg.vision.proposals import Proposals
 
 FloatArray = npt.NDArray[np.float64]
@@ -47,8 +47,8 @@ def samples(image: npt.NDArray[np.generic], circles_px: FloatArray) -> tuple[Flo
     everywhere, _ = filled(brightness(image))
     largest = BlindOptions.max_radius_share * min(everywhere.shape)
     proposals = Proposals(everywhere, _SEARCHED_PX, largest)
-    matched, voted = vote(everywhere, BlindOptions(min_radius_px=_SEARCHED_PX))
-    quarters = proposals.sun_quarter(voted).quarters
+    matched = candidates_in(everywhere, BlindOptions(min_radius_px=_SEARCHED_PX))
+    quarters = proposals.sun_quarter(voted_quarter(matched)).quarters
     lit = lit_from(everywhere, proposals, matched, quarters, 1.0)
     radius = lit.candidates.radius_px
     # Matches go by falling log odds.

@@ -39,7 +39,7 @@ MIN_BRIGHTNESS_STEP = 0.5
 _MEAN_WINDOW_RADII = 4.0
 # Exponent of the size in the order of candidates of the same correlation: larger craters are fewer and
 # determine more.
-SIZE_EXPONENT = 0.15
+_SIZE_EXPONENT = 0.15
 # Peaks of the correlation are highest within this window, px at the resolution of the correlation.
 _PEAK_WINDOW_PX = 7
 # Two candidates are the same crater if their radii differ by less than these factors and their centres by
@@ -89,21 +89,6 @@ class Candidates:
         """
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def replaced(self, others: "Candidates", rows: BoolArray) -> "Candidates":
-        """Return these candidates with some of others in their places.
-
-        Parameters
-        ----------
-        others : Candidates
-            As many.
-        rows : ndarray of bool, shape (n,)
-            Which are the others'.
-        """
-        out = {field.name: getattr(self, field.name).copy() for field in fields(self)}
-        for name, values in out.items():
-            values[rows] = getattr(others, name)[rows]
-        return Candidates(**out)
-
 
 def find_candidates(
     image: ImageArray, min_radius_px: float, max_radius_px: float, min_correlation: float
@@ -140,7 +125,7 @@ def find_candidates(
             factor *= 2.0
     all_of = np.concatenate(found)
     all_of = all_of[all_of[:, 2] < max_radius_px]
-    worth = all_of[:, 3] * (all_of[:, 2] / min_radius_px) ** SIZE_EXPONENT
+    worth = all_of[:, 3] * (all_of[:, 2] / min_radius_px) ** _SIZE_EXPONENT
     all_of = all_of[np.argsort(-worth, kind="stable")]
     return Candidates(all_of[:, :2], *np.ascontiguousarray(all_of[:, 2:].T))
 
@@ -268,27 +253,6 @@ def _spectra(index: int, rows: int, columns: int) -> tuple[ImageArray, ...]:
     return tuple(np.asarray(spectrum, dtype=np.float32) for spectrum in out)
 
 
-def relative_brightness(image: ImageArray, radius_px: float) -> ImageArray:
-    """Compute the brightness relative to its local mean.
-
-    Parameters
-    ----------
-    image : ndarray of float32, shape (H, W)
-        Brightness, 0 to 255, finite.
-    radius_px : float
-        Radius of the largest craters looked for.
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W)
-        Difference from the local mean, as a share of it.
-    """
-    side = (2 * int(_MEAN_WINDOW_RADII * radius_px / 2.0) + 1,) * 2
-    mean_level = cv2.blur(cv2.blur(image, side), side).astype(np.float32)
-    least = np.maximum(mean_level, np.float32(MIN_BRIGHTNESS_STEP / MIN_RELATIVE_CONTRAST))
-    return np.asarray((image - mean_level) / least, dtype=np.float32)
-
-
 def _octave(
     image: ImageArray, min_correlation: float, each: Callable[..., Iterable[FloatArray]]
 ) -> list[tuple[float, FloatArray]]:
@@ -297,7 +261,11 @@ def _octave(
     Returns each template's radius, px, with rows (n, 6) of its peaks: x, y, 0 (for the radius), correlation,
     sun angle, slope contrast.
     """
-    relative = relative_brightness(image, float(TEMPLATE_RADII_PX[-1]))
+    reach = _MEAN_WINDOW_RADII * float(TEMPLATE_RADII_PX[-1])
+    side = (2 * int(reach / 2.0) + 1,) * 2
+    mean_level = cv2.blur(cv2.blur(image, side), side).astype(np.float32)
+    least = np.maximum(mean_level, np.float32(MIN_BRIGHTNESS_STEP / MIN_RELATIVE_CONTRAST))
+    relative = (image - mean_level) / least
     pad = int(np.ceil(TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
     rows, columns = (cv2.getOptimalDFTSize(n + 2 * pad) for n in image.shape)
     border = (pad, rows - image.shape[0] - pad, pad, columns - image.shape[1] - pad)

@@ -2,14 +2,12 @@
 
 The network proposes circles (see `proposals`). The rim is traced and fitted as in `detect`: from the matched
 filter's candidate where there is one of the same crater, for it is closer to the rim, else from the circle.
-The filter looks everywhere for large craters alone, and for small ones near the circles (see `local_match`).
 Where that fails, or does not agree with the circle, the circle is given, with a covariance to match. The
 probability of a crater is the network's, calibrated: how well a rim can be traced on rendered ground says
 little of worn craters on photographs.
 """
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +33,6 @@ from craternav_fg.vision.detect import (
     require_finite_angle,
 )
 from craternav_fg.vision.image_sampling import noise_level
-from craternav_fg.vision.local_match import best_near
 from craternav_fg.vision.proposal_fit import MIN_ARC_SHARE, MeasuredRims, measured
 from craternav_fg.vision.proposals import QUARTERS, Proposals, SunQuarter
 from craternav_fg.vision.pyramid import quarters_to_right
@@ -55,11 +52,6 @@ _MAX_DEVIATION_RAD = float(np.deg2rad(70.0))
 QUALITY_WEIGHTS = np.array([1.24, -0.52, -7.22, 1.29])
 # Radius at which the size has no weight, px.
 _REFERENCE_RADIUS_PX = 10.0
-# Correlation with the canonical crater from which a rim is traced from where it is largest.
-_START_CORRELATION = 0.6
-# Factors on the smallest radius asked for with which the matched filter looks for the sun's quarter: large
-# craters take a quarter of the time.
-_VOTING_FACTORS = (2.0, 1.0)
 # A candidate of the matched filter is a proposed crater if its centre is within this share of the radius and
 # the logarithms of the radii differ by less.
 _SAME_CENTRE_RADII, _SAME_LOG_RADIUS = 0.4, 0.4
@@ -143,12 +135,12 @@ def find_rims_network(
     everywhere, pixels = filled(brightness(image))
     largest = options.max_radius_share * min(everywhere.shape)
     proposals = Proposals(everywhere, options.min_radius_px, largest)
-    matched, voted = vote(everywhere, options)
-    found = proposals.sun_quarter(voted)
+    matched = candidates_in(everywhere, options)
+    found = proposals.sun_quarter(voted_quarter(matched))
     if found.probability < _DECIDED and sun_angle_rad is None and options.min_radius_px > _SUN_RADIUS_PX:
         # The craters asked for are too few; smaller ones are lit from there, too.
-        voted = vote(everywhere, replace(options, min_radius_px=_SUN_RADIUS_PX)).quarter
-        found = Proposals(everywhere, _SUN_RADIUS_PX, largest).sun_quarter(voted)
+        smaller = candidates_in(everywhere, replace(options, min_radius_px=_SUN_RADIUS_PX))
+        found = Proposals(everywhere, _SUN_RADIUS_PX, largest).sun_quarter(voted_quarter(smaller))
     lit = [lit_from(everywhere, proposals, matched, *one) for one in _asked(found, sun_angle_rad)]
     noise = noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
     lit = [one.likely(options.min_quality) for one in lit]
@@ -173,40 +165,20 @@ def _asked(found: SunQuarter, sun_angle_rad: float | None) -> list[tuple[int, fl
     return [(found.quarters, found.probability), ((found.quarters + 2) % QUARTERS, 1.0 - found.probability)]
 
 
-class Vote(NamedTuple):
-    """What the matched filter sees.
-
-    Attributes
-    ----------
-    candidates : Candidates
-        The best first; the small ones only where the large ones do not agree on the sun's quarter.
-    quarter : int or None
-        Quarter that the sun is in, see `pyramid.quarters_to_right`; None where they do not clearly agree.
-    """
-
-    candidates: Candidates
-    quarter: int | None
-
-
-def vote(image: Float32Array, options: BlindOptions) -> Vote:
+def voted_quarter(matched: Candidates) -> int | None:
     """Find the quarter that the sun is in, as candidates of the matched filter show it.
 
     Parameters
     ----------
-    image : ndarray of float32, shape (H, W)
-        Brightness, 0 to 255, finite.
-    options : BlindOptions
+    matched : Candidates
 
     Returns
     -------
-    Vote
+    int or None
+        See `pyramid.quarters_to_right`; None where they do not clearly agree.
     """
-    for factor in _VOTING_FACTORS:
-        matched = candidates_in(image, replace(options, min_radius_px=factor * options.min_radius_px))
-        seen_rad = agreed_sun_angle(matched, None).seen_rad if len(matched) else float("nan")
-        if not np.isnan(seen_rad):
-            return Vote(matched, quarters_to_right(seen_rad))
-    return Vote(matched, None)
+    seen_rad = agreed_sun_angle(matched, None).seen_rad if len(matched) else float("nan")
+    return None if np.isnan(seen_rad) else quarters_to_right(seen_rad)
 
 
 def lit_from(
@@ -242,32 +214,22 @@ def lit_from(
     if len(clear):
         angles = local_sun_angles(clear, reach, candidates.xy_px)
         middle = common_sun_angle(clear)[0]
-    matched = matched.take(illuminated_from(matched, middle, _MAX_DEVIATION_RAD))
-    starts = _starts(image, candidates, matched, angles)
+    starts = _starts(candidates, matched.take(illuminated_from(matched, middle, _MAX_DEVIATION_RAD)))
     return Lit(candidates, starts, _evidence(circles, image.shape), angles, middle, probability)
 
 
-def _starts(
-    image: Float32Array, circles: Candidates, matched: Candidates, sun_angles_rad: FloatArray
-) -> Candidates:
+def _starts(circles: Candidates, matched: Candidates) -> Candidates:
     """Replace circles by the best candidate of the matched filter that is the same crater."""
+    if not len(matched):
+        return circles
     x, y = np.moveaxis(circles.xy_px[:, None] - matched.xy_px[None], -1, 0)
     size = np.log(circles.radius_px[:, None] / matched.radius_px[None])
     near = np.hypot(x, y) < _SAME_CENTRE_RADII * circles.radius_px[:, None]
-    near &= np.abs(size) < _SAME_LOG_RADIUS
-    same, others = near.any(axis=1), np.flatnonzero(~near.any(axis=1))
-    starts = circles
-    if same.any():
-        best = np.argmax(np.where(near, matched.correlation, 0.0), axis=1)
-        starts = starts.replaced(matched.take(best), same)
-    alone = np.column_stack([circles.xy_px, circles.radius_px])[others]
-    found = best_near(image, alone, sun_angles_rad[others])
-    like = found.correlation >= _START_CORRELATION
-    rows = np.zeros(len(circles), dtype=np.int64)
-    rows[others] = np.arange(len(others))
-    same[:] = False
-    same[others[like]] = True
-    return starts.replaced(found.take(rows), same) if like.any() else starts
+    best = np.argmax(np.where(near & (np.abs(size) < _SAME_LOG_RADIUS), matched.correlation, 0.0), axis=1)
+    both = [circles, matched.take(best)]
+    same = np.take_along_axis(near & (np.abs(size) < _SAME_LOG_RADIUS), best[:, None], axis=1)[:, 0]
+    joined = Candidates(*(np.concatenate([getattr(one, f.name) for one in both]) for f in fields(circles)))
+    return joined.take(np.arange(len(circles)) + len(circles) * same)
 
 
 def _evidence(circles: FloatArray, shape: tuple[int, ...]) -> FloatArray:
