@@ -218,6 +218,23 @@ def test_other_craters_that_are_foreshortened_alike_are_chance(synthetic) -> Non
     assert min(turned) > -0.7
 
 
+def test_sizes_that_most_rims_have_are_chance() -> None:
+    """Twelve of 59 hills were taken for craters of dense ground, as the smallest rim was far smaller."""
+    rng = np.random.default_rng(3)
+    radius = np.append(4.0, 30.0 * np.exp(0.3 * rng.normal(size=20)))
+    zero = np.zeros(len(radius))
+    view = view_of(
+        np.column_stack([rng.uniform(0, 1023, (21, 2)), radius, radius, zero]), square_camera(60.0)
+    )
+    chance, shape_chance = log_by_chance(view)
+    left, top, right, bottom = view.bounds_px
+    area = (right - left) * (bottom - top) / (view.fx_px * view.fy_px)
+    of_size = chance + np.log(area) - shape_chance
+    assert of_size[1:].mean() > -1.5
+    # By the power law.
+    assert of_size[0] > np.log(1.8)
+
+
 @pytest.mark.parametrize(
     ("range_m", "tilt_rad", "least"), [(4.7e6, 0.0, 5000), (4.7e6, 0.3, 2000), (1.9e6, 1.1, 50)]
 )

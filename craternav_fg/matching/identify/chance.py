@@ -1,9 +1,10 @@
 """Density of false rims: how probable a rim's chart is when the rim is not the crater that it is taken for.
 
 The centre of a false rim is uniform over the ground that the image shows. Its size follows a power law that
-the image's smallest rim fixes. Its shape is, half and half, like those of all rims of the image, and like
-those of craters seen from the pose in question: a wrong pose is often found where the foreshortening is
-right, and then other craters are foreshortened alike.
+the image's smallest rim fixes, or the distribution of the sizes of all rims of the image, whichever explains
+it better: hills and ridges that look like craters are often larger than most craters. Its shape is, half and
+half, like those of all rims of the image, and like those of craters seen from the pose in question: a wrong
+pose is often found where the foreshortening is right, and then other craters are foreshortened alike.
 """
 
 import numpy as np
@@ -23,6 +24,8 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 SIZE_EXPONENT = 2.0
 # The distribution of the logarithm of sizes begins this much below the image's smallest rim.
 LOG_SIZE_MARGIN = 0.05
+# Least variance of the logarithm of sizes: of rims that are all about the same.
+_MIN_SIZE_VARIANCE = 0.2**2
 # Least variance of the two parameters of shape, ln(L22 / L11) and the shear: rounder than craters are.
 _MIN_SHAPE_VARIANCE = 0.05**2
 # Points per side of the image by which the share of it that shows the ground is measured.
@@ -50,7 +53,10 @@ def log_by_chance(view: View) -> tuple[FloatArray, FloatArray]:
     shape2 = q**2 + (view.charts[:, 3] * np.exp(-q)) ** 2
     spread = 0.5 * shape2.mean() + _MIN_SHAPE_VARIANCE
     above = log_size - log_size.min() + LOG_SIZE_MARGIN
-    by_size = np.log(SIZE_EXPONENT) - SIZE_EXPONENT * above
+    power = np.log(SIZE_EXPONENT) - SIZE_EXPONENT * above
+    width2 = log_size.var() + _MIN_SIZE_VARIANCE
+    alike = -0.5 * (_LOG_2PI + np.log(width2) + (log_size - log_size.mean()) ** 2 / width2)
+    by_size = np.maximum(power, alike)
     by_shape = -_LOG_2PI - np.log(spread) - 0.5 * shape2 / spread - q
     return np.asarray(by_size + by_shape - np.log(area)), np.asarray(by_shape)
 
