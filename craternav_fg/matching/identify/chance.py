@@ -1,10 +1,10 @@
 """Density of false rims: how probable a rim's chart is when the rim is not the crater that it is taken for.
 
-The centre of a false rim is uniform over the ground that the image shows. Its size follows a power law that
-the image's smallest rim fixes, or the distribution of the sizes of all rims of the image, whichever explains
-it better: hills and ridges that look like craters are often larger than most craters. Its shape is, half and
-half, like those of all rims of the image, and like those of craters seen from the pose in question: a wrong
-pose is often found where the foreshortening is right, and then other craters are foreshortened alike.
+The centre of a false rim is uniform over the ground that the image shows. Its size follows, half and half,
+a power law that the image's smallest rim fixes, and the distribution of the sizes of all rims of the image:
+hills and ridges that look like craters are often larger than most craters. Its shape is, half and half, like
+those of all rims of the image, and like those of craters seen from the pose in question: a wrong pose is
+often found where the foreshortening is right, and then other craters are foreshortened alike.
 """
 
 import numpy as np
@@ -56,7 +56,7 @@ def log_by_chance(view: View) -> tuple[FloatArray, FloatArray]:
     power = np.log(SIZE_EXPONENT) - SIZE_EXPONENT * above
     width2 = log_size.var() + _MIN_SIZE_VARIANCE
     alike = -0.5 * (_LOG_2PI + np.log(width2) + (log_size - log_size.mean()) ** 2 / width2)
-    by_size = np.maximum(power, alike)
+    by_size = np.logaddexp(power, alike) - np.log(2.0)
     by_shape = -_LOG_2PI - np.log(spread) - 0.5 * shape2 / spread - q
     return np.asarray(by_size + by_shape - np.log(area)), np.asarray(by_shape)
 
