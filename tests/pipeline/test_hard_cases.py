@@ -8,13 +8,14 @@ import pytest
 
 from craternav_fg.cli.run_summary import calibration_line
 from craternav_fg.dataset import Dataset
-from craternav_fg.evaluation.metrics import Metrics, metrics
+from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.runs.read import read_residuals
 from craternav_fg.runs.write import write_run
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import built_in_scenarios, load_scenario
 from craternav_fg.simulation.scenario_tables import FaultsSection
+from tests.pipeline.hard_cases import FIGURES, run_trials
 
 CASES = [name for name in built_in_scenarios() if load_scenario(name).expected]
 
@@ -25,19 +26,13 @@ def test_every_hard_case_says_what_to_expect() -> None:
 
 def check(name: str, folder: Path, trials: int) -> None:
     """Means over trials lie within three standard errors of what the scenario expects, or errors below it."""
-    case = load_scenario(name)
-    found: dict[str, list[Metrics]] = {e: [] for e in case.expected}
-    for trial in range(trials):
-        data = Dataset.open(simulate(case, folder / str(trial), trial=trial))
-        result = reconstruct(data, list(case.expected))
-        for e in case.expected:
-            found[e].append(metrics(result.trajectories[e], data.truth))
-    for e, expected in case.expected.items():
-        for figure in ("position_rms_m", "anees"):
-            spread = getattr(expected, figure)
+    expected = load_scenario(name).expected
+    for e, found in run_trials(name, folder, trials).items():
+        for figure in FIGURES:
+            spread = getattr(expected[e], figure)
             if spread is None:
                 continue
-            away = np.mean([getattr(each, figure) for each in found[e]]) - spread.mean
+            away = np.mean([getattr(each, figure) for each in found]) - spread.mean
             standard_errors = away / (spread.sd / np.sqrt(trials))
             least = -3.0 if figure == "anees" else -np.inf
             assert least < standard_errors < 3.0, f"{name}: {figure} of {e} is off by {away:.3g}"
