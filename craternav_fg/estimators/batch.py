@@ -36,7 +36,7 @@ from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
-from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+from craternav_fg.estimators.optimise import LmOptions, LmResult, levenberg_marquardt
 from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.frames import rotate_position_block
@@ -55,9 +55,10 @@ MAX_OPTIMISATIONS = 5
 ROUGH_LM = LmOptions(relative_tolerance=1e-5)
 # On real ground many rims fit badly; on the robust loss's flat part the optimum is reached slowly.
 FINAL_LM = LmOptions(max_iterations=200)
-# In graphs solved by Cholesky factorisation, as a last step by QR follows.
+# In graphs solved by Cholesky factorisation, as steps by QR follow: usually one or two.
 CHOLESKY_TOLERANCE = 1e-6
-# Largest decrease of the error, half a sum of squares, that this step predicts: a hundredth of a sigma.
+MAX_QR_STEPS = 3
+# Largest decrease of the error, half a sum of squares, that the last of them predicts: 0.014 sigma.
 MAX_LAST_DECREASE = 1e-4
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.
@@ -80,7 +81,7 @@ class BatchSmoother:
         Name under which its results are stored.
     own_factors : callable, optional
         Called with the problem and the indices of the frames' states; returns further factors of the graph,
-        on pose `X(k)`, velocity `V(k)` and biases `B(k)` of a state k.
+        on pose `X(k)`, velocity `V(k)` and biases `B(k)` of a state k, with standard deviations above zero.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class BatchSmoother:
         Raises
         ------
         EstimationError
-            When the optimisation does not converge.
+            When the optimisation does not converge, or an own factor has a constrained noise model.
         """
         found = []
         with suppress(EstimationError, np.linalg.LinAlgError):
@@ -192,19 +193,38 @@ def optimum(
     graph = build_graph(problem, options, values, intervals, own_factors)
     final = _solved_for(FINAL_LM, problem, options)
     for last in range(MAX_OPTIMISATIONS - 1, -1, -1):
-        result = levenberg_marquardt(graph, values, final)
-        if not result.converged:
-            raise EstimationError(
-                f"no convergence in {result.iterations} iterations: measurements, IMU and "
-                "initial state contradict each other (check frames, units and mounting)"
-            )
-        values = result.values
+        values = _converged(levenberg_marquardt(graph, values, final))
         if not last or not _update_gravity(graph, problem.body, values):
             break
     lost, count = _out_of_sight(problem, options, values)
     if 2 * lost > count:
         raise EstimationError(f"no convergence: {lost} of {count} rims are out of sight of the poses reached")
     return graph, values
+
+
+def _step_by_qr(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, marginals: Marginals
+) -> tuple[gtsam.Values, Marginals]:
+    """Take the steps that eliminations for covariances give while they are long, then optimise if need be."""
+    for _ in range(MAX_QR_STEPS):
+        nearer = values.retract(marginals.step)
+        if marginals.predicted_decrease <= MAX_LAST_DECREASE:
+            return nearer, marginals
+        if not graph.error(nearer) <= graph.error(values):
+            break
+        values, marginals = nearer, Marginals(graph, nearer)
+    values = _converged(levenberg_marquardt(graph, values, FINAL_LM))
+    return values, Marginals(graph, values)
+
+
+def _converged(result: LmResult) -> gtsam.Values:
+    """Return an optimum."""
+    if not result.converged:
+        raise EstimationError(
+            f"no convergence in {result.iterations} iterations: measurements, IMU and "
+            "initial state contradict each other (check frames, units and mounting)"
+        )
+    return result.values
 
 
 def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values) -> tuple[int, int]:
@@ -301,6 +321,9 @@ def build_graph(
         add_image(index, frame)
         of_frames.append(index)
     for factor in () if own_factors is None else own_factors(problem, of_frames):
+        if isinstance(factor, gtsam.NoiseModelFactor) and factor.noiseModel().isConstrained():
+            keys = ", ".join(map(gtsam.DefaultKeyFormatter, factor.keys()))
+            raise EstimationError(f"own factor on {keys}: expected standard deviations above zero, found 0")
         graph.push_back(factor)
     _add_missing(values, added)
     return graph
@@ -335,8 +358,8 @@ def trajectory(
 ) -> Trajectory:
     """Read the states of the frames and their marginal covariances from an optimum.
 
-    Steps by Cholesky factorisation leave out some of what rounding spoils. The elimination by QR that the
-    covariances need gives the last step, or, where that is a long one, further steps are taken by QR.
+    Steps by Cholesky factorisation leave out some of what rounding spoils. The eliminations by QR that the
+    covariances need give further steps, of which one or two are usually enough.
 
     Parameters
     ----------
@@ -352,14 +375,15 @@ def trajectory(
     Returns
     -------
     Trajectory
+
+    Raises
+    ------
+    EstimationError
+        When steps by QR do not converge.
     """
     marginals = Marginals(graph, values)
     if _solved_for(FINAL_LM, problem, options).cholesky:
-        if marginals.predicted_decrease > MAX_LAST_DECREASE:
-            values = levenberg_marquardt(graph, values, FINAL_LM).values
-            marginals = Marginals(graph, values)
-        else:
-            values = values.retract(marginals.step)
+        values, marginals = _step_by_qr(graph, values, marginals)
     covariances = marginals.covariances([int(key(n)) for n in state_indices for key in (X, V, B)])
     gTb = np.array([values.atPose3(X(n)).matrix() for n in state_indices])
     return Trajectory(

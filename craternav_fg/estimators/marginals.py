@@ -27,6 +27,7 @@ class Marginals:
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
+        Without constrained noise models, which have no square root of information.
     values : gtsam.Values
 
     Attributes
@@ -39,7 +40,8 @@ class Marginals:
     Raises
     ------
     RuntimeError
-        When the graph does not determine all variables.
+        When the elimination meets a variable that nothing determines. One that is almost undetermined gets a
+        large covariance instead.
     """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:

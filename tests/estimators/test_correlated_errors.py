@@ -122,6 +122,43 @@ def test_cholesky_factorisation_leads_to_the_same_optimum(
     )
 
 
+def test_the_step_that_the_covariances_give_is_taken(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It saves an elimination, and a hundredth of a sigma is not left over."""
+    p, _ = trials[0]
+    one = replace(p, frames=p.frames[:1])
+    start = OnlineSmoother(KNOWING).run(one).smoothed_values()
+    graph = build_graph(one, KNOWING, start)
+    best = levenberg_marquardt(graph, start, LmOptions(relative_tolerance=1e-14)).values
+    expected = trajectory(one, KNOWING, graph, best, [0])
+    away = np.zeros(6)
+    away[3:] = 1e-3 * np.sqrt(np.diag(expected.pose_covariance[0])[3:])
+    near = gtsam.Values(best)
+    near.update(X(0), best.atPose3(X(0)).retract(away))
+    sigmas = np.sqrt(2.0 * Marginals(graph, near).predicted_decrease)
+    near.update(X(0), best.atPose3(X(0)).retract(0.01 / sigmas * away))
+    monkeypatch.delattr("craternav_fg.estimators.batch.levenberg_marquardt")
+    found = trajectory(one, KNOWING, graph, near, [0])
+    left = np.abs(found.gP - expected.gP) / np.abs(near.atPose3(X(0)).translation() - expected.gP)
+    assert (left < 0.05).all()
+
+
+def test_steps_by_qr_that_do_not_converge_are_no_result(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p, _ = trials[0]
+    one = replace(p, frames=p.frames[:1])
+    values = OnlineSmoother(KNOWING).run(one).smoothed_values()
+    graph = build_graph(one, KNOWING, values)
+    away = values.atPose3(X(0)).retract(np.array([0.0, 0.0, 1e-3, 50.0, 0.0, 0.0]))
+    values.update(X(0), away)
+    monkeypatch.setattr("craternav_fg.estimators.batch.MAX_QR_STEPS", 0)
+    monkeypatch.setattr("craternav_fg.estimators.batch.FINAL_LM", LmOptions(max_iterations=1))
+    with pytest.raises(EstimationError, match="no convergence in 1 iterations"):
+        trajectory(one, KNOWING, graph, values, [0])
+
+
 def test_marginals_are_those_of_isam2(trials: list[tuple[Problem, Trajectory]]) -> None:
     p, _ = trials[0]
     values = OnlineSmoother(KNOWING).run(p).smoothed_values()

@@ -1,7 +1,7 @@
 """Start, online and batch smoother on simulated descents."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import gtsam
@@ -223,6 +223,17 @@ def test_frames_without_craters_only_widen_the_covariance(trials: list[tuple[Pro
         assert (spread[12:] > 1.2 * less[12:]).all()
         assert spread[-1] > 3.0 * less[-1]
         assert nees(errors(estimate, truth).pose, estimate.pose_covariance)[-1] < chi2.ppf(1 - 1e-5, 6)
+
+
+def test_an_own_factor_without_noise_is_refused(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    fixed = gtsam.noiseModel.Constrained.All(6)
+
+    def exactly(_: Problem, of_frames: Sequence[int]) -> list[gtsam.NonlinearFactor]:
+        return [gtsam.PriorFactorPose3(X(of_frames[0]), gtsam.Pose3(p.start.gTb), fixed)]
+
+    with pytest.raises(EstimationError, match="own factor on x0: expected standard deviations above zero"):
+        BatchSmoother(own_factors=exactly).estimate(p)
 
 
 def test_one_wrong_match_does_not_pull_the_smoother(trials: list[tuple[Problem, Trajectory]]) -> None:
