@@ -121,7 +121,7 @@ def first_fits(
     Returns
     -------
     fits : list of BlindFit or None, length n
-        None where no rim can be traced, or it has fewer odds.
+        None where no rim can be traced, or even one at the proposal would have fewer odds.
     charts_px : ndarray, shape (n, 5)
         The proposals as ellipses of the common shape, charts in pixels.
     """

@@ -101,7 +101,7 @@ def associate(
     sigma : ndarray, shape (3,)
         Noise, see `noise`.
     chance : ndarray, shape (n,)
-        Logarithm of the density of each rim's chart if it is false, from `evidence.log_by_chance`.
+        Logarithm of the density of each rim's chart if it is false, from `chance.log_by_chance`.
     match : ndarray of int, shape (n,)
         Written: row of each rim's crater, -1 for none.
     weight : ndarray, shape (n,)
@@ -236,7 +236,7 @@ def expand_inliers(
     noise : float
         Assumed noise of the centres, px.
     chance : ndarray, shape (n,)
-        Logarithm of the density of each rim's chart if it is false, from `evidence.log_by_chance`.
+        Logarithm of the density of each rim's chart if it is false, from `chance.log_by_chance`.
     prior, weight : ndarray, shapes (4, 4), (6, 6)
         Known attitude as pose and information; without one, `weight` is zero.
     gTc : ndarray, shape (4, 4)
