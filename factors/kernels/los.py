@@ -142,3 +142,72 @@ def los_residual(
             J[r, d] = 0.0
             for i in range(3):
                 J[r, d] += basis[i, r] * ((dp[i] - pu[i] * along_p) / pn - (dv[i] - vu[i] * along_v) / vn)
+
+
+@njit(cache=True, error_model="numpy")
+def lines_of_sight(
+    gTc: FloatArray, centres: FloatArray, normals: FloatArray, conics: FloatArray, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals of craters without the choice of tangents: sign p/|p| - K n_c/|K n_c|, eq. (11).
+
+    Parameters
+    ----------
+    gTc : ndarray, shape (4, 4)
+        Pose of the camera.
+    centres : ndarray, shape (n, 3)
+        In g, m.
+    normals : ndarray, shape (n, 3)
+        Outward normals of the rims' planes in g, unit vectors.
+    conics : ndarray, shape (n, 6)
+        Measured conics, of any sign and scale.
+    sign : float
+        1, or -1 as printed.
+
+    Returns
+    -------
+    e : ndarray, shape (n, 3)
+        Differences of unit vectors in c.
+    J : ndarray, shape (n, 3, 6)
+        Derivatives in the camera's right twist [w, rho], per rad and m in c.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eq. (11); docs/equations.md.
+    """
+    n = len(centres)
+    e = np.empty((n, 3))
+    J = np.empty((n, 3, 6))
+    K = np.empty((3, 3))
+    p, n_c, v = np.empty(3), np.empty(3), np.empty(3)
+    dp, dn, dv = np.empty(3), np.empty(3), np.empty(3)
+    for crater in range(n):
+        _adjugate(conics[crater], K)
+        for i in range(3):
+            p[i] = n_c[i] = 0.0
+            for j in range(3):
+                p[i] += gTc[j, i] * (centres[crater, j] - gTc[j, 3])
+                n_c[i] += gTc[j, i] * normals[crater, j]
+        for i in range(3):
+            v[i] = -(K[i, 0] * n_c[0] + K[i, 1] * n_c[1] + K[i, 2] * n_c[2])
+        pn = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+        vn = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        for i in range(3):
+            e[crater, i] = sign * p[i] / pn - v[i] / vn
+        for d in range(6):
+            dp[:] = 0.0
+            dn[:] = 0.0
+            if d < 3:
+                i, j = (d + 1) % 3, (d + 2) % 3
+                dp[i], dp[j] = p[j], -p[i]
+                dn[i], dn[j] = n_c[j], -n_c[i]
+            else:
+                dp[d - 3] = -1.0
+            along_p = along_v = 0.0
+            for i in range(3):
+                dv[i] = -(K[i, 0] * dn[0] + K[i, 1] * dn[1] + K[i, 2] * dn[2])
+                along_p += p[i] * dp[i]
+                along_v += v[i] * dv[i]
+            for i in range(3):
+                of_centre = (dp[i] - p[i] * along_p / (pn * pn)) / pn
+                J[crater, i, d] = sign * of_centre - (dv[i] - v[i] * along_v / (vn * vn)) / vn
+    return e, J

@@ -20,7 +20,6 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from craternav_fg.ellipse import conics_of_charts
-from craternav_fg.frames import cross_matrix
 from craternav_fg.measurements import SunTilt
 from craternav_fg.resection.problem import MatchedRims
 from factors.kernels import los, shape
@@ -199,22 +198,8 @@ def lines_of_sight(
     docs/equations.md.
     """
     sign = -1.0 if printed_sign else 1.0
-    R, P = gTc[:3, :3], gTc[:3, 3]
-    p = (seen.rims.centres - P) @ R
-    normals = seen.normals @ R
-    range_m = np.linalg.norm(p, axis=1)[:, None]
-    pu = p / range_m
-    K = _line_matrices(seen.conics)
-    v = np.einsum("nij,nj->ni", K, normals)
-    length = np.linalg.norm(v, axis=1)[:, None]
-    vu = v / length
-    # dp = [p]x w - rho, dn = [n]x w
-    dp = np.concatenate([cross_matrix(p), np.broadcast_to(-np.eye(3), (len(p), 3, 3))], axis=2)
-    dv = K @ cross_matrix(normals)
-    J = sign * (dp - pu[:, :, None] * np.einsum("ni,nij->nj", pu, dp)[:, None, :]) / range_m[:, :, None]
-    turned = (dv - vu[:, :, None] * np.einsum("ni,nij->nj", vu, dv)[:, None, :]) / length[:, :, None]
-    J[:, :, :3] -= turned
-    return sign * pu - vu, J
+    e, J = los.lines_of_sight(gTc, seen.rims.centres, seen.normals, seen.conics, sign)
+    return np.asarray(e), np.asarray(J)
 
 
 def line_slopes(seen: PaperRims, gRc: FloatArray) -> FloatArray:
@@ -466,12 +451,3 @@ def with_sun_noise(sun: SunTilt, seen: PaperRims, gTc: FloatArray) -> FloatArray
 def _noise(seen: PaperRims, D: FloatArray) -> FloatArray:
     """Block-diagonal covariance of rows with the derivatives D (n, k, 5) in their rim's chart."""
     return np.asarray(block_diag(*(D @ seen.rims.covariance @ np.swapaxes(D, 1, 2))))
-
-
-def _line_matrices(q: FloatArray) -> FloatArray:
-    """Matrices K = -4 adj(Q) of eq. (12), shape (n, 3, 3)."""
-    A, B, C, D, E, F = q.T
-    k1, k2, k3 = 2 * C * D - B * E, 2 * A * E - B * D, B * B - 4 * A * C
-    k4, k5, k6 = E * E - 4 * C * F, 2 * B * F - D * E, D * D - 4 * A * F
-    rows = [[k4, k5, k1], [k5, k6, k2], [k1, k2, k3]]
-    return np.moveaxis(np.array(rows), 2, 0)
