@@ -86,7 +86,7 @@ def _of_image(image: npt.NDArray[np.uint8], circles_px: FloatArray) -> Samples:
     options = BlindOptions(min_radius_px=_MIN_RADIUS_PX)
     largest = options.max_radius_share * min(image.shape)
     proposals = Proposals(everywhere, _MIN_RADIUS_PX, largest)
-    lit = lit_from(everywhere, proposals, candidates_in(everywhere, options), 0, 1.0)
+    lit = lit_from(everywhere, proposals, candidates_in(everywhere, options), 0, np.inf)
     fitter = proposal_fitter(pixels, lit, noise_level(everywhere), options)
     traced = measured(fitter, lit.candidates, lit.starts, lit.sun_angles_rad).traced
     radius = lit.candidates.radius_px

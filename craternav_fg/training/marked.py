@@ -49,7 +49,7 @@ def samples(image: npt.NDArray[np.generic], circles_px: FloatArray) -> tuple[Flo
     proposals = Proposals(everywhere, _SEARCHED_PX, largest)
     matched = candidates_in(everywhere, BlindOptions(min_radius_px=_SEARCHED_PX))
     quarters = proposals.sun_quarter(voted_quarter(matched)).quarters
-    lit = lit_from(everywhere, proposals, matched, quarters, 1.0)
+    lit = lit_from(everywhere, proposals, matched, quarters, np.inf)
     radius = lit.candidates.radius_px
     # Matches go by falling log odds.
     order = np.argsort(-lit.evidence[:, 0], kind="stable")

@@ -108,7 +108,7 @@ def _proposals(one: Scene) -> tuple[BlindFitter, Lit]:
     options = BlindOptions()
     proposals = Proposals(everywhere, options.min_radius_px, options.max_radius_share * min(everywhere.shape))
     quarters = quarters_to_right(one.sun_angle_rad)
-    lit = lit_from(everywhere, proposals, candidates_in(everywhere, options), quarters, 1.0)
+    lit = lit_from(everywhere, proposals, candidates_in(everywhere, options), quarters, np.inf)
     lit = lit.likely(_LEAST_QUALITY)
     return proposal_fitter(pixels, lit, noise_level(everywhere), options), lit
 

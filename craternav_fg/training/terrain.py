@@ -37,6 +37,8 @@ _RAYED_PX = 4.0
 _CREST_CREEP, _MOST_CREEP = 4.0, 0.9
 # Share of its rim above which a crater that later ones cut counts as buried.
 _MOST_CUT = 0.5
+# Sparse terrains: share of those with craters, more than their largest number, and their radii, px.
+_SPARSE_SHARE, _MOST_SPARSE, _SPARSE_PX = 0.5, 32.0, (6.0, 80.0)
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,26 @@ def terrain(rng: np.random.Generator) -> Terrain:
     return Terrain(
         heights, listed, _remaining_depth(heights, listed), _buried(listed), _rays(rng, circles[young])
     )
+
+
+def sparse_terrain(rng: np.random.Generator) -> Terrain:
+    """Make a terrain with few craters, or without any in half of the cases.
+
+    Parameters
+    ----------
+    rng : Generator
+
+    Returns
+    -------
+    Terrain
+    """
+    heights = relief(rng, SIDE_PX)
+    count = int(np.exp(rng.uniform(0.0, np.log(_MOST_SPARSE)))) if rng.random() < _SPARSE_SHARE else 0
+    radius = np.exp(rng.uniform(np.log(_SPARSE_PX[0]), np.log(_SPARSE_PX[1]), count))
+    circles = np.column_stack([rng.uniform(0.0, SIDE_PX, (count, 2)), radius])
+    dig(heights, circles, np.where(rng.random(count) < 0.5, rng.beta(1.5, 1.0, count), 0.0), rng)
+    buried = np.zeros(count, dtype=np.bool_)
+    return Terrain(heights, circles, _remaining_depth(heights, circles), buried, np.zeros_like(heights))
 
 
 def _radii(rng: np.random.Generator) -> FloatArray:

@@ -34,15 +34,15 @@ from craternav_fg.vision.detect import (
 )
 from craternav_fg.vision.image_sampling import noise_level
 from craternav_fg.vision.proposal_fit import MIN_ARC_SHARE, MeasuredRims, measured
-from craternav_fg.vision.proposals import QUARTERS, Proposals, SunQuarter
+from craternav_fg.vision.proposals import QUARTERS, SURE_LOG_ODDS, Proposals, SunQuarter
 from craternav_fg.vision.pyramid import quarters_to_right
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Probability of a quarter, against the opposite one, below which both are asked: the image does not show the
-# direction towards the sun.
-_DECIDED = 0.95
+# direction towards the sun. And the logarithm of its odds.
+_DECIDED, _DECIDED_LOG_ODDS = 0.95, float(np.log(19.0))
 # Radius of the smallest craters that may be asked for the direction, px.
 _SUN_RADIUS_PX = 8.0
 # Largest deviation of a shading's direction from its quarter's middle.
@@ -50,6 +50,10 @@ _MAX_DEVIATION_RAD = float(np.deg2rad(70.0))
 # Weights of `Lit.evidence` in the logarithm of the odds that people mark a crater. Fitted on the annotated
 # NAC images by `craternav_fg.training.marked`.
 QUALITY_WEIGHTS = np.array([1.24, -0.52, -7.22, 1.29])
+# Weights of `Lit.doubt` times the logarithm of the odds, and of the doubt: where both quarters show about as
+# many craters, most are none. Fitted on rendered ground with few craters or none by
+# `craternav_fg.training.sparse`.
+DOUBT_WEIGHTS = np.array([0.62, -5.05])
 # Radius at which the size has no weight, px.
 _REFERENCE_RADIUS_PX = 10.0
 # A candidate of the matched filter is a proposed crater if its centre is within this share of the radius and
@@ -74,8 +78,8 @@ class Lit:
         Direction towards the sun in the image at each.
     sun_angle_rad : float
         The common one.
-    probability : float
-        Of the quarter.
+    quarter_log_odds : float
+        Logarithm of the odds of the quarter against the opposite one.
     """
 
     candidates: Candidates
@@ -83,12 +87,19 @@ class Lit:
     evidence: FloatArray
     sun_angles_rad: FloatArray
     sun_angle_rad: float
-    probability: float
+    quarter_log_odds: float
 
     @property
     def quality(self) -> FloatArray:
         """Probabilities (n,) of craters."""
-        return np.asarray(self.probability / (1.0 + np.exp(-self.evidence @ QUALITY_WEIGHTS)))
+        logit = self.evidence @ QUALITY_WEIGHTS
+        logit = logit + self.doubt * (DOUBT_WEIGHTS[0] * logit + DOUBT_WEIGHTS[1])
+        return np.asarray(1.0 / (1.0 + np.exp(-logit)))
+
+    @property
+    def doubt(self) -> float:
+        """From 0, the image shows that the sun is in the quarter, to 1: it does not."""
+        return float(np.interp(self.quarter_log_odds, (_DECIDED_LOG_ODDS, SURE_LOG_ODDS), (1.0, 0.0)))
 
     def likely(self, min_quality: float) -> "Lit":
         """Select those of at least a quality.
@@ -152,17 +163,17 @@ def find_rims_network(
         )
     seen = float("nan")
     if found.probability >= _DECIDED:
-        seen = lit_from(everywhere, proposals, matched, found.quarters, 1.0).sun_angle_rad
+        seen = lit_from(everywhere, proposals, matched, found.quarters, found.log_odds).sun_angle_rad
     return replace(rims, sun_angle_rad=float(sun_angle_rad), seen_sun_angle_rad=seen)
 
 
 def _asked(found: SunQuarter, sun_angle_rad: float | None) -> list[tuple[int, float]]:
-    """Quarters that the sun may be in, with their probabilities."""
+    """Quarters that the sun may be in, with the logarithms of their odds."""
     if sun_angle_rad is not None:
-        return [(quarters_to_right(sun_angle_rad), 1.0)]
+        return [(quarters_to_right(sun_angle_rad), np.inf)]
     if found.probability >= _DECIDED:
-        return [(found.quarters, found.probability)]
-    return [(found.quarters, found.probability), ((found.quarters + 2) % QUARTERS, 1.0 - found.probability)]
+        return [(found.quarters, found.log_odds)]
+    return [(found.quarters, found.log_odds), ((found.quarters + 2) % QUARTERS, -found.log_odds)]
 
 
 def voted_quarter(matched: Candidates) -> int | None:
@@ -182,7 +193,7 @@ def voted_quarter(matched: Candidates) -> int | None:
 
 
 def lit_from(
-    image: Float32Array, proposals: Proposals, matched: Candidates, quarters: int, probability: float
+    image: Float32Array, proposals: Proposals, matched: Candidates, quarters: int, log_odds: float
 ) -> Lit:
     """Return the distinct proposals that are lit from a quarter, and their shading.
 
@@ -196,8 +207,8 @@ def lit_from(
         Of the matched filter, the best first.
     quarters : int
         See `pyramid.quarters_to_right`.
-    probability : float
-        Of the quarter.
+    log_odds : float
+        Logarithm of the odds of the quarter against the opposite one.
 
     Returns
     -------
@@ -215,7 +226,7 @@ def lit_from(
         angles = local_sun_angles(clear, reach, candidates.xy_px)
         middle = common_sun_angle(clear)[0]
     starts = _starts(candidates, matched.take(illuminated_from(matched, middle, _MAX_DEVIATION_RAD)))
-    return Lit(candidates, starts, _evidence(circles, image.shape), angles, middle, probability)
+    return Lit(candidates, starts, _evidence(circles, image.shape), angles, middle, log_odds)
 
 
 def _starts(circles: Candidates, matched: Candidates) -> Candidates:

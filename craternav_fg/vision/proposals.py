@@ -36,9 +36,9 @@ _PEAK_WINDOW = 3
 # Logarithm of the odds of the better of two opposite quarters, over `sun_excess`. It
 # is kept below the fitted 6 of `craternav_fg.training.judgement`: noise shows small differences, too.
 SUN_EVIDENCE_WEIGHT = 2.0
-# Probability at which a quarter is not asked against another any more, and pixels of the levels that all
-# quarters may be asked for.
-_DECIDED, _COARSE_PX = 0.99, 120_000
+# Logarithm of the odds at which a quarter is not asked against another any more, and pixels of the levels
+# that all quarters may be asked for.
+SURE_LOG_ODDS, _COARSE_PX = float(np.log(99.0)), 120_000
 
 
 class SunQuarter(NamedTuple):
@@ -48,12 +48,17 @@ class SunQuarter(NamedTuple):
     ----------
     quarters : int
         See `pyramid.quarters_to_right`.
-    probability : float
-        Of it against the opposite one: 0.5 to 1.
+    log_odds : float
+        Logarithm of its odds against the opposite one, at least 0.
     """
 
     quarters: int
-    probability: float
+    log_odds: float
+
+    @property
+    def probability(self) -> float:
+        """Of it against the opposite one: 0.5 to 1."""
+        return float(1.0 / (1.0 + np.exp(-self.log_odds)))
 
 
 class Proposals:
@@ -123,10 +128,10 @@ class Proposals:
             for quarters in asked:
                 support[quarters] += self._support(quarters, number)
             best = max(asked, key=support.__getitem__)
-            asked = [q for q in asked if q == best or _probability(support[best], support[q]) < _DECIDED]
+            asked = [q for q in asked if q == best or _log_odds(support[best], support[q]) < SURE_LOG_ODDS]
             if len(asked) == 1:
                 break
-        return SunQuarter(best, _probability(support[best], support[_opposite(best)]))
+        return SunQuarter(best, _log_odds(support[best], support[_opposite(best)]))
 
     def support(self, quarters: int) -> float:
         """Return the number of craters that are seen lit from a quarter, as sum of their probabilities.
@@ -165,8 +170,8 @@ def _opposite(quarters: int) -> int:
     return (quarters + 2) % QUARTERS
 
 
-def _probability(support: float, opposite: float) -> float:
-    return float(1.0 / (1.0 + np.exp(-SUN_EVIDENCE_WEIGHT * sun_excess(support, opposite))))
+def _log_odds(support: float, opposite: float) -> float:
+    return SUN_EVIDENCE_WEIGHT * sun_excess(support, opposite)
 
 
 def _peaks(seen: Float32Array) -> FloatArray:

@@ -10,6 +10,10 @@ from craternav_fg.errors import InputError
 from craternav_fg.reproduce.detection_accuracy import accuracy
 from craternav_fg.simulation.empty_images import noise_images
 from craternav_fg.simulation.scenes import HARD, Ground, scene
+from craternav_fg.training.digging import dig
+from craternav_fg.training.light import photograph
+from craternav_fg.training.relief import fractal, relief
+from craternav_fg.training.terrain import SIDE_PX, Terrain
 from craternav_fg.vision import crater_network, proposal_fit
 from craternav_fg.vision.circle_shading import shaded
 from craternav_fg.vision.detect import BlindOptions
@@ -87,8 +91,34 @@ def test_a_given_direction_holds(scenes):
 
 def test_noise_shows_neither_craters_nor_the_sun():
     all_found = [find_rims_network(image) for image in noise_images(np.random.default_rng(0), 512)]
-    assert sum(len(found) for found in all_found) <= 5
+    assert sum(len(found) for found in all_found) <= 1
     assert all(np.isnan(found.sun_angle_rad) and found.sun_probability < 0.95 for found in all_found)
+
+
+def _bare(number):
+    """Photograph of rough ground without craters, which may have ridges, troughs or scarps."""
+    rng = np.random.default_rng([9, number])
+    heights = relief(rng, SIDE_PX)
+    bare = Terrain(heights, np.empty((0, 3)), np.empty(0), np.empty(0, np.bool_), np.zeros_like(heights))
+    return photograph(rng, bare, float(rng.uniform(-np.pi, np.pi))).image
+
+
+def test_ridges_are_no_craters():
+    """Both sides show about as many: neither is a crater's."""
+    assert sum(len(find_rims_network(_bare(number))) for number in (12, 13)) == 0
+
+
+def test_a_single_crater_is_found():
+    """One crater does not decide where the sun is, but stands out of what the opposite side shows."""
+    rng = np.random.default_rng(1)
+    heights = 1.5 * fractal(rng, SIDE_PX, 1.8)
+    circle = np.array([[400.0, 600.0, 30.0]])
+    dig(heights, circle, np.zeros(1), rng)
+    ground = Terrain(heights, circle, np.ones(1), np.zeros(1, np.bool_), np.zeros_like(heights))
+    found = find_rims_network(photograph(rng, ground, 0.5).image)
+    assert found.sun_probability < 0.95
+    assert len(found) == 1
+    assert np.hypot(*(found.ellipses_px[0, :2] - circle[0, :2])) < 5.0
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (9, 400), (33, 47)])
@@ -178,6 +208,12 @@ def test_hard_ground_as_the_template_method():
 def test_four_megapixels_of_rough_ground_without_craters():
     empty = [scene(seed, Ground(density=1e-9, slope=0.03)) for seed in range(500, 504)]
     assert sum(len(find_rims_network(one.image)) for one in empty) <= 1
+
+
+@pytest.mark.slow
+def test_bare_ground_has_at_most_a_false_rim_per_four_megapixels():
+    images = [_bare(number) for number in range(100, 124)]
+    assert sum(len(find_rims_network(image)) for image in images) <= sum(i.size for i in images) / 4e6
 
 
 @pytest.mark.slow
