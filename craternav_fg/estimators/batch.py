@@ -269,6 +269,11 @@ def build_graph(
     Returns
     -------
     FactorGraph
+
+    Raises
+    ------
+    EstimationError
+        When an own factor has a constrained noise model.
     """
     graph = FactorGraph()
     add_prior(graph, problem.initial)
