@@ -19,7 +19,8 @@ from craternav_fg.measurements import RimSet
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem, Status
 from craternav_fg.resection.robust import solve_robustly
 from craternav_fg.vision.detect import FoundRims, find_rims
-from craternav_fg.vision.grey import on_8_bit_scale, undistorted
+from craternav_fg.vision.grey import GreyArray, on_8_bit_scale, undistorted
+from craternav_fg.vision.network_detect import find_rims_network
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -98,23 +99,33 @@ class Relocaliser:
             return index
         return TripleIndex.build(catalog)
 
-    def locate(self, index: int) -> PoseFix | None:
+    def locate(self, index: int, sun_angle_rad: float | None = None) -> PoseFix | None:
         """Find the pose of a frame without a prediction.
+
+        Clear rims are enough where the image shows them. On worn ground only the crater network finds enough,
+        and it finds several times as many where it knows the sun.
 
         Parameters
         ----------
         index : int
             Index of the frame. Its image is used, or its rims when the data set holds the measurements.
+        sun_angle_rad : float, optional
+            Direction towards the sun in the image, see `sun_in_image`; found in the image if not given.
 
         Returns
         -------
         PoseFix or None
             None when its craters are not identified.
         """
+        if self._dataset.measurements is not None:
+            return self._resected(self._dataset.measurements[index].rims)
+        return self._identified(self._rims(index)) or self._identified(
+            find_rims_network(self._image(index), sun_angle_rad)
+        )
+
+    def _identified(self, found: FoundRims) -> PoseFix | None:
+        """Pose of the image whose rims were detected; None when their craters are not identified."""
         data = self._dataset
-        if data.measurements is not None:
-            return self._resected(data.measurements[index].rims)
-        found = self._rims(index)
         answer = identify(found.ellipses_px, data.camera.pinhole, self._triples)
         if not answer.identified:
             return None
@@ -164,13 +175,18 @@ class Relocaliser:
     def _rims(self, index: int) -> FoundRims:
         """Rims detected in an image; those of the last one are kept."""
         if self._found is None or self._found[0] != index:
-            camera = self._dataset.camera
-            # These rims only guide the front end: an interpolated image is good enough, and all that follows
-            # assumes a pinhole.
-            image = undistorted(on_8_bit_scale(self._dataset.image(index), camera), camera)
             # Started from the crater network's rims, Apollo 15's arc drifts by 1.5 m/s instead of 0.9.
-            self._found = index, find_rims(image)
+            self._found = index, find_rims(self._image(index))
         return self._found[1]
+
+    def _image(self, index: int) -> GreyArray:
+        """Image of a frame as a pinhole camera would take it.
+
+        Its rims only guide the front end: an interpolated image is good enough, and all that follows assumes
+        a pinhole.
+        """
+        camera = self._dataset.camera
+        return undistorted(on_8_bit_scale(self._dataset.image(index), camera), camera)
 
     def _normalised(self, found: FoundRims) -> tuple[FloatArray, FloatArray]:
         charts, scale = normalised_chart(found.charts_px, self._dataset.camera.pinhole)

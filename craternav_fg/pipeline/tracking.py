@@ -21,6 +21,7 @@ from craternav_fg.matching.gate import match_rims
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.pipeline.initial_state import initial_from_fix, propagated_back
 from craternav_fg.pipeline.relocalisation import PoseFix, Relocaliser
+from craternav_fg.sun_in_image import sun_angle_in_image
 from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.error_model.pooling import PooledErrors
 from craternav_fg.vision.guided import GuidedFrontEnd
@@ -32,10 +33,14 @@ FloatArray = npt.NDArray[np.float64]
 MIN_AGREEING_RIMS = 3
 # After a poor prediction, so many are enough whatever the number expected. Measured in 85 images of the
 # rendered southern highlands from 30 to 100 km, with sigmas of 4 km and 1 deg and 20 to 100 craters expected:
-# 7 rims or more were right 24 times of 24, 3 to 6 were wrong 17 times of 20.
+# 7 rims or more were right 24 times of 24, 3 to 6 were wrong 17 times of 20. Where few craters are expected,
+# fewer are not enough either: of six, four were found by chance, and put a descent 11 km off.
 ENOUGH_RIMS = 7
 # Largest error of a prediction, over the whole image, from which the guided front end converges.
 GUIDED_REACH_PX = 30.0
+# Largest standard deviation of a predicted attitude that tells the direction towards the sun in an image: a
+# third of half the quarter of the image that the crater network asks for it.
+_MAX_SUN_SIGMA_RAD = float(np.deg2rad(15.0))
 # Share of the expected rims below which the prediction is suspected to be wrong.
 MIN_FOUND_SHARE = 0.25
 # Squared Mahalanobis distance (6 degrees of freedom) between a prediction and an identified pose above which
@@ -146,6 +151,8 @@ class Tracker:
         relocalised = self._relocalise(index, predicted, guided.frame)
         if relocalised is not None:
             fix, frame = relocalised
+            if index == 0 and not _contradicts(predicted, fix):
+                return self._begin(_Guided(frame, fix.gTb))
             frame = self._shared_sun(self._pool(frame, fix.gTb))
             self._continue_from(index, predicted, fix, frame)
             return _Guided(frame, fix.gTb)
@@ -194,8 +201,10 @@ class Tracker:
         if found is not None:
             return self._guided(index, found.gTb, found.pose_covariance)
         guided = self._guided(index, gTb, covariance)
-        # The more craters are searched, the more rims chance puts near them.
-        least = min(max(MIN_AGREEING_RIMS, MIN_FOUND_SHARE * self._expected(gTb)), ENOUGH_RIMS)
+        # The more craters are searched, and the farther around them, the more rims chance puts near them.
+        least: float = ENOUGH_RIMS
+        if spread_px <= GUIDED_REACH_PX:
+            least = min(max(MIN_AGREEING_RIMS, MIN_FOUND_SHARE * self._expected(gTb)), ENOUGH_RIMS)
         if len(guided.frame.rims) < least:
             return _Guided(FrameMeasurement(guided.frame.stamp_ns, RimSet.empty(), None), gTb)
         return guided
@@ -226,30 +235,40 @@ class Tracker:
             self._poor_frames = 0
             return None
         self._poor_frames += 1
-        # Ground without any known crater is not a lost track: identification is tried at frames 2, 4, 8, ...
-        if self._poor_frames < 2 or self._poor_frames & (self._poor_frames - 1):
+        # Ground without any known crater is not a lost track: identification is tried at frames 2, 4, 8, ...,
+        # and at the first if that is the descent's first.
+        if self._poor_frames & (self._poor_frames - 1) or (self._poor_frames == 1 and index > 0):
             return None
-        fix = self.relocaliser.locate(index)
+        fix = self.relocaliser.locate(index, self._sun_angle_rad(index, predicted))
         if fix is None:
             return None
         found = self._guided(index, fix.gTb, fix.pose_covariance).frame
         return (fix, found) if len(found.rims) >= max(MIN_AGREEING_RIMS, len(frame.rims) + 1) else None
+
+    def _sun_angle_rad(self, index: int, predicted: FilterState) -> float | None:
+        """Direction towards the sun in an image; None where the predicted attitude does not tell it."""
+        data = self.dataset
+        if np.linalg.eigvalsh(predicted.covariance[:3, :3])[-1] > _MAX_SUN_SIGMA_RAD**2:
+            return None
+        sun_g = data.sun.at(int(data.stamps_ns[index]))
+        return sun_angle_in_image(
+            data.camera.pinhole, data.camera.gTc(predicted.gTb), sun_g, data.body.radius_m
+        )
 
     def _continue_from(
         self, index: int, predicted: FilterState, fix: PoseFix, frame: FrameMeasurement
     ) -> None:
         """Continue from an identified pose, with a new smoother when it contradicts the prediction."""
         self._poor_frames = 0
-        step = _pose_step(predicted, fix)
-        spread = predicted.covariance[POSE, POSE] + FIX_VARIANCE_INFLATION * fix.pose_covariance
-        if index > 0 and squared_distance(step, spread) < CONTRADICTION_CHI2:
+        if not _contradicts(predicted, fix):
             self._session.update(frame)
             return
         tracked = [k for k, one in enumerate(self._measured) if len(one.rims) >= MIN_AGREEING_RIMS]
         stamps = self.dataset.stamps_ns
         since_s = 1e-9 * float(stamps[index] - stamps[tracked[-1] if tracked else 0])
         variance = np.diag(predicted.covariance)[strapdown.VELOCITY].max()
-        slip_m_s = float(np.linalg.norm(step[3:])) / since_s if since_s > 0.0 and tracked else 0.0
+        slip_m = float(np.linalg.norm(_pose_step(predicted, fix)[3:]))
+        slip_m_s = slip_m / since_s if since_s > 0.0 and tracked else 0.0
         sigma_m_s = float(np.hypot(np.sqrt(variance), slip_m_s))
         state = initial_from_fix(frame.stamp_ns, fix, predicted.gV, sigma_m_s)
         if self.dataset.motion is not None:
@@ -270,6 +289,12 @@ class Tracker:
             self._measured = [FrameMeasurement(one.stamp_ns, RimSet.empty(), None) for one in self._measured]
         self._session = OnlineSession(descent)
         self._session.begin(frame, Start(fix.gTb, fix.pose_covariance, 0))
+
+
+def _contradicts(predicted: FilterState, fix: PoseFix) -> bool:
+    """Whether an identified pose contradicts a predicted one."""
+    spread = predicted.covariance[POSE, POSE] + FIX_VARIANCE_INFLATION * fix.pose_covariance
+    return bool(squared_distance(_pose_step(predicted, fix), spread) >= CONTRADICTION_CHI2)
 
 
 def _pose_step(predicted: FilterState, fix: PoseFix) -> FloatArray:

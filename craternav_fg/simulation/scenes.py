@@ -16,6 +16,7 @@ from craternav_fg.simulation.flat_scenes import HALF_FIELD
 from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+from craternav_fg.sun_in_image import sun_angle_in_image
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,8 +32,6 @@ MIN_SLOPE_CONTRAST = 0.5
 _SMALLEST_KNOWN_PX = 3.0
 # Catalogued craters of a scene, from the altitude of the scene.
 _SMALLEST_CATALOGUED_PX = 10.0
-# Length on the ground whose image gives the direction of the light, m.
-_LIGHT_STEP_M = 100.0
 
 
 @dataclass(frozen=True)
@@ -198,18 +197,21 @@ def photograph(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.r
     Returns
     -------
     Scene
+
+    Raises
+    ------
+    ValueError
+        When the image's centre shows no ground in the sun.
     """
     camera, catalog = renderer.camera, renderer.terrain.catalog
     around_px = float(max(camera.width_px, camera.height_px))
     rows, charts = catalog.visible(camera, gTb, min_semi_minor_px=_SMALLEST_KNOWN_PX, margin_px=-around_px)
-    centre_px = np.array([[0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)]])
-    middle, _ = ground_points(gTb[:3, :3], gTb[:3, 3], camera.normalised(centre_px), catalog.body.radius_m)
-    normals = np.concatenate([catalog.normals[rows], middle / np.linalg.norm(middle)])
-    points = np.concatenate([catalog.centres[rows], middle])
-    view = gTb[:3, 3] - points
-    _, contrast = flat_terrain_brightness(normals, sun_g, view / np.linalg.norm(view, axis=1, keepdims=True))
-    along = contrast[-1] / np.linalg.norm(contrast[-1])
-    ends = camera.project((middle + np.outer([0.0, _LIGHT_STEP_M], along) - gTb[:3, 3]) @ gTb[:3, :3])
+    view = gTb[:3, 3] - catalog.centres[rows]
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    _, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view)
+    sun_angle_rad = sun_angle_in_image(camera, gTb, sun_g, catalog.body.radius_m)
+    if sun_angle_rad is None:
+        raise ValueError("expected ground in the sun at the image's centre")
     return Scene(
         renderer.render(gTb, sun_g, rng).astype(np.uint8, copy=False),
         camera,
@@ -218,6 +220,6 @@ def photograph(renderer: Renderer, gTb: FloatArray, sun_g: FloatArray, rng: np.r
         sun_g,
         axes_of_chart(pixel_chart(charts, camera)),
         rows,
-        np.linalg.norm(contrast[:-1], axis=1),
-        float(np.arctan2(*(ends[1] - ends[0])[::-1])),
+        np.linalg.norm(contrast, axis=1),
+        sun_angle_rad,
     )

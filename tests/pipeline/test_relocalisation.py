@@ -26,6 +26,7 @@ from craternav_fg.vision.detect import find_rims
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
 from tests.descents import scenario
+from tests.shared_data import FOLDER, shared
 
 
 @pytest.fixture(scope="module")
@@ -143,32 +144,83 @@ def test_parts_of_a_trajectory_are_one(folders):
     np.testing.assert_array_equal(joined.pose_covariance, whole.pose_covariance)
 
 
-@pytest.mark.parametrize(("found", "kept"), [(4, 0), (6, 0), (7, 7)])
-def test_few_rims_of_many_expected_are_discarded_after_a_poor_prediction(folders, monkeypatch, found, kept):
-    """With a poor prediction, chance puts some rims near the many craters of a real catalogue."""
-    data = Dataset.open(folders[0])
+def few_rims(data, monkeypatch, found, expected, sigma_m):
+    """Number of rims kept, of those found, where a prediction is poor and nothing explains the image."""
     gTb, limits = data.truth.gTb[0], GuidedOptions()
     rows, _ = data.catalog.visible(
         data.camera, gTb, min_semi_minor_px=limits.min_semi_minor_px, margin_px=limits.margin_px
     )
-    # As many as a real catalogue has there.
-    expected = data.catalog.take(np.resize(rows, 40))
     rims = data.measurements[0].rims.take(np.resize(np.arange(3), found))
     tracker = Tracker.__new__(Tracker)
     tracker.dataset = SimpleNamespace(
-        camera=data.camera, body=data.body, catalog=expected, sun=data.sun, stamps_ns=data.stamps_ns,
-        image=lambda index: None,
+        camera=data.camera, body=data.body, catalog=data.catalog.take(np.resize(rows, expected)),
+        sun=data.sun, stamps_ns=data.stamps_ns, image=lambda index: None,
     )  # fmt: skip
     tracker.front_end = SimpleNamespace(options=limits)
     tracker.relocaliser = SimpleNamespace(match=lambda *_: None)
     monkeypatch.setattr("craternav_fg.pipeline.tracking.acquire", lambda *_: None)
     frame = dataclasses.replace(data.measurements[0], rims=rims)
     monkeypatch.setattr(tracker, "_guided", lambda *_: SimpleNamespace(frame=frame))
-    spread = np.diag([0.02] * 3 + [4e3] * 3) ** 2
-    assert len(tracker._measure(0, gTb, spread).frame.rims) == kept
-    # All four that a poorer map has there are kept.
-    tracker.dataset.catalog = expected.take(np.arange(4))
-    assert len(tracker._measure(0, gTb, spread).frame.rims) == found
+    spread = np.diag([1e-3] * 3 + [sigma_m] * 3) ** 2
+    return len(tracker._measure(0, gTb, spread).frame.rims)
+
+
+@pytest.mark.parametrize(
+    ("found", "expected", "sigma_m", "kept"),
+    [
+        (6, 40, 4e3, 0), (7, 40, 4e3, 7),
+        # Where few craters are expected, chance finds most of them as well.
+        (4, 4, 4e3, 0), (4, 6, 4e3, 0),
+        # Not so near a better prediction.
+        (6, 40, 400.0, 0), (7, 40, 400.0, 7), (4, 4, 400.0, 4), (2, 4, 400.0, 0),
+    ],
+)  # fmt: skip
+def test_few_rims_are_discarded_after_a_poor_prediction(folders, monkeypatch, found, expected, sigma_m, kept):
+    """With a poor prediction, chance puts some rims near the many craters of a real catalogue."""
+    assert few_rims(Dataset.open(folders[0]), monkeypatch, found, expected, sigma_m) == kept
+
+
+def test_the_network_is_asked_with_the_predicted_sun_where_clear_rims_do_not_tell(folders, monkeypatch):
+    data = dataclasses.replace(Dataset.open(folders[0]), measurements=None)
+    asked: list[float | None] = []
+
+    def network(image, sun_angle_rad):
+        asked.append(sun_angle_rad)
+        return "rims of the network"
+
+    monkeypatch.setattr(Relocaliser, "_image", lambda self, index: None)
+    monkeypatch.setattr("craternav_fg.pipeline.relocalisation.find_rims", lambda image: "clear rims")
+    monkeypatch.setattr("craternav_fg.pipeline.relocalisation.find_rims_network", network)
+    known = "clear rims", "rims of the network"
+    monkeypatch.setattr(Relocaliser, "_identified", lambda self, rims: rims if rims in known else None)
+    relocaliser = Relocaliser(data)
+    assert (relocaliser.locate(0, 0.3), asked) == ("clear rims", [])
+    known = ("rims of the network",)
+    assert (relocaliser.locate(0, 0.3), asked) == ("rims of the network", [0.3])
+
+    tracker = Tracker.__new__(Tracker)
+    tracker.dataset = data
+    state = filter_state.prior(Descent.of(data))
+    for sigma_deg, told in ((5.0, True), (20.0, False)):
+        covariance = state.covariance.copy()
+        covariance[:3, :3] = np.deg2rad(sigma_deg) ** 2 * np.eye(3)
+        angle = tracker._sun_angle_rad(0, dataclasses.replace(state, covariance=covariance))
+        assert (angle is not None) == told
+
+
+@pytest.mark.slow
+def test_a_descent_over_real_ground_from_a_prior_that_is_10_km_off(tmp_path):
+    """Worn rims: only the network, told where the sun is, finds enough of them to identify an image."""
+    shared("gld100/gld100_256ppd_posidonius.tif"), shared("gld100/gld100_16ppd_global.tif")
+    shared("lu1319381.parquet")
+    case = load_scenario("gld100_mixed").with_data(FOLDER)
+    few = case.trajectory.model_copy(update={"frame_interval_s": 56.0})
+    data = Dataset.open(simulate(case.model_copy(update={"trajectory": few}), tmp_path / "d"))
+    assert np.linalg.norm(data.initial.gTb[:3, 3] - data.truth.gP[0]) > 9e3
+    result = reconstruct(data, ["smoother"])
+    assert result.origin == "given"
+    assert sum(len(frame.rims) for frame in result.frames) >= 8
+    assert final_error_m(data, result) < 2e3
 
 
 @pytest.fixture(scope="module")
