@@ -12,7 +12,8 @@ from craternav_fg.calibration.rendered_scenes import GROUNDS, scenes, true_refer
 from craternav_fg.ellipse import chart_of_axes
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.scenes import Scene
-from craternav_fg.vision.blind_fit import BRIGHTNESS_SIGMA, ring_brightness
+from craternav_fg.vision.blind_fit import BRIGHTNESS_SIGMA
+from craternav_fg.vision.blind_kernel import ring_brightness
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
 

@@ -5,42 +5,26 @@ time from the first fit, along shorter normals.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import (
-    mean_radius,
-    points_on,
-    semi_minor,
-    unwhitened_points,
-    whitened_points,
-)
-from craternav_fg.vision.edges import EdgeOptions, find_edge_points
+from craternav_fg.vision import crater_profile
+from craternav_fg.vision.blind_kernel import Tracing, traced_rim
+from craternav_fg.vision.edges import EdgeOptions
 from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
-from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 # Tells from `BlindFit.evidence` whether a rim is of use.
 Judge = Callable[[FloatArray], bool]
 
-# Rings of flat terrain around a crater, in radii, and the points on each.
-_GROUND_RING_RADII, _RING_POINTS = (1.5, 1.75, 2.0), 32
-_GROUND_RINGS = np.concatenate(
-    [radius * points_on(np.zeros(5), _RING_POINTS) for radius in _GROUND_RING_RADII]
-)
-# Half lengths of the normals along which a rim is traced, first and second: px, share of the radius.
-_NORMAL_REACHES = ((2.0, 0.35), (1.5, 0.14))
 # Relative standard deviation of the reference brightness of a rim. Fitted by
 # `craternav_fg.calibration.reference_brightness`.
 BRIGHTNESS_SIGMA = 0.05
-# Minimum share of the normals that have contrast and lie in the image, and of these that have an edge.
-_MIN_TRIED_SHARE, _MIN_FOUND_SHARE = 0.3, 0.35
-# Minimum semi-minor axis and largest shift of a rim, in radii of its start: another crater's rim beyond.
-_MIN_MINOR_RADII, _MAX_SHIFT_RADII = 0.5, 0.6
 # Minimum scatter that counts, in radii: rendered rims are smoother than real ones.
 MIN_SCATTER_RADII = 0.02
 
@@ -107,65 +91,33 @@ class BlindFitter:
         BlindFit or None
             None where no rim can be traced, or it is of no use.
         """
-        height, width = self.pixels.shape
-        camera = Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=self.psf_px)
-        chart = start_px
-        direction = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
-        fit: RimFit | FitFailure = FitFailure.NO_ELLIPSE
-        as_ellipse = replace(self.options, outline_share=0.0)
-        for reach_px, reach_share in _NORMAL_REACHES:
-            size = float(mean_radius(chart))
-            reference = ring_brightness(self.pixels, chart)
-            if not reference > MIN_REFERENCE_BRIGHTNESS:
-                return None
-            # The crater's radius towards the sun, in the image.
-            contrast_px = self.contrast / np.hypot(*whitened_points(chart[:2] + direction, chart)) * direction
-            edges = find_edge_points(
-                self.pixels, camera, chart, contrast_px, reference, size, reach_px + reach_share * size,
-                self.noise, EdgeOptions(),
-            )  # fmt: skip
-            if edges.tried < _MIN_TRIED_SHARE * edges.normals or len(edges) < _MIN_FOUND_SHARE * edges.tried:
-                return None
-            brightness_unknown = BrightnessUnknown(edges.motion, BRIGHTNESS_SIGMA)
-            fit = refine_rim(
-                edges.points_px, chart, camera, as_ellipse, edges.sigma_ratio, brightness_unknown
-            )
-            if isinstance(fit, FitFailure):
-                return None
-            chart = fit.chart_px
-        assert isinstance(fit, RimFit)
-        minor, radius = float(semi_minor(chart)), float(mean_radius(start_px))
-        moved = float(np.hypot(*(chart[:2] - start_px[:2])))
-        if minor < _MIN_MINOR_RADII * radius or moved > _MAX_SHIFT_RADII * radius:
+        sun = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
+        ok, points, ratio, motion, tried, chart, minor, rms, kept, arc = traced_rim(
+            self.pixels, start_px, sun, self._tracing
+        )
+        if not ok:
             return None
         # The evidence is that of an ellipse: an irregular outline would explain other edges away.
-        scatter = max(fit.rms_px / minor, MIN_SCATTER_RADII)
-        evidence = np.array([fit.point_count / edges.tried, scatter, fit.arc_share])
+        scatter = max(rms / minor, MIN_SCATTER_RADII)
+        evidence = np.array([kept / tried, scatter, arc])
         if worth is not None and not worth(evidence):
             return None
-        outlined = refine_rim(
-            edges.points_px, chart, camera, self.options, edges.sigma_ratio, brightness_unknown
-        )
+        brightness_unknown = BrightnessUnknown(motion, BRIGHTNESS_SIGMA)
+        outlined = refine_rim(points, chart, self._camera, self.options, ratio, brightness_unknown)
         return None if isinstance(outlined, FitFailure) else BlindFit(outlined, evidence)
 
+    @cached_property
+    def _camera(self) -> Camera:
+        """Camera whose normalised coordinates are pixels."""
+        height, width = self.pixels.shape
+        return Camera(width, height, 1.0, 1.0, 0.0, 0.0, psf_sigma_px=self.psf_px)
 
-def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:
-    """Estimate the brightness of the terrain around a rim: the median of rings.
-
-    Parameters
-    ----------
-    image : ndarray of float32, shape (H, W)
-        Brightness, 0 to 255; NaN in holes.
-    chart_px : ndarray, shape (5,)
-        Chart of the rim in pixels.
-
-    Returns
-    -------
-    float
-        0 where the image has none of the rings.
-    """
-    columns, rows = np.rint(unwhitened_points(_GROUND_RINGS, chart_px)).astype(np.int64).T
-    inside = (columns >= 0) & (rows >= 0) & (columns < image.shape[1]) & (rows < image.shape[0])
-    values = image[rows[inside], columns[inside]]
-    values = np.sort(values[np.isfinite(values)])
-    return float(values[len(values) // 2]) if len(values) > 0 else 0.0
+    @cached_property
+    def _tracing(self) -> Tracing:
+        edges, fit = EdgeOptions(), self.options
+        return Tracing(
+            self.contrast, edges.noise_step(self.noise), self.psf_px, edges.smoothing_share,
+            edges.smoothing_px, edges.min_slope_contrast, edges.min_step, crater_profile.crossing_table(),
+            crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, self._camera.lens, fit.min_points,
+            fit.min_arc_share, fit.max_gap_rad, fit.max_sigma_share, fit.min_scatter_px, BRIGHTNESS_SIGMA,
+        )  # fmt: skip

@@ -11,12 +11,14 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision import crater_profile
+from craternav_fg.vision.disc_kernel import running_sums, share_of_variance
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
@@ -222,12 +224,30 @@ def local_sun_angles(candidates: Candidates, reach_px: float, xy_px: FloatArray 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
     """Angles from -pi to pi."""
-    return np.asarray(np.angle(np.exp(1j * angle)))
+    return np.asarray(np.pi - np.remainder(np.pi - angle, 2.0 * np.pi))
+
+
+class _Template(NamedTuple):
+    """The canonical crater of one radius.
+
+    Attributes
+    ----------
+    along_x, along_y : ndarray of float32, shape (k, k)
+        Kernels of the slope contrast.
+    half_widths : ndarray of int, shape (n,)
+        Half widths of the rows of its support, see `disc_kernel`.
+    rms : float
+        Root mean square of the dipole at contrast 1.
+    """
+
+    along_x: ImageArray
+    along_y: ImageArray
+    half_widths: IntArray
+    rms: float
 
 
 @lru_cache(maxsize=8)
-def _templates(index: int) -> tuple[ImageArray, ImageArray, ImageArray, float]:
-    """Kernels of the slope contrast along x and along y, of the mean, and the dipole's rms at contrast 1."""
+def _template(index: int) -> _Template:
     radius = float(TEMPLATE_RADII_PX[index])
     half = int(np.ceil(TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
     x, y = np.meshgrid(np.arange(-half, half + 1.0), np.arange(-half, half + 1.0))
@@ -236,18 +256,19 @@ def _templates(index: int) -> tuple[ImageArray, ImageArray, ImageArray, float]:
     slope = crater_profile.slopes(np.clip(rho, 0.02, TEMPLATE_REACH_RADII))
     profile = np.where(inside, slope / np.maximum(rho * radius, 0.5), 0.0)
     square = float(np.sum((profile * x) ** 2))
-    count = np.count_nonzero(inside)
-    dipoles = [(-profile * axis / square).astype(np.float32) for axis in (x, y)]
-    return dipoles[0], dipoles[1], (inside / count).astype(np.float32), float(np.sqrt(square / count))
+    along_x, along_y = ((-profile * axis / square).astype(np.float32) for axis in (x, y))
+    in_rows = np.count_nonzero(inside, axis=1)
+    return _Template(along_x, along_y, in_rows[in_rows > 0] // 2, float(np.sqrt(square / inside.sum())))
 
 
 @lru_cache(maxsize=32)
 def _spectra(index: int, rows: int, columns: int) -> tuple[ImageArray, ...]:
     """Spectra of the templates, laid out so that the transform of a product starts at their middle."""
     out = []
-    for kernel in _templates(index)[:3]:
+    for kernel in _template(index)[:2]:
         padded = np.zeros((rows, columns), np.float32)
-        padded[: kernel.shape[0], : kernel.shape[1]] = kernel
+        # The transform back does not divide by the number of pixels.
+        padded[: kernel.shape[0], : kernel.shape[1]] = kernel / np.float32(rows * columns)
         half = kernel.shape[0] // 2
         out.append(cv2.dft(np.roll(padded, (-half, -half), axis=(0, 1))))
     return tuple(np.asarray(spectrum, dtype=np.float32) for spectrum in out)
@@ -267,28 +288,24 @@ def _octave(
     least = np.maximum(mean_level, np.float32(MIN_BRIGHTNESS_STEP / MIN_RELATIVE_CONTRAST))
     relative = (image - mean_level) / least
     pad = int(np.ceil(TEMPLATE_REACH_RADII * TEMPLATE_RADII_PX[-1]))
+    height, width = image.shape
     rows, columns = (cv2.getOptimalDFTSize(n + 2 * pad) for n in image.shape)
-    border = (pad, rows - image.shape[0] - pad, pad, columns - image.shape[1] - pad)
-    spectra = []
-    for values in (relative, relative * relative):
-        padded = cv2.copyMakeBorder(values, *border, cv2.BORDER_REFLECT)
-        spectra.append(np.asarray(cv2.dft(padded), dtype=np.float32))
+    border = (pad, rows - height - pad, pad, columns - width - pad)
+    padded = np.asarray(cv2.copyMakeBorder(relative, *border, cv2.BORDER_REFLECT), dtype=np.float32)
+    spectrum = cv2.dft(padded)
+    sums = running_sums(padded[: height + 2 * pad, : width + 2 * pad])
 
-    def filtered(spectrum: ImageArray, kernel: ImageArray) -> ImageArray:
+    def filtered(kernel: ImageArray) -> ImageArray:
         # Correlation, not convolution: the kernel's spectrum is conjugated.
         product = cv2.mulSpectrums(spectrum, kernel, 0, conjB=True)
-        values = cv2.dft(product, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
-        inside = values[pad : pad + image.shape[0], pad : pad + image.shape[1]]
-        return np.asarray(inside, dtype=np.float32)
+        values = cv2.dft(product, flags=cv2.DFT_INVERSE | cv2.DFT_REAL_OUTPUT)
+        return np.asarray(values[pad : pad + height, pad : pad + width], dtype=np.float32)
 
     def peaks(index: int) -> FloatArray:
-        along_x, along_y, disc = _spectra(index, rows, columns)
-        gx, gy = filtered(spectra[0], along_x), filtered(spectra[0], along_y)
-        mean, square = filtered(spectra[0], disc), filtered(spectra[1], disc)
-        rms2 = np.maximum(square - mean * mean, 0.0) + np.float32(2.0 * MIN_RELATIVE_CONTRAST**2)
-        contrast2 = gx * gx + gy * gy
-        share2 = contrast2 / rms2
-        unit = np.float32(_templates(index)[3])
+        gx, gy = (filtered(kernel) for kernel in _spectra(index, rows, columns))
+        *_, half_widths, rms = _template(index)
+        share2 = share_of_variance(sums, half_widths, gx, gy, np.float32(2.0 * MIN_RELATIVE_CONTRAST**2))
+        unit = np.float32(rms)
         top = cv2.dilate(share2, np.ones((_PEAK_WINDOW_PX, _PEAK_WINDOW_PX), np.uint8))
         # Few places correlate at all: only there are peaks looked for.
         enough = np.flatnonzero(share2 > np.float32((min_correlation / unit) ** 2))
@@ -298,7 +315,7 @@ def _octave(
         row[:, 0], row[:, 1] = x, y
         row[:, 3] = np.minimum(unit * np.sqrt(share2[y, x]), 1.0)
         row[:, 4] = np.arctan2(gy[y, x], gx[y, x])
-        row[:, 5] = np.sqrt(contrast2[y, x])
+        row[:, 5] = np.sqrt(gx[y, x] ** 2 + gy[y, x] ** 2)
         return row
 
     return list(zip(TEMPLATE_RADII_PX.tolist(), each(peaks, range(len(TEMPLATE_RADII_PX))), strict=True))

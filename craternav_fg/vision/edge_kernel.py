@@ -4,13 +4,17 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision.ground_level import evidence_of_level, levels_of_flanks
-from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, bicubic
+from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, cubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
+# Normals per pixel of radius, and their range: one every three pixels along the rim of a
+# mid-sized crater.
+_NORMALS_PER_PX = 2.0
+_MIN_NORMALS, _MAX_NORMALS = 56, 160
 # Width of the second smoothing over that of the first: the crossing's displacement between them is observed.
 _SECOND_SMOOTHING_FACTOR = 2.2
 # Share of a rim's largest slope contrast below which errors of the reference brightness and of the rim's own
@@ -33,12 +37,43 @@ _MAX_SECOND_SCORE = 0.75
 
 
 @njit(cache=True, error_model="numpy")
+def normal_count(radius_px: float) -> int:
+    """Return the number of normals around a rim.
+
+    Parameters
+    ----------
+    radius_px : float
+        Size of the rim.
+    """
+    return int(min(max(_NORMALS_PER_PX * radius_px, _MIN_NORMALS), _MAX_NORMALS))
+
+
+@njit(cache=True, error_model="numpy")
 def _gaussian(width: float) -> FloatArray:
     """Half of a Gaussian kernel (n,) from its centre, not normalised; `width` is in samples."""
     kernel = np.empty(int(np.ceil(2.5 * width)) + 1)
     for i in range(len(kernel)):
         kernel[i] = np.exp(-0.5 * (i / width) ** 2)
     return kernel
+
+
+@njit(cache=True, error_model="numpy")
+def _sample(image: ImageArray, q: FloatArray, step: float, raw: FloatArray) -> bool:
+    """Sample the brightness along a normal, `q` as `rim_point` writes it; False if it leaves the image.
+
+    The ends alone tell whether all samples lie in the image.
+    """
+    half = len(raw) // 2
+    for i in (0, len(raw) - 1):
+        x, y = q[0] + (i - half) * step * q[2], q[1] + (i - half) * step * q[3]
+        if not (x >= 1.0 and y >= 1.0 and x < image.shape[1] - 2 and y < image.shape[0] - 2):
+            return False
+    x0, y0, dx, dy = q[0], q[1], q[2], q[3]
+    for i in range(len(raw)):
+        t = (i - half) * step
+        x, y = x0 + t * dx, y0 + t * dy
+        raw[i] = cubic(image, int(x), int(y), x - int(x), y - int(y))
+    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -53,6 +88,32 @@ def _smoothed(raw: FloatArray, i: int, kernel: FloatArray) -> float:
             total += kernel[j] * raw[i + j]
             mass += kernel[j]
     return total / mass
+
+
+@njit(cache=True, error_model="numpy")
+def _smooth(raw: FloatArray, first: int, last: int, kernel: FloatArray, out: FloatArray) -> None:
+    """Write the samples `first` to `last` of a profile (n,) after smoothing to the same places of `out`.
+
+    As `_smoothed`, several samples at a time where the kernel does not reach beyond the profile's ends.
+    """
+    mass = kernel[0]
+    for j in range(1, len(kernel)):
+        mass += 2.0 * kernel[j]
+    low, high = max(first, len(kernel) - 1), min(last + 1, len(raw) + 1 - len(kernel))
+    n = max(high - low, 0)
+    target, source = out[low : low + n], raw[low : low + n]
+    share = kernel[0] / mass
+    for i in range(n):
+        target[i] = share * source[i]
+    for j in range(1, len(kernel)):
+        share = kernel[j] / mass
+        before, after = raw[low - j : low - j + n], raw[low + j : low + j + n]
+        for i in range(n):
+            target[i] += share * (before[i] + after[i])
+    for i in range(max(first, 0), min(low, last + 1)):
+        out[i] = _smoothed(raw, i, kernel)
+    for i in range(max(high, low), min(last + 1, len(raw))):
+        out[i] = _smoothed(raw, i, kernel)
 
 
 @njit(cache=True, error_model="numpy")
@@ -176,6 +237,8 @@ def trace_rim(
     q = np.empty(6)
     bent = distorts(lens)
     shrinks = 1.0
+    samples, soft = np.empty(0), np.empty(0)
+    width, kernel, wide_kernel = 0.0, samples, samples
     for k in range(count):
         rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
         h = q[4]
@@ -189,16 +252,16 @@ def trace_rim(
         side = max(_MIN_SIDE_PX, _SIDE_SHARE * h)
         step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
         half = int(np.ceil((reach_px + side + 4.0 * smooth) / step))
-        raw = np.empty(2 * half + 1)
+        if 2 * half + 1 > len(samples):
+            samples, soft = np.empty(4 * half), np.empty(4 * half)
+        raw = samples[: 2 * half + 1]
         inside = True
         sign = 1.0 if contrast > 0.0 else -1.0
+        if not _sample(image, q, step, raw):
+            continue
         for i in range(2 * half + 1):
-            t = (i - half) * step
-            value = bicubic(image, q[0] + t * q[2], q[1] + t * q[3])
-            if np.isnan(value):
-                inside = False
-                break
-            raw[i] = sign * (value / reference - 1.0)
+            raw[i] = sign * (raw[i] / reference - 1.0)
+            inside = inside and not np.isnan(raw[i])
         if not inside:
             continue
         tried += 1
@@ -206,10 +269,13 @@ def trace_rim(
         least = max(min_step * np.abs(contrast), noise_step / np.sqrt(side))
         n_reach = int(np.ceil(reach_px / step))
         best, second, where, fall = 0.0, 0.0, 0.0, 0.0
-        kernel = _gaussian(smooth / step)
-        here = _smoothed(raw, half - n_reach, kernel)
+        if smooth / step != width:
+            width = smooth / step
+            kernel, wide_kernel = _gaussian(width), _gaussian(_SECOND_SMOOTHING_FACTOR * smooth / step)
+        _smooth(raw, half - n_reach - n_side, half + n_reach + n_side + 1, kernel, soft)
+        here = soft[half - n_reach]
         for i in range(half - n_reach, half + n_reach):
-            after = _smoothed(raw, i + 1, kernel)
+            after = soft[i + 1]
             if here > 0.0 and after <= 0.0:
                 inner, outer = 0.0, 0.0
                 for j in range(n_side):
@@ -239,7 +305,7 @@ def trace_rim(
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
         shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast)
         wide = _SECOND_SMOOTHING_FACTOR * smooth
-        again = _crossing_near(raw, where, n_side + n_side // 2, _gaussian(wide / step))
+        again = _crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
         if not np.isnan(again):
             blur = np.sqrt(wide * wide + psf_px * psf_px) / h
             expected = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast) - shift
@@ -264,7 +330,7 @@ def trace_rim(
         flanks[found, 0] = sign * _mean(raw, middle - gap - n_side + 1, middle - gap + 1)
         flanks[found, 1] = sign * _mean(raw, middle + 1 + gap, middle + 1 + gap + n_side)
         for j in range(2 * n_side + 2):
-            near[found, j] = _smoothed(raw, middle - n_side + j, kernel)
+            near[found, j] = soft[middle - n_side + j]
         sides[found] = n_side
         offsets[found] = where - middle
         steps[found] = step

@@ -19,11 +19,6 @@ from craternav_fg.vision import crater_profile, edge_kernel
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
 
-# Normals per pixel of radius, and their range: one every three pixels along the rim of a
-# mid-sized crater.
-_NORMALS_PER_PX = 2.0
-_MIN_NORMALS, _MAX_NORMALS = 56, 160
-
 
 @dataclass(frozen=True)
 class EdgeOptions:
@@ -48,6 +43,11 @@ class EdgeOptions:
     min_slope_contrast: float = 0.12
     min_step: float = 0.02
     step_sigmas: float = 3.0
+
+    def noise_step(self, noise: float) -> float:
+        """Return the least brightness step across an edge that noise of a standard deviation leaves."""
+        # The difference of two pixels has twice the variance of one.
+        return self.step_sigmas * float(np.sqrt(2.0)) * noise
 
 
 @dataclass(frozen=True)
@@ -132,9 +132,8 @@ def find_edge_points(
     EdgePoints
         Possibly empty.
     """
-    count = int(min(max(_NORMALS_PER_PX * radius_px, _MIN_NORMALS), _MAX_NORMALS))
-    # The difference of two pixels has twice the variance of one.
-    noise_step = options.step_sigmas * np.sqrt(2.0) * noise / reference
+    count = edge_kernel.normal_count(radius_px)
+    noise_step = options.noise_step(noise) / reference
     points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
         image, chart_px, contrast_px, reference, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step, noise_step, count,

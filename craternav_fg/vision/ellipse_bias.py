@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision.dense_kernel import factorised
-from craternav_fg.vision.ellipse_distance import distance_of
+from craternav_fg.vision.ellipse_distance import distance_of, distances
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
@@ -49,9 +49,8 @@ def second_order_bias(
     ndarray, shape (5,)
         To subtract from the chart.
     """
-    n, J, Jp, Jm, Jx = np.empty(2), np.empty(5), np.empty(5), np.empty(5), np.empty(5)
-    nx = np.empty(2)
-    K, M = np.empty(5), np.empty(5)
+    n, nx = np.empty(2), np.empty(2)
+    J, Jp, Jm = np.empty(5), np.empty(5), np.empty(5)
     root = np.zeros((5, 5))
     if not factorised(C, root):
         return np.zeros(5)
@@ -77,42 +76,57 @@ def second_order_bias(
             near[10 + 2 * a, b], near[11 + 2 * a, b] = y[b] + along, y[b] - along
     for j in range(20):
         scale_near[j, 0], scale_near[j, 1] = np.exp(near[j, 2]), np.exp(near[j, 4])
-    for i in range(points.shape[0]):
+    count = points.shape[0]
+    # Feet of the points on the ellipse, and points beside them along the normals.
+    feet, outer, inner = np.empty((2, count)), np.empty((2, count)), np.empty((2, count))
+    rows, M, K = np.empty((count, 5)), np.empty((count, 5)), np.empty((5, count))
+    at_feet, curvature, traces = np.empty(count), np.empty(count), np.zeros(count)
+    for i in range(count):
         fx, fy = points[i, 0], points[i, 1]
         for _ in range(3):
             d = distance_of(fx, fy, y, ea, es, n, J)
             fx -= d * n[0]
             fy -= d * n[1]
-        r0 = distance_of(fx, fy, y, ea, es, n, J)
-        outer_x, outer_y, inner_x, inner_y = fx + h * n[0], fy + h * n[1], fx - h * n[0], fy - h * n[1]
-        rp = distance_of(outer_x, outer_y, y, ea, es, nx, Jp)
-        rm = distance_of(inner_x, inner_y, y, ea, es, nx, Jm)
-        c = (rp + rm - 2.0 * r0) / (h * h)
+        at_feet[i] = distance_of(fx, fy, y, ea, es, n, rows[i])
+        feet[0, i], feet[1, i] = fx, fy
+        outer[0, i], outer[1, i] = fx + h * n[0], fy + h * n[1]
+        inner[0, i], inner[1, i] = fx - h * n[0], fy - h * n[1]
+        rp = distance_of(outer[0, i], outer[1, i], y, ea, es, nx, Jp)
+        rm = distance_of(inner[0, i], inner[1, i], y, ea, es, nx, Jm)
+        curvature[i] = (rp + rm - 2.0 * at_feet[i]) / (h * h)
         for a in range(5):
-            M[a] = (Jp[a] - Jm[a]) / (2.0 * h)
-            # K, the mixed derivative of the distance itself, not of the simplified J.
-            e = h if a < 2 else h / size
-            p, m = 2 * a, 2 * a + 1
-            up = distance_of(outer_x, outer_y, near[p], scale_near[p, 0], scale_near[p, 1], nx, Jx)
-            um = distance_of(inner_x, inner_y, near[p], scale_near[p, 0], scale_near[p, 1], nx, Jx)
-            dp = distance_of(outer_x, outer_y, near[m], scale_near[m, 0], scale_near[m, 1], nx, Jx)
-            dm = distance_of(inner_x, inner_y, near[m], scale_near[m, 0], scale_near[m, 1], nx, Jx)
-            K[a] = (up - um - dp + dm) / (4.0 * h * e)
-        trace = 0.0
-        for j in range(5):
-            p, m = 10 + 2 * j, 11 + 2 * j
-            up = distance_of(fx, fy, near[p], scale_near[p, 0], scale_near[p, 1], nx, Jx)
-            dm = distance_of(fx, fy, near[m], scale_near[m, 0], scale_near[m, 1], nx, Jx)
-            trace += (up + dm - 2.0 * r0) / (steps[j] * steps[j])
+            M[i, a] = (Jp[a] - Jm[a]) / (2.0 * h)
+    up, um, dp, dm = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    for a in range(5):
+        # K, the mixed derivative of the distance itself, not of the simplified J.
+        e = h if a < 2 else h / size
+        p, m = 2 * a, 2 * a + 1
+        distances(outer, near[p], scale_near[p, 0], scale_near[p, 1], up)
+        distances(inner, near[p], scale_near[p, 0], scale_near[p, 1], um)
+        distances(outer, near[m], scale_near[m, 0], scale_near[m, 1], dp)
+        distances(inner, near[m], scale_near[m, 0], scale_near[m, 1], dm)
+        for i in range(count):
+            K[a, i] = (up[i] - um[i] - dp[i] + dm[i]) / (4.0 * h * e)
+        p, m = 10 + 2 * a, 11 + 2 * a
+        distances(feet, near[p], scale_near[p, 0], scale_near[p, 1], up)
+        distances(feet, near[m], scale_near[m, 0], scale_near[m, 1], dm)
+        for i in range(count):
+            traces[i] += (up[i] + dm[i] - 2.0 * at_feet[i]) / (steps[a] * steps[a])
+    for i in range(count):
         leverage, KCJ = 0.0, 0.0
         for a in range(5):
+            CJ = 0.0
             for b in range(5):
-                leverage += base[i] * weight[i] * J[a] * C[a, b] * J[b]
-                KCJ += K[a] * C[a, b] * J[b]
+                CJ += C[a, b] * rows[i, b]
+            leverage += rows[i, a] * CJ
+            KCJ += K[a, i] * CJ
         variance = 1.0 / base[i]
-        scale = 0.5 * PSI_VARIANCE * trace - PSI_MIXED * KCJ + 0.5 * PSI_CURVATURE * c * variance
+        k = base[i] * weight[i]
+        scale = (
+            0.5 * PSI_VARIANCE * traces[i] - PSI_MIXED * KCJ + 0.5 * PSI_CURVATURE * curvature[i] * variance
+        )
         for a in range(5):
-            total[a] += base[i] * weight[i] * (J[a] * scale + M[a] * variance * (1.0 - PSI_MIXED * leverage))
+            total[a] += k * (rows[i, a] * scale + M[i, a] * variance * (1.0 - PSI_MIXED * k * leverage))
     out = np.zeros(5)
     for a in range(5):
         for b in range(5):

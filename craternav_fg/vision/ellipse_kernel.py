@@ -84,6 +84,9 @@ def _point_row(
     d = distance_of(px, py, y, ea, es, n, w)
     w[_BRIGHTNESS] = -(n[0] * motion[0] + n[1] * motion[1])
     x = px - y[0]
+    w[_SLOPE_ACROSS] = w[_SLOPE_ALONG] = 0.0
+    if len(w) == _OUTLINE and sun_px[0] == 0.0 and sun_px[1] == 0.0:
+        return d
     u, v = x / ea, (py - y[1] - y[3] * x) / es
     r = np.sqrt(u * u + v * v)
     c1, s1 = u / r, v / r
@@ -103,25 +106,39 @@ def _point_row(
     return d
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _normal_equations(
     rows: FloatArray, m: int, distance: FloatArray, base: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Build the normal matrix (m, m) and gradient (m,) from the first m derivatives of the distances."""
-    N = np.zeros((m, m))
-    grad = np.zeros(m)
-    for i in range(rows.shape[0]):
+    """Build the normal matrix (m, m) and gradient (m,) from the first m derivatives of the distances.
+
+    Sums may be added up in any order, so the processor adds several points at a time.
+    """
+    count = rows.shape[0]
+    columns, factor, scaled = np.empty((m + 1, count)), np.empty(count), np.empty(count)
+    n = 0
+    for i in range(count):
         k = base[i] * weight[i]
         if k == 0.0:
             continue
         for a in range(m):
-            ka = k * rows[i, a]
-            grad[a] += ka * distance[i]
-            for b in range(a + 1):
-                N[a, b] += ka * rows[i, b]
+            columns[a, n] = rows[i, a]
+        columns[m, n] = distance[i]
+        factor[n] = k
+        n += 1
+    N, grad = np.empty((m, m)), np.empty(m)
     for a in range(m):
-        for b in range(a):
-            N[b, a] = N[a, b]
+        column, last = columns[a], columns[m]
+        total = 0.0
+        for i in range(n):
+            scaled[i] = factor[i] * column[i]
+            total += scaled[i] * last[i]
+        grad[a] = total
+        for b in range(a + 1):
+            other, total = columns[b], 0.0
+            for i in range(n):
+                total += scaled[i] * other[i]
+            N[a, b] = N[b, a] = total
     return N, grad
 
 

@@ -63,25 +63,22 @@ def bilinear(image: ImageArray, x: float, y: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def bicubic(image: ImageArray, x: float, y: float) -> float:
-    """Interpolate the brightness by Catmull-Rom splines.
+def cubic(image: ImageArray, i: int, j: int, u: float, v: float) -> float:
+    """Interpolate the brightness by Catmull-Rom splines where the pixels around are known to exist.
 
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
         Brightness, 0 to 255.
-    x, y : float
-        Position, px.
+    i, j : int
+        Column, 1 to W - 3, and row, 1 to H - 3, of the pixel above and to the left.
+    u, v : float
+        From there to the position, 0 to 1 px.
 
     Returns
     -------
     float
-        NaN outside the image and within a pixel of its border.
     """
-    i, j = int(np.floor(x)), int(np.floor(y))
-    if i < 1 or j < 1 or i + 2 >= image.shape[1] or j + 2 >= image.shape[0]:
-        return np.nan
-    u, v = x - i, y - j
     a0 = 0.5 * u * (-1.0 + u * (2.0 - u))
     a1 = 1.0 + 0.5 * u * u * (-5.0 + 3.0 * u)
     a2 = 0.5 * u * (1.0 + u * (4.0 - 3.0 * u))

@@ -233,12 +233,13 @@ def _starts(circles: Candidates, matched: Candidates) -> Candidates:
     """Replace circles by the best candidate of the matched filter that is the same crater."""
     if not len(matched):
         return circles
-    x, y = np.moveaxis(circles.xy_px[:, None] - matched.xy_px[None], -1, 0)
-    size = np.log(circles.radius_px[:, None] / matched.radius_px[None])
-    near = np.hypot(x, y) < _SAME_CENTRE_RADII * circles.radius_px[:, None]
-    best = np.argmax(np.where(near & (np.abs(size) < _SAME_LOG_RADIUS), matched.correlation, 0.0), axis=1)
+    x, y = (circles.xy_px[:, None, k] - matched.xy_px[None, :, k] for k in range(2))
+    size = np.log(circles.radius_px)[:, None] - np.log(matched.radius_px)[None]
+    near = x * x + y * y < (_SAME_CENTRE_RADII * circles.radius_px[:, None]) ** 2
+    near &= np.abs(size) < _SAME_LOG_RADIUS
+    best = np.argmax(np.where(near, matched.correlation, 0.0), axis=1)
     both = [circles, matched.take(best)]
-    same = np.take_along_axis(near & (np.abs(size) < _SAME_LOG_RADIUS), best[:, None], axis=1)[:, 0]
+    same = np.take_along_axis(near, best[:, None], axis=1)[:, 0]
     joined = Candidates(*(np.concatenate([getattr(one, f.name) for one in both]) for f in fields(circles)))
     return joined.take(np.arange(len(circles)) + len(circles) * same)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.ellipse import axes_covariance, half_sides
+from craternav_fg.ellipse import axes_covariance, half_sides, mean_radius
 from craternav_fg.vision.blind_fit import BlindFit, BlindFitter, Judge
 from craternav_fg.vision.candidates import Candidates
 from craternav_fg.vision.detect import SUN_REACH_SHARE, circle_charts
@@ -83,9 +83,10 @@ def measured(
     first, charts = first_fits(fitter, circles, starts, sun_angles_rad, LEAST_LOG_ODDS)
     covariance = coarse_covariances(charts)
     traced = np.zeros(len(charts), dtype=np.bool_)
+    beyond = beyond_border(charts, fitter.pixels.shape)
     for k, (chart, found) in enumerate(zip(charts.copy(), first, strict=True)):
         best, most = None, LEAST_LOG_ODDS
-        grown = _grown(chart, fitter.pixels.shape)
+        grown = _grown(chart, beyond[k])
         for start in [None, chart, *grown]:
             if most > _SURE_LOG_ODDS:
                 break
@@ -203,31 +204,31 @@ def _of_common_shape(charts: FloatArray, fits: FloatArray, reach_px: float) -> F
     return out
 
 
-def beyond_border(chart: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return how far an ellipse reaches beyond the image's borders.
+def beyond_border(charts: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return how far ellipses reach beyond the image's borders.
 
     Parameters
     ----------
-    chart : ndarray, shape (5,)
+    charts : ndarray, shape (..., 5)
         In pixels.
     shape : tuple of int
         Height and width of the image.
 
     Returns
     -------
-    ndarray, shape (2,)
-        Outwards along x and y, in radii; 0 where no border cuts it by a tenth of its radius.
+    ndarray, shape (..., 2)
+        Outwards along x and y, in radii; 0 where no border cuts the ellipse by a tenth of its radius.
     """
-    half = half_sides(chart[None])[0]
+    half, centres = half_sides(charts), charts[..., :2]
     high = np.array([shape[1] - 1.0, shape[0] - 1.0])
-    beyond = np.maximum(chart[:2] + half - high, 0.0) - np.maximum(half - chart[:2], 0.0)
-    beyond *= np.exp(-0.5 * (chart[2] + chart[4]))
-    return np.asarray(beyond if np.abs(beyond).max() > _LEAST_CUT else np.zeros(2))
+    beyond = np.maximum(centres + half - high, 0.0) - np.maximum(half - centres, 0.0)
+    beyond /= mean_radius(charts)[..., None]
+    cut = np.abs(beyond).max(axis=-1, keepdims=True) > _LEAST_CUT
+    return np.asarray(np.where(cut, beyond, 0.0))
 
 
-def _grown(chart: FloatArray, shape: tuple[int, ...]) -> list[FloatArray]:
-    """Ellipse beyond the border that cuts one; none if no border does."""
-    beyond = beyond_border(chart, shape)
+def _grown(chart: FloatArray, beyond: FloatArray) -> list[FloatArray]:
+    """Ellipse beyond the border that cuts one, see `beyond_border`; none if no border does."""
     if not beyond.any():
         return []
     out = chart.copy()

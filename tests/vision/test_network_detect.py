@@ -1,11 +1,15 @@
 """Blind detection by the crater network: on renders, and on photographs that people annotated."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import pytest
 
 from craternav_fg.bench import detect_real
+from craternav_fg.dataset.annotated_images import annotated_images
+from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import InputError
 from craternav_fg.reproduce.detection_accuracy import accuracy
 from craternav_fg.simulation.empty_images import noise_images
@@ -18,6 +22,7 @@ from craternav_fg.vision import crater_network, proposal_fit
 from craternav_fg.vision.circle_shading import shaded
 from craternav_fg.vision.detect import BlindOptions
 from craternav_fg.vision.network_detect import find_rims_network
+from tests.machine import slowness
 from tests.shared_data import FOLDER
 
 
@@ -167,6 +172,38 @@ def test_shading_of_known_circles(scenes):
         assert np.median(found.correlation) > 0.8
         dark = shaded(0.5 * one.image.astype(np.float32), np.column_stack([x, y, np.sqrt(a * b)]))
         np.testing.assert_allclose(dark.slope_contrast, found.slope_contrast, rtol=0.05)
+
+
+def _seconds_per_megapixel(images):
+    """CPU time of one core of the reference machine; compilation is not counted."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        find_rims_network(images[0])
+        ratios = []
+        for _ in range(3):
+            began = time.process_time()
+            for image in images:
+                find_rims_network(image)
+            ratios.append((time.process_time() - began) / slowness())
+    finally:
+        cv2.setNumThreads(threads)
+    return min(ratios) / sum(image.size / 1e6 for image in images)
+
+
+def test_a_megapixel_takes_less_than_half_a_second(scenes):
+    assert _seconds_per_megapixel([one.image for one in scenes]) < 0.5
+
+
+@pytest.mark.slow
+def test_so_does_a_megapixel_of_photographs():
+    """Dense ground, on which far more rims are traced than on renders."""
+    if not (FOLDER / "annotated").is_dir():
+        pytest.skip("needs shared/data/annotated beside the project")
+    files = [one.path for one in annotated_images(FOLDER)]
+    assert len(files) > 5
+    photographs = [read_foreign_image(path)[:1024, :1024].copy() for path in files]
+    assert _seconds_per_megapixel(photographs) < 0.5
 
 
 def test_threads_do_not_disturb_each_other(scenes):
