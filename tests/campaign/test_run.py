@@ -464,8 +464,8 @@ def test_command(tmp_path: Path, undisturbed: Path) -> None:
         (("-n", -3), "trials: expected 1 or more, found -3"),
         (("-n", 1, "--workers", 1, "--scheduler", "tcp://a:1"), "found both"),
     ):
-        done = craternav("montecarlo", case, "-o", tmp_path / "c", *arguments)
-        assert done.returncode == 2
-        assert message in done.stderr
-        assert done.stderr.count("\n") == 1
+        refused = call("montecarlo", case, "-o", tmp_path / "c", *arguments)
+        assert refused.code == 2
+        assert message in refused.err
+        assert refused.err.count("\n") == 1
         assert not (tmp_path / "c").exists()

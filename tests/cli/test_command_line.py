@@ -350,12 +350,18 @@ def test_bad_input_is_one_line_and_exit_code_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.toml").write_text('seed = 1\ncolour = "red"\n')
-    done = craternav(*arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert message in done.stderr
-    assert done.stderr.count("\n") == 1
+    done = call(*arguments)
+    assert done.code == 2
+    assert done.out == ""
+    assert message in done.err
+    assert done.err.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["bad.toml"]
+
+
+def test_bad_input_is_the_exit_code_of_the_process(tmp_path: Path) -> None:
+    done = craternav("reconstruct", "nowhere", "-o", tmp_path / "run")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "craternav: nowhere: folder is missing\n"
 
 
 def test_a_damaged_image_leaves_nothing_half_written(

@@ -1,7 +1,6 @@
 """Results are never replaced without being asked; trials, names and verbosity on the command line."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -177,25 +176,31 @@ def test_compare_tells_different_data_sets_and_draws(data: Path, tmp_path: Path)
     assert not (tmp_path / "no.png").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "completed"),
-    [
-        ("craternav rec", "reconstruct"),
-        ("craternav reconstruct --overlay-", "--overlay-every"),
-        ("craternav reconstruct DATA -e smoother,dead", "smoother,dead_reckoning"),
-        ("craternav simulate lunar", "lunar_descent"),
-        ("craternav catalog ne", "near"),
-    ],
-)
-def test_the_shell_completes(words: str, completed: str) -> None:
-    asked = {"_CRATERNAV_COMPLETE": "complete_bash", "COMP_WORDS": words}
-    asked["COMP_CWORD"] = str(len(words.split()) - 1)
-    program = "import sys; sys.argv = ['craternav']; from craternav_fg.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", program], env={**os.environ, **asked},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert completed in done.stdout.split()
+# What a shell asks, and an answer.
+COMPLETED = {
+    "craternav rec": "reconstruct",
+    "craternav reconstruct --overlay-": "--overlay-every",
+    "craternav reconstruct DATA -e smoother,dead": "smoother,dead_reckoning",
+    "craternav simulate lunar": "lunar_descent",
+    "craternav catalog ne": "near",
+}
+# In a process whose program is not `python -m pytest`, by which the variables would be named.
+COMPLETING = """
+import json, os, sys
+from tests.cli.calls import call
+
+os.environ["_CRATERNAV_COMPLETE"] = "complete_bash"
+for words in json.loads(sys.argv[1]):
+    os.environ.update({"COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)})
+    print(json.dumps(call().out.split()))
+"""
+
+
+def test_the_shell_completes() -> None:
+    command = [sys.executable, "-c", COMPLETING, json.dumps(list(COMPLETED))]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    for answers, completed in zip(done.stdout.splitlines(), COMPLETED.values(), strict=True):
+        assert completed in json.loads(answers)
 
 
 def test_commands_say_what_their_output_is_by_one_rule() -> None:

@@ -12,7 +12,7 @@ import yaml
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.sensors.protocol import ATTITUDE, POSITION, SensorState, Surroundings
-from tests.third_party.test_plugins import SCENARIO, craternav
+from tests.third_party.test_plugins import SCENARIO, craternav, in_turn
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/tutorials/own_sensor.md"
 
@@ -72,12 +72,13 @@ def test_it_is_found_simulated_and_estimated(module: str, tmp_path: Path) -> Non
     table = scenario[scenario.index("[sensors.beacon]") :]
     short = SCENARIO[: SCENARIO.index("[sensors.sun_sensor]")]
     (tmp_path / "beacon.toml").write_text(short + table, encoding="utf-8")
-    done = craternav(tmp_path, "simulate", tmp_path / "beacon.toml", "-o", tmp_path / "data")
-    assert done.returncode == 0, done.stderr
-    done = craternav(
-        tmp_path, "reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "smoother,ekf", "--json"
+    simulated, done = in_turn(
+        tmp_path,
+        ["simulate", tmp_path / "beacon.toml", "-o", tmp_path / "data"],
+        ["reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "smoother,ekf", "--json"],
     )
-    assert done.returncode == 0, done.stderr
+    assert simulated.code == 0, simulated.err
+    assert done.code == 0, done.err
     # The files of the page's own log hold what the simulated ones hold.
     (settings,), (log,) = blocks("yaml"), blocks("text")
     sensor = tmp_path / "data/mav0/beacon0"
@@ -86,5 +87,5 @@ def test_it_is_found_simulated_and_estimated(module: str, tmp_path: Path) -> Non
     (sensor / "sensor.yaml").write_text(settings)
     found = craternav(tmp_path, "reconstruct", tmp_path / "data", "-o", tmp_path / "own", "-e", "ekf")
     assert found.returncode == 0, found.stderr
-    nis = json.loads(done.stdout)["innovations"]["nis"]["beacon"]
+    nis = json.loads(done.out)["innovations"]["nis"]["beacon"]
     assert nis["low"] < nis["mean"] < nis["high"]

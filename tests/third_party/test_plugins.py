@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.runs.read import read_run
+from tests.cli.calls import Done
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -137,6 +138,27 @@ def craternav(site: Path, *arguments: str | Path) -> subprocess.CompletedProcess
     )  # fmt: skip
 
 
+# Calls commands one after the other, and prints what they returned.
+IN_TURN = """
+import json, sys
+from tests.cli.calls import call
+
+for words in json.loads(sys.argv[1]):
+    done = call(*words)
+    print(json.dumps([done.code, done.out, done.err]))
+"""
+
+
+def in_turn(site: Path, *commands: list[str | Path]) -> list[Done]:
+    """Run commands in one process that finds the packages: each of its own would import everything anew."""
+    words = json.dumps([[str(word) for word in command] for command in commands])
+    done = subprocess.run(
+        [sys.executable, "-c", IN_TURN, words],
+        capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": f"{ROOT}:{site}"},
+    )  # fmt: skip
+    return [Done(*json.loads(line)) for line in done.stdout.splitlines()]
+
+
 def test_the_command_line_lists_them(site: Path) -> None:
     sensors = json.loads(craternav(site, "sensors", "--json").stdout)
     assert "Unit vectors towards the sun (mav0/sun_sensor0; other_sensor)" in sensors["sun_sensor"]
@@ -147,16 +169,18 @@ def test_the_command_line_lists_them(site: Path) -> None:
 def test_they_take_part_in_a_run_and_its_report(site: Path, data: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     names = ["smoother", "ekf", "carried"]
-    done = craternav(site, "reconstruct", data, "-o", run, *(w for n in names for w in ("-e", n)), "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    done, without, *reports = in_turn(
+        site,
+        ["reconstruct", data, "-o", run, *(w for n in names for w in ("-e", n)), "--json"],
+        ["reconstruct", data, "-o", tmp_path / "w", "-e", "smoother", "--without", "sun_sensor"],
+        *(["report", folder] for folder in (run, tmp_path / "w")),
+    )
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
     assert list(found["estimators"]) == names
     nis = found["innovations"]["nis"]["sun_sensor"]
     assert nis["low"] < nis["mean"] < nis["high"]
-    without = craternav(
-        site, "reconstruct", data, "-o", tmp_path / "w", "-e", "smoother", "--without", "sun_sensor"
-    )
-    assert without.returncode == 0, without.stderr
+    assert without.code == 0, without.err
     # A direction to 1 mrad tells of the attitude what rims and IMU do not.
     variances = []
     for folder in (run, tmp_path / "w"):
@@ -165,9 +189,8 @@ def test_they_take_part_in_a_run_and_its_report(site: Path, data: Path, tmp_path
         variances.append(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))
     assert np.all(variances[0] < variances[1])
     pages = []
-    for folder in (run, tmp_path / "w"):
-        done = craternav(site, "report", folder)
-        assert done.returncode == 0, done.stderr
+    for folder, report in zip((run, tmp_path / "w"), reports, strict=True):
+        assert report.code == 0, report.err
         pages.append((folder / "report.html").read_text())
     # Only the run that they took part in tells of them.
     assert [("sun_sensor" in page, "carried" in page) for page in pages] == [(True, True), (False, False)]

@@ -71,6 +71,19 @@ def slope(rho, sharpness=12.0):
     return np.where(rho < 4.0, (1.0 - share) * wall + share * flank, 0.0)
 
 
+def _around(points, centre, reach_m, step=16):
+    """Rows and columns of an image that hold all its points (h, w, 3) within a distance of a centre."""
+    near = np.linalg.norm(points[::step, ::step] - centre, axis=-1)
+    # A cell more on each side, and its diagonal: the points between two that were looked at.
+    near = near < reach_m + 1.5 * np.linalg.norm(points[step, step] - points[0, 0])
+    slices = []
+    for axis in (1, 0):
+        cells = np.flatnonzero(near.any(axis=axis))
+        first, last = (cells[0], cells[-1]) if len(cells) else (0, -2)
+        slices.append(slice(max(0, step * (first - 1)), step * (last + 2)))
+    return tuple(slices)
+
+
 def render(catalog, gTb, sun_g, rng, *, noise=1.0, blur_px=0.7, roughness=0.0, level=110.0, cam=None):
     cam = cam or camera()
     v, u = np.mgrid[0 : 2 * SIZE_PX, 0 : 2 * SIZE_PX]
@@ -82,12 +95,12 @@ def render(catalog, gTb, sun_g, rng, *, noise=1.0, blur_px=0.7, roughness=0.0, l
     normal = points / MOON.radius_m
     gradient = np.zeros_like(points)
     for i in range(len(catalog)):
-        local = (points - catalog.centres[i]) @ catalog.gRl[i][:, :2]
-        local /= [catalog.semi_major_m[i], catalog.semi_minor_m[i]]
-        rho = np.linalg.norm(local, axis=-1) + 1e-9
-        size = np.sqrt(catalog.semi_major_m[i] * catalog.semi_minor_m[i])
-        out = local / rho[..., None] / [catalog.semi_major_m[i], catalog.semi_minor_m[i]] * size
-        gradient += (slope(rho)[..., None] * out) @ catalog.gRl[i][:, :2].T
+        axes = np.array([catalog.semi_major_m[i], catalog.semi_minor_m[i]])
+        part = _around(points, catalog.centres[i], 4.0 * axes.max())
+        local = (points[part] - catalog.centres[i]) @ (catalog.gRl[i][:, :2] / axes)
+        rho = np.sqrt(local[..., 0] ** 2 + local[..., 1] ** 2) + 1e-9
+        out = local * (slope(rho) / rho * np.sqrt(np.prod(axes)))[..., None]
+        gradient[part] += out @ (catalog.gRl[i][:, :2] / axes).T
     if roughness > 0.0:
         tilt = cv2.GaussianBlur(rng.normal(size=u.shape), (0, 0), 4.0)
         dy, dx = np.gradient(tilt)

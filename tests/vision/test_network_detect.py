@@ -32,6 +32,12 @@ def scenes():
     return [scene(seed) for seed in (0, 1)]
 
 
+@pytest.fixture(scope="module")
+def found(scenes):
+    """What the network finds in them."""
+    return [find_rims_network(one.image) for one in scenes]
+
+
 def _angle_deg(one_rad, other_rad):
     return abs(np.rad2deg(np.angle(np.exp(1j * (one_rad - other_rad)))))
 
@@ -52,10 +58,10 @@ def test_hard_ground_has_most_of_them():
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_the_sun_is_found_wherever_it_is(scenes, quarters):
+def test_the_sun_is_found_wherever_it_is(scenes, found, quarters):
     """A turned image has turned rims, and the sun's direction turns with it."""
-    one = scenes[0]
-    straight, turned = (find_rims_network(np.rot90(one.image, q).copy()) for q in (0, quarters))
+    one, straight = scenes[0], found[0]
+    turned = find_rims_network(np.rot90(one.image, quarters).copy())
     assert _angle_deg(turned.sun_angle_rad, one.sun_angle_rad - 0.5 * np.pi * quarters) < 12.0
     assert turned.sun_probability > 0.95
     x, y = straight.ellipses_px[:, :2].T
@@ -206,8 +212,8 @@ def test_so_does_a_megapixel_of_photographs():
     assert _seconds_per_megapixel(photographs) < 0.5
 
 
-def test_threads_do_not_disturb_each_other(scenes):
-    alone = [find_rims_network(one.image).ellipses_px for one in scenes]
+def test_threads_do_not_disturb_each_other(scenes, found):
+    alone = [rims.ellipses_px for rims in found]
     with ThreadPoolExecutor(2) as threads:
         together = list(threads.map(lambda one: find_rims_network(one.image).ellipses_px, scenes))
     for one, other in zip(alone, together, strict=True):
