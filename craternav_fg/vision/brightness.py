@@ -18,6 +18,8 @@ _RGB_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 # other images always are. The bright end is then at the second.
 _DIM_BRIGHTNESS, _STRETCHED_BRIGHTNESS = 100.0, 200.0
 _DARK_PERCENTILE, _BRIGHT_PERCENTILE = 0.5, 99.5
+# Magnitude of a float from which it is no brightness: ISIS writes missing and saturated pixels as -3.4e38.
+_MAX_VALUE = 1e38
 # Pixels sampled for the percentiles.
 _MAX_SAMPLED_PIXELS = 40_000
 # Pixels at the maximum, as a number and as a share of the image, above which they count as saturated.
@@ -41,7 +43,7 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     Returns
     -------
     ndarray of float32, shape (H, W)
-        0 to 255; 255 where saturated, NaN where there is no data.
+        0 to 255; 255 where saturated, NaN where there is no data, as where floats are 1e38 and more.
 
     Raises
     ------
@@ -52,8 +54,10 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     channels = raw.shape[2] if raw.ndim == 3 else 1
     if raw.ndim not in (2, 3) or raw.size == 0 or channels > 4 or raw.dtype.kind not in "biuf":
         raise ValueError(f"expected an image, found an array of {raw.dtype}, shape {raw.shape}")
-    values = raw.reshape(*raw.shape[:2], channels).astype(np.float32)
-    holes = ~np.isfinite(values).all(axis=2)
+    with np.errstate(over="ignore"):
+        values = raw.reshape(*raw.shape[:2], channels).astype(np.float32)
+    # NaN compares as false.
+    holes = ~(np.abs(values) < _MAX_VALUE).all(axis=2)
     if channels in (2, 4):
         holes |= values[..., -1] == 0.0
     out = values[..., :3] @ _RGB_WEIGHTS if channels >= 3 else values[..., 0]

@@ -148,6 +148,19 @@ def test_holes_are_left_out(one):
     assert len(result.false) <= 1
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_values_that_no_brightness_has_are_holes(one, dtype):
+    """ISIS writes missing and saturated pixels as about -3.4e38; warnings are errors in tests."""
+    image = one.image.astype(dtype)
+    image[100:200, 300:500] = np.nan
+    image[400, 400:404] = np.nan
+    special = image.copy()
+    special[100:200, 300:400] = np.float32(-3.4028226550889045e38)
+    special[100:200, 400:500] = 1e38 if dtype is np.float32 else 1e300
+    special[400, 400:404] = np.finfo(dtype).max
+    np.testing.assert_array_equal(brightness(special), brightness(image))
+
+
 def test_night_and_sky_hold_no_rims(one):
     image = one.image.copy()
     image[:, 600:] = np.random.default_rng(2).integers(0, 5, image[:, 600:].shape)
