@@ -40,11 +40,13 @@ class RimErrorOptions:
         Change of a rim's image, see `ellipse.shape_change`, over which the correlation of its error falls to
         1/e. Fitted by `craternav_fg.calibration.correlated_errors`.
     step : float
-        Change below which the error is the same variable; 0 makes one for every rim of every frame.
+        Change below which the error is the same variable; 0 makes one for every rim of every frame. Within a
+        step the drift of the error is left out, which the smoother then takes for motion: at 0.2 its ANEES
+        over real ground is up to a quarter larger than at 0.1. Smaller steps gain little.
     """
 
     decay: float = 0.8
-    step: float = 0.2
+    step: float = 0.1
 
     def __post_init__(self) -> None:
         if not 0.0 < self.decay < np.inf:

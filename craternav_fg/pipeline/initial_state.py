@@ -81,8 +81,6 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     for _ in range(_ITERATIONS):
         ahead = filter_state.propagate(_with_mean(descent, first.gTb, gV), descent, first_ns, second_ns)
         gV = gV + (second.gTb[:3, 3] - ahead.gTb[:3, 3]) / interval_s
-    if first_ns == stamps[0]:
-        return replace(state, gV=gV)
     return propagated_back(descent, replace(state, gV=gV), stamps[0])
 
 
@@ -160,6 +158,8 @@ def propagated_back(descent: Descent, state: InitialState, stamp_ns: int) -> Ini
     InitialState
         At that stamp; the position's standard deviation grows by what the velocity leaves open.
     """
+    if stamp_ns == state.stamp_ns:
+        return state
     interval_s = 1e-9 * (state.stamp_ns - stamp_ns)
     gTb, gV = state.gTb.copy(), state.gV
     gTb[:3, 3] -= interval_s * gV

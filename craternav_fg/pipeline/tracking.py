@@ -240,10 +240,17 @@ class Tracker:
         if self._poor_frames & (self._poor_frames - 1) or (self._poor_frames == 1 and index > 0):
             return None
         fix = self.relocaliser.locate(index, self._sun_angle_rad(index, predicted))
-        if fix is None:
+        # An identified pose that agrees with a good prediction confirms it, and is coarser.
+        if fix is None or (self._guides(predicted) and not _contradicts(predicted, fix)):
             return None
         found = self._guided(index, fix.gTb, fix.pose_covariance).frame
         return (fix, found) if len(found.rims) >= max(MIN_AGREEING_RIMS, len(frame.rims) + 1) else None
+
+    def _guides(self, predicted: FilterState) -> bool:
+        """Whether the guided front end converges from a predicted pose."""
+        data, covariance = self.dataset, predicted.covariance[POSE, POSE]
+        spread_px = image_spread_px(data.camera, data.body.radius_m, predicted.gTb, covariance)
+        return 3.0 * spread_px <= GUIDED_REACH_PX
 
     def _sun_angle_rad(self, index: int, predicted: FilterState) -> float | None:
         """Direction towards the sun in an image; None where the predicted attitude does not tell it."""
