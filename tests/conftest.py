@@ -31,10 +31,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # Files that take longest: begun first, so that no worker is left alone with one at the end.
 LONGEST = (
-    "test_notebooks.py", "test_fuzz.py", "test_command_line.py", "test_ratios.py", "test_identify.py",
-    "test_plugins.py", "test_pose.py", "test_network_detect.py", "test_sun.py", "test_detect.py",
-    "test_run.py", "test_safety.py", "test_guided.py", "test_sensor_checks.py", "test_hard_cases.py",
-    "test_mistakes.py", "test_own_sensor.py", "test_late_rims.py", "test_refine.py", "test_cluster.py",
+    "test_notebooks.py", "test_fuzz.py", "test_command_line.py", "test_ratios.py", "test_refine.py",
+    "test_orbit.py", "test_hard_cases.py", "test_identify.py", "test_network_detect.py", "test_run.py",
+    "test_sensor_checks.py", "test_detect.py", "test_safety.py", "test_plugins.py", "test_cluster.py",
+    "test_late_rims.py", "test_intrinsics.py", "test_own_sensor.py", "test_killed.py", "test_sun.py",
+    "test_guided.py", "test_mistakes.py", "test_pose.py",
 )  # fmt: skip
 
 pytest_plugins = ("pytester", "tests.slow_budget")

@@ -33,6 +33,12 @@ def scenes():
 
 
 @pytest.fixture(scope="module")
+def hard():
+    """Craters that cut one another on rough ground."""
+    return [scene(seed, HARD) for seed in (0, 1)]
+
+
+@pytest.fixture(scope="module")
 def found(scenes):
     """What the network finds in them."""
     return [find_rims_network(one.image) for one in scenes]
@@ -42,8 +48,9 @@ def _angle_deg(one_rad, other_rad):
     return abs(np.rad2deg(np.angle(np.exp(1j * (one_rad - other_rad)))))
 
 
-def test_plain_ground_has_the_same_rims(scenes):
-    figures = accuracy(scenes, find_rims_network)
+def test_plain_ground_has_the_same_rims(scenes, found):
+    again = iter(found)
+    figures = accuracy(scenes, lambda _: next(again))
     assert figures["recall"] >= 0.98
     assert figures["precision"] >= 0.95
     assert figures["centre_px"] <= 0.15
@@ -51,8 +58,8 @@ def test_plain_ground_has_the_same_rims(scenes):
     assert figures["semi_minor_px"] <= 0.1
 
 
-def test_hard_ground_has_most_of_them():
-    figures = accuracy([scene(seed, HARD) for seed in (0, 1)], find_rims_network)
+def test_hard_ground_has_most_of_them(hard):
+    figures = accuracy(hard, find_rims_network)
     assert figures["recall"] >= 0.93
     assert figures["precision"] >= 0.9
 
@@ -78,7 +85,7 @@ def test_the_sun_is_found_where_all_craters_are_small():
     found = find_rims_network(one.image)
     assert one.ellipses_px[one.wanted, 3].max() < 40.0
     assert _angle_deg(found.sun_angle_rad, one.sun_angle_rad) < 12.0
-    assert accuracy([one], find_rims_network)["recall"] > 0.95
+    assert accuracy([one], lambda _: found)["recall"] > 0.95
 
 
 def test_small_craters_show_the_sun_where_few_large_ones_are_asked_for():
@@ -148,11 +155,11 @@ def test_rims_cut_by_the_border(scenes):
     assert np.any((np.hypot(near[:, 0], near[:, 1]) < 0.5 * b) & (np.abs(size) < 0.4))
 
 
-def test_coarse_ellipses_have_their_covariance(scenes, monkeypatch):
+def test_coarse_ellipses_have_their_covariance(scenes, hard, monkeypatch):
     """Centres and sizes, over their standard deviations, where no rim is taken for traced."""
     monkeypatch.setattr(proposal_fit, "LEAST_LOG_ODDS", np.inf)
     off = []
-    for one in [*scenes, scene(0, HARD)]:
+    for one in [*scenes, hard[0]]:
         found = find_rims_network(one.image)
         assert not found.traced.any()
         true = np.column_stack(
