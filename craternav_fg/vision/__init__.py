@@ -8,8 +8,9 @@ predicts),
   and `wall_shading` (direction towards the sun).
 - `network_detect` finds rims without any prediction, the default: `crater_network` (weights), `pyramid`,
   `proposals`, `circle_shading`, `proposal_fit` (which fit is the rim).
-- `detect` does so without the network: `brightness` (any image), `candidates` (template matching). Both
-  trace rims by `blind_fit`; `canny` is the published method for comparison.
+- `detect` does so without the network: `brightness` (any image), `candidates` with `disc_kernel` (template
+  matching). Both trace rims by `blind_fit` with `blind_kernel`; `canny` is the published method for
+  comparison.
 - Shared: `grey`, `image_sampling`, `robust_scale`, `reference_brightness`, `crater_profile`, `rim_geometry`,
 `edges` with
   `edge_kernel`, `ellipse_fit` with `ellipse_kernel`, `ellipse_bias`, `ellipse_distance` and `dense_kernel`.
