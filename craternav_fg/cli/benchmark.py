@@ -28,7 +28,7 @@ class Subject(StrEnum):
     IDENTIFY_GROUND = "identify-ground"
 
 
-@app.command(epilog=example("bench detect-real --annotated FOLDER"))
+@app.command(epilog=example("bench detect-real --data FOLDER"))
 def bench(
     subject: Annotated[
         Subject,
@@ -36,11 +36,14 @@ def bench(
             help="Speed, its scaling, detection on annotated images, or identification on real ground."
         ),
     ] = Subject.SPEED,
-    annotated: Annotated[
-        Path | None, typer.Option(help="Folder of the annotated images (detect-real).", show_default=False)
-    ] = None,
     data: Annotated[
-        Path | None, typer.Option(help="Folder of the public files (identify-ground).", show_default=False)
+        Path | None,
+        typer.Option(
+            "--data",
+            "--annotated",
+            help="Folder of the annotated images (detect-real) or of the public files (identify-ground).",
+            show_default=False,
+        ),
     ] = None,
     views: Annotated[int, typer.Option(min=1, help="Number of images (identify-ground).")] = 40,
     output: Annotated[
@@ -61,7 +64,7 @@ def bench(
 ) -> None:
     """Measure speed against GTSAM's own C++ factors, or detection against annotated images."""
     if subject is Subject.DETECT_REAL:
-        _detect_real(_given(annotated, "--annotated, the folder of the annotated images"), as_json)
+        _detect_real(_given(data, "--data, the folder of the annotated images"), as_json)
         return
     if subject is Subject.IDENTIFY_GROUND:
         _identify_ground(_given(data, "--data, the folder of the public files"), views, as_json)

@@ -36,6 +36,6 @@ def test_sizes_and_wear_are_told_and_nothing_is_nan(annotated):
     worn = [row for row in result["by_wear"] if row["method"] == "network"]
     assert len(worn) == 3
     assert sum(row["marked"] for row in worn) >= 5
-    words = call("bench", "detect-real", "--annotated", annotated)
+    words = call("bench", "detect-real", "--data", annotated)
     assert "low contrast" in words.out
     assert "nan" not in words.out
