@@ -13,6 +13,7 @@ from scipy.special import chdtri
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
+from craternav_fg.ellipse import pixel_chart, points_on
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
@@ -43,6 +44,8 @@ _SHIFT_SIGMA_PX = 1.0
 # Largest half length of the searched normals, as a share of the semi-minor axis: beyond, walls and neighbours
 # are nearer than the rim.
 _MAX_REACH = 0.4
+# Movement, px, of a rim's points below which it is where it was searched, and the number of these points.
+_MIN_MOVED_PX, _MOVED_POINTS = 0.05, 8
 # Components of an ellipse chart.
 _CHART_SIZE = 5
 
@@ -240,6 +243,28 @@ class GuidedFrontEnd:
         return ArcSet(rows, tuple(points), tuple(sigmas), np.array(correlated))
 
     def _fitted(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
+        """Fit rims; where the map states errors, until they do not depend on where they were searched.
+
+        Of several edges the search favours those near the prediction. Rims would then confirm the prediction
+        that found them, and the estimators be too sure of it.
+        """
+        opt = self.options
+        fitted = self._found(fitter, rims, gTb)
+        if self.catalog.errors is None:
+            return fitted
+        for _ in range(opt.recentrings):
+            before_px = pixel_chart(fitted.charts, self.camera)
+            around = replace(fitted.predicted, charts_px=before_px)
+            again = fitter.fit(around, _reach_px(around, opt.second_reach), opt.recentred_found_share)
+            kept = np.flatnonzero(np.isin(around.rows, again.predicted.rows))
+            fitted = replace(again, predicted=fitted.predicted.take(kept))
+            after_px = pixel_chart(fitted.charts, self.camera)
+            moved_px = np.abs(points_on(after_px, _MOVED_POINTS) - points_on(before_px[kept], _MOVED_POINTS))
+            if np.max(moved_px, initial=0.0) < _MIN_MOVED_PX:
+                break
+        return fitted
+
+    def _found(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
         """Fit rims; those that are not where the map has them are searched as far as its errors allow."""
         reach_px = _reach_px(rims, self.options.second_reach)
         fitted = fitter.fit(rims, reach_px)

@@ -41,6 +41,12 @@ class GuidedOptions:
     map_error_sigmas : float
         Rims that are not found are searched again on normals that are longer by this many standard deviations
         of the catalogue's stated errors.
+    recentrings : int
+        Where the catalogue states errors, rims are searched again around the ellipses just fitted, at most so
+        many times. How far the prediction pulls a rim: `craternav_fg.calibration.pull_of_prediction`.
+    recentred_found_share : float
+        Minimum share of the normals with an edge in these searches. With that of the first search, a third of
+        the rims would drop out, hardly worse than the others.
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     edges : EdgeOptions
@@ -70,6 +76,8 @@ class GuidedOptions:
     first_reach: tuple[float, float] = (2.5, 0.12)
     second_reach: tuple[float, float] = (1.5, 0.08)
     map_error_sigmas: float = 2.0
+    recentrings: int = 3
+    recentred_found_share: float = 0.4
     gate_probability: float = 0.9999
     edges: EdgeOptions = field(default_factory=EdgeOptions)
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))

@@ -89,7 +89,9 @@ class RimFitter:
             self._options.edges,
         )
 
-    def fit(self, rims: PredictedRims, reach_px: FloatArray) -> FittedRims:
+    def fit(
+        self, rims: PredictedRims, reach_px: FloatArray, min_found_share: float | None = None
+    ) -> FittedRims:
         """Fit the rims that have enough edge points.
 
         Parameters
@@ -97,6 +99,8 @@ class RimFitter:
         rims : PredictedRims
         reach_px : ndarray, shape (n,)
             See `trace`.
+        min_found_share : float, optional
+            Minimum share of the searched normals with an edge; that of the options if not given.
 
         Returns
         -------
@@ -104,6 +108,7 @@ class RimFitter:
             Possibly empty.
         """
         opt = self._options
+        least = opt.min_found_share if min_found_share is None else min_found_share
         found: list[int] = []
         fits: list[RimFit] = []
         edges: list[EdgePoints] = []
@@ -112,7 +117,7 @@ class RimFitter:
             traced = self.trace(rims, i, float(reach_px[i]))
             if traced.tried < _MIN_TRIED_SHARE * traced.normals:
                 continue
-            if len(traced) < opt.min_found_share * traced.tried:
+            if len(traced) < least * traced.tried:
                 continue
             enough.append((i, traced))
         common = common_share(np.array([traced.evidence for _, traced in enough]).reshape(-1, 2))

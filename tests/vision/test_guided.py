@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from craternav_fg.calibration.pull_of_prediction import View, moved_at_random, pull
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.simulation.scenes import Ground
+from craternav_fg.simulation.scenes import scene as rendered_scene
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
 from craternav_fg.vision.error_model.systematic import RimErrors
@@ -410,3 +413,24 @@ def test_a_map_that_is_off_is_searched_as_far_as_it_says(view):
 
 def _centres_px(catalog, gTb, rows):
     return scene.semi_axes_px(scene.true_charts(catalog, gTb, rows))[0]
+
+
+def test_rims_do_not_follow_their_predictions():
+    """With a map that states errors, rims measured near misplaced predictions must not confirm these."""
+    taken = rendered_scene(
+        1, Ground(density=0.01, separation=0.75, irregularity=0.08, slope=0.06, size_px=768)
+    )
+    radius_m = np.sqrt(taken.catalog.semi_major_m * taken.catalog.semi_minor_m)
+    errors = MapErrors(0.06 * radius_m, np.full(len(radius_m), 0.08), np.zeros(len(radius_m)))
+    catalog = replace(taken.catalog, errors=errors)
+    views = [View(taken.image, taken.gTb, taken.sun_g)]
+    rng = np.random.default_rng(0)
+    pairs = [(moved_at_random(catalog, rng), moved_at_random(catalog, rng)) for _ in range(4)]
+
+    def mean_slope(options):
+        found = [pull(views, taken.camera, maps, options) for maps in pairs]
+        return np.average([one.slope for one in found], weights=[one.rims for one in found])
+
+    once = mean_slope(GuidedOptions(recentrings=0))
+    assert once > 0.1
+    assert abs(mean_slope(GuidedOptions())) < 0.5 * once
