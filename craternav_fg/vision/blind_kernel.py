@@ -12,6 +12,7 @@ from craternav_fg.ellipse import moments_kernel, points_on, semi_axes_kernel, wh
 from craternav_fg.vision import ellipse_kernel
 from craternav_fg.vision.dense_kernel import ordered
 from craternav_fg.vision.edge_kernel import normal_count, trace_rim
+from craternav_fg.vision.ground_level import LEVEL_TERMS
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
 from factors.kernels.compiled import njit
 
@@ -159,7 +160,7 @@ def traced_rim(
             image, chart, given.contrast / np.hypot(u, v) * sun, reference, reach_px, given.smoothing_share,
             given.smoothing_px, given.psf_px, given.min_slope_contrast, given.min_step,
             given.noise_step / reference, normals, given.crossing_offset, given.table_blur,
-            given.table_contrast, given.lens,
+            given.table_contrast, given.lens, np.zeros(LEVEL_TERMS),
         )  # fmt: skip
         found = len(points)
         if tried < _MIN_TRIED_SHARE * normals or found < max(_MIN_FOUND_SHARE * tried, given.min_points):

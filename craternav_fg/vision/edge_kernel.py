@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.vision.ground_level import evidence_of_level, levels_of_flanks
+from craternav_fg.vision.ground_level import evidence_of_level, level_at, levels_of_flanks
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, cubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
 from factors.kernels.compiled import njit
@@ -161,7 +161,7 @@ def trace_rim(
     image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float, reach_px: float,
     smoothing_share: float, smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float,
     noise_step: float, count: int, crossing_offset: FloatArray, table_blur: FloatArray,
-    table_contrast: FloatArray, lens: FloatArray,
+    table_contrast: FloatArray, lens: FloatArray, ground: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
@@ -198,6 +198,9 @@ def trace_rim(
         The regular grid on which it is given: blur in radii, and slope contrast across the rim.
     lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
+    ground : ndarray, shape (5,)
+        Level of the ground around the rim that the edge is searched at, see `ground_level.smooth_level`; zero
+        for the reference all around.
 
     Returns
     -------
@@ -213,8 +216,8 @@ def trace_rim(
     bluntness : float
         Measured displacement of the crossing under more smoothing, relative to the canonical crater's.
     level : ndarray, shape (n,)
-        Brightness of level ground at the points, relative to the reference, less 1; see `ground_level`. Times
-        `motion` it takes the points to where the brightness crosses that level.
+        Brightness of level ground at the points, relative to the level searched at, less 1; see
+        `ground_level`. Times `motion` it takes the points to where the brightness crosses that level.
     evidence : ndarray, shape (2,)
         See `ground_level.evidence_of_level`.
     """
@@ -259,8 +262,9 @@ def trace_rim(
         sign = 1.0 if contrast > 0.0 else -1.0
         if not _sample(image, q, step, raw):
             continue
+        local = reference * (1.0 + level_at(ground, 2.0 * np.pi * (k + 0.5) / count))
         for i in range(2 * half + 1):
-            raw[i] = sign * (raw[i] / reference - 1.0)
+            raw[i] = sign * (raw[i] / local - 1.0)
             inside = inside and not np.isnan(raw[i])
         if not inside:
             continue
@@ -299,7 +303,7 @@ def trace_rim(
             continue
         brightest = 0.0
         for j in range(int(where) - n_side, int(where) + n_side + 2):
-            brightest = max(brightest, reference * (1.0 + sign * raw[j]))
+            brightest = max(brightest, local * (1.0 + sign * raw[j]))
         if brightest > SATURATED_BRIGHTNESS:
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
@@ -375,3 +379,61 @@ def _interpolate(
     return (1.0 - u) * ((1.0 - v) * table[i, j] + v * table[i, j + 1]) + u * (
         (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
     )
+
+
+@njit(cache=True, error_model="numpy")
+def flanks_around(
+    image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float,
+    smoothing_share: float, smoothing_px: float, psf_px: float, count: int, lens: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Sample the brightness of the flanks of a known crest, all around the rim.
+
+    Parameters
+    ----------
+    image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
+    chart_px : ndarray, shape (5,)
+        Fitted rim, chart in pixels of the camera without distortion.
+    contrast_px : ndarray, shape (2,)
+        As in `trace_rim`, as all that follow.
+    reference, smoothing_share, smoothing_px, psf_px : float
+    count : int
+    lens : ndarray, shape (14,)
+        `Camera.lens`: intrinsics, px, and distortion.
+
+    Returns
+    -------
+    angles, contrasts : ndarray, shape (n,)
+        Affine angles of the normals that lie in the image, and the slope contrasts across the rim.
+    flanks : ndarray, shape (n, 2)
+        See `ground_level.levels_of_flanks`.
+    """
+    angles, contrasts, flanks = np.empty(count), np.empty(count), np.empty((count, 2))
+    q = np.empty(6)
+    bent = distorts(lens)
+    samples = np.empty(0)
+    found = 0
+    for k in range(count):
+        angle = 2.0 * np.pi * (k + 0.5) / count
+        rim_point(chart_px, angle, q)
+        contrast = -(contrast_px[0] * q[2] + contrast_px[1] * q[3]) / q[4]
+        if bent:
+            through_lens(q, lens)
+        h = q[4]
+        smooth = max(smoothing_px, smoothing_share * h)
+        step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
+        n_side = int(max(_MIN_SIDE_PX, _SIDE_SHARE * h) / step + 0.5)
+        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
+        half = gap + n_side
+        if 2 * half + 1 > len(samples):
+            samples = np.empty(4 * half)
+        raw = samples[: 2 * half + 1]
+        if not _sample(image, q, step, raw):
+            continue
+        inner, outer = _mean(raw, 0, n_side), _mean(raw, half + gap + 1, 2 * half + 1)
+        if np.isnan(inner + outer) or max(inner, outer) > SATURATED_BRIGHTNESS:
+            continue
+        angles[found], contrasts[found] = angle, contrast
+        flanks[found, 0], flanks[found, 1] = inner / reference - 1.0, outer / reference - 1.0
+        found += 1
+    return angles[:found], contrasts[:found], flanks[:found]

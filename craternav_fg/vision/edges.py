@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.vision import crater_profile, edge_kernel
+from craternav_fg.vision.ground_level import LEVEL_TERMS, smooth_level
 
 FloatArray = npt.NDArray[np.float64]
 ImageArray = npt.NDArray[np.float32]
@@ -105,6 +106,7 @@ def find_edge_points(
     reach_px: float,
     noise: float,
     options: EdgeOptions,
+    ground: FloatArray | None = None,
 ) -> EdgePoints:
     """Find the edge points of one predicted rim.
 
@@ -126,6 +128,8 @@ def find_edge_points(
     noise : float
         Standard deviation of the pixel noise.
     options : EdgeOptions
+    ground : ndarray, shape (5,), optional
+        Level of the ground around the rim, see `level_around`; that of the reference if not given.
 
     Returns
     -------
@@ -138,6 +142,42 @@ def find_edge_points(
         image, chart_px, contrast_px, reference, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step, noise_step, count,
         crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
-        camera.lens,
+        camera.lens, np.zeros(LEVEL_TERMS) if ground is None else ground,
     )  # fmt: skip
     return EdgePoints(points, ratio, motion, level, evidence, tried, count)
+
+
+def level_around(
+    image: ImageArray,
+    camera: Camera,
+    chart_px: FloatArray,
+    contrast_px: FloatArray,
+    reference: float,
+    radius_px: float,
+    options: EdgeOptions,
+) -> FloatArray:
+    """Measure the smooth level of the ground around a fitted rim.
+
+    Parameters
+    ----------
+    image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255.
+    camera : Camera
+    chart_px : ndarray, shape (5,)
+        Fitted rim, chart in the pixels of `camera.pinhole`.
+    contrast_px : ndarray, shape (2,)
+        Slope contrast in the image, see `edge_kernel.trace_rim`.
+    reference, radius_px : float
+        As in `find_edge_points`.
+    options : EdgeOptions
+
+    Returns
+    -------
+    ndarray, shape (5,)
+        See `ground_level.smooth_level`.
+    """
+    angles, contrasts, flanks = edge_kernel.flanks_around(
+        image, chart_px, contrast_px, reference, options.smoothing_share, options.smoothing_px,
+        camera.psf_sigma_px, edge_kernel.normal_count(radius_px), camera.lens,
+    )  # fmt: skip
+    return smooth_level(angles, contrasts, flanks)

@@ -10,11 +10,19 @@ The flanks show neighbouring craters and fine relief, too, which the crossing of
 So the level counts as much as it explains: where it is right, the points that cross the reference lie beside
 an ellipse by what the level says. The regression of one on the other is done for each rim, with the share
 that all rims of the frame have in common as its prior.
+
+Where the ground is much darker than the reference, the outer slope may be brighter than the reference or the
+inner wall darker: the crossing is lost, or found far from the crest, and always on the same side of it. On
+patches of other albedo rims would get too small. So a first ellipse shows where the flanks are, all around
+the rim, and the edge is searched once more where the brightness crosses the level, smooth along the rim,
+that they show. A slope of the level along the illumination direction cannot be told from flanks that are
+steeper on one side: it is left out, and remains as an error of the size.
 """
 
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
@@ -27,6 +35,12 @@ _ELLIPSE_TERMS = 5
 # common share in each rim's. Weights are sums of squared displacements over points, with the square of the
 # slope contrast as the weight of each, px^2.
 _PRIOR_SHARE, _PRIOR_PX2, _COMMON_PX2 = 0.6, 1.0, 4.0
+# Harmonics of the smooth level: a constant and two orders. Iterations of its robust fit, and its scale in
+# standard deviations.
+LEVEL_TERMS = 5
+_LEVEL_ITERATIONS, _LEVEL_SCALE_SIGMAS = 6, 2.0
+# Least brightness of level ground, over the reference.
+_DARKEST = 0.4
 
 
 @njit(cache=True, error_model="numpy")
@@ -63,6 +77,71 @@ def levels_of_flanks(flanks: FloatArray, contrasts: FloatArray) -> FloatArray:
     for i in range(len(contrasts)):
         low = flanks[i, 1] - outer_even
         out[i] = low + share * (flanks[i, 0] - inner_even - low)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def level_at(harmonics: FloatArray, angle: float) -> float:
+    """Compute a smooth level at a point of the rim.
+
+    Parameters
+    ----------
+    harmonics : ndarray, shape (5,)
+        See `smooth_level`.
+    angle : float
+        Affine angle of the point, rad.
+
+    Returns
+    -------
+    float
+        Relative to the reference, less 1; not so dark that nothing could be seen.
+    """
+    c, s = np.cos(angle), np.sin(angle)
+    value = harmonics[0] + harmonics[1] * c + harmonics[2] * s
+    value += harmonics[3] * (c * c - s * s) + harmonics[4] * 2.0 * s * c
+    return max(value, _DARKEST - 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def smooth_level(angles: FloatArray, contrasts: FloatArray, flanks: FloatArray) -> FloatArray:
+    """Fit a smooth function of the angle to the brightness of level ground around one rim.
+
+    Parameters
+    ----------
+    angles : ndarray, shape (n,)
+        Affine angles of points along the rim, rad.
+    contrasts, flanks : ndarray, shapes (n,), (n, 2)
+        See `levels_of_flanks`.
+
+    Returns
+    -------
+    ndarray, shape (5,)
+        Constant, cosine and sine, and those of twice the angle; zero with too few points.
+    """
+    count = len(angles)
+    if count <= 2 * LEVEL_TERMS:
+        return np.zeros(LEVEL_TERMS)
+    level = levels_of_flanks(flanks, contrasts)
+    A = np.empty((count, LEVEL_TERMS))
+    for i in range(count):
+        c, s = np.cos(angles[i]), np.sin(angles[i])
+        A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4] = 1.0, c, s, c * c - s * s, 2.0 * s * c
+    weight = np.ones(count)
+    out = np.zeros(LEVEL_TERMS)
+    for _ in range(_LEVEL_ITERATIONS):
+        N, y = np.zeros((LEVEL_TERMS, LEVEL_TERMS)), np.zeros(LEVEL_TERMS)
+        for i in range(count):
+            for a in range(LEVEL_TERMS):
+                y[a] += weight[i] * A[i, a] * level[i]
+                for b in range(LEVEL_TERMS):
+                    N[a, b] += weight[i] * A[i, a] * A[i, b]
+        for a in range(LEVEL_TERMS):
+            N[a, a] *= 1.0 + 1e-9
+        out[:] = np.linalg.solve(N, y)
+        off = level - A @ out
+        scale = _LEVEL_SCALE_SIGMAS * MAD_TO_SIGMA * np.median(np.abs(off)) + 1e-9
+        for i in range(count):
+            weight[i] = 1.0 / (1.0 + (off[i] / scale) ** 2)
     return out
 
 

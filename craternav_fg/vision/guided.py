@@ -150,7 +150,7 @@ class GuidedFrontEnd:
             pose = self._aligned(frame, common, min(radius_px, opt.max_shift_px))
             rims = self._predict(frame, pose, opt.margin_px)
         if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach[0]:
-            rough = fitter.fit(rims, _reach_px(rims, opt.first_reach))
+            rough = fitter.fit(rims, _reach_px(rims, opt.first_reach), rough=True)
             if len(rough) > 0:
                 residual = rough.charts - rough.predicted.charts
                 H = rough.predicted.jacobians

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.measurements import RimQuality
-from craternav_fg.vision.edges import EdgePoints, find_edge_points
+from craternav_fg.vision.edges import EdgePoints, find_edge_points, level_around
 from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
 from craternav_fg.vision.error_model.outline import unseen_deviation
 from craternav_fg.vision.error_model.systematic import RimErrors
@@ -20,6 +20,9 @@ ImageArray = npt.NDArray[np.float32]
 
 # Minimum share of a rim's normals that have contrast and lie in the image.
 _MIN_TRIED_SHARE = 0.4
+# The edge of a rim is searched again if the level of the ground moves it by more than this, px, and the new
+# points are taken if they are at least this share of the first ones.
+_MIN_MOVED_PX, _MIN_KEPT_SHARE = 1.0, 0.9
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,9 @@ class RimFitter:
         self._camera = camera
         self._options = options
 
-    def trace(self, rims: PredictedRims, i: int, reach_px: float) -> EdgePoints:
+    def trace(
+        self, rims: PredictedRims, i: int, reach_px: float, ground: FloatArray | None = None
+    ) -> EdgePoints:
         """Find the edge points of one rim.
 
         Parameters
@@ -75,6 +80,8 @@ class RimFitter:
             Index of the rim.
         reach_px : float
             Half length of the searched normals.
+        ground : ndarray, shape (5,), optional
+            See `find_edge_points`.
         """
         minor_px = rims.smallest_radius_px(i)
         return find_edge_points(
@@ -87,10 +94,16 @@ class RimFitter:
             reach_px,
             self._noise,
             self._options.edges,
+            ground,
         )
 
     def fit(
-        self, rims: PredictedRims, reach_px: FloatArray, min_found_share: float | None = None
+        self,
+        rims: PredictedRims,
+        reach_px: FloatArray,
+        min_found_share: float | None = None,
+        *,
+        rough: bool = False,
     ) -> FittedRims:
         """Fit the rims that have enough edge points.
 
@@ -101,6 +114,9 @@ class RimFitter:
             See `trace`.
         min_found_share : float, optional
             Minimum share of the searched normals with an edge; that of the options if not given.
+        rough : bool
+            Whether ellipses to correct a pose with are enough: the edge is then not searched again at the
+            level that the ground has around each rim.
 
         Returns
         -------
@@ -109,9 +125,6 @@ class RimFitter:
         """
         opt = self._options
         least = opt.min_found_share if min_found_share is None else min_found_share
-        found: list[int] = []
-        fits: list[RimFit] = []
-        edges: list[EdgePoints] = []
         enough: list[tuple[int, EdgePoints]] = []
         for i in range(len(rims)):
             traced = self.trace(rims, i, float(reach_px[i]))
@@ -120,16 +133,9 @@ class RimFitter:
             if len(traced) < least * traced.tried:
                 continue
             enough.append((i, traced))
-        common = common_share(np.array([traced.evidence for _, traced in enough]).reshape(-1, 2))
-        for i, crossings in enough:
-            minor_px = rims.smallest_radius_px(i)
-            traced = crossings.at_level(own_share(crossings.evidence, common))
-            fit = self._fit_one(rims, i, traced, opt.fit)
-            if isinstance(fit, FitFailure) or fit.rms_px > opt.max_rms_px + opt.max_rms_share * minor_px:
-                continue
-            found.append(i)
-            fits.append(fit)
-            edges.append(traced)
+        found, fits, edges = self._fit_all(rims, enough)
+        if not rough:
+            found, fits, edges = self._fit_again(rims, reach_px, enough, (found, fits, edges))
         unseen = unseen_deviation(np.array([fit.outline_share for fit in fits]), opt.fit.outline_share)
         for k in np.flatnonzero(unseen > 0.0).tolist():
             options = replace(opt.fit, outline_share=float(unseen[k]))
@@ -146,6 +152,57 @@ class RimFitter:
         charts = np.array([f.chart for f in fits]).reshape(-1, 5)
         return FittedRims(rims.take(rows), charts, RimErrors.stack([f.errors for f in fits]), quality)
 
+    def _fit_all(
+        self, rims: PredictedRims, crossings: list[tuple[int, EdgePoints]]
+    ) -> tuple[list[int], list[RimFit], list[EdgePoints]]:
+        """Fit rims to their edge points, moved to the level of the ground: indices, fits, moved points."""
+        opt = self._options
+        common = _common_share(crossings)
+        found: list[int] = []
+        fits: list[RimFit] = []
+        edges: list[EdgePoints] = []
+        for i, crossing in crossings:
+            traced = crossing.at_level(own_share(crossing.evidence, common))
+            fit = self._fit_one(rims, i, traced, opt.fit)
+            largest_px = opt.max_rms_px + opt.max_rms_share * rims.smallest_radius_px(i)
+            if isinstance(fit, FitFailure) or fit.rms_px > largest_px:
+                continue
+            found.append(i)
+            fits.append(fit)
+            edges.append(traced)
+        return found, fits, edges
+
+    def _fit_again(
+        self,
+        rims: PredictedRims,
+        reach_px: FloatArray,
+        crossings: list[tuple[int, EdgePoints]],
+        first: tuple[list[int], list[RimFit], list[EdgePoints]],
+    ) -> tuple[list[int], list[RimFit], list[EdgePoints]]:
+        """Search the edges of fitted rims at the level of the ground around them, and fit those again."""
+        by_rim = dict(crossings)
+        common = _common_share(crossings)
+        again: list[tuple[int, EdgePoints]] = []
+        for i, fit in zip(first[0], first[1], strict=True):
+            level = own_share(by_rim[i].evidence, common) * level_around(
+                self._image, self._camera, fit.chart_px, rims.contrast_px[i], rims.reference[i],
+                rims.smallest_radius_px(i), self._options.edges,
+            )  # fmt: skip
+            moved_px = np.abs(level).sum() * float(np.median(np.linalg.norm(by_rim[i].motion, axis=1)))
+            if moved_px > _MIN_MOVED_PX:
+                traced = self.trace(rims, i, float(reach_px[i]), level)
+                if len(traced) >= _MIN_KEPT_SHARE * len(by_rim[i]):
+                    by_rim[i] = traced
+                    again.append((i, traced))
+        if not again:
+            return first
+        second = self._fit_all(rims, [(i, by_rim[i]) for i in first[0]])
+        missing = set(first[0]) - set(second[0])
+        both = [one for one in zip(*first, strict=True) if one[0] in missing]
+        both += list(zip(*second, strict=True))
+        both.sort(key=lambda one: one[0])
+        return [one[0] for one in both], [one[1] for one in both], [one[2] for one in both]
+
     def _fit_one(
         self, rims: PredictedRims, i: int, edges: EdgePoints, options: FitOptions
     ) -> RimFit | FitFailure:
@@ -155,3 +212,7 @@ class RimFitter:
         return refine_rim(
             edges.points_px, rims.charts_px[i], self._camera, options, edges.sigma_ratio, brightness
         )
+
+
+def _common_share(crossings: list[tuple[int, EdgePoints]]) -> float:
+    return common_share(np.array([edges.evidence for _, edges in crossings]).reshape(-1, 2))

@@ -11,6 +11,7 @@ CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
 CONTRAST_PX = np.array([-20.0, 0.0])
 NO_OFFSET = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_CONTRASTS)))
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
+EVEN = np.zeros(5)
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
@@ -27,7 +28,7 @@ def rim_image(centre=CENTRE, contrast=0.5):
     return (REFERENCE * (1.0 + contrast * gx / np.hypot(gx, gy) * shape)).astype(np.float32)
 
 
-def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE):
+def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE, ground=EVEN):
     return edge_kernel.trace_rim(
         image,
         chart,
@@ -45,6 +46,7 @@ def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE):
         crater_profile.BLUR_RADII,
         crater_profile.SLOPE_CONTRASTS,
         PLAIN,
+        ground,
     )[:5]
 
 

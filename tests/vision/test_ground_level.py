@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision.edges import EdgeOptions, find_edge_points
-from craternav_fg.vision.ground_level import common_share, own_share
+from craternav_fg.ellipse import normalised_chart, pixel_chart
+from craternav_fg.vision.edges import EdgeOptions, find_edge_points, level_around
+from craternav_fg.vision.ground_level import common_share, level_at, own_share, smooth_level
+from craternav_fg.vision.guided_options import GuidedOptions
+from craternav_fg.vision.predicted_rims import PredictedRims
+from craternav_fg.vision.rim_fitting import RimFitter
 
 CAMERA = Camera(192, 192, 150.0, 150.0, 95.5, 95.5)
 RADIUS_PX, REFERENCE, SLOPE_CONTRAST = 40.0, 100.0, 1.2
@@ -24,12 +28,13 @@ def crater(albedo=1.0):
     return (REFERENCE * albedo * light / np.sqrt(1.0 + slope**2)).astype(np.float32)
 
 
-def trace(image):
+def trace(image, ground=None):
     # Slope contrast per pixel of radius; ground that rises towards the light at +x faces away from it.
     contrast_px = np.array([SLOPE_CONTRAST * RADIUS_PX, 0.0])
+    options = EdgeOptions(min_slope_contrast=0.4)
     return find_edge_points(
-        image, CAMERA, CHART, contrast_px, REFERENCE, RADIUS_PX, 4.0, 0.0, EdgeOptions(min_slope_contrast=0.4)
-    )
+        image, CAMERA, CHART, contrast_px, REFERENCE, RADIUS_PX, 4.0, 0.0, options, ground
+    )  # fmt: skip
 
 
 def scatter_px(edges):
@@ -64,3 +69,50 @@ def test_a_frame_decides_for_rims_that_show_little():
         assert own_share(empty, common) == pytest.approx(common)
         assert common > 0.9 if sign > 0.0 else common == 0.0
     assert 0.0 < common_share(np.empty((0, 2))) < 1.0
+
+
+def test_a_smooth_level_is_that_of_the_ground_whatever_a_few_flanks_show():
+    angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    contrasts = SLOPE_CONTRAST * np.cos(angles)
+    # Across the illumination direction, and of the second order: what flanks can tell from their slopes.
+    level = -0.1 + 0.08 * np.sin(angles) + 0.05 * np.sin(2.0 * angles)
+    inner, outer = 0.4, -0.2
+    flanks = np.stack([(1.0 + s * contrasts) / np.hypot(1.0, s) - 1.0 for s in (inner, outer)], axis=-1)
+    found = smooth_level(angles, contrasts, flanks + level[:, None])
+    assert [level_at(found, angle) for angle in angles] == pytest.approx(level, abs=0.02)
+    # A neighbour where the light runs along the rim, where it does not touch the slopes of the flanks.
+    flanks[13:17] += 0.5
+    found = smooth_level(angles, contrasts, flanks + level[:, None])
+    assert [level_at(found, angle) for angle in angles] == pytest.approx(level, abs=0.03)
+    assert not smooth_level(angles[:8], contrasts[:8], flanks[:8]).any()
+
+
+def test_crossings_that_dark_and_bright_ground_hides_are_found_at_the_level_of_the_ground():
+    image = crater(1.0 + 0.2 * np.cos(2.0 * ANGLE + 0.6))
+    options = EdgeOptions(min_slope_contrast=0.4)
+    contrast_px = np.array([SLOPE_CONTRAST * RADIUS_PX, 0.0])
+    first = trace(image)
+    level = level_around(image, CAMERA, CHART, contrast_px, REFERENCE, RADIUS_PX, options)
+    second = trace(image, level)
+    assert len(first) < 0.9 * first.tried
+    assert len(second) > 0.95 * second.tried
+    assert scatter_px(first) > 3.0 * scatter_px(second)
+    mean_px = np.mean(np.linalg.norm(second.points_px - CENTRE, axis=1))
+    assert mean_px == pytest.approx(RADIUS_PX, abs=0.15)
+
+
+def test_a_rim_on_patches_is_fitted_at_the_level_of_the_ground():
+    image = crater(1.0 + 0.25 * np.cos(2.0 * ANGLE + 0.6))
+    rims = PredictedRims(
+        np.array([0]), normalised_chart(CHART, CAMERA)[0][None], CHART[None], np.array([SLOPE_CONTRAST]),
+        np.array([[SLOPE_CONTRAST * RADIUS_PX, 0.0]]), np.array([REFERENCE]), np.zeros((1, 5, 6)),
+    )  # fmt: skip
+    fitter = RimFitter(image, 0.0, CAMERA, GuidedOptions())
+    rough, fitted = (fitter.fit(rims, np.array([4.0]), rough=only) for only in (True, False))
+    off_px = [
+        np.abs(np.exp(pixel_chart(one.charts[0], CAMERA)[[2, 4]]) - RADIUS_PX).max()
+        for one in (rough, fitted)
+    ]
+    assert off_px[1] < 0.3
+    assert off_px[0] > 2.0 * off_px[1]
+    assert fitted.quality.found_share[0] > rough.quality.found_share[0]
