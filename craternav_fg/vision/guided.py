@@ -255,7 +255,9 @@ class GuidedFrontEnd:
         for _ in range(opt.recentrings):
             before_px = pixel_chart(fitted.charts, self.camera)
             around = replace(fitted.predicted, charts_px=before_px)
-            again = fitter.fit(around, _reach_px(around, opt.second_reach), opt.recentred_found_share)
+            again = fitter.fit(
+                around, _reach_px(around, opt.second_reach), opt.recentred_found_share, rough=True
+            )
             kept = np.flatnonzero(np.isin(around.rows, again.predicted.rows))
             fitted = replace(again, predicted=fitted.predicted.take(kept))
             after_px = pixel_chart(fitted.charts, self.camera)
@@ -267,7 +269,9 @@ class GuidedFrontEnd:
     def _found(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
         """Fit rims; those that are not where the map has them are searched as far as its errors allow."""
         reach_px = _reach_px(rims, self.options.second_reach)
-        fitted = fitter.fit(rims, reach_px)
+        # In a descent over real ground, whose map states errors, a second search at the level of the ground
+        # made poses worse: those rims are searched again around themselves instead.
+        fitted = fitter.fit(rims, reach_px, rough=self.catalog.errors is not None)
         if self.catalog.errors is None or len(fitted) == len(rims):
             return fitted
         missing = ~np.isin(rims.rows, fitted.predicted.rows)
@@ -277,7 +281,7 @@ class GuidedFrontEnd:
         size_px = minor_px * np.sqrt(covariance[:, 2, 2])
         wider_px = reach_px[missing] + self.options.map_error_sigmas * np.hypot(place_px, size_px)
         reach_px[missing] = np.minimum(wider_px, np.maximum(reach_px[missing], _MAX_REACH * minor_px))
-        return fitter.fit(rims, reach_px)
+        return fitter.fit(rims, reach_px, rough=True)
 
     def _of_map(self, rows: IntArray, gTb: FloatArray) -> FloatArray:
         """Covariance (n, 5, 5) of charts from the catalogue's errors."""

@@ -115,8 +115,8 @@ class RimFitter:
         min_found_share : float, optional
             Minimum share of the searched normals with an edge; that of the options if not given.
         rough : bool
-            Whether ellipses to correct a pose with are enough: the edge is then not searched again at the
-            level that the ground has around each rim.
+            Whether to leave out the second search of each edge, at the level that the ground has around the
+            rim: where ellipses to correct a pose with are enough, and where rims are searched again anyway.
 
         Returns
         -------
