@@ -83,12 +83,19 @@ class Instrument(ABC):
         list of (float, int)
             NIS and dimension of each measurement.
         """
-        out = []
-        for one in self.compare(predicted, frame, descent):
-            states = slice(0, one.A.shape[1])
-            _, innovation = _whitened(one, predicted.covariance[states, states])
-            out.append((float(np.sum(innovation**2)), len(innovation)))
-        return out
+        compared = self.compare(predicted, frame, descent)
+        # All rims of a frame have rows of one shape, and are whitened at once: one by one they would cost
+        # several times as much as the filter's step.
+        alike: dict[tuple[int, ...], list[int]] = {}
+        for k, one in enumerate(compared):
+            alike.setdefault(one.A.shape, []).append(k)
+        nis = np.empty(len(compared))
+        for (_, size), members in alike.items():
+            A = np.array([compared[k].A for k in members])
+            residual = np.array([compared[k].residual for k in members])
+            W = _innovation_whitening(A, predicted.covariance[:size, :size])
+            nis[members] = np.sum((W @ residual[:, :, None])[:, :, 0] ** 2, axis=1)
+        return [(float(d2), len(one.residual)) for d2, one in zip(nis, compared, strict=True)]
 
     def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
         """Take what it measured out of a frame.
@@ -212,11 +219,12 @@ class Imu(Instrument):
             NIS and dimension, at most six; empty without a rim or tilt.
         """
         out = []
+        sigmas = np.sqrt(np.diag(predicted.covariance[POSE, POSE]))
         for one in self.compare(predicted, frame, descent):
-            rows, innovation = _whitened(one, predicted.covariance[POSE, POSE])
-            U, strengths, _ = np.linalg.svd(rows, full_matrices=False)
+            W = _innovation_whitening(one.A, predicted.covariance[POSE, POSE])
+            U, strengths, _ = np.linalg.svd(W @ one.A * sigmas, full_matrices=False)
             U = U[:, strengths > _MIN_SINGULAR_VALUE]
-            out.append((float(np.sum((U.T @ innovation) ** 2)), U.shape[1]))
+            out.append((float(np.sum((U.T @ (W @ one.residual)) ** 2)), U.shape[1]))
         return out
 
 
@@ -279,7 +287,6 @@ def instruments(descent: Descent) -> tuple[Instrument, ...]:
     return (*CAMERA_AND_IMU, *(Sampled(sensor.name, bank) for sensor in descent.sensors))
 
 
-def _whitened(one: LinearMeasurement, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows (m, k) in units of the prediction's sigmas, and innovations (m,), both of unit covariance."""
-    W = whitening(one.A @ P @ one.A.T + np.eye(len(one.A)))
-    return W @ one.A * np.sqrt(np.diag(P)), W @ one.residual
+def _innovation_whitening(A: FloatArray, P: FloatArray) -> FloatArray:
+    """Whitening (..., m, m) of innovations with whitened rows A (..., m, k), for a prediction's P (k, k)."""
+    return whitening(A @ P @ np.swapaxes(A, -1, -2) + np.eye(A.shape[-2]))

@@ -89,7 +89,9 @@ class Innovations:
         return mean_interval(1, max(int(self.dimension.sum()), 1))
 
 
-def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
+def innovations(
+    problem: Problem, states: Sequence[FilterState], predictions: Sequence[FilterState] | None = None
+) -> Innovations:
     """Innovations of the frames after the start's.
 
     Parameters
@@ -98,6 +100,9 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
     states : sequence of FilterState
         A filter's, at every frame, each from the data up to it: `DistributedEkf.states`,
         `OnlineSession.states`. From each the next frame is predicted by the IMU.
+    predictions : sequence of FilterState, optional
+        These predictions, at the frames after the start's, if the filter has kept them:
+        `DistributedEkf.run`. On an orbit in a detailed gravity field they cost as much as the filter.
 
     Returns
     -------
@@ -114,10 +119,14 @@ def innovations(problem: Problem, states: Sequence[FilterState]) -> Innovations:
     sizes: list[int] = []
     first = problem.start.frame
     every = instruments(problem)
-    for state, (before, frame) in zip(
-        states[first:], itertools.pairwise(problem.frames[first:]), strict=False
-    ):
-        predicted = filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
+    if predictions is None:
+        predictions = [
+            filter_state.propagate(state, problem, before.stamp_ns, frame.stamp_ns)
+            for state, (before, frame) in zip(
+                states[first:], itertools.pairwise(problem.frames[first:]), strict=False
+            )
+        ]
+    for predicted, frame in zip(predictions, problem.frames[first + 1 :], strict=True):
         for one in every:
             for nis, size in one.nis(predicted, frame, problem):
                 sensor.append(one.name)

@@ -100,7 +100,8 @@ class Reconstruction:
         return self._innovations() if FILTER in self.trajectories else None
 
     def _innovations(self) -> Innovations | None:
-        found = Innovations.joined(innovations(problem, ekf().states(problem)) for problem in self.problems)
+        runs = [(problem, ekf().run(problem)) for problem in self.problems]
+        found = Innovations.joined(innovations(p, run.states, run.predictions) for p, run in runs)
         return found if found.sensor else None
 
     def _without_rims(self) -> Innovations | None:

@@ -70,7 +70,8 @@ def heights_of_points(problems: Sequence[Problem]) -> bool:
 def _log_likelihood(problem: Problem) -> float:
     """Log-likelihood of a filter's innovations, but for a constant, with errors of Student's kind."""
     try:
-        found = innovations(problem, ekf().states(problem))
+        run = ekf().run(problem)
+        found = innovations(problem, run.states, run.predictions)
     except (EstimationError, np.linalg.LinAlgError):
         return -np.inf
     size = np.maximum(found.dimension, 1)

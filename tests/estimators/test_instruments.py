@@ -9,12 +9,13 @@ from gtsam.symbol_shorthand import X
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.estimators.ekf.filter import ekf, ekf_paper
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import GraphOptions, add_frame
 from craternav_fg.estimators.instruments import CAMERA_AND_IMU, Rims, Sun, instruments
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.evaluation.innovations import innovations
+from craternav_fg.measurements import ArcSet, RimSet
 from factors.custom import Loss
 from factors.kernels import robust
 from tests import descents
@@ -69,3 +70,33 @@ def test_an_instrument_without_data_says_nothing(problem: Problem) -> None:
     bare = [replace(frame, sun=None) for frame in problem.frames]
     without = replace(problem, frames=bare, sensors=())
     assert set(innovations(without, ekf().states(without)).sensor) == {"rims", "imu"}
+
+
+def test_predictions_that_a_filter_kept_are_those_of_its_states(problem: Problem) -> None:
+    run = ekf().run(problem)
+    assert run.predictions is not None
+    assert len(run.predictions) == len(problem.frames) - problem.start.frame - 1
+    kept, made = (innovations(problem, run.states, one) for one in (run.predictions, None))
+    assert kept.sensor == made.sensor
+    np.testing.assert_allclose(kept.nis, made.nis, rtol=1e-9)
+    # What the paper publishes is not what it propagates.
+    assert ekf_paper().run(problem).predictions is None
+
+
+def test_innovations_of_rims_and_arcs_keep_their_order(problem: Problem, predicted: FilterState) -> None:
+    """Those of one shape are whitened at once, and each is what it is alone."""
+    frame = problem.frames[3]
+    rng = np.random.default_rng(0)
+    sizes = 9, 7, 9
+    arcs = ArcSet(
+        frame.rims.craters[:3],
+        tuple(rng.normal(frame.rims.chart[k, :2], 1e-3, (size, 2)) for k, size in enumerate(sizes)),
+        tuple(np.full(size, 1e-3) for size in sizes),
+    )
+    both = Rims().nis(predicted, replace(frame, arcs=arcs), problem)
+    assert [size for _, size in both] == [5] * len(frame.rims) + [*sizes]
+    alone = Rims().nis(predicted, frame, problem)
+    for k in range(3):
+        one = replace(frame, rims=RimSet.empty(), arcs=arcs.take(np.array([k])))
+        alone += Rims().nis(predicted, one, problem)
+    np.testing.assert_allclose([nis for nis, _ in both], [nis for nis, _ in alone], rtol=1e-9)

@@ -68,6 +68,23 @@ class EkfOptions:
 
 
 @dataclass(frozen=True)
+class FilterRun:
+    """States of a filter, and what it had predicted before each update.
+
+    Attributes
+    ----------
+    states : list of FilterState
+        At every frame, each from the data up to it.
+    predictions : list of FilterState, or None
+        At the frames after the start's, each the state before, propagated by the IMU. None under "paper":
+        what it publishes is not what it propagates.
+    """
+
+    states: list[FilterState]
+    predictions: list[FilterState] | None
+
+
+@dataclass(frozen=True)
 class DistributedEkf:
     """Extended Kalman filter with one sub-filter per crater.
 
@@ -115,7 +132,26 @@ class DistributedEkf:
         ValueError
             When the IMU log does not cover the frames.
         """
+        return self.run(problem).states
+
+    def run(self, problem: Problem) -> FilterRun:
+        """Filter as `estimate` does, and keep the predictions, which innovations need.
+
+        Parameters
+        ----------
+        problem : Problem
+
+        Returns
+        -------
+        FilterRun
+
+        Raises
+        ------
+        ValueError
+            When the IMU log does not cover the frames.
+        """
         states = filter_state.states_to_start(problem)
+        predictions: list[FilterState] = []
         base = states[-1]
         first = problem.start.frame
         # Under "paper" every crater in view has a state of its own; else all share the published one.
@@ -142,11 +178,12 @@ class DistributedEkf:
                 base = replace(fused, covariance=max(len(filters), 1) * fused.covariance)
                 states.append(fused)
             else:
+                predictions.append(prior if window is None else window.without_clones(prior))
                 base = self._update(prior, frame, problem, fusion, bank)
                 if window is not None:
                     base = window.update(base, frame.stamp_ns)
                 states.append(base if window is None else window.without_clones(base))
-        return states
+        return FilterRun(states, None if fusion == "paper" else predictions)
 
     def _step_each(
         self,
