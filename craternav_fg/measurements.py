@@ -192,6 +192,23 @@ class RimSet:
                 out = out + (factor - 1.0) * A @ np.swapaxes(A, 1, 2)
         return RimSet(self.craters, self.chart, out, self.quality)
 
+    def scaled(self, factors: FloatArray) -> "RimSet":
+        """Multiply the variances of rims, but for what all rims share.
+
+        Parameters
+        ----------
+        factors : ndarray, shape (n,)
+            Variance factors.
+        """
+        shared = np.zeros_like(self.covariance)
+        if self.shared is not None:
+            shared = self.shared @ np.swapaxes(self.shared, 1, 2)
+        covariance = shared + factors[:, None, None] * (self.covariance - shared)
+        correlated = self.correlated
+        if correlated is not None:
+            correlated = np.sqrt(factors)[:, None, None] * correlated
+        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, self.shared)
+
     def centres(self) -> "CentreSet":
         """Reduce the rims to the centres of the image ellipses: what centre-based navigation measures."""
         return CentreSet(self.craters, self.chart[:, :2], self.covariance[:, :2, :2])

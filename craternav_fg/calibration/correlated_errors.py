@@ -19,7 +19,7 @@ from craternav_fg.calibration.likelihood import Parameter, Scale, estimate
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.calibration.rendered_descents import MeasuredDescent, measured_descents
 from craternav_fg.ellipse import shape_change
-from craternav_fg.estimators.correlated_errors import RimErrorOptions
+from craternav_fg.estimators.correlated_errors import PLACE_SIZE, RimErrorOptions, correlation
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import SHARED_SIZE
 from craternav_fg.vision.ellipse_kernel import BRIGHTNESS_ERROR_PER_OUTLINE
@@ -163,7 +163,10 @@ def cost(descent: list[Tracks], values: FloatArray) -> float:
         inverse = np.linalg.inv(tracks.slopes)
         on_ground = crater_share * inverse @ systematic @ np.swapaxes(inverse, -1, -2)
         kept = tracks.slopes @ np.linalg.cholesky(0.5 * (on_ground + np.swapaxes(on_ground, -1, -2)))
-        covariance = np.einsum("nkab,nlcb,nkl->nkalc", kept, kept, np.exp(-tracks.change / decay))
+        of_place, of_others = correlation(tracks.change, decay)
+        place, others = kept[..., :PLACE_SIZE], kept[..., PLACE_SIZE:]
+        covariance = np.einsum("nkab,nlcb,nkl->nkalc", place, place, of_place)
+        covariance += np.einsum("nkab,nlcb,nkl->nkalc", others, others, of_others)
         frame = np.arange(m)
         # Indexing with arrays that are apart puts their axis first.
         covariance[:, frame, :, frame, :] += np.swapaxes(

@@ -16,10 +16,16 @@ from craternav_fg.camera import Camera
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import pixel_chart, shape_change
 from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions
+from craternav_fg.estimators.correlated_errors import (
+    STATE_SIZE,
+    VARIANCE_INFLATION,
+    RimErrorOptions,
+    transition,
+)
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.linalg import square_root
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
@@ -107,13 +113,13 @@ def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[
         new = np.sqrt(1.0 - options.crater_share) * np.linalg.cholesky(floors)
         error = shared @ common + np.einsum("nij,nj->ni", new, rng.standard_normal((len(rows), 5)))
         for i, crater in enumerate(rows.tolist()):
-            state = np.asarray(rng.standard_normal(kept.shape[2]))
+            state = np.asarray(rng.standard_normal(STATE_SIZE))
             if crater in states:
                 before, chart = states[crater]
-                correlation = np.exp(-float(shape_change(chart, charts[i])) / RimErrorOptions().decay)
-                state = correlation * before + np.sqrt(1.0 - correlation**2) * state
+                F = transition(float(shape_change(chart, charts[i])), RimErrorOptions().decay)
+                state = F @ before + square_root(np.eye(STATE_SIZE) - F @ F.T) @ state
             states[crater] = state, charts[i]
-            error[i] += kept[i] @ state
+            error[i] += kept[i] @ state[: kept.shape[2]]
         covariance = level.covariance + shared @ np.swapaxes(shared, 1, 2)
         told = replace(
             rims, chart=rims.chart + error, covariance=covariance, correlated=kept, shared=shared

@@ -15,6 +15,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
 from craternav_fg.estimators.correlated_errors import RimErrorStates
+from craternav_fg.estimators.crater_scatter import variance_factors, with_variance_factors
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -130,7 +131,10 @@ class BatchSmoother:
     def _optimum(
         self, problem: Problem, values: gtsam.Values, state_indices: Sequence[int]
     ) -> tuple[FactorGraph, gtsam.Values]:
-        """Optimise roughly, then with the covariances evaluated at the rims that the result predicts."""
+        """Optimise roughly, then with the covariances evaluated at the rims that the result predicts.
+
+        Craters that the result contradicts get larger ones.
+        """
         if self.options.rims == "centre":
             return optimum(problem, self.options, values, own_factors=self.own_factors)
         graph = build_graph(problem, self.options, values, own_factors=self.own_factors)
@@ -141,6 +145,10 @@ class BatchSmoother:
             with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
         ]
+        rim_errors = self.options.rim_errors
+        if rim_errors is not None:
+            factors = variance_factors(frames, poses, problem.camera, problem.catalog, rim_errors.freedom)
+            frames = [with_variance_factors(frame, factors) for frame in frames]
         weighted = replace(problem, frames=frames)
         return optimum(weighted, self.options, values, graph.intervals, self.own_factors)
 

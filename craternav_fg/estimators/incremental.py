@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.correlated_errors import STATE_SIZE
 from craternav_fg.linalg import whitening
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE
+from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,7 +30,7 @@ SENSOR_BIASES = tuple("123456789")
 RELINEARISE_STEPS = {
     "x": np.array([5e-4, 5e-4, 5e-4, RELINEARISE_M, RELINEARISE_M, RELINEARISE_M]),
     "v": np.full(3, 1.0),
-    "r": np.full(CORRELATED_SIZE, 1e3),
+    "r": np.full(STATE_SIZE, 1e3),
     "s": np.full(SHARED_SIZE, 1e3),
     "b": np.array([1e-2, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4]),
     "c": np.array([5e-5, 5e-5, 5e-5, 0.1, 0.1, 0.1]),

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE
+from craternav_fg.estimators.correlated_errors import STATE_SIZE
+from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -25,7 +26,7 @@ STEP_SCALES: dict[str, FloatArray] = {
     "m": np.full(6, 1.0),
     "v": np.full(3, 5.0),
     "c": np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1]),
-    "r": np.full(CORRELATED_SIZE, 1.0),
+    "r": np.full(STATE_SIZE, 1.0),
     "s": np.full(SHARED_SIZE, 1.0),
     "l": np.full(3, 1e3),
     "k": np.full(4, 1.0),

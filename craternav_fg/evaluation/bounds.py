@@ -15,14 +15,19 @@ from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions
+from craternav_fg.estimators.correlated_errors import (
+    STATE_SIZE,
+    VARIANCE_INFLATION,
+    RimErrorOptions,
+)
+from craternav_fg.estimators.correlated_errors import transition as transition_of_errors
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import transition
 from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
 from craternav_fg.evaluation.track_information import POINT_SIZE, TrackInformation
 from craternav_fg.linalg import square_root, whitening
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import Trajectory
 from factors.kernels import strapdown
@@ -214,17 +219,15 @@ class _AugmentedState:
     @property
     def size(self) -> int:
         """Dimension of the state with the further unknowns."""
-        return (
-            _SIZE + self._shared + CORRELATED_SIZE * len(self.first) + POINT_SIZE * len(self.first_of_point)
-        )
+        return _SIZE + self._shared + STATE_SIZE * len(self.first) + POINT_SIZE * len(self.first_of_point)
 
     def _enter(self, k: int) -> None:
         """Begin with the craters and points of frame k, and keep those that will be seen again."""
         charts = {**self._charts, **self._seen[k]}
         self._charts = {crater: chart for crater, chart in charts.items() if self._last[crater] >= k}
         begin = _SIZE + self._shared
-        self.first = {crater: begin + CORRELATED_SIZE * i for i, crater in enumerate(self._charts)}
-        begin += CORRELATED_SIZE * len(self.first)
+        self.first = {crater: begin + STATE_SIZE * i for i, crater in enumerate(self._charts)}
+        begin += STATE_SIZE * len(self.first)
         alive = [] if self._tracks is None else self._tracks.alive(k)
         self.first_of_point = {track: begin + POINT_SIZE * i for i, track in enumerate(alive)}
 
@@ -237,14 +240,13 @@ class _AugmentedState:
         for j in range(_SIZE, _SIZE + self._shared):
             whole[j, j] = 1.0
         for crater, row in self.first.items():
-            correlation = 0.0
+            own = slice(row, row + STATE_SIZE)
+            noise[own, own] = np.eye(STATE_SIZE)
             if crater in columns:
                 change = float(shape_change(before[crater], self._charts[crater]))
-                correlation = np.exp(-change / self._decay)
-            for j in range(CORRELATED_SIZE):
-                if crater in columns:
-                    whole[row + j, columns[crater] + j] = correlation
-                noise[row + j, row + j] = 1.0 - correlation * correlation
+                of_crater = transition_of_errors(change, self._decay)
+                whole[own, columns[crater] : columns[crater] + STATE_SIZE] = of_crater
+                noise[own, own] -= of_crater @ of_crater.T
         for track, row in self.first_of_point.items():
             for j in range(row, row + POINT_SIZE):
                 if track in points:

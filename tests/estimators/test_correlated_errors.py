@@ -16,7 +16,15 @@ from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
-from craternav_fg.estimators.correlated_errors import RimErrorOptions
+from craternav_fg.estimators.correlated_errors import (
+    ERROR_LETTER,
+    PLACE_SIZE,
+    STATE_SIZE,
+    RimErrorOptions,
+    RimErrorStates,
+    correlation,
+    transition,
+)
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
@@ -24,7 +32,7 @@ from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import SHARED_SIZE, ArcSet
+from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, ArcSet, RimSet
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 
@@ -45,12 +53,12 @@ def spoilt(p: Problem, truth: Trajectory, rng: np.random.Generator) -> Problem:
         chart = rims.chart + np.einsum("nij,j->ni", B, everyone)
         for i, crater in enumerate(rims.craters.tolist()):
             range_m = float(np.linalg.norm(p.catalog.centres[crater] - gP))
-            z = rng.standard_normal(5)
+            z = rng.standard_normal(STATE_SIZE)
             if crater in kept:
-                rho = np.exp(-abs(np.log(range_m / kept[crater][0])) / DECAY)
-                z = rho * kept[crater][1] + np.sqrt(1.0 - rho**2) * z
+                F = transition(abs(np.log(range_m / kept[crater][0])), DECAY)
+                z = F @ kept[crater][1] + np.linalg.cholesky(np.eye(STATE_SIZE) - F @ F.T) @ z
             kept[crater] = range_m, z
-            chart[i] += A[i] @ z
+            chart[i] += A[i] @ z[:5]
         total = rims.covariance + 2.0 * A @ np.swapaxes(A, 1, 2)
         frames.append(
             replace(frame, rims=replace(rims, chart=chart, covariance=total, correlated=A, shared=B))
@@ -241,7 +249,51 @@ def test_errors_leave_the_lag_with_their_states(trials: list[tuple[Problem, Traj
     assert np.linalg.norm(errors(estimate, truth).position_m[-1]) < 500.0
 
 
-@pytest.mark.parametrize("wrong", [{"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])
+def test_transitions_of_two_changes_are_that_of_both() -> None:
+    """And what is left of a state's error is what the correlation says, whatever the derivative is."""
+    first, second = transition(0.2, DECAY), transition(0.5, DECAY)
+    assert_allclose(second @ first, transition(0.7, DECAY), atol=1e-14)
+    of_place, of_others = correlation(np.array([0.7]), DECAY)
+    expected = np.diag([*[of_place[0]] * PLACE_SIZE, *[of_others[0]] * (CORRELATED_SIZE - PLACE_SIZE)])
+    assert_allclose((second @ first)[:CORRELATED_SIZE, :CORRELATED_SIZE], expected, atol=1e-14)
+    # The error of a place is smooth: over a small change it grows by its derivative.
+    near = transition(1e-4, DECAY)
+    assert np.sqrt(1.0 - near[0] @ near[0]) < 0.03 * near[0, CORRELATED_SIZE]
+
+
+@pytest.mark.parametrize(("step", "atol"), [(0.0, 1e-9), (0.1, 0.06)])
+def test_errors_of_a_track_have_the_correlation_of_the_model(step: float, atol: float) -> None:
+    """A rim that grows by 4 % from frame to frame: covariances of its errors by the graph's inverse."""
+    growth = 0.04
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    states = RimErrorStates(RimErrorOptions(decay=DECAY, step=step))
+    terms = []
+    for k in range(12):
+        chart = np.array([[0.0, 0.0, growth * k, 0.0, growth * k]])
+        root = np.eye(5, CORRELATED_SIZE)[None]
+        covariance = root @ np.swapaxes(root, 1, 2) + np.eye(5)
+        rims = RimSet(np.array([7]), chart, covariance, correlated=root)
+        terms += states.enter(rims, graph, values)
+    keys = list(values.keys())
+    assert {chr(gtsam.Symbol(key).chr()) for key in keys} == {ERROR_LETTER}
+    assert len(keys) == (12 if step == 0.0 else 4)
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    information = graph.linearize(values).hessian(ordering)[0]
+    rows = np.zeros((12, 5, len(information)))
+    for k, term in enumerate(terms):
+        at = STATE_SIZE * keys.index(term.key)
+        rows[k, :, at : at + STATE_SIZE] = np.asarray(term.roots)[0]
+    found = np.einsum("kin,nm,lim->ikl", rows, np.linalg.inv(information), rows)
+    frames = np.arange(12.0)
+    of_place, of_others = correlation(growth * np.abs(frames[:, None] - frames), DECAY)
+    assert_allclose(found[:PLACE_SIZE], [of_place] * PLACE_SIZE, atol=atol)
+    if step == 0.0:
+        assert_allclose(found[PLACE_SIZE:], [of_others] * (5 - PLACE_SIZE), atol=atol)
+
+
+@pytest.mark.parametrize("wrong", [{"freedom": 0.0}, {"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])
 def test_options_without_meaning(wrong: dict[str, float]) -> None:
     with pytest.raises(EstimationError, match=next(iter(wrong))):
         RimErrorOptions(**wrong)
