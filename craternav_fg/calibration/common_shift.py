@@ -2,7 +2,8 @@
 
 `python -m craternav_fg.calibration.common_shift FOLDER` renders descents over the crops of the elevation
 model in FOLDER and measures their rims. A scenario's `common_place_sigma_m` is the root mean square, per
-axis, of the shifts of the other two crops.
+axis, of the shifts of the other two crops. What craters deviate from the shift of their crop by has heavier
+tails than a normal distribution: `RimErrorOptions.freedom`.
 """
 
 import sys
@@ -13,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
+from scipy.optimize import minimize
+from scipy.special import gammaln
 
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
@@ -29,7 +32,7 @@ SCENARIOS = ("gld100_highlands", "gld100_mare", "gld100_mixed")
 _TRIALS = (0, 1)
 
 
-def crater_shifts_m(data: Dataset, measured: tuple[FrameMeasurement, ...]) -> FloatArray:
+def crater_shifts_m(data: Dataset, measured: tuple[FrameMeasurement, ...]) -> dict[int, FloatArray]:
     """Shifts of craters' rims from their mapped places, each the mean over the frames that show it.
 
     Parameters
@@ -40,8 +43,8 @@ def crater_shifts_m(data: Dataset, measured: tuple[FrameMeasurement, ...]) -> Fl
 
     Returns
     -------
-    ndarray, shape (n, 2)
-        East and north, m, of n craters.
+    dict of int to ndarray, shape (2,)
+        East and north, m, by row of the catalogue.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def crater_shifts_m(data: Dataset, measured: tuple[FrameMeasurement, ...]) -> Fl
         east_north = np.einsum("nc,ncj->nj", shift, local)
         for row, one in zip(rows.tolist(), east_north, strict=True):
             seen[row].append(one)
-    return np.array([np.mean(every, axis=0) for every in seen.values()]).reshape(-1, 2)
+    return {row: np.mean(every, axis=0) for row, every in seen.items()}
 
 
 def main(folder: Path) -> None:
@@ -76,19 +79,53 @@ def main(folder: Path) -> None:
     folder : Path
         Of the public files, see `Scenario.with_data`.
     """
-    found, console = [], Console()
+    found, deviations, console = [], [], Console()
     for name in SCENARIOS:
-        shifts = []
+        shifts, sigmas_m = [], []
         for trial in _TRIALS:
             with tempfile.TemporaryDirectory() as place:
                 case = load_scenario(name).with_data(folder)
                 data = Dataset.open(simulate(case, Path(place) / "d", trial=trial))
-                shifts.append(crater_shifts_m(data, reconstruct(data, ["ekf"]).frames))
-        every = np.concatenate(shifts)
-        found.append(np.median(every, axis=0))
-        console.print(f"{name}: east {found[-1][0]:.0f}, north {found[-1][1]:.0f} m, {len(every)} craters")
+                by_crater = crater_shifts_m(data, reconstruct(data, ["ekf"]).frames)
+                assert data.catalog.errors is not None
+                shifts += list(by_crater.values())
+                sigmas_m += data.catalog.errors.place_m[list(by_crater)].tolist()
+        found.append(np.median(shifts, axis=0))
+        deviations.append((np.array(shifts) - found[-1]) / np.array(sigmas_m)[:, None])
+        console.print(f"{name}: east {found[-1][0]:.0f}, north {found[-1][1]:.0f} m, {len(shifts)} craters")
     for name, others in zip(SCENARIOS, without_each(np.array(found)), strict=True):
         console.print(f"{name}: common_place_sigma_m {others:.0f}")
+    freedom, scale = student(np.concatenate(deviations))
+    console.print(
+        f"Student's t: {freedom:.1f} degrees of freedom, {scale:.2f} times the stated errors of places"
+    )
+
+
+def student(deviations: FloatArray) -> tuple[float, float]:
+    """Fit Student's t distribution by maximum likelihood.
+
+    Parameters
+    ----------
+    deviations : ndarray, shape (n, d)
+        Of n vectors in units of their stated standard deviations; their directions are random.
+
+    Returns
+    -------
+    freedom, scale : float
+        Degrees of freedom, and the scale in these units.
+    """
+    squares, d = np.sum(deviations**2, axis=1), deviations.shape[1]
+
+    def cost(logarithms: FloatArray) -> float:
+        freedom, scale = np.exp(logarithms)
+        constant = (
+            gammaln(0.5 * (freedom + d)) - gammaln(0.5 * freedom) - 0.5 * d * np.log(freedom * scale**2)
+        )
+        tails = 0.5 * (freedom + d) * np.log1p(squares / (freedom * scale**2))
+        return float(np.sum(tails) - len(squares) * constant)
+
+    freedom, scale = np.exp(minimize(cost, np.log([4.0, 1.0]), method="Nelder-Mead").x)
+    return float(freedom), float(scale)
 
 
 def without_each(shifts_m: FloatArray) -> FloatArray:

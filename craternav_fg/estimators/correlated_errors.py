@@ -56,8 +56,8 @@ class RimErrorOptions:
         step a rim's place drifts as the variable says, and its other errors are constant.
     freedom : float
         Degrees of freedom of Student's t distribution that the errors which craters keep follow in the batch
-        smoother, see `crater_scatter`; infinite for a normal one. With 4 it fits the places of rims on real
-        ground against a published map (`docs/howto/public_data.md`).
+        smoother, see `crater_scatter`; infinite for a normal one. Fitted to rims on real ground against a
+        published map by `craternav_fg.calibration.common_shift`.
     """
 
     decay: float = 0.8
