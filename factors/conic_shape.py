@@ -18,6 +18,9 @@ from factors.kernels import packed, rim_errors, robust
 
 FloatArray = npt.NDArray[np.float64]
 
+# Six for the pose, and one that keeps the error's constant.
+REDUCED_ROWS = 7
+
 
 @dataclass(frozen=True)
 class ChartError:
@@ -49,6 +52,7 @@ def conic_shape_factor(
     *,
     mounting_key: int | None = None,
     errors: Sequence[ChartError] = (),
+    reduced: bool = False,
 ) -> gtsam.CustomFactor:
     """Build a factor of the body's pose from the rims of a frame.
 
@@ -74,11 +78,15 @@ def conic_shape_factor(
         Key of the mounting as a variable (`Pose3`), to be estimated.
     errors : sequence of ChartError
         Errors of the charts, beside those of `covariances`, to be estimated.
+    reduced : bool
+        Whether the rows of several rims without `errors` are turned into seven that optimisers cannot tell
+        from them: less to copy and to eliminate. The residual of a single rim can then not be read.
 
     Returns
     -------
     gtsam.CustomFactor
-        With 5 n whitened rows, of the pose, the mounting if it is a variable, and the errors' variables.
+        With 5 n whitened rows, or `REDUCED_ROWS`; of the pose, the mounting if it is a variable, and the
+        errors' variables.
 
     Raises
     ------
@@ -114,6 +122,8 @@ def conic_shape_factor(
         keys = [(error.key, length) for error, length in zip(errors, lengths, strict=True)]
         return packed_pose_factor_with_errors(key, 5 * n, kernel, keys, mounting_key)
     data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
+    if reduced and n > 1:
+        return packed_pose_factor(key, REDUCED_ROWS, packed.reduced_shape_residuals, data, mounting_key)
     return packed_pose_factor(key, 5 * n, packed.shape_residuals, data, mounting_key)
 
 

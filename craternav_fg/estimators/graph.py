@@ -117,12 +117,15 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
     Attributes
     ----------
     intervals : list of ImuInterval
+    left_out : int
+        Number of measured rows that its factors stand for beside their own, see `add_frame`.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._kept: list[gtsam.CustomFactor] = []
         self.intervals: list[ImuInterval] = []
+        self.left_out = 0
 
     def push_back(self, factor: Any) -> None:
         """Add a factor, or all those of a graph."""
@@ -177,7 +180,7 @@ def add_frame(
     noise_scale: float = 1.0,
     variables: RimVariables | None = None,
     near: FloatArray | None = None,
-) -> None:
+) -> int:
     """Add the factors of one image: rims, arcs and sun tilt.
 
     Parameters
@@ -194,7 +197,13 @@ def add_frame(
         Without them all errors of rims are treated as white.
     near : ndarray, shape (4, 4), optional
         Pose gTb, m, at whose attitude lines of sight are evaluated; the initial state's if not given.
+
+    Returns
+    -------
+    int
+        Number of measured rows that were reduced away: the factors have so many fewer.
     """
+    left_out = 0
     states = None if variables is None or options.rims != "chart" else variables.states
     rims = frame.rims if states is not None else frame.rims.inflate_correlated(options.variance_inflation)
     bTc = descent.camera.bTc
@@ -206,9 +215,11 @@ def add_frame(
                 errors = states.enter(rims, graph, variables.values, variables.holds)
             S = noise_scale**2 * (rims.uncorrelated_covariance if errors else rims.covariance)
             errors.extend(() if variables is None else variables.map_errors)
-            graph.push_back(
-                conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
+            factor = conic_shape_factor(
+                key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors, reduced=True
             )
+            graph.push_back(factor)
+            left_out = rims.chart.size - factor.dim()
         else:
             scaled = replace(rims, covariance=noise_scale**2 * rims.covariance)
             gTb = descent.initial.gTb if near is None else near
@@ -225,6 +236,7 @@ def add_frame(
         sun = frame.sun
         sigma_rad = noise_scale * sun.sigma_rad
         graph.push_back(sun_tilt_factor(key, bTc, sun.direction, sun.tilt_rad, sigma_rad, sun.point))
+    return left_out
 
 
 def add_imu(
