@@ -1,5 +1,6 @@
 """The factor graph of a descent: priors, frames, IMU intervals."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,6 +16,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions, RimErrorStates
 from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
+from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.conic_shape import ChartError, conic_shape_factor
@@ -247,6 +249,7 @@ def add_imu(
     end_ns: int,
     midpoint: FloatArray,
     bias: FloatArray,
+    rows: ImuRows | None = None,
 ) -> ImuInterval:
     """Add the IMU factor from one state to the next.
 
@@ -262,13 +265,15 @@ def add_imu(
         Predicted position half-way, in g, m, at which gravity is evaluated.
     bias : ndarray, shape (6,)
         Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
+    rows : (ndarray, ndarray, ndarray), optional
+        What `ImuLog.between` gives for the interval, where it is known already.
 
     Returns
     -------
     ImuInterval
     """
     params = parameters(descent.imu_noise, descent.body.spin_rad_s, descent.body.gravity(midpoint))
-    pim = integrate(params, *descent.imu.between(begin_ns, end_ns), bias)
+    pim = integrate(params, *(rows or descent.imu.between(begin_ns, end_ns)), bias)
     interval = ImuInterval(index, midpoint, pim, params)
     push_interval(graph, interval)
     return interval
@@ -295,7 +300,9 @@ def state_stamps(begin_ns: int, end_ns: int, longest_s: float) -> IntArray:
     ndarray of int, shape (n,)
         Stamps, ns; the last is `end_ns`.
     """
-    n = max(1, int(np.ceil((end_ns - begin_ns) * 1e-9 / longest_s - 1e-9)))
+    n = max(1, math.ceil((end_ns - begin_ns) * 1e-9 / longest_s - 1e-9))
+    if n == 1:
+        return np.array([end_ns], dtype=np.int64)
     return begin_ns + np.round(np.arange(1, n + 1) * ((end_ns - begin_ns) / n)).astype(np.int64)
 
 

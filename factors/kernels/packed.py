@@ -8,6 +8,14 @@ the factor, and in between everything is a scalar.
 import numpy as np
 import numpy.typing as npt
 
+from factors.kernels.admission import (
+    SOUND,
+    first_bad_axes,
+    first_bad_chart,
+    is_rotation,
+    sum_of_squares,
+    whiten_all,
+)
 from factors.kernels.compiled import njit
 from factors.kernels.conic import chart_slopes, moments
 from factors.kernels.robust import loss_and_weight
@@ -67,6 +75,43 @@ def pack(
                 data[k] = W[crater, i, j]
                 k += 1
     return data
+
+
+@njit(cache=True, error_model="numpy")
+def pack_if_sound(
+    bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, S: FloatArray,
+    kind: int, scale: float,
+) -> FloatArray:  # fmt: skip
+    """Pack the constants of a frame as `pack` does, if all are what a factor can be built from.
+
+    Parameters
+    ----------
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
+        Rims in g, m.
+    charts : ndarray, shape (n, 5)
+        Measured charts.
+    S : ndarray, shape (n, 5, 5)
+        Covariances of the charts.
+    kind, scale : int, float
+        Loss, see `robust`.
+
+    Returns
+    -------
+    ndarray, shape (n_data,)
+        Empty where one of the checks of `admission` fails, or a number is not finite.
+    """
+    none = np.empty(0)
+    last = (bTc[3, 0] == 0.0) & (bTc[3, 1] == 0.0) & (bTc[3, 2] == 0.0) & (bTc[3, 3] == 1.0)
+    if not (last and is_rotation(bTc) and first_bad_axes(axes)[0] < 0 and first_bad_chart(charts) < 0):
+        return none
+    W = np.empty(S.shape)
+    if whiten_all(S, W)[0] != SOUND:
+        return none
+    total = sum_of_squares(W.reshape(-1)) + sum_of_squares(S.reshape(-1)) + sum_of_squares(bTc.reshape(-1))
+    total += sum_of_squares(centres.reshape(-1)) + sum_of_squares(axes.reshape(-1))
+    return pack(bTc, centres, axes, charts, W, kind, scale) if np.isfinite(total) else none
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FUSED)

@@ -7,7 +7,8 @@ from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 
 from factors import validation
-from factors.custom import packed_pose_factor
+from factors.conic_shape import conic_shape_factor
+from factors.custom import Loss, packed_pose_factor
 from factors.errors import FactorError
 from factors.kernels import conic, packed, robust, validity
 from tests.factors.conftest import View, make_view
@@ -150,6 +151,26 @@ def test_numbers_that_are_not_finite_raise(place: int) -> None:
                 evaluate(values)
     with pytest.raises(FactorError, match="rows"):
         packed_pose_factor(X(3), 0, packed.shape_residuals, data)
+
+
+def test_what_is_checked_at_once_is_packed_as_what_is_checked_by_field() -> None:
+    """Arrays that are laid out otherwise take the other way; what is spoilt is refused in `test_refusals`."""
+    view = make_view(2, n=6)
+    c = view.catalog
+    W = validation.whitening("covariances", view.covariances, 6, 5)
+    expected = packed.pack(view.bTc, c.centres, c.axes, view.charts, W, robust.CAUCHY, 2.0)
+    fields = (view.bTc, c.centres, c.axes, view.charts, view.covariances)
+    assert_allclose(packed.pack_if_sound(*fields, robust.CAUCHY, 2.0), expected, rtol=1e-14)
+    spoilt = view.covariances.copy()
+    spoilt[5] = 0.0
+    assert not len(packed.pack_if_sound(*fields[:4], spoilt, robust.CAUCHY, 2.0))
+    away = gtsam.Values()
+    away.insert(X(0), gtsam.Pose3(view.gTb).retract(np.array([1e-3, -2e-3, 3e-3, 20.0, -30.0, 40.0])))
+    made = [
+        conic_shape_factor(X(0), *others, Loss(robust.CAUCHY, 2.0))
+        for others in (fields, [np.asfortranarray(field) for field in fields])
+    ]
+    assert made[0].error(away) == pytest.approx(made[1].error(away), rel=1e-12)
 
 
 @pytest.mark.parametrize("m", [1, 2, 5])
