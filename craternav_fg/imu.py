@@ -7,10 +7,12 @@ import numpy.typing as npt
 
 from factors.imu_noise import ImuNoise
 
-__all__ = ["ImuLog", "ImuNoise"]
+__all__ = ["ImuLog", "ImuNoise", "ImuRows"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+# Durations (m,), s; angular velocities and specific forces (m, 3) of rows, see `ImuLog.between`.
+ImuRows = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class ImuLog:
         stamps = np.array([begin_ns + half_ns, begin_ns + 2 * half_ns], dtype=np.int64)
         return cls(stamps, np.array([rate_rad_s, rate_rad_s], dtype=np.float64), np.zeros((2, 3)))
 
-    def between(self, begin_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def between(self, begin_ns: int, end_ns: int) -> ImuRows:
         """Cut the log to an interval. A row that extends beyond an end counts for its part inside.
 
         Parameters
@@ -75,7 +77,9 @@ class ImuLog:
             raise ValueError(
                 f"IMU log covers {first} to {self.stamps_ns[-1]} ns, asked for {begin_ns} to {end_ns}"
             )
-        lo = int(np.searchsorted(self.stamps_ns, begin_ns, side="right"))
-        hi = int(np.searchsorted(self.stamps_ns, end_ns, side="left"))
-        edges = np.concatenate([[begin_ns], self.stamps_ns[lo:hi], [end_ns]])
-        return np.diff(edges) * 1e-9, self.gyro[lo : hi + 1], self.accelerometer[lo : hi + 1]
+        lo = int(self.stamps_ns.searchsorted(begin_ns, side="right"))
+        hi = int(self.stamps_ns.searchsorted(end_ns, side="left"))
+        edges = np.empty(hi - lo + 2, dtype=np.int64)
+        edges[0], edges[1:-1], edges[-1] = begin_ns, self.stamps_ns[lo:hi], end_ns
+        dt_s = (edges[1:] - edges[:-1]).astype(np.float64) * 1e-9
+        return dt_s, self.gyro[lo : hi + 1], self.accelerometer[lo : hi + 1]

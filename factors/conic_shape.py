@@ -18,6 +18,9 @@ from factors.kernels import packed, rim_errors, robust
 
 FloatArray = npt.NDArray[np.float64]
 
+# Six for the pose, and one that keeps the error's constant.
+REDUCED_ROWS = 7
+
 
 @dataclass(frozen=True)
 class ChartError:
@@ -49,6 +52,7 @@ def conic_shape_factor(
     *,
     mounting_key: int | None = None,
     errors: Sequence[ChartError] = (),
+    reduced: bool = False,
 ) -> gtsam.CustomFactor:
     """Build a factor of the body's pose from the rims of a frame.
 
@@ -74,11 +78,15 @@ def conic_shape_factor(
         Key of the mounting as a variable (`Pose3`), to be estimated.
     errors : sequence of ChartError
         Errors of the charts, beside those of `covariances`, to be estimated.
+    reduced : bool
+        Whether the rows of several rims without `errors` are turned into seven that optimisers cannot tell
+        from them: less to copy and to eliminate. The residual of a single rim can then not be read.
 
     Returns
     -------
     gtsam.CustomFactor
-        With 5 n whitened rows, of the pose, the mounting if it is a variable, and the errors' variables.
+        With 5 n whitened rows, or `REDUCED_ROWS`; of the pose, the mounting if it is a variable, and the
+        errors' variables.
 
     Raises
     ------
@@ -86,6 +94,10 @@ def conic_shape_factor(
         Naming the field that is not finite, mis-shaped, or not positive definite.
     """
     n = validation.count("charts", charts)
+    if not errors and mounting_key is None:
+        data = _packed(n, (bTc, centres, axes, charts, covariances), loss)
+        if len(data):
+            return _without_errors(key, n, data, None, reduced=reduced)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
     charts = validation.charts("charts", charts, n)
@@ -114,6 +126,27 @@ def conic_shape_factor(
         keys = [(error.key, length) for error, length in zip(errors, lengths, strict=True)]
         return packed_pose_factor_with_errors(key, 5 * n, kernel, keys, mounting_key)
     data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
+    return _without_errors(key, n, data, mounting_key, reduced=reduced)
+
+
+def _packed(n: int, fields: tuple[npt.ArrayLike | None, ...], loss: Loss) -> FloatArray:
+    """Check all fields at once, and pack them; empty where one is to be looked at by itself."""
+    shapes = ((4, 4), (n, 3), (n, 2, 3), (n, 5), (n, 5, 5))
+    for value, shape in zip(fields, shapes, strict=True):
+        # No subclass: masked arrays are refused by name.
+        if not (type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape):
+            return np.empty(0)
+        if not value.flags.carray:
+            return np.empty(0)
+    return packed.pack_if_sound(*fields, loss.kind, loss.scale)
+
+
+def _without_errors(
+    key: int, n: int, data: FloatArray, mounting_key: int | None, *, reduced: bool
+) -> gtsam.CustomFactor:
+    """Build the factor of packed rims whose errors are no variables."""
+    if reduced and n > 1:
+        return packed_pose_factor(key, REDUCED_ROWS, packed.reduced_shape_residuals, data, mounting_key)
     return packed_pose_factor(key, 5 * n, packed.shape_residuals, data, mounting_key)
 
 

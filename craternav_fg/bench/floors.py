@@ -7,13 +7,12 @@ from gtsam.symbol_shorthand import X
 
 from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.ratios import RELATIVE_TOLERANCE, Ratio, batch_graphs, interleaved, projection_factors
+from craternav_fg.estimators.graph import FactorGraph
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+from factors.conic_shape import REDUCED_ROWS
 from factors.custom import PackedKernel, packed_pose_factor
 
 FloatArray = npt.NDArray[np.float64]
-
-# Rows of a rim in our factor.
-_ROWS = 5
 
 
 def factor_floor(bench: Bench, repetitions: int = 31) -> Ratio:
@@ -27,14 +26,14 @@ def factor_floor(bench: Bench, repetitions: int = 31) -> Ratio:
     Returns
     -------
     Ratio
-        Of the time to linearise all frames, with one factor of as many rows as ours for each frame.
+        Of the time to linearise all frames, with one factor of as many rows as ours for each frame; they have
+        several rims.
     """
     values = bench.values(np.random.default_rng(1), scale=0.1)
     reference = projection_factors(bench, values)
-    empty = gtsam.NonlinearFactorGraph()
-    for i, frame in enumerate(bench.problem.frames):
-        rows = _ROWS * len(frame.rims)
-        empty.push_back(packed_pose_factor(X(i), rows, lambda *_: 0.0, np.zeros(1)))
+    empty = FactorGraph()
+    for i in range(len(bench.problem.frames)):
+        empty.push_back(packed_pose_factor(X(i), REDUCED_ROWS, lambda *_: 0.0, np.zeros(1)))
     return interleaved(lambda: empty.linearize(values), lambda: reference.linearize(values), repetitions)
 
 
@@ -74,11 +73,9 @@ def batch_steps(bench: Bench, repetitions: int = 15) -> tuple[dict[str, Ratio], 
     return ratios, counts
 
 
-def _frozen(
-    graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph
-) -> gtsam.NonlinearFactorGraph:
+def _frozen(graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph) -> FactorGraph:
     """Replace our factors by ones that always return what they return at one point."""
-    out = gtsam.NonlinearFactorGraph()
+    out = FactorGraph()
     for number in range(graph.size()):
         factor = graph.at(number)
         if not isinstance(factor, gtsam.CustomFactor):

@@ -162,7 +162,7 @@ def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOpt
 
 def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
     """Whether an optimum's chi-square is so large that it may be a local one."""
-    rows = sum(graph.at(i).dim() for i in range(graph.size()))
+    rows = graph.left_out + sum(graph.at(i).dim() for i in range(graph.size()))
     freedom = max(rows - values.dim(), 1)
     return 2.0 * graph.error(values) > SUSPECT_CHI2_RATIO * freedom + SUSPECT_SIGMAS * np.sqrt(2.0 * freedom)
 
@@ -307,7 +307,7 @@ def build_graph(
                 errors.append(intrinsic_error(frame.rims, problem.camera, intrinsic_sigmas))
         variables = RimVariables(added, states, map_errors=errors)
         near = values.atPose3(key).matrix()
-        add_frame(graph, problem, options, key, frame, variables=variables, near=near)
+        graph.left_out += add_frame(graph, problem, options, key, frame, variables=variables, near=near)
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), index, frame.stamp_ns)
         if features is not None:
             features.enter(

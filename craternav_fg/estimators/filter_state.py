@@ -10,6 +10,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.estimators import filter_kernel
 from craternav_fg.estimators.base import Descent, Problem
+from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.motion.model import Motion
 from craternav_fg.trajectory import Trajectory
@@ -280,7 +281,23 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
     ValueError
         When the IMU log does not cover the interval.
     """
-    rows = descent.imu.between(begin_ns, end_ns)
+    return propagate_through(state, descent, descent.imu.between(begin_ns, end_ns))
+
+
+def propagate_through(state: FilterState, descent: Descent, rows: ImuRows) -> FilterState:
+    """Propagate a state through rows of the IMU log.
+
+    Parameters
+    ----------
+    state : FilterState
+    descent : Descent
+    rows : (ndarray, ndarray, ndarray)
+        What `ImuLog.between` gives.
+
+    Returns
+    -------
+    FilterState
+    """
     if descent.motion is not None:
         return _moved(state, descent, descent.motion, rows[:2])
     body = descent.body.mu_m3_s2, np.array(descent.body.spin_rad_s)

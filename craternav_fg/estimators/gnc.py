@@ -25,6 +25,7 @@ from craternav_fg.estimators.linearisation import linearise_arcs
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import longest_interval_s
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+from craternav_fg.estimators.rim_models import rim_factors
 from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import ArcSet, RimSet
@@ -238,9 +239,7 @@ class _Rims:
         self._made: list[tuple[FloatArray, FactorGraph]] = [
             (ones, self._factors(k, ones)) for k, ones in enumerate(self.split(np.ones(self.count)))
         ]
-        self._graph = FactorGraph()
-        for _, part in self._made:
-            self._graph.push_back(part)
+        self._unreduced = [factor for k in range(len(numbers)) for factor in self._residuals(k)]
 
     def split(self, weights: FloatArray) -> list[FloatArray]:
         """Weights of all rims, frame by frame."""
@@ -266,15 +265,17 @@ class _Rims:
         add_frame(part, self._problem, self._options, self._keys[k], replace(self._frames[k], rims=rims))
         return part
 
+    def _residuals(self, k: int) -> list[gtsam.CustomFactor]:
+        """Factors of a frame's rims of which each rim's residual can be read."""
+        rims = self._frames[k].rims.inflate_correlated(self._options.variance_inflation)
+        of = self._problem.camera, self._problem.catalog, rims, self._problem.initial.gTb
+        return rim_factors(self._options.rims, self._keys[k], *of, Loss()) if len(rims) else []
+
     def squared(self, values: gtsam.Values) -> FloatArray:
         """Squared whitened norms of all rims; infinite where the pose cannot see the crater."""
         rows = RESIDUAL_SIZE[self._options.rims]
-        residuals = [np.empty(0)]
-        for i in range(self._graph.size()):
-            factor = self._graph.at(i)
-            assert isinstance(factor, gtsam.CustomFactor)
-            residuals.append(factor.unwhitenedError(values))
-        e = np.concatenate(residuals).reshape(-1, rows)
+        residuals = [factor.unwhitenedError(values) for factor in self._unreduced]
+        e = np.concatenate([np.empty(0), *residuals]).reshape(-1, rows)
         # A rim out of sight has no slope, only a step in the error that would stop the optimiser.
         seen = (e != UNSEEN).any(axis=1)
         return np.where(seen, np.sum(e**2, axis=1), np.inf)

@@ -1,5 +1,6 @@
 """The factor graph of a descent: priors, frames, IMU intervals."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,6 +16,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions, RimErrorStates
 from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
+from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.conic_shape import ChartError, conic_shape_factor
@@ -117,12 +119,15 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
     Attributes
     ----------
     intervals : list of ImuInterval
+    left_out : int
+        Number of measured rows that its factors stand for beside their own, see `add_frame`.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._kept: list[gtsam.CustomFactor] = []
         self.intervals: list[ImuInterval] = []
+        self.left_out = 0
 
     def push_back(self, factor: Any) -> None:
         """Add a factor, or all those of a graph."""
@@ -177,7 +182,7 @@ def add_frame(
     noise_scale: float = 1.0,
     variables: RimVariables | None = None,
     near: FloatArray | None = None,
-) -> None:
+) -> int:
     """Add the factors of one image: rims, arcs and sun tilt.
 
     Parameters
@@ -194,7 +199,13 @@ def add_frame(
         Without them all errors of rims are treated as white.
     near : ndarray, shape (4, 4), optional
         Pose gTb, m, at whose attitude lines of sight are evaluated; the initial state's if not given.
+
+    Returns
+    -------
+    int
+        Number of measured rows that were reduced away: the factors have so many fewer.
     """
+    left_out = 0
     states = None if variables is None or options.rims != "chart" else variables.states
     rims = frame.rims if states is not None else frame.rims.inflate_correlated(options.variance_inflation)
     bTc = descent.camera.bTc
@@ -206,9 +217,11 @@ def add_frame(
                 errors = states.enter(rims, graph, variables.values, variables.holds)
             S = noise_scale**2 * (rims.uncorrelated_covariance if errors else rims.covariance)
             errors.extend(() if variables is None else variables.map_errors)
-            graph.push_back(
-                conic_shape_factor(key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors)
+            factor = conic_shape_factor(
+                key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors, reduced=True
             )
+            graph.push_back(factor)
+            left_out = rims.chart.size - factor.dim()
         else:
             scaled = replace(rims, covariance=noise_scale**2 * rims.covariance)
             gTb = descent.initial.gTb if near is None else near
@@ -225,6 +238,7 @@ def add_frame(
         sun = frame.sun
         sigma_rad = noise_scale * sun.sigma_rad
         graph.push_back(sun_tilt_factor(key, bTc, sun.direction, sun.tilt_rad, sigma_rad, sun.point))
+    return left_out
 
 
 def add_imu(
@@ -235,6 +249,7 @@ def add_imu(
     end_ns: int,
     midpoint: FloatArray,
     bias: FloatArray,
+    rows: ImuRows | None = None,
 ) -> ImuInterval:
     """Add the IMU factor from one state to the next.
 
@@ -250,13 +265,15 @@ def add_imu(
         Predicted position half-way, in g, m, at which gravity is evaluated.
     bias : ndarray, shape (6,)
         Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
+    rows : (ndarray, ndarray, ndarray), optional
+        What `ImuLog.between` gives for the interval, where it is known already.
 
     Returns
     -------
     ImuInterval
     """
     params = parameters(descent.imu_noise, descent.body.spin_rad_s, descent.body.gravity(midpoint))
-    pim = integrate(params, *descent.imu.between(begin_ns, end_ns), bias)
+    pim = integrate(params, *(rows or descent.imu.between(begin_ns, end_ns)), bias)
     interval = ImuInterval(index, midpoint, pim, params)
     push_interval(graph, interval)
     return interval
@@ -283,7 +300,9 @@ def state_stamps(begin_ns: int, end_ns: int, longest_s: float) -> IntArray:
     ndarray of int, shape (n,)
         Stamps, ns; the last is `end_ns`.
     """
-    n = max(1, int(np.ceil((end_ns - begin_ns) * 1e-9 / longest_s - 1e-9)))
+    n = max(1, math.ceil((end_ns - begin_ns) * 1e-9 / longest_s - 1e-9))
+    if n == 1:
+        return np.array([end_ns], dtype=np.int64)
     return begin_ns + np.round(np.arange(1, n + 1) * ((end_ns - begin_ns) / n)).astype(np.int64)
 
 

@@ -45,6 +45,10 @@ STATE_LETTERS = ("x", "v", "b")
 # Letters of variables that several states share: time-correlated errors of one rim and of all rims, tracked
 # points, biases of sensors.
 SHARED_LETTERS = ("r", "s", POINT, *SENSOR_BIASES)
+# Letters of variables whose tree can be replaced. Errors of rims are not handed on: those of all rims that
+# may be seen again would make one dense factor, dearer than the whole tree; without them the present state
+# would seem not to rest on rims that they spoilt.
+HANDED_ON = {*STATE_LETTERS, POINT, *SENSOR_BIASES}
 # Back-substitution continues into the past until no variable moves by more (in practice: 1 m). The newest
 # states are at the root and always exact; GTSAM's 1 mm would visit the whole past at every frame.
 WILDFIRE_STEP = 1.0
@@ -208,15 +212,22 @@ class Isam:
         self._tree = gtsam.ISAM2(parameters(self.relinearise_m))
         self._hold = self._tree.getLinearizationPoint()
         self._points = 0
+        self._bounded = True
         if graph.size():
             self._tree.update(graph, values)
-            self._points = _count_points(values)
+            self._count(values)
 
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
         self._tree.update(graph, values, drop)
-        self._points += _count_points(values)
+        self._count(values)
+
+    def _count(self, added: gtsam.Values) -> None:
+        """Count tracked points, and see whether a snapshot can hand on all other variables."""
+        letters = [chr(key >> INDEX_BITS) for key in added.keys()]  # noqa: SIM118 (Values is no mapping)
+        self._points += letters.count(POINT)
+        self._bounded = self._bounded and HANDED_ON.issuperset(letters)
 
     def _size(self) -> int:
         """Count the variables but tracked points."""
@@ -225,11 +236,12 @@ class Isam:
     def _bound(self, added: gtsam.NonlinearFactorGraph) -> None:
         """Take a snapshot of the newest state in time, and replace a large tree by one that begins there.
 
-        Tracked points do not count: a tree with many of them would hold too few states.
+        Tracked points do not count: a tree with many of them would hold too few states. A tree with errors of
+        rims stays, see `HANDED_ON`.
         """
         size = self._size()
         if self._snapshot is None:
-            if size > MAX_VARIABLES - OVERLAP_VARIABLES:
+            if self._bounded and size > MAX_VARIABLES - OVERLAP_VARIABLES:
                 self._snapshot = self._photograph()
             return
         if size <= MAX_VARIABLES or size < self._snapshot.size + OVERLAP_VARIABLES:
@@ -245,11 +257,8 @@ class Isam:
         self._new(graph, values)
 
     def _photograph(self) -> _Snapshot | None:
-        """Take a snapshot of the newest state; None when it is uncertain or cannot be handed on."""
-        every = self._hold.keys()
-        if not {chr(key >> INDEX_BITS) for key in every} <= {*STATE_LETTERS, POINT, *SENSOR_BIASES}:
-            return None
-        symbols = [gtsam.Symbol(key) for key in every]
+        """Take a snapshot of the newest state; None when it is uncertain."""
+        symbols = [gtsam.Symbol(key) for key in self._hold.keys()]  # noqa: SIM118 (Values is no mapping)
         last = max(symbol.index() for symbol in symbols if chr(symbol.chr()) in STATE_LETTERS)
         keys = [
             symbol.key()

@@ -6,17 +6,24 @@ are triangular square roots of information, which rotations keep accurate. Covar
 lose all digits: a state follows from the next one by the IMU alone, and errors grow along the descent.
 """
 
+import itertools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.estimators.correlated_errors import ERROR_LETTER
+from craternav_fg.estimators.incremental import INDEX_BITS
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+
+# Largest number of variables that a constructor of `gtsam.JacobianFactor` takes one by one.
+MOST_BLOCKS = 3
 
 
 class Marginals:
@@ -46,8 +53,9 @@ class Marginals:
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         linear = graph.linearize(values)
-        ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
-        self._tree = linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+        parts = separated(linear, values)
+        ordering = gtsam.Ordering.ColamdGaussianFactorGraph(parts)
+        self._tree = parts.eliminateMultifrontal(ordering, gtsam.EliminateQR)
         self.step = self._tree.optimize()
         here = gtsam.VectorValues.Zero(self.step)
         self.predicted_decrease = float(linear.error(here) - linear.error(self.step))
@@ -99,6 +107,64 @@ class Marginals:
                     kept[places[key]] = key in theirs
                 pending.append((child, [key for key in order if key in theirs], marginal_root(joint, kept)))
         return out
+
+
+def separated(linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+    """Give each rim of a frame a factor of its own, where its error is a variable.
+
+    A frame's factor has zeros for the errors of all other rims, and an elimination would fill them in.
+    Without them it costs half.
+
+    Parameters
+    ----------
+    linear : gtsam.GaussianFactorGraph
+    values : gtsam.Values
+        Of all its variables.
+
+    Returns
+    -------
+    gtsam.GaussianFactorGraph
+        With the same minimum and the same information; without the constants of rows that are all zero.
+    """
+    out = gtsam.GaussianFactorGraph()
+    zero = values.zeroVectors()
+    for number in range(linear.size()):
+        factor = linear.at(number)
+        keys = list(factor.keys())
+        errors = sum(key >> INDEX_BITS == ord(ERROR_LETTER) for key in keys)
+        # A link between two errors has no rows of zeros.
+        if errors < 2 or errors == len(keys):
+            out.push_back(factor)
+            continue
+        for part in _by_keys(factor, keys, [len(zero.at(key)) for key in keys]):
+            out.push_back(part)
+    return out
+
+
+def _by_keys(
+    factor: gtsam.GaussianFactor, keys: Sequence[int], sizes: Sequence[int]
+) -> list[gtsam.GaussianFactor]:
+    """Split a factor between rows that involve different variables."""
+    A, b = factor.jacobian()
+    begins = np.cumsum([0, *sizes])
+    involved = np.logical_or.reduceat(A != 0.0, begins[:-1], axis=1)
+    ends = [*(1 + np.flatnonzero((involved[1:] != involved[:-1]).any(axis=1))).tolist(), len(b)]
+    parts: list[gtsam.GaussianFactor] = []
+    first = 0
+    for last in ends:
+        blocks = [
+            (keys[k], A[first:last, begins[k] : begins[k + 1]])
+            for k in np.flatnonzero(involved[first]).tolist()
+        ]
+        # GTSAM has no constructor for more: such as with variables of the map.
+        if len(blocks) > MOST_BLOCKS:
+            return [factor]
+        if blocks:
+            unit = gtsam.noiseModel.Unit.Create(last - first)
+            terms: list[Any] = [*itertools.chain(*blocks), b[first:last], unit]
+            parts.append(gtsam.JacobianFactor(*terms))
+        first = last
+    return parts
 
 
 def _joint(

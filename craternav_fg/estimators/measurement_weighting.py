@@ -6,8 +6,6 @@ seem too large. Weights evaluated at the image predicted by a pose from other da
 take that pose from their first solution, the online smoother and the filter from the prediction.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -41,7 +39,7 @@ def with_predicted_covariances(
     rows = frame.rims.craters
     gTb = np.ascontiguousarray(gTb)
     charts, _ = conic.project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
-    return replace(frame, rims=frame.rims.expected_at(charts))
+    return FrameMeasurement(frame.stamp_ns, frame.rims.expected_at(charts), frame.sun, frame.arcs)
 
 
 def noise_inflation(

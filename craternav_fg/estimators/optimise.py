@@ -35,6 +35,8 @@ STEP_SCALES: dict[str, FloatArray] = {
 }
 # Largest decrease of the error that a full step predicts at an optimum: a tenth of a standard deviation.
 MAX_PREDICTED_DECREASE = 5e-3
+# Share of the error by which a step may lower it and yet be the last one, if it does as predicted.
+MAX_LAST_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,9 @@ class LmOptions:
     max_iterations : int
         Largest number of linearisations.
     relative_tolerance : float
-        Stop when the error falls by less than this share.
+        Stop when the error falls by less than this share, or when a full step by QR lowers it by what the
+        linear graph predicts, to within this share. The point reached is then the minimum of both: where
+        steps shrink by a factor r each, less than r/(1 - r) of the share is left.
     first_damping : float
         Damping after the first step that fails, in units of the step scales. It grows by 10 with each failure
         and falls by 10 with each success. Below it steps are not damped (Gauss-Newton).
@@ -143,7 +147,8 @@ def levenberg_marquardt(
     for iteration in range(1, options.max_iterations + 1):
         linear = graph.linearize(values)
         while True:
-            candidate = _step(linear, values, solver, damping)
+            step = _step(linear, values, solver, damping)
+            candidate = None if step is None else values.retract(step)
             new_error = np.inf if candidate is None else graph.error(candidate)
             if new_error > error and solver.cholesky:
                 solver.cholesky = False
@@ -151,7 +156,8 @@ def levenberg_marquardt(
             if candidate is not None and new_error > error and damping == 0.0:
                 # Large turns and shifts together violate the stiff IMU factors to second order. Another step
                 # corrects that, where damping would creep along them (the Maratos effect).
-                candidate = _step(graph.linearize(candidate), candidate, solver, 0.0)
+                step, second = None, _step(graph.linearize(candidate), candidate, solver, 0.0)
+                candidate = None if second is None else candidate.retract(second)
                 new_error = np.inf if candidate is None else graph.error(candidate)
             if candidate is not None and new_error <= error:
                 break
@@ -161,6 +167,10 @@ def levenberg_marquardt(
             damping = max(10.0 * damping, options.first_damping)
         gain = error - new_error
         values, error = candidate, new_error
+        if damping == 0.0 and step is not None and not solver.cholesky and gain <= MAX_LAST_SHARE * error:
+            missed = abs(gain - _predicted_decrease(linear, step))
+            if missed <= _gain_that_ends(error, options):
+                return LmResult(values, error, iteration, True)
         damping = 0.1 * damping if damping > options.first_damping else 0.0
         if gain <= _gain_that_ends(error, options):
             return LmResult(values, error, iteration, _at_rest(linear, solver, damping))
@@ -184,8 +194,12 @@ def _at_rest(linear: gtsam.GaussianFactorGraph, solver: _Solver, damping: float)
         step = solver.solve(linear)
     except RuntimeError:
         return False
-    here = gtsam.VectorValues.Zero(step)
-    return bool(linear.error(here) - linear.error(step) <= MAX_PREDICTED_DECREASE)
+    return _predicted_decrease(linear, step) <= MAX_PREDICTED_DECREASE
+
+
+def _predicted_decrease(linear: gtsam.GaussianFactorGraph, step: gtsam.VectorValues) -> float:
+    """By how much a step lowers the error of a linear graph."""
+    return float(linear.error(gtsam.VectorValues.Zero(step)) - linear.error(step))
 
 
 def gauss_newton(
@@ -209,10 +223,11 @@ def gauss_newton(
     solver = _Solver(gtsam.Ordering.ColamdNonlinearFactorGraph(graph), cholesky=False)
     error = graph.error(values)
     for iteration in range(1, options.max_iterations + 1):
-        candidate = _step(graph.linearize(values), values, solver, 0.0)
-        if candidate is None:
+        step = _step(graph.linearize(values), values, solver, 0.0)
+        if step is None:
             return LmResult(values, error, iteration, False)
-        last, values, error = error, candidate, graph.error(candidate)
+        values = values.retract(step)
+        last, error = error, graph.error(values)
         if abs(last - error) <= _gain_that_ends(error, options):
             return LmResult(values, error, iteration, True)
     return LmResult(values, error, options.max_iterations, False)
@@ -220,12 +235,12 @@ def gauss_newton(
 
 def _step(
     linear: gtsam.GaussianFactorGraph, values: gtsam.Values, solver: _Solver, damping: float
-) -> gtsam.Values | None:
-    """Values after one step; None when the undamped system does not determine all of them."""
+) -> gtsam.VectorValues | None:
+    """Return one step from values; None when the undamped system does not determine all of it."""
     if damping > 0.0:
         linear = _damped(linear, list(values.keys()), damping)
     try:
-        return values.retract(solver.solve(linear))
+        return solver.solve(linear)
     except RuntimeError:
         if damping > 0.0:
             raise

@@ -57,10 +57,8 @@ class StateLog:
         """
         if self._count == _BLOCK:
             self._write()
-        row = self._rows[self._count]
-        row["stamp_ns"] = stamp_ns
-        for name in self._type.names[1:]:  # type: ignore[index]
-            row[name] = getattr(state, name)
+        values = [getattr(state, name) for name in self._type.names[1:]]  # type: ignore[index]
+        self._rows[self._count] = (stamp_ns, *values)
         self._count += 1
 
     def states(self) -> list[FilterState]:

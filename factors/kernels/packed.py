@@ -8,6 +8,14 @@ the factor, and in between everything is a scalar.
 import numpy as np
 import numpy.typing as npt
 
+from factors.kernels.admission import (
+    SOUND,
+    first_bad_axes,
+    first_bad_chart,
+    is_rotation,
+    sum_of_squares,
+    whiten_all,
+)
 from factors.kernels.compiled import njit
 from factors.kernels.conic import chart_slopes, moments
 from factors.kernels.robust import loss_and_weight
@@ -69,6 +77,43 @@ def pack(
     return data
 
 
+@njit(cache=True, error_model="numpy")
+def pack_if_sound(
+    bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, S: FloatArray,
+    kind: int, scale: float,
+) -> FloatArray:  # fmt: skip
+    """Pack the constants of a frame as `pack` does, if all are what a factor can be built from.
+
+    Parameters
+    ----------
+    bTc : ndarray, shape (4, 4)
+        Mounting of the camera.
+    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
+        Rims in g, m.
+    charts : ndarray, shape (n, 5)
+        Measured charts.
+    S : ndarray, shape (n, 5, 5)
+        Covariances of the charts.
+    kind, scale : int, float
+        Loss, see `robust`.
+
+    Returns
+    -------
+    ndarray, shape (n_data,)
+        Empty where one of the checks of `admission` fails, or a number is not finite.
+    """
+    none = np.empty(0)
+    last = (bTc[3, 0] == 0.0) & (bTc[3, 1] == 0.0) & (bTc[3, 2] == 0.0) & (bTc[3, 3] == 1.0)
+    if not (last and is_rotation(bTc) and first_bad_axes(axes)[0] < 0 and first_bad_chart(charts) < 0):
+        return none
+    W = np.empty(S.shape)
+    if whiten_all(S, W)[0] != SOUND:
+        return none
+    total = sum_of_squares(W.reshape(-1)) + sum_of_squares(S.reshape(-1)) + sum_of_squares(bTc.reshape(-1))
+    total += sum_of_squares(centres.reshape(-1)) + sum_of_squares(axes.reshape(-1))
+    return pack(bTc, centres, axes, charts, W, kind, scale) if np.isfinite(total) else none
+
+
 @njit(cache=True, error_model="numpy", fastmath=_FUSED)
 def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
     """Conic shape: zero when every predicted rim has the measured chart.
@@ -90,6 +135,47 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
         A sum that is finite only where all that was written is. `validity` says what is written for a crater
         that the pose cannot see.
     """
+    total = _rows_of_camera(gTb, data, linearise, out)
+    return total + _of_body(data, out, out.shape[1]) if linearise else total
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FUSED)
+def reduced_shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
+    """Conic shape of a frame in seven rows that its 5 n were turned into: J' J, J' e and e' e are the same.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    data : ndarray, shape (n_data,)
+        From `pack`, with n > 1.
+    linearise : bool
+        Whether the Jacobian is written.
+    out : ndarray, shape (7, 7)
+        Written as by `shape_residuals`; the last row's Jacobian is zero. Without a Jacobian, the norm of the
+        residual stands for it, in the last row.
+
+    Returns
+    -------
+    float
+        A sum that is finite only where all that was written is.
+    """
+    rows = np.empty((7, 5 * ((data.shape[0] - HEADER) // CRATER)))
+    total = _rows_of_camera(gTb, data, linearise, rows)
+    if linearise:
+        triangularise(rows, out)
+        return total + _of_body(data, out, 6)
+    out[:] = 0.0
+    e2 = 0.0
+    for i in range(rows.shape[1]):
+        e2 += rows[6, i] * rows[6, i]
+    out[6, 6] = np.sqrt(e2)
+    return total
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FUSED)
+def _rows_of_camera(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
+    """Write residuals, and the Jacobian's columns for the twist of the camera; see `shape_residuals`."""
     B = data[:12]
     R = np.empty(9)
     P = np.empty(3)
@@ -100,7 +186,6 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
     kind = int(data[12])
     scale = data[13]
     G = np.zeros((5, 6))
-    sums = np.zeros(6)
     total = 0.0
     for crater in range((data.shape[0] - HEADER) // CRATER):
         k = HEADER + CRATER * crater
@@ -156,31 +241,73 @@ def shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, out: Flo
                 factor * G[3, j],
                 factor * G[4, j],
             )
-            G[0, j] = data[w] * g0
-            G[1, j] = data[w + 1] * g0 + data[w + 2] * g1
-            G[2, j] = data[w + 3] * g0 + data[w + 4] * g1 + data[w + 5] * g2
-            G[3, j] = data[w + 6] * g0 + data[w + 7] * g1 + data[w + 8] * g2 + data[w + 9] * g3
-            G[4, j] = (
+            column = out[j]
+            column[row] = data[w] * g0
+            column[row + 1] = data[w + 1] * g0 + data[w + 2] * g1
+            column[row + 2] = data[w + 3] * g0 + data[w + 4] * g1 + data[w + 5] * g2
+            column[row + 3] = data[w + 6] * g0 + data[w + 7] * g1 + data[w + 8] * g2 + data[w + 9] * g3
+            column[row + 4] = (
                 data[w + 10] * g0 + data[w + 11] * g1 + data[w + 12] * g2
                 + data[w + 13] * g3 + data[w + 14] * g4
             )  # fmt: skip
-        # From the camera's twist to the body's, as `conic.body_columns` does.
-        for r in range(5):
-            c0, c1, c2, c3, c4, c5 = G[r, 0], G[r, 1], G[r, 2], G[r, 3], G[r, 4], G[r, 5]
-            r0 = c3 * B[0] + c4 * B[1] + c5 * B[2]
-            r1 = c3 * B[4] + c4 * B[5] + c5 * B[6]
-            r2 = c3 * B[8] + c4 * B[9] + c5 * B[10]
-            w0 = c0 * B[0] + c1 * B[1] + c2 * B[2] + B[7] * r2 - B[11] * r1
-            w1 = c0 * B[4] + c1 * B[5] + c2 * B[6] + B[11] * r0 - B[3] * r2
-            w2 = c0 * B[8] + c1 * B[9] + c2 * B[10] + B[3] * r1 - B[7] * r0
-            out[0, row + r], out[1, row + r], out[2, row + r] = w0, w1, w2
-            out[3, row + r], out[4, row + r], out[5, row + r] = r0, r1, r2
-            sums[0] += w0
-            sums[1] += w1
-            sums[2] += w2
-            sums[3] += r0
-            sums[4] += r1
-            sums[5] += r2
-    for j in range(6):
-        total += sums[j]
+    return total
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FUSED)
+def triangularise(columns: FloatArray, R: FloatArray) -> None:
+    """Turn the rows of a matrix so that it becomes upper triangular, by Householder's reflections.
+
+    Reflections keep lengths and angles: nothing is squared, however unequal the columns' units are.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (k, m)
+        Columns of the matrix (m, k), m >= k, in any units; overwritten.
+    R : ndarray, shape (k, k)
+        Written: columns of the upper triangular matrix. The last diagonal entry is not negative.
+    """
+    k, m = columns.shape
+    R[:] = 0.0
+    for c in range(k):
+        v = columns[c]
+        squared = 0.0
+        # Rows above the diagonal are zero by then; loops of one length are the fastest.
+        for i in range(m):
+            squared += v[i] * v[i]
+        length, first = np.sqrt(squared), v[c]
+        R[c, c] = length
+        if c == k - 1 or squared == 0.0:
+            continue
+        v[c] = first + length if first > 0.0 else first - length
+        R[c, c] = first - v[c]
+        scale = 1.0 / (length * abs(v[c]))
+        for j in range(c + 1, k):
+            w = columns[j]
+            product = 0.0
+            for i in range(m):
+                product += v[i] * w[i]
+            product *= scale
+            for i in range(m):
+                w[i] -= product * v[i]
+            R[j, c] = w[c]
+            w[c] = 0.0
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FUSED)
+def _of_body(data: FloatArray, out: FloatArray, rows: int) -> float:
+    """Turn a Jacobian for the camera's twist into one for the body's, as `conic.body_columns`; sum of it."""
+    B = data[:12]
+    total = 0.0
+    for r in range(rows):
+        c3, c4, c5 = out[3, r], out[4, r], out[5, r]
+        r0 = c3 * B[0] + c4 * B[1] + c5 * B[2]
+        r1 = c3 * B[4] + c4 * B[5] + c5 * B[6]
+        r2 = c3 * B[8] + c4 * B[9] + c5 * B[10]
+        c0, c1, c2 = out[0, r], out[1, r], out[2, r]
+        w0 = c0 * B[0] + c1 * B[1] + c2 * B[2] + B[7] * r2 - B[11] * r1
+        w1 = c0 * B[4] + c1 * B[5] + c2 * B[6] + B[11] * r0 - B[3] * r2
+        w2 = c0 * B[8] + c1 * B[9] + c2 * B[10] + B[3] * r1 - B[7] * r0
+        out[0, r], out[1, r], out[2, r] = w0, w1, w2
+        out[3, r], out[4, r], out[5, r] = r0, r1, r2
+        total += w0 + w1 + w2 + r0 + r1 + r2
     return total

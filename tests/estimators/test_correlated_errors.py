@@ -26,7 +26,7 @@ from craternav_fg.estimators.correlated_errors import (
     transition,
 )
 from craternav_fg.estimators.graph import GraphOptions
-from craternav_fg.estimators.marginals import Marginals
+from craternav_fg.estimators.marginals import Marginals, separated
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.start import find_start
@@ -183,6 +183,20 @@ def test_marginals_are_those_of_isam2(trials: list[tuple[Problem, Trajectory]]) 
         expected = isam.marginalCovariance(key)
         sigmas = np.sqrt(np.diag(expected))
         assert_allclose(found[key] / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=1e-8)
+
+
+def test_factors_of_single_rims_are_the_same_quadratic(trials: list[tuple[Problem, Trajectory]]) -> None:
+    p, _ = trials[0]
+    short = replace(p, frames=p.frames[:4])
+    values = OnlineSmoother(KNOWING).run(short).smoothed_values()
+    linear = build_graph(short, KNOWING, values).linearize(values)
+    parts = separated(linear, values)
+    # Each frame's five rims, the last ones beside what they share.
+    assert parts.size() == linear.size() + 4 * 4
+    order = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+    A, B = (graph.augmentedJacobian(order) for graph in (linear, parts))
+    scale = np.linalg.norm(A, axis=0)
+    assert_allclose((B / scale).T @ (B / scale), (A / scale).T @ (A / scale), atol=1e-13)
 
 
 def test_too_sure_without(trials: list[tuple[Problem, Trajectory]]) -> None:

@@ -181,6 +181,45 @@ def test_gauss_newton_reaches_what_levenberg_marquardt_does(trials: list[tuple[P
     assert not gauss_newton(lost, start).converged
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+def test_a_step_that_does_as_predicted_is_the_last(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch, tolerance: float
+) -> None:
+    """It saves a step that would gain nothing, and leaves less than the tolerance."""
+    p, _ = trials[0]
+    start = OnlineSmoother().run(p).smoothed_values()
+    for n in range(len(p.frames)):
+        start.update(X(n), start.atPose3(X(n)).retract(np.array([1e-3, -1e-3, 2e-3, 30.0, -40.0, 50.0])))
+    graph = build_graph(p, GraphOptions(), start)
+    options = LmOptions(relative_tolerance=tolerance)
+    ours = levenberg_marquardt(graph, start, options)
+    monkeypatch.setattr("craternav_fg.estimators.optimise.MAX_LAST_SHARE", 0.0)
+    best = levenberg_marquardt(graph, start, LmOptions(relative_tolerance=1e-14))
+    reference = levenberg_marquardt(graph, start, options)
+    assert ours.converged
+    assert ours.iterations < reference.iterations
+    assert ours.error - best.error < tolerance * best.error
+
+
+def test_a_step_that_gains_more_than_predicted_is_not_the_last() -> None:
+    """Half of the curvature is in the residual's bend, and steps by its slope leave half of the way."""
+
+    def kernel(gTb: np.ndarray, bTc: np.ndarray, linearise: bool, e: np.ndarray, J: np.ndarray) -> None:
+        x = gTb[0, 3]
+        e[:] = [1.0 - 0.0625 * x * x, 0.5 * x]
+        J[:] = 0.0
+        J[:, 3] = [-0.125 * x, 0.5]
+
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(pose_factor(X(0), 2, kernel, np.eye(4)))
+    graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 1e3)))
+    values = gtsam.Values()
+    values.insert(X(0), gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.0])))
+    result = levenberg_marquardt(graph, values, LmOptions(relative_tolerance=1e-6))
+    assert result.converged
+    assert result.error - 0.5 < 1e-6
+
+
 def test_a_start_that_sees_no_crater_is_no_result(trials: list[tuple[Problem, Trajectory]]) -> None:
     """Its plateau is flat: the optimiser stops there, which is no convergence."""
     p, _ = trials[0]
