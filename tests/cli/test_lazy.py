@@ -70,6 +70,23 @@ def test_linear_algebra_has_one_thread_unless_another_number_is_chosen(
     assert done.stdout.splitlines()[-1] == threads
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("reconstruct", "no-folder"),
+        ("reconstruct", "--no-such-option"),
+        ("simulate", "no-scenario", "-o", "no-folder"),
+        ("demo", "--scenario", "no-scenario", "-o", "no-folder"),
+        ("catalog", "info", "no-catalogue"),
+        ("compare", "no-folder"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_anything_that_draws_is_imported(
+    arguments: tuple[str, ...],
+) -> None:
+    assert "matplotlib" not in imported_by(command_line(*arguments))
+
+
 def test_a_command_imports_its_own_module_only() -> None:
     loaded = "\nprint(sorted(m for m in sys.modules if m.startswith('craternav_fg.cli.')))"
     done = subprocess.run(
