@@ -1,10 +1,15 @@
 """The command line `craternav`: a module for each group of commands."""
 
+import os
+
 from craternav_fg.cli.ending import one_line_endings
 
 
 def main() -> None:
     """Run the command line: a known error is one line on stderr and exit code 2."""
+    # Our matrices are small: threads of linear algebra would wait for each other most of the time, and keep
+    # the cores busy meanwhile. It is read when numpy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with one_line_endings():
         # Ctrl-C during the import ends in one line, too.
         from craternav_fg.cli.app import run

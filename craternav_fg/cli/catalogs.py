@@ -25,7 +25,6 @@ from craternav_fg.cli.options import (
 from craternav_fg.cli.terminal import out, say, table_of_numbers
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
-from craternav_fg.plots.catalogs import draw_globe, draw_region
 
 CatalogArgument = Annotated[
     Path, typer.Argument(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
@@ -139,6 +138,10 @@ def plot(
     require_free(output, force=force)
     place = _place(latitude_deg, longitude_deg)
     craters, _ = read_any_catalog(catalog, body_radius_m)
+
+    # matplotlib takes half a second to import: what draws nothing does not wait for it.
+    from craternav_fg.plots.catalogs import draw_globe, draw_region
+
     figure = draw_globe(craters) if place is None else draw_region(craters, *place, 1e3 * distance_km)
     with replacing(output) as temporary:
         figure.savefig(temporary, dpi=_FIGURE_DPI)

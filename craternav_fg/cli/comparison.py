@@ -13,8 +13,6 @@ from craternav_fg.cli.options import FIGURE_SUFFIXES, ForceOption, JsonOption, r
 from craternav_fg.cli.run_summary import comparison, show_comparison
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.errors import InputError
-from craternav_fg.plots.comparison import draw_comparison
-from craternav_fg.plots.style import save
 from craternav_fg.runs.read import Run, read_run
 
 
@@ -52,4 +50,9 @@ def _draw(runs: Sequence[Run], output: Path) -> None:
     for run, stamps in zip(runs, stamps_ns, strict=True):
         if not np.array_equal(stamps, stamps_ns[0]):
             raise InputError(run.path, f"expected the frames of {runs[0].path} for --output, found others")
+
+    # matplotlib takes half a second to import: what draws nothing does not wait for it.
+    from craternav_fg.plots.comparison import draw_comparison
+    from craternav_fg.plots.style import save
+
     save(draw_comparison({str(run.path): run.trajectories for run in runs}, runs[0].truth), output)

@@ -1,15 +1,17 @@
-"""Commands on descents: simulate, reconstruct."""
+"""Commands on descents: simulate, reconstruct.
+
+What simulates, reconstructs and draws is imported after the arguments are checked: it takes a second.
+"""
 
 import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from craternav_fg.campaign.run import as_measured
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.estimator_option import EstimatorOption
 from craternav_fg.cli.option_groups import with_option_groups
@@ -26,11 +28,10 @@ from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.rim_models import RIM_MODELS
 from craternav_fg.files import replacing_folder
 from craternav_fg.pipeline.options_file import OptionsFile, default_options
-from craternav_fg.pipeline.reconstruct import Progress
-from craternav_fg.runs.execute import execute_run
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
-from craternav_fg.runs.warm_up import warming_up
-from craternav_fg.simulation.scenario import simulate as simulate_scenario
+
+if TYPE_CHECKING:
+    from craternav_fg.pipeline.reconstruct import Progress
 
 
 @app.command(epilog=example("demo -o runs/demo --seed 7"))
@@ -49,6 +50,11 @@ def demo(
     began_s = time.perf_counter()
     require_free(output, force=force)
     case = chosen(scenario, seed, data)
+
+    from craternav_fg.runs.execute import execute_run
+    from craternav_fg.runs.warm_up import warming_up
+    from craternav_fg.simulation.scenario import simulate as simulate_scenario
+
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
         with warming_up():
             simulate_scenario(case, folder / DATASET, trial=trial, progress=_simulated(report))
@@ -90,6 +96,10 @@ def simulate(
     """Simulate a scenario and write its data set (EuRoC/ASL layout)."""
     require_free(output, force=force)
     case = chosen(scenario, seed, data)
+
+    from craternav_fg.campaign.run import as_measured
+    from craternav_fg.simulation.scenario import simulate as simulate_scenario
+
     if measured:
         case = as_measured(case, images=False)
     with progress_bars() as report:
@@ -152,6 +162,9 @@ def reconstruct(
     dataset = Dataset.open(folder_of_data)
     every = overlay_every or int(overlays)
     _check_overlays(folder_of_data, dataset, every)
+
+    from craternav_fg.runs.execute import execute_run
+
     with replacing_folder(output, marker=MARKER, ours=CONTENTS) as folder, progress_bars() as report:
         summary = execute_run(
             dataset, folder, chosen, label=str(folder_of_data.resolve()), began_s=began_s, progress=report,
@@ -161,7 +174,7 @@ def reconstruct(
     show_run(output, summary, as_json)
 
 
-def _simulated(report: Progress) -> Callable[[int, int], None]:
+def _simulated(report: "Progress") -> Callable[[int, int], None]:
     """Report the progress of a simulation."""
     return lambda done, total: report("simulated frames", done, total)
 

@@ -41,13 +41,14 @@ def one_line_endings() -> Iterator[None]:
 
     # A command in the background of a script is to ignore Ctrl-C.
     before = {number: signal.getsignal(number) for number in _WORDS}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, stop)
     report = sys.unraisablehook
-    sys.unraisablehook = _raising_again(received, lost, report)
     _escape_what_cannot_be_printed()
     try:
+        # From here on a signal may come.
+        sys.unraisablehook = _raising_again(received, lost, report)
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, stop)
         yield
         sys.stdout.flush()
     except SystemExit as end:

@@ -78,7 +78,11 @@ def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     """Write a figure in the format that its name ends in; its folder is made when missing."""
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
-    png: dict[str, Any] = {"pil_kwargs": {"compress_level": _COMPRESSION}} if path.suffix == ".png" else {}
-    figure.savefig(path, dpi=dpi, **png)
+    if path.suffix == ".png":
+        # `savefig` would draw it twice, first for its layout only, and give the same pixels.
+        figure.set_dpi(dpi)
+        canvas.print_png(path, pil_kwargs={"compress_level": _COMPRESSION})  # type: ignore[no-untyped-call]
+    else:
+        figure.savefig(path, dpi=dpi)

@@ -57,6 +57,36 @@ def test_the_overview_imports_no_command(arguments: tuple[str, ...]) -> None:
     assert cpu_s(command_line(*arguments)) < 0.5
 
 
+@pytest.mark.parametrize(("chosen", "threads"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_has_one_thread_unless_another_number_is_chosen(
+    monkeypatch: pytest.MonkeyPatch, chosen: str | None, threads: str
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    if chosen is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", chosen)
+    # numpy is imported after that: `test_the_overview_imports_no_command`.
+    program = command_line("--version") + "\nimport os\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == threads
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("reconstruct", "no-folder"),
+        ("reconstruct", "--no-such-option"),
+        ("simulate", "no-scenario", "-o", "no-folder"),
+        ("demo", "--scenario", "no-scenario", "-o", "no-folder"),
+        ("catalog", "info", "no-catalogue"),
+        ("compare", "no-folder"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_anything_that_draws_is_imported(
+    arguments: tuple[str, ...],
+) -> None:
+    assert "matplotlib" not in imported_by(command_line(*arguments))
+
+
 def test_a_command_imports_its_own_module_only() -> None:
     loaded = "\nprint(sorted(m for m in sys.modules if m.startswith('craternav_fg.cli.')))"
     done = subprocess.run(

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -53,3 +54,13 @@ def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_
     ):
         style.save(figure, tmp_path / f"{number}.png")
         assert (tmp_path / f"{number}.png").stat().st_size > 5000
+
+
+def test_a_figure_is_saved_as_matplotlib_would(tmp_path: Path) -> None:
+    # It draws the figure twice for that.
+    t, truth = straight_down(9, off=1.0), straight_down(9)
+    trajectories.draw_errors({"smoother": t}, truth, [3] * 9).savefig(tmp_path / "expected.png", dpi=80)
+    style.save(trajectories.draw_errors({"smoother": t}, truth, [3] * 9), tmp_path / "found.png", 80)
+    expected, found = (cv2.imread(str(tmp_path / name)) for name in ("expected.png", "found.png"))
+    assert expected.shape == (800, 720, 3)
+    np.testing.assert_array_equal(found, expected)

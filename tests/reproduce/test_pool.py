@@ -31,7 +31,8 @@ def test_who_interrupts_does_not_wait_for_what_is_left() -> None:
     assert time.monotonic() - began < NAP_S
 
 
-def test_linear_algebra_of_each_process_has_one_thread() -> None:
+def test_linear_algebra_of_each_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     assert run_all(os.getenv, ["OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"], 2, "threads", None) == ["1", "1"]
 
 

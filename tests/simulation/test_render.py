@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from craternav_fg.simulation import rays
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter, random_craters
 from craternav_fg.simulation.crests import crest_offsets_px
 from craternav_fg.simulation.render import Renderer, RenderOptions
@@ -138,10 +139,10 @@ def test_sky_beyond_the_horizon_is_black(smooth):
     altitude_m = 20e3
     gTb = scene.pose(scene.place(0.0, 0.0, altitude_m), 80.0, 130.0)
     light = smooth.radiance(gTb, scene.sun(30.0, 80.0))
-    rays = scene.CAMERA.normalised(np.stack(np.meshgrid(np.arange(1024.0), np.arange(1024.0)), axis=-1))
-    rays = np.concatenate([rays, np.ones((1024, 1024, 1))], axis=-1) @ gTb[:3, :3].T
+    toward = scene.CAMERA.normalised(np.stack(np.meshgrid(np.arange(1024.0), np.arange(1024.0)), axis=-1))
+    toward = np.concatenate([toward, np.ones((1024, 1024, 1))], axis=-1) @ gTb[:3, :3].T
     P = gTb[:3, 3]
-    nadir = np.arccos(-(rays @ P) / np.linalg.norm(rays, axis=-1) / np.linalg.norm(P))
+    nadir = np.arccos(-(toward @ P) / np.linalg.norm(toward, axis=-1) / np.linalg.norm(P))
     limb = np.arcsin(scene.MOON.radius_m / np.linalg.norm(P))
     pixel = 1.0 / scene.FOCAL
     assert np.all(light[nadir > limb + 1e-6] == 0.0)
@@ -195,6 +196,32 @@ def test_shadows_are_cast_by_what_stands_towards_the_sun():
         assert np.mean(found != lit) < 0.02
         # In a bowl the dark lies towards the sun.
         assert x[~lit].mean() > 100.0
+
+
+def test_a_point_is_as_bright_as_it_is_alone(terrain):
+    half_m = np.array([2e3, 2e3])
+    levels = terrain.levels(-half_m, half_m, np.zeros(2), 4.0)
+    hits = np.random.default_rng(0).uniform(-2e3, 2e3, (500, 2))
+    hits[::7] = np.nan
+    elevation = np.radians(4.0)
+    sun = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+    P, law = np.array([0.0, 0.0, scene.MOON.radius_m + 6e3]), np.array([0.55, 0.0, 0.0, 0.0, 0.0])
+
+    def brightness(points):
+        light = np.full(len(points), np.nan, np.float32)
+        rays.shade(
+            P, points, sun, 0.00465, law, levels.heights_m, levels.slots, levels.frames_m,
+            scene.MOON.radius_m, levels.top_m, levels.slope, light,
+        )  # fmt: skip
+        return light
+
+    # Shadow rays of many points are stepped together.
+    together = brightness(hits)
+    np.testing.assert_array_equal(together, np.concatenate([brightness(one[None]) for one in hits]))
+    assert np.all(together[::7] == 0.0)
+    # In the dark, in the edge of a shadow, or in full light.
+    ground = together[~np.isnan(hits[:, 0])]
+    assert 0.05 < np.mean(ground == 0.0) < 0.5
 
 
 @pytest.mark.parametrize(("tilt_deg", "heading_deg", "altitude_m"), [(0.0, 90.0, 6e3), (20.0, 200.0, 4e3)])
