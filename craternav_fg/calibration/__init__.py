@@ -28,21 +28,21 @@ reference_brightness GuidedOptions.brightness_sigma                0.02    at le
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008
 rim_floor            FitOptions.floor_px, px                       0.025   0.021 ± 0.009
 ..                   FitOptions.floor_share, radii                 0.001   0.0013 ± 0.0005
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.71 ± 0.04
-..                   brightness_share                              0.4     0.1 ± 0.6
-..                   camera_shift_px, px                           0.1     0.12 ± 0.04
-..                   sun_shift_px, px                              0.03    0.018 ± 0.009
-..                   stretch_px, px                                0.1     0.02 ± 0.08
-..                   stretch_share, radii                          0.004   0.007 ± 0.007
-..                   size_px, px                                   0.05    0.09 ± 0.03
-..                   size_share, radii                             0.002   0.0029 ± 0.0005
-..                   RimErrorOptions.decay                         0.8     1.1 ± 0.6
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 ± 0.03
+..                   brightness_share                              0.4     0.2 ± 0.5
+..                   camera_shift_px, px                           0.1     0.10 ± 0.03
+..                   sun_shift_px, px                              0.03    0.05 ± 0.04
+..                   stretch_px, px                                0.1     0.04 ± 0.09
+..                   stretch_share, radii                          0.004   0.0041 ± 0.0018
+..                   size_px, px                                   0.05    0.08 ± 0.02
+..                   size_share, radii                             0.002   0.0021 ± 0.0003
+..                   RimErrorOptions.decay                         0.8     1.1 ± 0.2
 outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.49 ± 0.07
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.07
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010
 pooling              PoolingOptions.memory                         1.0     1.6 ± 0.5
 ..                   pooling.PRIOR_FRAMES                          2       0.09 ± 0.04, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.7 ± 0.8
+variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.5 ± 0.8
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.03 ± 0.36
 ..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1

@@ -145,8 +145,10 @@ class BatchSmoother:
             with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
         ]
-        rim_errors = self.options.rim_errors
-        if rim_errors is not None:
+        rim_errors, calibration = self.options.rim_errors, self.options.calibration
+        # Variables of the map and of the lens take up what craters seem to err by.
+        taken_up = calibration.map_sigmas.any() or calibration.intrinsic_sigmas.any()
+        if rim_errors is not None and not taken_up:
             factors = variance_factors(frames, poses, problem.camera, problem.catalog, rim_errors.freedom)
             frames = [with_variance_factors(frame, factors) for frame in frames]
         weighted = replace(problem, frames=frames)

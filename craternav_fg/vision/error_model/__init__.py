@@ -42,15 +42,17 @@ In an estimator:
 8. Evaluation at the prediction. `RimSet.expected_at`, applied through
    `estimators.measurement_weighting.with_predicted_covariances`, evaluates the covariance at the rim that the
    pose predicts: taken at the measured one, it gives rims that were measured too large too much weight.
-9. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
+9. Craters that contradict the others. `estimators.crater_scatter`, applied by the batch smoother, enlarges
+   the variances of craters whose rims err by more than they state, as in a distribution with heavy tails.
+10. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
    Gauss-Markov process per crater and the shared part one constant vector. Estimators without such variables
    call `RimSet.inflate_correlated`: the correlated parts count as white, with a larger variance.
-10. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.uncorrelated_covariance` or the
+11. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.uncorrelated_covariance` or the
    inflated covariance, in `factors.conic_shape`; its robust loss bounds the influence of wrong matches.
 
 Arcs of rims, of which too little is seen for an ellipse, take the same way with one standard deviation per
 point: `vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` (step 6),
-`ArcSet.inflate_correlated` (step 9).
+`ArcSet.inflate_correlated` (step 10).
 """
 
 from typing import TYPE_CHECKING
