@@ -164,12 +164,16 @@ class RimVariables:
         See `RimErrorStates.enter`.
     map_errors : sequence of ChartError
         Errors of the rims' craters on the map, which the graph has already.
+    apart : bool
+        Whether each rim with errors gets a factor of its own: dearer to linearise, cheaper to eliminate. For
+        iSAM2, which linearises most factors once.
     """
 
     values: gtsam.Values
     states: RimErrorStates | None = None
     holds: Callable[[int], bool] | None = None
     map_errors: Sequence[ChartError] = ()
+    apart: bool = False
 
 
 def add_frame(
@@ -211,17 +215,24 @@ def add_frame(
     bTc = descent.camera.bTc
     if len(rims):
         if options.rims == "chart":
-            centres, axes = descent.catalog.centres[rims.craters], descent.catalog.axes[rims.craters]
             errors: list[ChartError] = []
             if variables is not None and states is not None:
                 errors = states.enter(rims, graph, variables.values, variables.holds)
             S = noise_scale**2 * (rims.uncorrelated_covariance if errors else rims.covariance)
             errors.extend(() if variables is None else variables.map_errors)
-            factor = conic_shape_factor(
-                key, bTc, centres, axes, rims.chart, S, options.loss, errors=errors, reduced=True
-            )
-            graph.push_back(factor)
-            left_out = rims.chart.size - factor.dim()
+            parts = [(slice(0, len(rims)), errors)]
+            if errors and variables is not None and variables.apart:
+                parts = [(slice(i, i + 1), _errors_of(i, errors)) for i in range(len(rims))]
+            for part, of_part in parts:
+                centres, axes = (
+                    a[rims.craters[part]] for a in (descent.catalog.centres, descent.catalog.axes)
+                )
+                factor = conic_shape_factor(
+                    key, bTc, centres, axes, rims.chart[part], S[part], options.loss,
+                    errors=of_part, reduced=True,
+                )  # fmt: skip
+                graph.push_back(factor)
+                left_out += rims.chart[part].size - factor.dim()
         else:
             scaled = replace(rims, covariance=noise_scale**2 * rims.covariance)
             gTb = descent.initial.gTb if near is None else near
@@ -239,6 +250,16 @@ def add_frame(
         sigma_rad = noise_scale * sun.sigma_rad
         graph.push_back(sun_tilt_factor(key, bTc, sun.direction, sun.tilt_rad, sigma_rad, sun.point))
     return left_out
+
+
+def _errors_of(rim: int, errors: Sequence[ChartError]) -> list[ChartError]:
+    """Errors that move a rim, for a factor of that rim alone."""
+    return [
+        ChartError(error.key, [0], np.asarray(error.roots)[k : k + 1])
+        for error in errors
+        for k, moved in enumerate(error.rims)
+        if moved == rim
+    ]
 
 
 def add_imu(
