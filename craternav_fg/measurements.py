@@ -116,7 +116,8 @@ class RimSet:
     correlated : ndarray, shape (n, 5, m), optional
         Root A of the time-correlated part A A' of the covariance, with m of 5 or 6. The error is A z, with a
         z per crater that hardly changes from frame to frame, so the columns belong to directions fixed to the
-        ground: five in the rim's plane, and its height. None when no such part is known.
+        ground: five in the rim's plane, of which the first two displace it, and its height. None when no such
+        part is known.
     shared : ndarray, shape (n, 5, 8), optional
         Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
         None when no such part is known.
