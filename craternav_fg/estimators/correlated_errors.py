@@ -91,7 +91,7 @@ def correlation(change: FloatArray, decay: float) -> tuple[FloatArray, FloatArra
 
     References
     ----------
-    Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), eqs. (4.17), (4.18).
+    Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), section 4.2.
     """
     u = np.sqrt(3.0) * change / decay
     return (1.0 + u) * np.exp(-u), np.exp(-change / decay)
@@ -112,8 +112,8 @@ def transition(change: float, decay: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (8, 8)
-        F. Of the state, the first two entries are the error of the place, the last two their derivatives in
-        units of their standard deviations.
+        F. Of the state, the first six entries are the errors, those of the place first, in units of their
+        standard deviations; the last two are the derivatives of those of the place, likewise.
     """
     F = np.exp(-change / decay) * np.eye(STATE_SIZE)
     u = np.sqrt(3.0) * change / decay
