@@ -37,7 +37,7 @@ correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 
 ..                   size_px, px                                   0.05    0.08 ± 0.02
 ..                   size_share, radii                             0.002   0.0021 ± 0.0003
 ..                   RimErrorOptions.decay                         0.8     1.1 ± 0.2
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.49 ± 0.07
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.54 ± 0.13
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.07
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010
 pooling              PoolingOptions.memory                         1.0     1.6 ± 0.5
