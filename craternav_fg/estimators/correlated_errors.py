@@ -8,9 +8,9 @@ all rims of a descent share (`RimSet.shared`). Errors without such a variable ar
 variance is inflated: those of arcs, and all of them in estimators that have no such variables.
 
 The error of a rim's place drifts smoothly, as shading moves along a crest: its process is a Matern process
-of order 3/2, which has a derivative. The other errors follow an Ornstein-Uhlenbeck process, as edges that
-come into sight or vanish change them. If the place followed one too, its drift from frame to frame would
-count as independent, and the smoother would take it for motion.
+of order 3/2, which has a derivative. If it had none, its drift from frame to frame would count as
+independent, and the smoother would take it for motion. The other errors follow an Ornstein-Uhlenbeck process:
+derivatives of them, too, are likelier, but double the unknowns and hardly change poses.
 """
 
 from collections.abc import Callable
