@@ -121,6 +121,10 @@ class RimSet:
     shared : ndarray, shape (n, 5, 8), optional
         Root A of the common part of the covariance: the error is A z, with one z for all rims and frames.
         None when no such part is known.
+    fused_white : ndarray, shape (n, 5, 5), optional
+        Covariance of the white part in estimators that fuse frames, where it is larger than the rims' own:
+        where rims scatter more than they claim, neighbouring ones err alike, which no part of the covariance
+        states. None for their own.
     """
 
     craters: IntArray
@@ -129,6 +133,7 @@ class RimSet:
     quality: RimQuality | None = None
     correlated: FloatArray | None = None
     shared: FloatArray | None = None
+    fused_white: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
@@ -142,10 +147,11 @@ class RimSet:
             A mask or indices.
         """
         quality = None if self.quality is None else self.quality.take(rows)
-        correlated, shared = (None if A is None else A[rows] for A in (self.correlated, self.shared))
+        parts = (self.correlated, self.shared, self.fused_white)
         return RimSet(
-            self.craters[rows], self.chart[rows], self.covariance[rows], quality, correlated, shared
-        )
+            self.craters[rows], self.chart[rows], self.covariance[rows], quality,
+            *(None if part is None else part[rows] for part in parts),
+        )  # fmt: skip
 
     @property
     def uncorrelated_covariance(self) -> FloatArray:
@@ -155,6 +161,11 @@ class RimSet:
             if A is not None:
                 out = out - A @ np.swapaxes(A, 1, 2)
         return out
+
+    @property
+    def fused_white_covariance(self) -> FloatArray:
+        """Covariance (n, 5, 5) of the white part for estimators that fuse frames."""
+        return self.uncorrelated_covariance if self.fused_white is None else self.fused_white
 
     def expected_at(self, charts: FloatArray) -> "RimSet":
         """Evaluate the covariances at predicted charts instead of the measured ones.
@@ -172,25 +183,27 @@ class RimSet:
         """
         T, covariance = _at_predicted(self.chart, np.ascontiguousarray(self.covariance), charts)
         correlated, shared = (None if A is None else T @ A for A in (self.correlated, self.shared))
-        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, shared)
+        fused = None if self.fused_white is None else T @ self.fused_white @ np.swapaxes(T, 1, 2)
+        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, shared, fused)
 
     def inflate_correlated(self, factor: float) -> "RimSet":
         """Treat the correlated parts of the error as white, with their variance multiplied by a factor.
 
         An estimator that has no variables for them would average them out over the frames that show a crater;
-        with a factor of about the number of such frames it does not. The result has no correlated parts.
+        with a factor of about the number of such frames it does not. The white part is that for estimators
+        that fuse frames. The result has no correlated parts.
 
         Parameters
         ----------
         factor : float
-            Variance inflation; 1 leaves the whole covariance as it is.
+            Variance inflation of the correlated parts.
         """
-        if self.correlated is None and self.shared is None:
+        if self.correlated is None and self.shared is None and self.fused_white is None:
             return self
-        out = self.covariance
+        out = self.fused_white_covariance
         for A in (self.correlated, self.shared):
             if A is not None:
-                out = out + (factor - 1.0) * A @ np.swapaxes(A, 1, 2)
+                out = out + factor * A @ np.swapaxes(A, 1, 2)
         return RimSet(self.craters, self.chart, out, self.quality)
 
     def scaled(self, factors: FloatArray) -> "RimSet":
@@ -208,7 +221,8 @@ class RimSet:
         correlated = self.correlated
         if correlated is not None:
             correlated = np.sqrt(factors)[:, None, None] * correlated
-        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, self.shared)
+        fused = None if self.fused_white is None else factors[:, None, None] * self.fused_white
+        return RimSet(self.craters, self.chart, covariance, self.quality, correlated, self.shared, fused)
 
     def centres(self) -> "CentreSet":
         """Reduce the rims to the centres of the image ellipses: what centre-based navigation measures."""

@@ -53,3 +53,30 @@ def test_arcs_keep_their_correlated_errors_when_some_are_taken() -> None:
     every = arcs.inflate_correlated(2.0).sigmas
     for one, whole in zip(some.inflate_correlated(2.0).sigmas, (every[0], every[2]), strict=True):
         assert_allclose(one, whole)
+
+
+def test_estimators_that_fuse_frames_take_more_white_variance_than_rims_state() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((3, 5, 21)) * 1e-3
+    correlated, shared, white = root[:, :, :5], root[:, :, 5:13], root[:, :, 13:]
+    factors = np.array([1.0, 2.0, 7.0])
+    rims = RimSet(
+        np.arange(3), rng.standard_normal((3, 5)), root @ np.swapaxes(root, 1, 2),
+        correlated=correlated, shared=shared,
+        fused_white=factors[:, None, None] * white @ np.swapaxes(white, 1, 2),
+    )  # fmt: skip
+    own = white @ np.swapaxes(white, 1, 2)
+    kept = correlated @ np.swapaxes(correlated, 1, 2) + shared @ np.swapaxes(shared, 1, 2)
+    assert_allclose(rims.uncorrelated_covariance, own, rtol=1e-9)
+    assert_allclose(rims.fused_white_covariance, factors[:, None, None] * own, rtol=1e-9)
+    inflated = rims.inflate_correlated(4.0)
+    assert_allclose(inflated.covariance, factors[:, None, None] * own + 4.0 * kept, rtol=1e-9)
+    # Once it is in the covariance it is not applied again.
+    assert_allclose(inflated.inflate_correlated(4.0).covariance, inflated.covariance, rtol=1e-12)
+    # It stays with its rim, whatever is done to them before.
+    expected = rims.expected_at(rims.chart)
+    assert_allclose(expected.fused_white_covariance, rims.fused_white_covariance, rtol=1e-9)
+    scaled = rims.scaled(np.full(3, 2.0))
+    assert_allclose(scaled.fused_white_covariance, 2.0 * rims.fused_white_covariance, rtol=1e-9)
+    some = rims.take(np.array([2, 0]))
+    assert_allclose(some.fused_white_covariance, rims.fused_white_covariance[[2, 0]], rtol=1e-12)

@@ -5,7 +5,7 @@ frames and the sun anywhere; their trials are others than those of any test or f
 from predictions that are a little wrong.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -38,7 +38,7 @@ _SUN_ELEVATION_DEG = (15.0, 60.0)
 _ATTITUDE_SIGMA_RAD, _POSITION_SIGMA_SHARE = 7e-4, 1e-3
 # With each size 1 the front end's roots are the patterns alone, which the fits then scale.
 _UNIT = CorrelatedErrorOptions(
-    crater_share=1.0, excess_white_share=0.0, camera_shift_px=1.0, sun_shift_px=1.0, stretch_px=1.0,
+    crater_share=1.0, excess_white_share=1.0, camera_shift_px=1.0, sun_shift_px=1.0, stretch_px=1.0,
     stretch_share=1.0, size_px=1.0, size_share=1.0, brightness_share=1.0,
 )  # fmt: skip
 # Column of the brightness error in the roots of the shared errors.
@@ -178,13 +178,9 @@ def _measure(
     world: World, image: ImageArray, gTb: FloatArray, sigma: FloatArray, sun_g: FloatArray
 ) -> tuple[tuple[RimSet, ArcSet], FloatArray]:
     """Measure an image; rims with the unit patterns, arcs, covariance (n, 5, 5) of a unit excess."""
-    measured = []
-    for excess_white_share in (0.0, 1.0):
-        unit = replace(_UNIT, excess_white_share=excess_white_share)
-        front_end = GuidedFrontEnd(world.camera, world.catalog, GuidedOptions(correlated_errors=unit))
-        measured.append(front_end.measure(image, 0, gTb, np.diag(sigma**2), sun_g))
-    first, second = measured
-    return (first.rims, first.arcs), second.rims.covariance - first.rims.covariance
+    front_end = GuidedFrontEnd(world.camera, world.catalog, GuidedOptions(correlated_errors=_UNIT))
+    frame = front_end.measure(image, 0, gTb, np.diag(sigma**2), sun_g)
+    return (frame.rims, frame.arcs), frame.rims.fused_white_covariance - frame.rims.uncorrelated_covariance
 
 
 def _rims(

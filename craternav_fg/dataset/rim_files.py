@@ -34,9 +34,11 @@ _RIMS = pa.schema(
 )
 # Roots of the correlated parts of the covariance, with their columns.
 _ROOTS = {"correlated": 5, "correlated_height": 1, "shared": SHARED_SIZE}
+_FUSED = "fused_white"
 _QUALITY = tuple(field.name for field in fields(RimQuality))
 _PART_SHAPES: dict[str, tuple[int, ...]] = {
     **{name: (5, width) for name, width in _ROOTS.items()},
+    _FUSED: (5, 5),
     **dict.fromkeys(_QUALITY, ()),
 }
 _RIM_PARTS = pa.schema(
@@ -91,6 +93,10 @@ def write_rims(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
                 for rims, A in zip(sets, roots, strict=True)
             ]
             columns[name] = _vectors(np.concatenate(full), 5 * width, _unknown(sets, roots))
+    fused = [rims.fused_white for rims in sets]
+    if any(S is not None for S in fused):
+        full = [np.zeros((len(rims), 5, 5)) if S is None else S for rims, S in zip(sets, fused, strict=True)]
+        columns[_FUSED] = _vectors(np.concatenate(full), 25, _unknown(sets, fused))
     qualities = [rims.quality for rims in sets]
     if any(quality is not None for quality in qualities):
         for name in _QUALITY:
@@ -133,7 +139,10 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
         if name in table.column_names
     }
     _check_charts(path, charts)
-    _check_covariances(path, covariances, {name: parts[name].values for name in _ROOTS if name in parts})
+    _check_covariances(path, "covariance", covariances)
+    _check_roots(path, covariances, {name: parts[name].values for name in _ROOTS if name in parts})
+    if _FUSED in parts:
+        _check_covariances(path, _FUSED, parts[_FUSED].values, parts[_FUSED].known)
     _check_quality(path, {name: parts[name] for name in _QUALITY if name in parts})
     out = []
     for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
@@ -142,8 +151,9 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
         if "correlated_height" in roots and "correlated" in roots:
             both = roots["correlated"], roots.pop("correlated_height")
             roots["correlated"] = np.concatenate(both, axis=2)
+        fused = seen.pop(_FUSED, None)
         quality = RimQuality(**seen) if seen else None
-        out.append(RimSet(craters[own], charts[own], covariances[own], quality, **roots))
+        out.append(RimSet(craters[own], charts[own], covariances[own], quality, fused_white=fused, **roots))
     return out
 
 
@@ -319,8 +329,10 @@ def _check_charts(path: Path, charts: FloatArray) -> None:
         raise InputError(path, problem, column="chart")
 
 
-def _check_covariances(path: Path, covariances: FloatArray, roots: dict[str, FloatArray]) -> None:
-    """Refuse matrices (n, 5, 5) that are no covariances, or less than their parts."""
+def _check_covariances(
+    path: Path, name: str, covariances: FloatArray, known: BoolArray | None = None
+) -> None:
+    """Refuse matrices (n, 5, 5) that are no covariances; those that a mask names, if it is given."""
     if not len(covariances):
         return
     sigmas = np.sqrt(np.abs(np.diagonal(covariances, axis1=1, axis2=2)))
@@ -330,10 +342,16 @@ def _check_covariances(path: Path, covariances: FloatArray, roots: dict[str, Flo
     # A chart's components differ by orders of magnitude: the correlation tells what rounding has left.
     correlations = covariances[sound] / scale[sound]
     sound[sound] = np.linalg.eigvalsh(correlations)[:, 0] > _MIN_EIGENVALUE
+    if known is not None:
+        sound |= ~known
     if not sound.all():
         problem = f"row {int(np.argmin(sound)) + 1}: expected a symmetric positive definite matrix"
-        raise InputError(path, problem, column="covariance")
-    if not roots:
+        raise InputError(path, problem, column=name)
+
+
+def _check_roots(path: Path, covariances: FloatArray, roots: dict[str, FloatArray]) -> None:
+    """Refuse parts that are not less than the whole covariances (n, 5, 5)."""
+    if not roots or not len(covariances):
         return
     white = covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((5, 5)))
     less = np.linalg.eigvalsh(white)[:, 0] > 0.0

@@ -95,7 +95,7 @@ def _on_ground(
         slopes = ground_slopes(pose, camera.bTc, centres, axes)[seen][:, :, _IN_PLANE]
         inverse = np.linalg.inv(slopes)
         roots = [rims.correlated[seen]] + ([] if rims.shared is None else [rims.shared[seen]])
-        white = rims.uncorrelated_covariance[seen]
+        white = rims.fused_white_covariance[seen]
         parts.append(
             (
                 rims.craters[seen],

@@ -260,7 +260,7 @@ class _Rims:
         """Factors of a frame's rims, their covariances divided by their weights."""
         part = FactorGraph()
         kept = weights > MIN_WEIGHT
-        rims = self._frames[k].rims.take(kept)
+        rims = self._frames[k].rims.inflate_correlated(self._options.variance_inflation).take(kept)
         rims = replace(rims, covariance=rims.covariance / weights[kept, None, None])
         add_frame(part, self._problem, self._options, self._keys[k], replace(self._frames[k], rims=rims))
         return part

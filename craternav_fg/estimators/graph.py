@@ -218,7 +218,7 @@ def add_frame(
             errors: list[ChartError] = []
             if variables is not None and states is not None:
                 errors = states.enter(rims, graph, variables.values, variables.holds)
-            S = noise_scale**2 * (rims.uncorrelated_covariance if errors else rims.covariance)
+            S = noise_scale**2 * (rims.covariance if states is None else rims.fused_white_covariance)
             errors.extend(() if variables is None else variables.map_errors)
             parts = [(slice(0, len(rims)), errors)]
             if errors and variables is not None and variables.apart:

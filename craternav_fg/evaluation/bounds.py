@@ -270,7 +270,7 @@ def _information(
     camera, catalog = descent.camera, descent.catalog
     frame = with_predicted_covariances(frame, gTb, camera, catalog)
     rims = frame.rims
-    white = replace(rims, covariance=rims.uncorrelated_covariance)
+    white = replace(rims, covariance=rims.fused_white_covariance)
     A, _, usable = linearise_rims(gTb, white, camera, catalog, model="chart", noise="measured")
     W = whitening(white.covariance)
     rows = []

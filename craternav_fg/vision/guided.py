@@ -199,12 +199,18 @@ class GuidedFrontEnd:
         prior2 = squared_distance(charts - first, predicted)
         limit = chdtri(_CHART_SIZE, 1.0 - self.options.gate_probability)
         keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, _CHART_SIZE))
+        # Of half a rim the ellipse errs two or three times as much as of more, now and then by far more. It
+        # counts by its edge points where other rims are enough for a pose.
+        more = keep & (fitted.quality.arc_share >= self.options.full_arc_share)
+        keep = more if np.count_nonzero(more) >= _MIN_AGREEING_RIMS else keep
         rows = rows[keep]
-        covariance, correlated, shared = split(
+        covariance, correlated, shared, fused_white = split(
             errors.take(keep), factor, rows, pose, frame.sun_g, self.camera, self.catalog,
             self.options.correlated_errors,
         )  # fmt: skip
-        rims = RimSet(rows, charts[keep], covariance, fitted.quality.take(keep), correlated, shared)
+        rims = RimSet(
+            rows, charts[keep], covariance, fitted.quality.take(keep), correlated, shared, fused_white
+        )
         return _Result(rims, pose, spread, expected)
 
     def _arcs(self, frame: _Frame, fitter: RimFitter, result: _Result) -> ArcSet:

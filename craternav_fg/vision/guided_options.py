@@ -49,6 +49,9 @@ class GuidedOptions:
         the rims would drop out, hardly worse than the others.
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
+    full_arc_share : float
+        Share of a rim that its edge points must cover, where at least three rims of the frame have as much;
+        of the others, the edge points are measured.
     edges : EdgeOptions
         Options of the edge points.
     fit : FitOptions
@@ -79,6 +82,7 @@ class GuidedOptions:
     recentrings: int = 3
     recentred_found_share: float = 0.4
     gate_probability: float = 0.9999
+    full_arc_share: float = 0.5
     edges: EdgeOptions = field(default_factory=EdgeOptions)
     fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
     correlated_errors: CorrelatedErrorOptions = field(default_factory=CorrelatedErrorOptions)
@@ -91,7 +95,6 @@ class GuidedOptions:
 # covariance of the fit is consistent without them.
 SINGLE_IMAGE = GuidedOptions(
     correlated_errors=CorrelatedErrorOptions(
-        excess_white_share=0.0,
         camera_shift_px=0.0,
         sun_shift_px=0.0,
         stretch_px=0.0,

@@ -84,7 +84,8 @@ def random_measurements(rng: np.random.Generator) -> tuple[FrameMeasurement, ...
             # The first columns of the root are the correlated parts.
             quality = RimQuality(*rng.uniform(0.0, 1.0, (5, 2)))
             correlated, shared = root[:, :, :5].copy(), root[:, :, 5:13].copy()
-            rims = replace(rims, quality=quality, correlated=correlated, shared=shared)
+            fused = 2.0 * root[:, :, 13:] @ np.swapaxes(root[:, :, 13:], 1, 2)
+            rims = replace(rims, quality=quality, correlated=correlated, shared=shared, fused_white=fused)
         sun = None if k == 1 else SunTilt(-3.0, 0.17, rng.standard_normal(2), rng.standard_normal(3))
         arcs = ArcSet.empty()
         if k < 2:

@@ -331,6 +331,10 @@ RIM_CASES = {
         set_cell(1, "shared", None),
         [layout.RIMS, "shared", "row 2 has none"],
     ),
+    "white part of estimators": (
+        set_cell(2, "fused_white", [-1.0] * 25),
+        [layout.RIMS, "fused_white", "row 3", "positive"],
+    ),
     "quality of some rims": (set_cell(1, "rms_px", None), [layout.RIMS, "rms_px", "row 2 has none"]),
     "quality in part": (
         spoiled(lambda rows: [row.__setitem__("rms_px", None) for row in rows]),

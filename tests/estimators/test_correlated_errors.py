@@ -25,6 +25,7 @@ from craternav_fg.estimators.correlated_errors import (
     correlation,
     transition,
 )
+from craternav_fg.estimators.ekf.filter import DistributedEkf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, RimVariables, add_frame
 from craternav_fg.estimators.marginals import Marginals, separated
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
@@ -348,3 +349,29 @@ def test_round_trip(tmp_path: Path, trials: list[tuple[Problem, Trajectory]]) ->
     ):
         assert np.array_equal(one.rims.correlated, again.rims.correlated)
         assert np.array_equal(one.rims.shared, again.rims.shared)
+
+
+def test_every_estimator_takes_the_white_part_for_fusion(trials: list[tuple[Problem, Trajectory]]) -> None:
+    """It counts as if the rims stated it; the bound, of the same model, says so too."""
+    p, truth = trials[0]
+    factors = np.random.default_rng(5).uniform(2.0, 6.0, len(p.catalog))
+    told, stated = [], []
+    for frame in p.frames:
+        rims = frame.rims
+        factor = factors[rims.craters]
+        white = rims.uncorrelated_covariance
+        more = (factor - 1.0)[:, None, None] * white
+        told.append(replace(frame, rims=replace(rims, fused_white=white + more)))
+        stated.append(replace(frame, rims=replace(rims, covariance=rims.covariance + more)))
+    smoothers: list[Estimator] = [BatchSmoother(), OnlineSmoother(), DistributedEkf()]
+    smoothers.append(BatchSmoother(GraphOptions(rim_errors=None)))
+    for one in smoothers:
+        found, same, without = (one.estimate(replace(p, frames=f)) for f in (told, stated, p.frames))
+        assert found.pose_covariance is not None
+        assert without.pose_covariance is not None
+        assert_allclose(found.gTb, same.gTb, rtol=1e-9, atol=1e-3)
+        assert np.linalg.norm(found.gP - without.gP) > 1.0
+        more_m = position_rms_m(found.pose_covariance) - position_rms_m(without.pose_covariance)
+        assert np.all(more_m[1:] > 1.0)
+    bounds = [posterior_bound(p, frames, truth).smoothed for frames in (told, stated)]
+    assert_allclose(bounds[0], bounds[1], rtol=1e-9)

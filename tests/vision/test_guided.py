@@ -103,6 +103,25 @@ def test_the_result_does_not_follow_the_prediction(view):
     assert np.mean(np.abs(a.chart[i] - b.chart[j]) / sigma) < 0.3
 
 
+def test_of_rims_seen_too_little_edge_points_are_measured(view):
+    """As long as at least three others are seen enough; else all ellipses stay."""
+    catalog, gTb, sun_g, image = view
+
+    def measured(share):
+        front_end = GuidedFrontEnd(scene.camera(), catalog, GuidedOptions(full_arc_share=share))
+        return front_end.measure(image, 0, gTb, scene.covariance(0.5), sun_g)
+
+    every = measured(0.0)
+    shares = every.rims.quality.arc_share
+    limit = np.sort(shares)[5]
+    assert np.sort(shares)[0] < limit
+    some = measured(limit)
+    np.testing.assert_array_equal(some.rims.craters, every.rims.craters[shares >= limit])
+    gone = np.setdiff1d(every.rims.craters, some.rims.craters)
+    assert len(np.intersect1d(some.arcs.craters, gone)) >= 0.8 * len(gone)
+    np.testing.assert_array_equal(measured(1.1).rims.craters, every.rims.craters)
+
+
 def test_what_is_not_there_is_not_measured(view):
     """Half of the catalogue is not in the image; then one crater stands 2.5 px beside its place."""
     catalog, gTb, sun_g, image = view

@@ -124,3 +124,25 @@ def test_a_rim_seen_much_larger_is_remembered_less(view):
         chart[:, [2, 4]] += growth
         sizes.append(np.linalg.norm(pooled.pool(replace(rims, chart=chart), gTb).correlated[0]))
     assert sizes[1] < 0.7 * sizes[0]
+
+
+def test_the_white_part_of_estimators_is_pooled_as_the_rims_own(view):
+    """A frame that scatters less than those before does not make its rims count for more at once."""
+    catalog, camera, gTb = view
+    pooled = PooledErrors(camera, catalog)
+    plain = frame(view, np.ones(CRATERS))
+
+    def inflated(factors):
+        return replace(plain, fused_white=factors[:, None, None] * plain.uncorrelated_covariance)
+
+    for _ in range(20):
+        pooled.pool(inflated(np.full(CRATERS, 5.0)), gTb)
+    calm = np.ones(CRATERS)
+    calm[0] = 9.0
+    got = pooled.pool(inflated(calm), gTb)
+    np.testing.assert_allclose(got.covariance, plain.covariance, rtol=1e-6, atol=1e-18)
+    ratio = np.trace(got.fused_white @ np.linalg.inv(plain.uncorrelated_covariance), axis1=1, axis2=2) / 5.0
+    assert ratio[0] == pytest.approx(9.0, rel=1e-6)
+    # Of 21 frames and a prior of two, one does not scatter.
+    np.testing.assert_allclose(ratio[1:], 5.0 - 4.0 / 23.0, rtol=1e-3)
+    assert pooled.pool(plain, gTb).fused_white is None

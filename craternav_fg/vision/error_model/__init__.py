@@ -29,7 +29,8 @@ In one image, for all its rims:
    systematic error that a crater keeps (`RimSet.correlated`), adds to it the errors that the catalogue states
    (`catalogs.map_errors`, with that of the rim's height) and the errors that all rims share
    (`RimSet.shared`), and leaves the rest white: the ground under a crater is the same in the next frame, so
-   its error does not average out.
+   its error does not average out. `RimSet.fused_white` is for the estimators alone: the covariance of a
+   rim says what it errs, but rims that scatter more than they claim err alike with their neighbours.
 
 Over the frames of a descent:
 
@@ -47,7 +48,7 @@ In an estimator:
 10. Variables or inflation. `estimators.correlated_errors.RimErrorStates` makes the time-correlated part a
    Gauss-Markov process per crater and the shared part one constant vector. Estimators without such variables
    call `RimSet.inflate_correlated`: the correlated parts count as white, with a larger variance.
-11. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.uncorrelated_covariance` or the
+11. Factor. `estimators.graph.add_frame` whitens with what is left, `RimSet.fused_white_covariance` or the
    inflated covariance, in `factors.conic_shape`; its robust loss bounds the influence of wrong matches.
 
 Arcs of rims, of which too little is seen for an ellipse, take the same way with one standard deviation per

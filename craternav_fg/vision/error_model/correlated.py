@@ -47,10 +47,10 @@ class CorrelatedErrorOptions:
         The rest is white: gaps in the seen outline, neighbouring craters and the pixel grid change from frame
         to frame.
     excess_white_share : float
-        White variance to add where a frame's rims scatter more than they claim (`frame_scatter`), as a share
-        of the systematic variance per unit of the excess of the variance factor over 1, of which at most 2
-        count. On rough terrain many rims are worse than the median, neighbouring ones alike. Set to 0 for
-        single images: it is consistent for estimators that fuse frames.
+        White variance that estimators which fuse frames add (`RimSet.fused_white`) where a frame's rims
+        scatter more than they claim (`frame_scatter`), as a share of the systematic variance per unit of the
+        excess of the variance factor over 1, of which at most 2 count. On rough terrain many rims are worse
+        than the median, neighbouring ones alike.
     camera_shift_px : float
         Common shift towards the camera along the ground, for a camera at the horizon. One component grows
         with the sine of the emission angle, another of the same size with its cube.
@@ -249,7 +249,7 @@ def split(
     camera: Camera,
     catalog: Catalog,
     options: CorrelatedErrorOptions,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Split the errors of a frame's rims into white, time-correlated and shared parts.
 
     Parameters
@@ -267,6 +267,8 @@ def split(
         Covariance of the whole error.
     correlated, shared : ndarray, shapes (n, 5, 6), (n, 5, 8)
         Roots of the time-correlated and the shared part of it.
+    fused_white : ndarray, shape (n, 5, 5)
+        See `RimSet`.
     """
     correlated, shared = correlated_roots(errors, rows, gTb, sun_g, camera, catalog, options)
     brightness = errors.brightness_root
@@ -275,9 +277,9 @@ def split(
     covariance = errors.covariance + shared @ np.swapaxes(shared, 1, 2)
     covariance += map_covariance(rows, gTb, camera, catalog, options)
     covariance -= options.brightness_share * brightness[:, :, None] * brightness[:, None, :]
-    excess = min(variance_factor - 1.0, _MAX_EXCESS)
-    covariance = covariance + options.excess_white_share * excess * errors.systematic
-    return covariance, correlated, shared
+    white = covariance - correlated @ np.swapaxes(correlated, 1, 2) - shared @ np.swapaxes(shared, 1, 2)
+    added = options.excess_white_share * min(variance_factor - 1.0, _MAX_EXCESS)
+    return covariance, correlated, shared, white + added * errors.systematic
 
 
 def arc_sigma_px(minor_px: float, outline_share: float, options: CorrelatedErrorOptions) -> float:

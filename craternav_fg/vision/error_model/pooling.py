@@ -47,13 +47,12 @@ class PoolingOptions:
 class _Pool:
     """Weighted sums over the frames of one crater.
 
-    The sums (5, 5) of time-correlated and white covariance are those of errors on the ground, in radii;
-    `chart` (5,) is the rim's in the last frame.
+    The sums (3, 5, 5) of the time-correlated covariance, the white one, and the white one of estimators that
+    fuse frames are those of errors on the ground, in radii; `chart` (5,) is the rim's in the last frame.
     """
 
     weight: float
-    correlated: FloatArray
-    white: FloatArray
+    covariances: FloatArray
     chart: FloatArray
 
 
@@ -78,7 +77,7 @@ class PooledErrors:
 
         The time-correlated part becomes that of the pool. The white part becomes that of the pool, too, but
         in no direction smaller than the fit claims: a rim half in shadow does have a larger covariance than
-        in other frames.
+        in other frames. So does the white part of estimators that fuse frames (`RimSet.fused_white`).
 
         Parameters
         ----------
@@ -102,44 +101,32 @@ class PooledErrors:
         in_plane, of_height = rims.correlated[:, :, :5], rims.correlated[:, :, 5:]
         root = inverse @ in_plane
         correlated = root @ np.swapaxes(root, 1, 2)
-        white = inverse @ rims.uncorrelated_covariance @ np.swapaxes(inverse, 1, 2)
-        prior = correlated.mean(axis=0), white.mean(axis=0)
+        white, fused = (
+            inverse @ S @ np.swapaxes(inverse, 1, 2)
+            for S in (rims.uncorrelated_covariance, rims.fused_white_covariance)
+        )
+        own = np.stack([correlated, white, fused], axis=1)
+        prior = PRIOR_FRAMES * own.mean(axis=0)
         for i, crater in enumerate(rims.craters.tolist()):
-            pool = self._updated(crater, rims.chart[i], correlated[i], white[i], prior)
+            pool = self._updated(crater, rims.chart[i], own[i], prior)
             self._pools[crater] = pool
-            correlated[i] = pool.correlated / pool.weight
-            white[i] = _at_least(pool.white / pool.weight, white[i])
+            correlated[i], pooled_white, pooled_fused = pool.covariances / pool.weight
+            white[i], fused[i] = _at_least(pooled_white, white[i]), _at_least(pooled_fused, fused[i])
         roots = np.concatenate([slopes @ np.linalg.cholesky(correlated), of_height], axis=2)
         covariance = slopes @ white @ np.swapaxes(slopes, 1, 2) + roots @ np.swapaxes(roots, 1, 2)
         if rims.shared is not None:
             covariance = covariance + rims.shared @ np.swapaxes(rims.shared, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
-        return replace(rims, covariance=covariance, correlated=roots)
+        fused_white = None if rims.fused_white is None else slopes @ fused @ np.swapaxes(slopes, 1, 2)
+        return replace(rims, covariance=covariance, correlated=roots, fused_white=fused_white)
 
-    def _updated(
-        self,
-        crater: int,
-        chart: FloatArray,
-        correlated: FloatArray,
-        white: FloatArray,
-        prior: tuple[FloatArray, FloatArray],
-    ) -> _Pool:
-        """Add one frame to a crater's pool; a new pool begins with the mean covariances of the frame."""
+    def _updated(self, crater: int, chart: FloatArray, own: FloatArray, prior: FloatArray) -> _Pool:
+        """Add one frame (3, 5, 5) to a crater's pool; a new pool begins with a prior."""
         before = self._pools.get(crater)
         if before is None:
-            return _Pool(
-                1.0 + PRIOR_FRAMES,
-                PRIOR_FRAMES * prior[0] + correlated,
-                PRIOR_FRAMES * prior[1] + white,
-                chart,
-            )
+            return _Pool(1.0 + PRIOR_FRAMES, prior + own, chart)
         decay = np.exp(-float(shape_change(before.chart, chart)) / self._options.memory)
-        return _Pool(
-            1.0 + decay * before.weight,
-            decay * before.correlated + correlated,
-            decay * before.white + white,
-            chart,
-        )
+        return _Pool(1.0 + decay * before.weight, decay * before.covariances + own, chart)
 
 
 def _at_least(pooled: FloatArray, stated: FloatArray) -> FloatArray:
