@@ -26,6 +26,7 @@ from craternav_fg.estimators.correlated_errors import (
     transition,
 )
 from craternav_fg.estimators.ekf.filter import DistributedEkf
+from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, RimVariables, add_frame
 from craternav_fg.estimators.marginals import Marginals, separated
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
@@ -364,7 +365,7 @@ def test_every_estimator_takes_the_white_part_for_fusion(trials: list[tuple[Prob
         told.append(replace(frame, rims=replace(rims, fused_white=white + more)))
         stated.append(replace(frame, rims=replace(rims, covariance=rims.covariance + more)))
     smoothers: list[Estimator] = [BatchSmoother(), OnlineSmoother(), DistributedEkf()]
-    smoothers.append(BatchSmoother(GraphOptions(rim_errors=None)))
+    smoothers += [BatchSmoother(GraphOptions(rim_errors=None)), GncSmoother()]
     for one in smoothers:
         found, same, without = (one.estimate(replace(p, frames=f)) for f in (told, stated, p.frames))
         assert found.pose_covariance is not None

@@ -57,6 +57,23 @@ def test_only_the_misplaced_crater_is_told_apart(descents: list[tuple[Problem, T
     assert variance_factors(moved.frames, list(truth.gTb), p.camera, p.catalog, np.inf) == {}
 
 
+def test_white_errors_count_as_estimators_take_them(descents: list[tuple[Problem, Trajectory]]) -> None:
+    """Where they take more of it than rims state, a crater that is off says less."""
+    p, truth = descents[0]
+    row = int(p.frames[0].rims.craters[0])
+    moved = with_kept_errors(p, truth, {row: np.array([8.0 * KEPT, 0.0])})
+    fused = []
+    for frame in moved.frames:
+        rims = frame.rims
+        white = rims.uncorrelated_covariance + 25.0 * (rims.covariance - rims.uncorrelated_covariance)
+        fused.append(replace(frame, rims=replace(rims, fused_white=white)))
+    factors = [
+        variance_factors(frames, list(truth.gTb), p.camera, p.catalog, 4.0)
+        for frames in (moved.frames, fused)
+    ]
+    assert factors[1].get(row, 1.0) < 0.8 * factors[0][row]
+
+
 def test_rims_without_kept_errors_are_as_stated(descents: list[tuple[Problem, Trajectory]]) -> None:
     p, truth = descents[0]
     poses = [gTb.copy() for gTb in truth.gTb]
