@@ -156,7 +156,7 @@ class OnlineSession:
         initial = self._descent.initial
         add_prior(graph, initial)
         gTb = start.gTb if start.frame == 0 else initial.gTb
-        variables = RimVariables(values, self._errors, apart=True)
+        variables = RimVariables(values, self._errors)
         add_frame(graph, self._descent, self._options, X(0), frame, variables=variables, near=gTb)
         samples = self._bank.at(frame.stamp_ns)
         weights = innovation_weights(samples, filter_state.prior(self._descent), frame.stamp_ns)
@@ -179,7 +179,7 @@ class OnlineSession:
         states = filter_state.states_through_start(problem)
         graph, values = FactorGraph(), gtsam.Values()
         add_prior(graph, self._descent.initial)
-        variables, near = RimVariables(values, self._errors, apart=True), states[0].gTb
+        variables, near = RimVariables(values, self._errors), states[0].gTb
         add_frame(graph, self._descent, self._options, X(0), frames[0], variables=variables, near=near)
         begin = gtsam.NavState(gtsam.Pose3(states[0].gTb), states[0].gV)
         insert_state(values, 0, begin, states[0].bias)
@@ -272,7 +272,7 @@ class OnlineSession:
             state, begin_ns = ahead, int(end_ns)
         # At the prediction and no later pose: the rims' weights must not depend on what they measured.
         frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
-        variables = RimVariables(values, self._errors, self._solver.tree.valueExists, apart=True)
+        variables = RimVariables(values, self._errors, self._solver.tree.valueExists)
         add_frame(graph, self._descent, self._options, X(last), frame, variables=variables, near=state.gTb)
         samples = self._bank.at(frame.stamp_ns)
         if samples:
