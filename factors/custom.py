@@ -251,9 +251,8 @@ def packed_pose_factor_with_errors(
                 H[number] = slopes
         return e
 
-    return gtsam.CustomFactor(
-        gtsam.noiseModel.Unit.Create(rows), [key, *(error for error, _ in errors)], evaluate
-    )
+    keys = [key, *[error for error, _ in errors]]
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, evaluate)
 
 
 def _of_both(

@@ -36,7 +36,10 @@ STATE_SIZE = CORRELATED_SIZE + PLACE_SIZE
 _ZERO, _UNIT = np.zeros(STATE_SIZE), gtsam.noiseModel.Unit.Create(STATE_SIZE)
 # Least change of an image after which a process goes on: below, nothing new is to be seen.
 _LEAST_CHANGE = 1e-3
-SHARED_KEY: int = gtsam.symbol("s", 0)
+SHARED_LETTER = "s"
+# Frames that involve one variable of the error that all rims share, where it is renewed, and the standard
+# deviation by which the next one differs: of no effect after thousands, and harmless to QR.
+SHARED_FRAMES, _EQUAL = 8, 1e-5
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 # Fitted by `craternav_fg.calibration.variance_inflation`.
@@ -161,14 +164,19 @@ class RimErrorStates:
     Parameters
     ----------
     options : RimErrorOptions
+    renewed : bool
+        Whether the error that all rims share gets a new variable every `SHARED_FRAMES` frames, equal to the
+        one before. For iSAM2: a variable that all frames involve makes each update visit all of them.
     """
 
-    def __init__(self, options: RimErrorOptions) -> None:
+    def __init__(self, options: RimErrorOptions, *, renewed: bool = False) -> None:
         self._options = options
+        self._renewed = renewed
         # Of each crater: its present variable, and the chart at which it is the error itself.
         self._rims: dict[int, tuple[int, FloatArray]] = {}
-        self._shared = False
         self._count = 0
+        # Variables of the shared error so far, and the frames that involve the last one.
+        self._shared = self._frames = 0
 
     def enter(
         self,
@@ -197,13 +205,32 @@ class RimErrorStates:
         if rims.correlated is not None and len(rims):
             out.append(self._of_craters(rims, rims.correlated, graph, values, holds))
         if rims.shared is not None and len(rims):
-            if not self._shared or (holds is not None and not holds(SHARED_KEY)):
-                self._shared = True
-                values.insert(SHARED_KEY, np.zeros(SHARED_SIZE))
-                unit = gtsam.noiseModel.Unit.Create(SHARED_SIZE)
-                graph.push_back(gtsam.PriorFactorVector(SHARED_KEY, np.zeros(SHARED_SIZE), unit))
-            out.append(ChartError([SHARED_KEY] * len(rims), rims.shared))
+            out.append(ChartError([self._of_all(graph, values, holds)] * len(rims), rims.shared))
         return out
+
+    def _of_all(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        holds: Callable[[int], bool] | None,
+    ) -> int:
+        """Go on with the variable that all rims share, or begin another."""
+        last: int = gtsam.symbol(SHARED_LETTER, max(self._shared - 1, 0))
+        held = self._shared > 0 and (holds is None or values.exists(last) or holds(last))
+        if held and not (self._renewed and self._frames == SHARED_FRAMES):
+            self._frames += 1
+            return last
+        key: int = gtsam.symbol(SHARED_LETTER, self._shared)
+        self._shared, self._frames = self._shared + 1, 1
+        zero = np.zeros(SHARED_SIZE)
+        values.insert(key, zero)
+        if held:
+            model = gtsam.noiseModel.Isotropic.Sigma(SHARED_SIZE, _EQUAL)
+            graph.push_back(gtsam.BetweenFactorVector(last, key, zero, model))
+        else:
+            unit = gtsam.noiseModel.Unit.Create(SHARED_SIZE)
+            graph.push_back(gtsam.PriorFactorVector(key, zero, unit))
+        return key
 
     def _of_craters(
         self,

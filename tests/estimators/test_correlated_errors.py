@@ -14,11 +14,14 @@ from scipy.stats import chi2
 from craternav_fg.dataset.measurements import read_measurements, write_measurements
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import EstimationError
+from craternav_fg.estimators import correlated_errors, incremental
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
 from craternav_fg.estimators.correlated_errors import (
     ERROR_LETTER,
     PLACE_SIZE,
+    SHARED_FRAMES,
+    SHARED_LETTER,
     STATE_SIZE,
     RimErrorOptions,
     RimErrorStates,
@@ -309,6 +312,64 @@ def test_inflated_arcs_have_the_variance_of_their_mean() -> None:
     mean = shared + 3.0 * rng.standard_normal((draws, frames * points)).mean(axis=1)
     claimed = np.mean(arcs.inflate_correlated(frames).sigmas[0] ** 2) / (frames * points)
     assert np.var(mean) == pytest.approx(claimed, rel=0.05)
+
+
+def test_online_neither_order_nor_renewal_changes_the_estimate(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p, _ = trials[1]
+    session = OnlineSmoother(KNOWING).run(p)
+    found, values = session.filtered(), session.smoothed_values()
+    shared = [key for key in values.keys() if chr(gtsam.Symbol(key).chr()) == SHARED_LETTER]  # noqa: SIM118
+    assert shared == [gtsam.symbol(SHARED_LETTER, 0)]
+    monkeypatch.setattr(incremental, "_order", lambda *_: None)
+    monkeypatch.setattr(correlated_errors, "SHARED_FRAMES", len(p.frames))
+    expected = OnlineSmoother(KNOWING).estimate(p)
+    assert expected.pose_covariance is not None
+    assert found.pose_covariance is not None
+    sigma_m = np.sqrt(np.diagonal(expected.pose_covariance, axis1=1, axis2=2)[:, 3:])
+    assert (np.abs(found.gP - expected.gP) < 1e-5 * sigma_m).all()
+    scale = np.sqrt(np.diagonal(expected.pose_covariance, axis1=1, axis2=2))
+    scale = scale[:, :, None] * scale[:, None, :]
+    assert_allclose(found.pose_covariance / scale, expected.pose_covariance / scale, atol=1e-6)
+
+
+def test_newest_state_and_the_errors_it_sees_are_eliminated_last() -> None:
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    r, s = (gtsam.symbol(letter, 4) for letter in (ERROR_LETTER, SHARED_LETTER))
+    unit = gtsam.noiseModel.Unit.Create(6)
+    for n in (7, 8):
+        values.insert(X(n), gtsam.Pose3())
+        graph.push_back(gtsam.PriorFactorPose3(X(n), gtsam.Pose3(), unit))
+    assert incremental._order(graph, values) is None
+    for pose, error in ((X(7), gtsam.symbol(ERROR_LETTER, 2)), (X(8), r), (X(8), s)):
+        linear = gtsam.JacobianFactor(pose, np.eye(6), error, np.eye(6), np.zeros(6), unit)
+        at = gtsam.Values()
+        at.insert(pose, gtsam.Pose3())
+        at.insert(error, np.zeros(6))
+        graph.push_back(gtsam.LinearContainerFactor(linear, at))
+    groups = incremental._order(graph, values)
+    assert groups is not None
+    assert groups.size() == 5
+    assert [groups.at(key) for key in (r, s)] == [1, 1]
+    assert [groups.at(gtsam.symbol(letter, 8)) for letter in "xvb"] == [2, 2, 2]
+
+
+def test_what_all_rims_share_is_renewed_as_an_equal_variable() -> None:
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    states = RimErrorStates(RimErrorOptions(), renewed=True)
+    root = np.zeros((1, 5, SHARED_SIZE))
+    rims = RimSet(np.array([7]), np.zeros((1, 5)), np.eye(5)[None], shared=root)
+    keys = [states.enter(rims, graph, values)[0].keys[0] for _ in range(2 * SHARED_FRAMES + 1)]
+    expected = [gtsam.symbol(SHARED_LETTER, n // SHARED_FRAMES) for n in range(2 * SHARED_FRAMES + 1)]
+    assert keys == expected
+    ordering = gtsam.Ordering()
+    for key in values.keys():  # noqa: SIM118 (Values is no mapping)
+        ordering.push_back(key)
+    covariance = np.linalg.inv(graph.linearize(values).hessian(ordering)[0])
+    assert_allclose(covariance, np.kron(np.ones((3, 3)), np.eye(SHARED_SIZE)), atol=1e-6)
+    # In another solver that has lost it, the error begins anew.
+    assert states.enter(rims, graph, gtsam.Values(), lambda _: False)[0].keys[0] == gtsam.symbol("s", 3)
 
 
 def test_errors_leave_the_lag_with_their_states(trials: list[tuple[Problem, Trajectory]]) -> None:
