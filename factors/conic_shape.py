@@ -191,24 +191,22 @@ def pack_with_errors(
         if len(error.keys) != n or len(shape) != 3 or shape[:2] != (n, 5) or shape[2] < 1:
             raise FactorError(f"errors[{k}]: expected {n} keys and roots of shape ({n}, 5, m), found {shape}")
     roots = np.concatenate([error.roots for error in errors], axis=2)
-    fields: tuple[npt.ArrayLike, ...] = (bTc, centres, axes, charts, covariances)
-    if _are_plain(n, fields):
-        data = rim_errors.pack_apart(*fields, roots, loss.kind, loss.scale)
-        if len(data):
-            return np.asarray(data)
-    validation.whitening("covariances", covariances, n, 5)
-    return np.asarray(
-        rim_errors.pack_apart(
+    data = _packed(n, (bTc, centres, axes, charts, covariances), loss)
+    if not len(data):
+        charts = validation.charts("charts", charts, n)
+        data = packed.pack(
             validation.pose("bTc", bTc),
             validation.array("centres", centres, (n, 3)),
             validation.rim_axes("axes", axes, n),
-            validation.charts("charts", charts, n),
-            validation.array("covariances", covariances, (n, 5, 5)),
-            validation.array("errors.roots", roots, roots.shape),
+            charts,
+            validation.whitening("covariances", covariances, n, 5),
             loss.kind,
             loss.scale,
         )
-    )
+    apart = rim_errors.pack_apart(data, charts, roots)
+    if not len(apart):
+        validation.array("errors.roots", roots, roots.shape)
+    return np.asarray(apart)
 
 
 def _packed(n: int, fields: tuple[npt.ArrayLike | None, ...], loss: Loss) -> FloatArray:

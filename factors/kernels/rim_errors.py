@@ -6,7 +6,7 @@ import numpy.typing as npt
 from factors.kernels.admission import sum_of_squares
 from factors.kernels.compiled import njit
 from factors.kernels.conic import camera_pose, moments, rim_in_camera
-from factors.kernels.packed import CRATER, HEADER, pack_if_sound, shape_residuals
+from factors.kernels.packed import CRATER, HEADER, shape_residuals
 from factors.kernels.robust import NONE, loss_and_weight
 
 FloatArray = npt.NDArray[np.float64]
@@ -84,45 +84,38 @@ def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: F
 
 
 @njit(cache=True, error_model="numpy")
-def pack_apart(
-    bTc: FloatArray, centres: FloatArray, axes: FloatArray, charts: FloatArray, S: FloatArray,
-    roots: FloatArray, kind: int, scale: float,
-) -> FloatArray:  # fmt: skip
+def pack_apart(packed: FloatArray, charts: FloatArray, roots: FloatArray) -> FloatArray:
     """Pack the constants of rims with errors that are variables, each rim by itself.
 
     Parameters
     ----------
-    bTc : ndarray, shape (4, 4)
-        Mounting of the camera.
-    centres, axes : ndarray, shape (n, 3), (n, 2, 3)
-        Rims in g, m.
+    packed : ndarray, shape (n_packed,)
+        All rims, from `packed.pack`.
     charts : ndarray, shape (n, 5)
-        Measured charts.
-    S : ndarray, shape (n, 5, 5)
-        Covariances of the charts without these errors.
+        Measured charts, normalised.
     roots : ndarray, shape (n, 5, m)
         Errors z of a rim add roots z to its predicted chart.
-    kind, scale : int, float
-        Loss, see `robust`.
 
     Returns
     -------
     ndarray, shape (n, n_data)
         For each rim what `packed.pack` gives without a loss, its chart, its roots, its roots whitened, and
-        the loss. Empty where `packed.pack_if_sound` finds a fault, or a root is not finite.
+        the loss. Empty where a root is not finite.
     """
     n, m = roots.shape[0], roots.shape[2]
-    all_rims = pack_if_sound(bTc, centres, axes, charts, S, kind, scale)
-    if len(all_rims) == 0 or not np.isfinite(sum_of_squares(roots.reshape(-1))):
+    if not np.isfinite(sum_of_squares(roots.reshape(-1))):
         return np.empty((0, 0))
     begin = HEADER + CRATER
     out = np.empty((n, begin + 5 + 10 * m + 2))
     for i in range(n):
         row = out[i]
-        row[:12] = all_rims[:12]
+        for k in range(12):
+            row[k] = packed[k]
         row[12], row[13] = NONE, 1.0
-        row[HEADER:begin] = all_rims[HEADER + CRATER * i : HEADER + CRATER * (i + 1)]
-        row[begin : begin + 5] = charts[i]
+        for k in range(CRATER):
+            row[HEADER + k] = packed[HEADER + CRATER * i + k]
+        for k in range(5):
+            row[begin + k] = charts[i, k]
         W = begin - 15
         for r in range(5):
             for j in range(m):
@@ -132,7 +125,7 @@ def pack_apart(
                 row[begin + 5 + m * r + j] = roots[i, r, j]
                 row[begin + 5 + m * (5 + r) + j] = total
             W += r + 1
-        row[-2], row[-1] = kind, scale
+        row[-2], row[-1] = packed[12], packed[13]
     return out
 
 
@@ -203,8 +196,8 @@ def all_shape_residuals_with_errors(
 
     Parameters
     ----------
-    poses : ndarray, shape (k, 4, 4)
-        Poses of the body in g.
+    poses : ndarray, shape (4, 4, k)
+        Poses of the body in g, column-major as GTSAM's matrices are: a kernel is compiled for each order.
     of_pose : ndarray of int, shape (n,)
         Index of each rim's pose.
     errors : ndarray, shape (l,)
@@ -230,7 +223,7 @@ def all_shape_residuals_with_errors(
     for i in range(len(data)):
         for j in range(len(z)):
             z[j] = errors[places[i, j]]
-        total = shape_residuals_with_errors(poses[of_pose[i]], z, data[i], linearise, out[i])
+        total = shape_residuals_with_errors(poses[:, :, of_pose[i]], z, data[i], linearise, out[i])
         if bad < 0 and not np.isfinite(total):
             bad = i
         for r in range(5):
