@@ -14,7 +14,7 @@ import numpy.typing as npt
 from factors import validation
 from factors.custom import Loss, constant_mounting, packed_pose_factor, packed_pose_factor_with_errors
 from factors.errors import FactorError
-from factors.kernels import packed, rim_errors, robust
+from factors.kernels import packed, rim_errors
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,17 +28,14 @@ class ChartError:
 
     Attributes
     ----------
-    key : int
-        Key of the variable, a vector of length m.
-    rims : sequence of int, length k
-        Rows of the rims that it moves.
-    roots : array_like, shape (k, 5, m)
+    keys : sequence of int, length n
+        Key of the variable that moves each of n rims, a vector of length m; several rims may share one.
+    roots : ndarray, shape (n, 5, m)
         It adds roots @ vector to their predicted charts.
     """
 
-    key: int
-    rims: Sequence[int]
-    roots: npt.ArrayLike
+    keys: Sequence[int]
+    roots: FloatArray
 
 
 def conic_shape_factor(
@@ -51,7 +48,6 @@ def conic_shape_factor(
     loss: Loss = Loss(),
     *,
     mounting_key: int | None = None,
-    errors: Sequence[ChartError] = (),
     reduced: bool = False,
 ) -> gtsam.CustomFactor:
     """Build a factor of the body's pose from the rims of a frame.
@@ -76,17 +72,14 @@ def conic_shape_factor(
         Applied to each crater's 5-dimensional norm.
     mounting_key : int, optional
         Key of the mounting as a variable (`Pose3`), to be estimated.
-    errors : sequence of ChartError
-        Errors of the charts, beside those of `covariances`, to be estimated.
     reduced : bool
-        Whether the rows of several rims without `errors` are turned into seven that optimisers cannot tell
-        from them: less to copy and to eliminate. The residual of a single rim can then not be read.
+        Whether the rows of several rims are turned into seven that optimisers cannot tell from them: less to
+        copy and to eliminate. The residual of a single rim can then not be read.
 
     Returns
     -------
     gtsam.CustomFactor
-        With 5 n whitened rows, or `REDUCED_ROWS`; of the pose, the mounting if it is a variable, and the
-        errors' variables.
+        With 5 n whitened rows, or `REDUCED_ROWS`; of the pose, and of the mounting if it is a variable.
 
     Raises
     ------
@@ -94,64 +87,150 @@ def conic_shape_factor(
         Naming the field that is not finite, mis-shaped, or not positive definite.
     """
     n = validation.count("charts", charts)
-    if not errors and mounting_key is None:
+    if mounting_key is None:
         data = _packed(n, (bTc, centres, axes, charts, covariances), loss)
         if len(data):
-            return _without_errors(key, n, data, None, reduced=reduced)
+            return _of_packed(key, n, data, None, reduced=reduced)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
     charts = validation.charts("charts", charts, n)
     W = validation.whitening("covariances", covariances, n, 5)
     mounting = constant_mounting(key, bTc, mounting_key)
-    if errors:
-        data = packed.pack(mounting, centres, axes, charts, W, robust.NONE, 1.0)
-        lengths = [_length(k, error) for k, error in enumerate(errors)]
-        ends = np.cumsum([0, *lengths])
-        roots = np.zeros((n, 5, ends[-1]))
-        for k, error in enumerate(errors):
-            shape = (len(error.rims), 5, lengths[k])
-            roots[list(error.rims), :, ends[k] : ends[k + 1]] += validation.array(
-                f"errors[{k}].roots", error.roots, shape
-            )
-        white = np.ascontiguousarray((W @ roots).reshape(5 * n, -1))
-        roots = roots.reshape(5 * n, -1)
-
-        def kernel(
-            T: FloatArray, z: FloatArray, linearise: bool, out: FloatArray, slopes: FloatArray
-        ) -> float:
-            return rim_errors.shape_residuals_with_errors(
-                T, z, data, charts, roots, white, loss.kind, loss.scale, linearise, out, slopes
-            )
-
-        keys = [(error.key, length) for error, length in zip(errors, lengths, strict=True)]
-        return packed_pose_factor_with_errors(key, 5 * n, kernel, keys, mounting_key)
     data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
-    return _without_errors(key, n, data, mounting_key, reduced=reduced)
+    return _of_packed(key, n, data, mounting_key, reduced=reduced)
+
+
+def conic_shape_factors(
+    key: int,
+    bTc: npt.ArrayLike,
+    centres: npt.ArrayLike,
+    axes: npt.ArrayLike,
+    charts: npt.ArrayLike,
+    covariances: npt.ArrayLike,
+    errors: Sequence[ChartError],
+    loss: Loss = Loss(),
+) -> list[gtsam.CustomFactor]:
+    """Build factors of the body's pose and of errors of the rims of a frame: one for each rim.
+
+    One factor of all rims would have zeros for the errors of all others, and an elimination would fill them
+    in.
+
+    Parameters
+    ----------
+    key : int
+        Key of the pose `gTb`.
+    bTc : array_like, shape (4, 4)
+        Mounting of the camera.
+    centres : array_like, shape (n, 3)
+        Rim centres in g, m.
+    axes : array_like, shape (n, 2, 3)
+        Semi-axes as in `conic_shape_factor`, m.
+    charts : array_like, shape (n, 5)
+        Measured images in the ellipse chart, normalised coordinates.
+    covariances : array_like, shape (n, 5, 5)
+        Covariances of the charts without `errors`.
+    errors : sequence of ChartError
+        Errors of the charts, to be estimated.
+    loss : Loss
+        Applied to each crater's 5-dimensional norm.
+
+    Returns
+    -------
+    list of gtsam.CustomFactor
+        With 5 whitened rows, of the pose and of one variable of each error.
+
+    Raises
+    ------
+    FactorError
+        Naming the field that is not finite, mis-shaped, or not positive definite.
+    """
+    data = pack_with_errors(bTc, centres, axes, charts, covariances, errors, loss)
+    lengths = [error.roots.shape[2] for error in errors]
+    kernel = rim_errors.shape_residuals_with_errors
+    return [
+        packed_pose_factor_with_errors(key, 5, kernel, of_rim, list(zip(keys, lengths, strict=True)))
+        for of_rim, keys in zip(data, zip(*(error.keys for error in errors), strict=True), strict=True)
+    ]
+
+
+def pack_with_errors(
+    bTc: npt.ArrayLike,
+    centres: npt.ArrayLike,
+    axes: npt.ArrayLike,
+    charts: npt.ArrayLike,
+    covariances: npt.ArrayLike,
+    errors: Sequence[ChartError],
+    loss: Loss,
+) -> FloatArray:
+    """Check the rims of a frame and pack them, each by itself.
+
+    Parameters
+    ----------
+    bTc, centres, axes : array_like, shapes (4, 4), (n, 3), (n, 2, 3)
+        Lengths in m, as for `conic_shape_factors`.
+    charts, covariances : array_like, shapes (n, 5), (n, 5, 5)
+        In normalised coordinates; without the errors.
+    errors : sequence of ChartError
+        Errors of the charts, to be estimated.
+    loss : Loss
+        Applied to each crater's 5-dimensional norm.
+
+    Returns
+    -------
+    ndarray, shape (n, n_data)
+        From `rim_errors.pack_apart`, with the errors' columns one after the other.
+
+    Raises
+    ------
+    FactorError
+        Naming the field that is not finite, mis-shaped, or not positive definite.
+    """
+    n = validation.count("charts", charts)
+    for k, error in enumerate(errors):
+        shape = np.shape(error.roots)
+        if len(error.keys) != n or len(shape) != 3 or shape[:2] != (n, 5) or shape[2] < 1:
+            raise FactorError(f"errors[{k}]: expected {n} keys and roots of shape ({n}, 5, m), found {shape}")
+    roots = np.concatenate([error.roots for error in errors], axis=2)
+    data = _packed(n, (bTc, centres, axes, charts, covariances), loss)
+    if not len(data):
+        charts = validation.charts("charts", charts, n)
+        data = packed.pack(
+            validation.pose("bTc", bTc),
+            validation.array("centres", centres, (n, 3)),
+            validation.rim_axes("axes", axes, n),
+            charts,
+            validation.whitening("covariances", covariances, n, 5),
+            loss.kind,
+            loss.scale,
+        )
+    apart = rim_errors.pack_apart(data, charts, roots)
+    if not len(apart):
+        validation.array("errors.roots", roots, roots.shape)
+    return np.asarray(apart)
 
 
 def _packed(n: int, fields: tuple[npt.ArrayLike | None, ...], loss: Loss) -> FloatArray:
     """Check all fields at once, and pack them; empty where one is to be looked at by itself."""
+    return packed.pack_if_sound(*fields, loss.kind, loss.scale) if _are_plain(n, fields) else np.empty(0)
+
+
+def _are_plain(n: int, fields: tuple[npt.ArrayLike | None, ...]) -> bool:
+    """Whether kernels can take the fields as they are."""
     shapes = ((4, 4), (n, 3), (n, 2, 3), (n, 5), (n, 5, 5))
-    for value, shape in zip(fields, shapes, strict=True):
+    return all(
         # No subclass: masked arrays are refused by name.
-        if not (type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape):
-            return np.empty(0)
-        if not value.flags.carray:
-            return np.empty(0)
-    return packed.pack_if_sound(*fields, loss.kind, loss.scale)
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and value.shape == shape
+        and value.flags.carray
+        for value, shape in zip(fields, shapes, strict=True)
+    )
 
 
-def _without_errors(
+def _of_packed(
     key: int, n: int, data: FloatArray, mounting_key: int | None, *, reduced: bool
 ) -> gtsam.CustomFactor:
-    """Build the factor of packed rims whose errors are no variables."""
+    """Build the factor of packed rims."""
     if reduced and n > 1:
         return packed_pose_factor(key, REDUCED_ROWS, packed.reduced_shape_residuals, data, mounting_key)
     return packed_pose_factor(key, 5 * n, packed.shape_residuals, data, mounting_key)
-
-
-def _length(number: int, error: ChartError) -> int:
-    shape = np.shape(error.roots)
-    if len(shape) != 3 or shape[2] < 1:
-        raise FactorError(f"errors[{number}].roots: expected shape (k, 5, m), found {shape}")
-    return int(shape[2])

@@ -22,6 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 
 # Looked up once: calling a method through its object costs as much as a crater.
 _at_pose = gtsam.Values.atPose3
+_at_vector = gtsam.Values.atVector
 _matrix = gtsam.Pose3.matrix
 
 # kernel(gTb, bTc, linearise, e, J): writes e (rows,) and, when asked, J (rows, 6) for the body's twist.
@@ -197,9 +198,9 @@ def packed_pose_factor(
 def packed_pose_factor_with_errors(
     key: int,
     rows: int,
-    kernel: Callable[[FloatArray, FloatArray, bool, FloatArray, FloatArray], float],
+    kernel: Callable[[FloatArray, FloatArray, FloatArray, bool, FloatArray], float],
+    data: FloatArray,
     errors: Sequence[tuple[int, int]],
-    mounting_key: int | None = None,
 ) -> gtsam.CustomFactor:
     """Build a factor as `packed_pose_factor` does, of a pose and of errors that enter linearly.
 
@@ -210,58 +211,47 @@ def packed_pose_factor_with_errors(
     rows : int
         Length of the residual, at least 1.
     kernel : callable
-        kernel(pose, z, linearise, out, slopes): as a packed kernel; z (m,) are all errors, one after the
-        other, and the Jacobian in them is written to slopes (rows, m).
+        kernel(pose, z, data, linearise, out): as a packed kernel; z (m,) are all errors, one after the other,
+        and the transposed Jacobian in them is written below the residual: out has the shape (7 + m, rows).
+    data : ndarray, shape (n_data,)
+        Constants of the kernel, in its units; nobody else may change them.
     errors : sequence of (int, int)
         Key and length of each error.
-    mounting_key : int, optional
-        Key of the mounting (`Pose3`) when it is a variable.
 
     Returns
     -------
     gtsam.CustomFactor
-        Its keys are the pose, the mounting if it is a variable, and the errors, in this order. Its callback
-        raises `FactorError` when the kernel wrote something that is not finite.
+        Its keys are the pose and the errors, in this order. Its callback raises `FactorError` when the kernel
+        wrote something that is not finite.
 
     Raises
     ------
     FactorError
         When `rows` is not positive.
     """
-    out = np.zeros((7, _positive(rows)))
+    z = np.zeros(sum(length for _, length in errors))
+    out = np.zeros((7 + len(z), _positive(rows)))
     e, J = out[6], out[:6].T
-    ends = np.cumsum([0, *(length for _, length in errors)]).tolist()
-    z = np.zeros(ends[-1])
-    slopes = np.zeros((rows, ends[-1]), order="F")
-    parts = [
-        (error, z[begin:end], slopes[:, begin:end])
-        for (error, _), begin, end in zip(errors, ends[:-1], ends[1:], strict=True)
-    ]
-    first = 1 if mounting_key is None else 2
-    J_body = np.zeros((rows, 6))
+    parts = []
+    begin = 0
+    for number, (error, length) in enumerate(errors, 1):
+        end = begin + length
+        parts.append((number, error, z[begin:end], out[7 + begin : 7 + end].T))
+        begin = end
 
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
-        for error, part, _slopes in parts:
-            part[:] = values.atVector(error)
-        pose = _at_pose(values, key)
-        mounting = None
-        if mounting_key is not None:
-            mounting = values.atPose3(mounting_key)
-            pose = pose.compose(mounting)
-        if not math.isfinite(kernel(_matrix(pose), z, linearise, out, slopes)):
+        for _number, error, part, _slopes in parts:
+            part[:] = _at_vector(values, error)
+        if not math.isfinite(kernel(_matrix(_at_pose(values, key)), z, data, linearise, out)):
             raise _not_finite(key)
         if linearise:
-            if mounting is None:
-                H[0] = J
-            else:
-                conic.body_columns(J, mounting.matrix(), J_body)
-                H[0], H[1] = J_body, J
-            for k, (_error, _part, block) in enumerate(parts, first):
-                H[k] = block
+            H[0] = J
+            for number, _error, _part, slopes in parts:
+                H[number] = slopes
         return e
 
-    keys = [key, *([] if mounting_key is None else [mounting_key]), *(error for error, _ in errors)]
+    keys = [key, *[error for error, _ in errors]]
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, evaluate)
 
 

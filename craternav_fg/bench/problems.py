@@ -4,7 +4,7 @@ A lander on a circular orbit 50 km above the Moon's equator looks down; every fr
 craters, each seen once. The problems are for timing, not for accuracy.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -15,7 +15,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.base import Descent, Problem, Start
 from craternav_fg.estimators.graph import insert_state
 from craternav_fg.imu import ImuLog, ImuNoise
-from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, RimSet
 from craternav_fg.simulation.flat_scenes import CAMERA
 from craternav_fg.simulation.scenes import ALTITUDE_M, FOCAL_PX, MOON
 from craternav_fg.trajectory import InitialState
@@ -30,6 +30,8 @@ PERIOD_S = 1.0
 IMU_HZ = 10
 EDGE_SIGMA_PX = 0.3
 POINT_SIGMA_M = 20.0
+# Of the descent with errors that last: every fourth frame, with states between.
+TRACKED_EVERY = 4
 # Craters lie up to this far from the point below the lander, north and east.
 SPREAD_M = 12e3
 # Standard deviations of the initial state, per axis.
@@ -73,7 +75,7 @@ class Bench:
             graph.push_back(gtsam.KnownLandmarkFactorPose3(X(number), centre, point, model))
 
 
-def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
+def make(frames_number: int, craters: int, seed: int = 0, imu_hz: int = IMU_HZ) -> Bench:
     """Make a descent.
 
     Parameters
@@ -83,6 +85,7 @@ def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
     craters : int
         In each.
     seed : int
+    imu_hz : int
 
     Returns
     -------
@@ -117,10 +120,46 @@ def make(frames_number: int, craters: int, seed: int = 0) -> Bench:
         gyro_bias_sigma_rad_s=5e-6,
         accelerometer_bias_sigma_m_s2=3e-3,
     )
-    imu = _imu(rng, t[-1], orbit)
+    imu = _imu(rng, t[-1], orbit, imu_hz)
     descent = Descent(MOON, CAMERA, catalog, imu, NOISE, initial)
     start = Start(gTb[0], np.diag(np.repeat([START_SIGMA_RAD**2, START_SIGMA_M**2], 3)), 0)
     return Bench(Problem(**vars(descent), start=start, frames=measured), points, gTb, gV)
+
+
+def tracked(frames_number: int, craters: int, seed: int = 0) -> Problem:
+    """Make a descent that sees each crater in as many successive images, with errors that last.
+
+    Parameters
+    ----------
+    frames_number : int
+        Number of images, one in four seconds, with IMU at 100 Hz.
+    craters : int
+        In each, but for the first and the last ones.
+    seed : int
+
+    Returns
+    -------
+    Problem
+    """
+    base = make(TRACKED_EVERY * frames_number, 1, seed, imu_hz=100)
+    rng = np.random.default_rng([seed, 1])
+    own, everyone = rng.standard_normal((len(base.gTb), 5)), rng.standard_normal(SHARED_SIZE)
+    catalog = base.problem.catalog
+    frames = []
+    for k in range(frames_number):
+        seen = np.arange(max(0, k - craters // 2), min(frames_number, k - craters // 2 + craters))
+        i, rows = TRACKED_EVERY * k, TRACKED_EVERY * seen
+        frame = base.problem.frames[i]
+        charts, _ = project_rims(base.gTb[i], CAMERA.bTc, catalog.centres[rows], catalog.axes[rows])
+        white = np.repeat(frame.rims.covariance, len(rows), axis=0)
+        A = 2.0 * np.sqrt(white)
+        B = np.zeros((len(rows), 5, SHARED_SIZE))
+        B[:, :, :5] = 0.5 * np.sqrt(white)
+        charts += np.einsum("nij,nj->ni", A, own[rows]) + B @ everyone
+        charts += rng.standard_normal(charts.shape) * np.sqrt(np.diagonal(white, axis1=1, axis2=2))
+        S = white + A @ np.swapaxes(A, 1, 2) + B @ np.swapaxes(B, 1, 2)
+        frames.append(replace(frame, rims=RimSet(rows, charts, S, correlated=A, shared=B)))
+    return replace(base.problem, frames=frames)
 
 
 def _orbit(t: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
@@ -163,12 +202,12 @@ def _measure(
     return measured, points
 
 
-def _imu(rng: np.random.Generator, end_s: float, orbit: float) -> ImuLog:
+def _imu(rng: np.random.Generator, end_s: float, orbit: float, hz: int) -> ImuLog:
     """Log of free fall at an orbital rate, rad/s."""
-    dt = 1.0 / IMU_HZ
-    rows = max(2, round(end_s * IMU_HZ))
+    dt = 1.0 / hz
+    rows = max(2, round(end_s * hz))
     return ImuLog(
-        (np.arange(1, rows + 1) * (10**9 // IMU_HZ)).astype(np.int64),
+        (np.arange(1, rows + 1) * (10**9 // hz)).astype(np.int64),
         # The inertial rotation is about north, which is -y of b.
         np.array([0.0, -orbit, 0.0]) + rng.normal(size=(rows, 3)) * NOISE.gyro_density / np.sqrt(dt),
         rng.normal(size=(rows, 3)) * NOISE.accelerometer_density / np.sqrt(dt),

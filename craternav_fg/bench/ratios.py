@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import L, X
 from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.bench.timing import cpu_and_wall_s, seconds_of
+from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
@@ -24,6 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # GTSAM's default: both sides stop at the same relative decrease.
 RELATIVE_TOLERANCE = 1e-5
+# With and without variables for time-correlated errors of rims.
+KNOWING, UNKNOWING = GraphOptions(), GraphOptions(rim_errors=None)
 
 
 @dataclass(frozen=True)
@@ -182,6 +185,27 @@ def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
         lambda: gtsam.LevenbergMarquardtOptimizer(reference, values, params).optimize(),
         repetitions,
     )
+
+
+def errors_ratio(
+    estimator: Callable[[GraphOptions], Estimator], problem: Problem, repetitions: int = 7
+) -> Ratio:
+    """Compare an estimator with variables for the time-correlated errors of rims with one that has none.
+
+    Parameters
+    ----------
+    estimator : callable
+        Makes it from the options of its graph.
+    problem : Problem
+        With such errors, see `problems.tracked`.
+    repetitions : int
+
+    Returns
+    -------
+    Ratio
+    """
+    ours, reference = estimator(KNOWING), estimator(UNKNOWING)
+    return interleaved(lambda: ours.estimate(problem), lambda: reference.estimate(problem), repetitions)
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,17 @@ from matplotlib.figure import Figure
 from craternav_fg.bench import ratios
 from craternav_fg.bench.compare import SPREAD
 from craternav_fg.bench.detect import detect_ms
-from craternav_fg.bench.floors import batch_steps, factor_floor
+from craternav_fg.bench.floors import batch_errors_floor, batch_steps, factor_floor, online_errors_floor
 from craternav_fg.bench.guided import guided_costs
 from craternav_fg.bench.identification import identify_scalars
 from craternav_fg.bench.images import render_costs
 from craternav_fg.bench.pipeline import pipeline_ms
-from craternav_fg.bench.problems import make
+from craternav_fg.bench.problems import make, tracked
 from craternav_fg.bench.ratios import Online, Ratio
 from craternav_fg.bench.resection import resection_scalars
 from craternav_fg.bench.timing import peak_mb
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]
@@ -70,6 +72,8 @@ class Sizes:
 # In the order of the fields of `Sizes`; `FULL` adds 10,000 online frames, which take minutes.
 QUICK = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 1000, 300, 3, 200, 3, 100)
 FULL = Sizes((100, 300, 1000, 3000, 10_000), (1, 3, 10, 30, 100), 600, 10_000, 1000, 3, 1000, 6, 1000)
+# Frames of the descent with errors that last.
+TRACKED_FRAMES = 75
 # Lag of the fixed-lag smoother that is timed: the default of `fixed_lag`.
 LAG_S = 30.0
 
@@ -121,7 +125,7 @@ def run(sizes: Sizes, report: Report) -> Result:
     -------
     Result
     """
-    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 10
+    steps = len(sizes.craters) + len(sizes.frames) + 2 * sizes.online_runs + 12
     done = 0
 
     def step() -> None:
@@ -160,6 +164,13 @@ def run(sizes: Sizes, report: Report) -> Result:
     measured["online_mean_ratio"] = _over_runs(online, lambda s: s.mean(axis=0))
     measured["online_p99_ratio"] = _over_runs(online, lambda s: np.percentile(s, 99, axis=0))
     measured["fixed_lag_ratio"] = _over_runs(lagged, lambda s: s.mean(axis=0))
+    problem = tracked(TRACKED_FRAMES, 10)
+    measured["errors_batch_ratio"] = ratios.errors_ratio(BatchSmoother, problem)
+    measured["errors_batch_floor"] = batch_errors_floor(problem)
+    step()
+    measured["errors_online_ratio"] = ratios.errors_ratio(OnlineSmoother, problem)
+    measured["errors_online_floor"] = online_errors_floor(problem)
+    step()
     ekf_step_us = ratios.ekf_step_us(make(100, 10))
     step()
     exponents = [ratios.exponent(sizes.frames, turn_s) for turn_s in batch_s]

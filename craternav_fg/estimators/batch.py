@@ -37,7 +37,12 @@ from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
-from craternav_fg.estimators.optimise import LmOptions, LmResult, levenberg_marquardt
+from craternav_fg.estimators.optimise import (
+    MAX_PREDICTED_DECREASE,
+    LmOptions,
+    LmResult,
+    levenberg_marquardt,
+)
 from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.frames import rotate_position_block
@@ -53,14 +58,18 @@ OwnFactors = Callable[[Problem, Sequence[int]], Iterable[gtsam.NonlinearFactor]]
 # Of a descent, with gravity re-evaluated after each; two are enough unless the start is far off.
 MAX_OPTIMISATIONS = 5
 # Of the first optimisation, which ends within a few hundredths of a sigma of the optimum.
-ROUGH_LM = LmOptions(relative_tolerance=1e-5)
+ROUGH_LM = LmOptions(relative_tolerance=1e-4)
 # On real ground many rims fit badly; on the robust loss's flat part the optimum is reached slowly.
 FINAL_LM = LmOptions(max_iterations=200)
-# In graphs solved by Cholesky factorisation, as steps by QR follow: usually one or two.
-CHOLESKY_TOLERANCE = 1e-6
-MAX_QR_STEPS = 3
-# Largest decrease of the error, half a sum of squares, that the last of them predicts: 0.014 sigma.
-MAX_LAST_DECREASE = 1e-4
+# In graphs solved by Cholesky factorisation, as the steps of the covariances follow: usually one or two.
+CHOLESKY_TOLERANCE = 1e-5
+MAX_LAST_STEPS = 3
+# Largest decrease of the error, half a sum of squares, that the last of them predicts: 0.006 sigma.
+MAX_LAST_DECREASE = 2e-5
+# Relative error of variances by Cholesky factorisation, an order of magnitude estimated at some poses: above,
+# they are computed by QR.
+MAX_ROUNDING = 2e-6
+CHECKED_POSES = 8
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.
 SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
@@ -164,7 +173,7 @@ def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOpt
 
 def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
     """Whether an optimum's chi-square is so large that it may be a local one."""
-    rows = graph.left_out + sum(graph.at(i).dim() for i in range(graph.size()))
+    rows = graph.left_out + graph.rims.rows + sum(graph.at(i).dim() for i in range(graph.size()))
     freedom = max(rows - values.dim(), 1)
     return 2.0 * graph.error(values) > SUSPECT_CHI2_RATIO * freedom + SUSPECT_SIGMAS * np.sqrt(2.0 * freedom)
 
@@ -212,17 +221,22 @@ def optimum(
     return graph, values
 
 
-def _step_by_qr(
+def _settled(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, marginals: Marginals
 ) -> tuple[gtsam.Values, Marginals]:
-    """Take the steps that eliminations for covariances give while they are long, then optimise if need be."""
-    for _ in range(MAX_QR_STEPS):
-        nearer = values.retract(marginals.step)
-        if marginals.predicted_decrease <= MAX_LAST_DECREASE:
+    """Take the steps that eliminations for covariances give while they are long, then optimise if need be.
+
+    They converge where each predicts less than the last one did; a long one must lower the error, too.
+    """
+    for _ in range(MAX_LAST_STEPS):
+        nearer, predicted = values.retract(marginals.step), marginals.predicted_decrease
+        if predicted <= MAX_LAST_DECREASE:
             return nearer, marginals
-        if not graph.error(nearer) <= graph.error(values):
+        if predicted > MAX_PREDICTED_DECREASE and not graph.error(nearer) <= graph.error(values):
             break
-        values, marginals = nearer, Marginals(graph, nearer)
+        values, marginals = nearer, Marginals(graph, nearer, cholesky=marginals.cholesky)
+        if not marginals.predicted_decrease < predicted:
+            break
     values = _converged(levenberg_marquardt(graph, values, FINAL_LM))
     return values, Marginals(graph, values)
 
@@ -307,7 +321,7 @@ def build_graph(
             intrinsic_sigmas = options.calibration.intrinsic_sigmas
             if intrinsic_sigmas.any() and len(frame.rims):
                 errors.append(intrinsic_error(frame.rims, problem.camera, intrinsic_sigmas))
-        variables = RimVariables(added, states, map_errors=errors)
+        variables = RimVariables(added, states, map_errors=errors, together=True)
         near = values.atPose3(key).matrix()
         graph.left_out += add_frame(graph, problem, options, key, frame, variables=variables, near=near)
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), index, frame.stamp_ns)
@@ -373,8 +387,8 @@ def trajectory(
 ) -> Trajectory:
     """Read the states of the frames and their marginal covariances from an optimum.
 
-    Steps by Cholesky factorisation leave out some of what rounding spoils. The eliminations by QR that the
-    covariances need give further steps, of which one or two are usually enough.
+    Where steps by Cholesky factorisation lead to it, the eliminations that the covariances need give further
+    ones, of which one or two are usually enough.
 
     Parameters
     ----------
@@ -394,12 +408,19 @@ def trajectory(
     Raises
     ------
     EstimationError
-        When steps by QR do not converge.
+        When further steps do not converge.
     """
-    marginals = Marginals(graph, values)
-    if _solved_for(FINAL_LM, problem, options).cholesky:
-        values, marginals = _step_by_qr(graph, values, marginals)
-    covariances = marginals.covariances([int(key(n)) for n in state_indices for key in (X, V, B)])
+    keys = [int(key(n)) for n in state_indices for key in (X, V, B)]
+    cholesky = _solved_for(FINAL_LM, problem, options).cholesky
+    marginals = Marginals(graph, values, cholesky=cholesky)
+    if cholesky:
+        values, marginals = _settled(graph, values, marginals)
+    covariances = marginals.covariances(keys)
+    # The poses lose most, and those of neighbouring states alike.
+    some = [int(X(n)) for n in state_indices[:: 1 + len(state_indices) // CHECKED_POSES]]
+    if marginals.rounding({key: covariances[key] for key in some}) > MAX_ROUNDING:
+        values, marginals = _settled(graph, values, Marginals(graph, values))
+        covariances = marginals.covariances(keys)
     gTb = np.array([values.atPose3(X(n)).matrix() for n in state_indices])
     return Trajectory(
         stamps_ns=np.array([frame.stamp_ns for frame in problem.frames], dtype=np.int64),

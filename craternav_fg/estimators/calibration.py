@@ -212,23 +212,21 @@ def map_errors(
     list of ChartError
         Empty when the map is taken as exact.
     """
-    if not options.map_sigmas.any():
+    if not options.map_sigmas.any() or not len(rims):
         return []
     catalog = descent.catalog
     sigmas = map_sigmas(catalog, rims.craters, options)
     centres, axes = catalog.centres[rims.craters], catalog.axes[rims.craters]
     roots = ground_slopes(gTb, descent.camera.bTc, centres, axes) * sigmas[:, None]
-    out = []
-    for i, crater in enumerate(rims.craters.tolist()):
-        key = int(M(crater))
+    keys = [int(M(crater)) for crater in rims.craters.tolist()]
+    for key, crater in zip(keys, rims.craters.tolist(), strict=True):
         if not values.exists(key):
             values.insert(key, np.zeros(MAP_ERRORS))
         if crater not in known:
             known.add(crater)
             unit = gtsam.noiseModel.Unit.Create(MAP_ERRORS)
             graph.push_back(gtsam.PriorFactorVector(key, np.zeros(MAP_ERRORS), unit))
-        out.append(ChartError(key, [i], roots[i : i + 1]))
-    return out
+    return [ChartError(keys, roots)]
 
 
 def calibrated(

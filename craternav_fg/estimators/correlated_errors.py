@@ -22,9 +22,9 @@ import numpy.typing as npt
 
 from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
-from craternav_fg.linalg import whitening
 from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, RimSet
 from factors.conic_shape import ChartError
+from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -33,9 +33,13 @@ ERROR_LETTER = "r"
 PLACE_SIZE = 2
 # A variable of a crater: its error, then the derivatives of the error of its place.
 STATE_SIZE = CORRELATED_SIZE + PLACE_SIZE
+_ZERO, _UNIT = np.zeros(STATE_SIZE), gtsam.noiseModel.Unit.Create(STATE_SIZE)
 # Least change of an image after which a process goes on: below, nothing new is to be seen.
 _LEAST_CHANGE = 1e-3
-SHARED_KEY: int = gtsam.symbol("s", 0)
+SHARED_LETTER = "s"
+# Frames that involve one variable of the error that all rims share, where it is renewed, and the standard
+# deviation by which the next one differs: of no effect after thousands, and harmless to QR.
+SHARED_FRAMES, _EQUAL = 8, 1e-5
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 # Fitted by `craternav_fg.calibration.variance_inflation`.
@@ -115,17 +119,43 @@ def transition(change: float, decay: float) -> FloatArray:
         F. Of the state, the first six entries are the errors, those of the place first, in units of their
         standard deviations; the last two are the derivatives of those of the place, likewise.
     """
-    F = np.exp(-change / decay) * np.eye(STATE_SIZE)
-    u = np.sqrt(3.0) * change / decay
-    for i, j in zip(range(PLACE_SIZE), range(CORRELATED_SIZE, STATE_SIZE), strict=True):
-        F[np.ix_([i, j], [i, j])] = np.exp(-u) * np.array([[1.0 + u, u], [-u, 1.0 - u]])
-    return F
+    return transitions(np.array([change]), decay)[0][0]
 
 
-@dataclass(frozen=True)
-class _Track:
-    key: int
-    chart: FloatArray
+@njit(cache=True, error_model="numpy")
+def transitions(changes: FloatArray, decay: float) -> tuple[FloatArray, FloatArray]:
+    """Transitions of craters' states, see `transition`, and the whitening matrices of the noise they add.
+
+    Parameters
+    ----------
+    changes : ndarray, shape (n,)
+        Changes of the rims' images, dimensionless.
+    decay : float
+        See `RimErrorOptions`.
+
+    Returns
+    -------
+    F, W : ndarray, shape (n, 8, 8)
+        W is lower triangular, with W (1 - F F') W' = 1; not finite where nothing changes.
+    """
+    shape = len(changes), STATE_SIZE, STATE_SIZE
+    F, W = np.zeros(shape), np.zeros(shape)
+    for k in range(len(changes)):
+        for i in range(PLACE_SIZE, CORRELATED_SIZE):
+            F[k, i, i] = np.exp(-changes[k] / decay)
+            W[k, i, i] = 1.0 / np.sqrt(-np.expm1(-2.0 * changes[k] / decay))
+        u = np.sqrt(3.0) * changes[k] / decay
+        left = np.exp(-u)
+        a, b, c, d = left * (1.0 + u), left * u, -left * u, left * (1.0 - u)
+        # Noise of the error and of its derivative: the root of their covariance, inverted.
+        root = np.sqrt(1.0 - (a * a + b * b))
+        low = -(a * c + b * d) / root
+        rest = np.sqrt(1.0 - (c * c + d * d) - low * low)
+        for i in range(PLACE_SIZE):
+            j = CORRELATED_SIZE + i
+            F[k, i, i], F[k, i, j], F[k, j, i], F[k, j, j] = a, b, c, d
+            W[k, i, i], W[k, j, i], W[k, j, j] = 1.0 / root, -low / (root * rest), 1.0 / rest
+    return F, W
 
 
 class RimErrorStates:
@@ -134,13 +164,19 @@ class RimErrorStates:
     Parameters
     ----------
     options : RimErrorOptions
+    renewed : bool
+        Whether the error that all rims share gets a new variable every `SHARED_FRAMES` frames, equal to the
+        one before. For iSAM2: a variable that all frames involve makes each update visit all of them.
     """
 
-    def __init__(self, options: RimErrorOptions) -> None:
+    def __init__(self, options: RimErrorOptions, *, renewed: bool = False) -> None:
         self._options = options
-        self._rims: dict[int, _Track] = {}
-        self._shared = False
+        self._renewed = renewed
+        # Of each crater: its present variable, and the chart at which it is the error itself.
+        self._rims: dict[int, tuple[int, FloatArray]] = {}
         self._count = 0
+        # Variables of the shared error so far, and the frames that involve the last one.
+        self._shared = self._frames = 0
 
     def enter(
         self,
@@ -163,57 +199,82 @@ class RimErrorStates:
         Returns
         -------
         list of ChartError
-            For the frame's factor.
+            For the frame's factors.
         """
         out: list[ChartError] = []
-        if rims.correlated is not None:
-            roots = np.zeros((len(rims), 5, STATE_SIZE))
-            roots[:, :, : rims.correlated.shape[2]] = rims.correlated
-            for i, crater in enumerate(rims.craters.tolist()):
-                chart = rims.chart[i]
-                track = self._rims.get(crater)
-                if (
-                    track is not None
-                    and holds is not None
-                    and not (values.exists(track.key) or holds(track.key))
-                ):
-                    track = None
-                change = np.inf if track is None else float(shape_change(track.chart, chart))
-                if track is None or change > max(self._options.step, _LEAST_CHANGE):
-                    key = self._next(None if track is None else track.key, change, graph, values)
-                    track = _Track(key, chart)
-                    self._rims[crater] = track
-                elif change > 0.0:
-                    drift = transition(change, self._options.decay)[:PLACE_SIZE]
-                    of_place = roots[i, :, :PLACE_SIZE] @ drift
-                    roots[i, :, :PLACE_SIZE] = 0.0
-                    roots[i] += of_place
-                out.append(ChartError(track.key, [i], roots[i : i + 1]))
+        if rims.correlated is not None and len(rims):
+            out.append(self._of_craters(rims, rims.correlated, graph, values, holds))
         if rims.shared is not None and len(rims):
-            if not self._shared or (holds is not None and not holds(SHARED_KEY)):
-                self._shared = True
-                values.insert(SHARED_KEY, np.zeros(SHARED_SIZE))
-                unit = gtsam.noiseModel.Unit.Create(SHARED_SIZE)
-                graph.push_back(gtsam.PriorFactorVector(SHARED_KEY, np.zeros(SHARED_SIZE), unit))
-            out.append(ChartError(SHARED_KEY, range(len(rims)), rims.shared))
+            out.append(ChartError([self._of_all(graph, values, holds)] * len(rims), rims.shared))
         return out
 
-    def _next(
-        self, before: int | None, change: float, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+    def _of_all(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        holds: Callable[[int], bool] | None,
     ) -> int:
-        key: int = gtsam.symbol(ERROR_LETTER, self._count)
-        self._count += 1
-        values.insert(key, np.zeros(STATE_SIZE))
-        unit, zero = np.eye(STATE_SIZE), np.zeros(STATE_SIZE)
-        white = gtsam.noiseModel.Unit.Create(STATE_SIZE)
-        point = gtsam.Values()
-        point.insert(key, zero)
-        if before is None:
-            linear = gtsam.JacobianFactor(key, unit, zero, white)
+        """Go on with the variable that all rims share, or begin another."""
+        last: int = gtsam.symbol(SHARED_LETTER, max(self._shared - 1, 0))
+        held = self._shared > 0 and (holds is None or values.exists(last) or holds(last))
+        if held and not (self._renewed and self._frames == SHARED_FRAMES):
+            self._frames += 1
+            return last
+        key: int = gtsam.symbol(SHARED_LETTER, self._shared)
+        self._shared, self._frames = self._shared + 1, 1
+        zero = np.zeros(SHARED_SIZE)
+        values.insert(key, zero)
+        if held:
+            model = gtsam.noiseModel.Isotropic.Sigma(SHARED_SIZE, _EQUAL)
+            graph.push_back(gtsam.BetweenFactorVector(last, key, zero, model))
         else:
-            point.insert(before, zero)
-            F = transition(change, self._options.decay)
-            W = whitening(unit - F @ F.T)
-            linear = gtsam.JacobianFactor(key, W, before, -W @ F, zero, white)
-        graph.push_back(gtsam.LinearContainerFactor(linear, point))
+            unit = gtsam.noiseModel.Unit.Create(SHARED_SIZE)
+            graph.push_back(gtsam.PriorFactorVector(key, zero, unit))
         return key
+
+    def _of_craters(
+        self,
+        rims: RimSet,
+        correlated: FloatArray,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        holds: Callable[[int], bool] | None,
+    ) -> ChartError:
+        """Go on with the variables of craters that have changed little, and begin others."""
+        craters = rims.craters.tolist()
+        tracks = [self._rims.get(crater) for crater in craters]
+        if holds is not None:
+            tracks = [
+                track if track is not None and (values.exists(track[0]) or holds(track[0])) else None
+                for track in tracks
+            ]
+        before = np.array(
+            [chart if track is None else track[1] for track, chart in zip(tracks, rims.chart, strict=True)]
+        )
+        changes = shape_change(before, rims.chart)
+        ends = changes > max(self._options.step, _LEAST_CHANGE)
+        F, W = transitions(changes, self._options.decay)
+        # Within a step a place drifts as the variable says.
+        drift = np.where(ends[:, None, None], np.eye(PLACE_SIZE, STATE_SIZE), F[:, :PLACE_SIZE])
+        roots = np.zeros((len(rims), 5, STATE_SIZE))
+        roots[:, :, : correlated.shape[2]] = correlated
+        roots[:, :, :PLACE_SIZE] = 0.0
+        roots += correlated[:, :, :PLACE_SIZE] @ drift
+        keys, point = [], gtsam.Values()
+        for i, (crater, track) in enumerate(zip(craters, tracks, strict=True)):
+            if track is None or ends[i]:
+                key = gtsam.symbol(ERROR_LETTER, self._count)
+                self._count += 1
+                self._rims[crater] = key, rims.chart[i]
+                values.insert(key, _ZERO)
+                if track is None:
+                    graph.push_back(gtsam.PriorFactorVector(key, _ZERO, _UNIT))
+                else:
+                    link = gtsam.JacobianFactor(key, W[i], track[0], -W[i] @ F[i], _ZERO, _UNIT)
+                    for end in (key, track[0]):
+                        point.insert(end, _ZERO)
+                    graph.push_back(gtsam.LinearContainerFactor(link, point))
+            else:
+                key = track[0]
+            keys.append(key)
+        return ChartError(keys, roots)

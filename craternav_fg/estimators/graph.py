@@ -19,11 +19,12 @@ from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
-from factors.conic_shape import ChartError, conic_shape_factor
+from factors.conic_shape import ChartError, conic_shape_factor, conic_shape_factors
 from factors.custom import Loss
 from factors.imu import imu_factor, integrate, parameters
 from factors.kernels import robust
 from factors.rim_points import rim_points_factor
+from factors.rims_with_errors import RimsWithErrors
 from factors.sun_tilt import sun_tilt_factor
 
 FloatArray = npt.NDArray[np.float64]
@@ -111,7 +112,7 @@ class ImuInterval:
 
 
 class FactorGraph(gtsam.NonlinearFactorGraph):
-    """A graph that keeps the Python objects of its custom factors, and its IMU intervals.
+    """A graph that keeps the Python objects of its custom factors, its IMU intervals, and rims with errors.
 
     GTSAM hands a factor to its callback. Where nobody keeps the object, one is made for every call: a tenth
     of the time to linearise ten rims.
@@ -121,6 +122,9 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
     intervals : list of ImuInterval
     left_out : int
         Number of measured rows that its factors stand for beside their own, see `add_frame`.
+    rims : RimsWithErrors
+        Rims beside the factors. They count in `error` and `linearize`, but not where GTSAM's own optimisers
+        evaluate the graph.
     """
 
     def __init__(self) -> None:
@@ -128,6 +132,17 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
         self._kept: list[gtsam.CustomFactor] = []
         self.intervals: list[ImuInterval] = []
         self.left_out = 0
+        self.rims = RimsWithErrors()
+
+    def error(self, values: gtsam.Values) -> float:
+        """Half the sum of squares of all residuals, under their losses."""
+        return float(super().error(values)) + self.rims.error(values)
+
+    def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+        """Linearise all factors and rims at values."""
+        linear = super().linearize(values)
+        self.rims.linearise(values, linear)
+        return linear
 
     def push_back(self, factor: Any) -> None:
         """Add a factor, or all those of a graph."""
@@ -164,20 +179,20 @@ class RimVariables:
         See `RimErrorStates.enter`.
     map_errors : sequence of ChartError
         Errors of the rims' craters on the map, which the graph has already.
-    apart : bool
-        Whether each rim with errors gets a factor of its own: dearer to linearise, cheaper to eliminate. For
-        iSAM2, which linearises most factors once.
+    together : bool
+        Whether rims with errors go to `FactorGraph.rims`, where one call linearises all of them. iSAM2 wants
+        a factor for each.
     """
 
     values: gtsam.Values
     states: RimErrorStates | None = None
     holds: Callable[[int], bool] | None = None
     map_errors: Sequence[ChartError] = ()
-    apart: bool = False
+    together: bool = False
 
 
 def add_frame(
-    graph: gtsam.NonlinearFactorGraph,
+    graph: FactorGraph,
     descent: Descent,
     options: GraphOptions,
     key: int,
@@ -191,7 +206,7 @@ def add_frame(
 
     Parameters
     ----------
-    graph : gtsam.NonlinearFactorGraph
+    graph : FactorGraph
     descent : Descent
     options : GraphOptions
     key : int
@@ -220,19 +235,20 @@ def add_frame(
                 errors = states.enter(rims, graph, variables.values, variables.holds)
             S = noise_scale**2 * (rims.covariance if states is None else rims.fused_white_covariance)
             errors.extend(() if variables is None else variables.map_errors)
-            parts = [(slice(0, len(rims)), errors)]
-            if errors and variables is not None and variables.apart:
-                parts = [(slice(i, i + 1), _errors_of(i, errors)) for i in range(len(rims))]
-            for part, of_part in parts:
-                centres, axes = (
-                    a[rims.craters[part]] for a in (descent.catalog.centres, descent.catalog.axes)
-                )
+            centres, axes = descent.catalog.centres[rims.craters], descent.catalog.axes[rims.craters]
+            if errors and variables is not None and variables.together:
+                graph.rims.add(key, bTc, centres, axes, rims.chart, S, errors, options.loss)
+            elif errors:
+                for factor in conic_shape_factors(
+                    key, bTc, centres, axes, rims.chart, S, errors, options.loss
+                ):
+                    graph.push_back(factor)
+            else:
                 factor = conic_shape_factor(
-                    key, bTc, centres, axes, rims.chart[part], S[part], options.loss,
-                    errors=of_part, reduced=True,
-                )  # fmt: skip
+                    key, bTc, centres, axes, rims.chart, S, options.loss, reduced=True
+                )
                 graph.push_back(factor)
-                left_out += rims.chart[part].size - factor.dim()
+                left_out = rims.chart.size - factor.dim()
         else:
             scaled = replace(rims, covariance=noise_scale**2 * rims.covariance)
             gTb = descent.initial.gTb if near is None else near
@@ -250,16 +266,6 @@ def add_frame(
         sigma_rad = noise_scale * sun.sigma_rad
         graph.push_back(sun_tilt_factor(key, bTc, sun.direction, sun.tilt_rad, sigma_rad, sun.point))
     return left_out
-
-
-def _errors_of(rim: int, errors: Sequence[ChartError]) -> list[ChartError]:
-    """Errors that move a rim, for a factor of that rim alone."""
-    return [
-        ChartError(error.key, [0], np.asarray(error.roots)[k : k + 1])
-        for error in errors
-        for k, moved in enumerate(error.rims)
-        if moved == rim
-    ]
 
 
 def add_imu(

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators.correlated_errors import STATE_SIZE
+from craternav_fg.estimators.correlated_errors import ERROR_LETTER, SHARED_LETTER, STATE_SIZE
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import SHARED_SIZE
 
@@ -41,7 +41,10 @@ RELINEARISE_STEPS = {
 INDEX_BITS = 56
 INDEX_MASK = (1 << INDEX_BITS) - 1
 # Letters of variables that belong to one state; others, such as the mounting, belong to all of them.
-STATE_LETTERS = ("x", "v", "b")
+POSE = "x"
+STATE_LETTERS = (POSE, "v", "b")
+# Time-correlated errors of one rim and of all rims.
+RIM_ERRORS = (ord(ERROR_LETTER), ord(SHARED_LETTER))
 # Letters of variables that several states share: time-correlated errors of one rim and of all rims, tracked
 # points, biases of sensors.
 SHARED_LETTERS = ("r", "s", POINT, *SENSOR_BIASES)
@@ -220,7 +223,7 @@ class Isam:
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
-        self._tree.update(graph, values, drop)
+        self._tree.update(graph, values, drop, _order(graph, values))
         self._count(values)
 
     def _count(self, added: gtsam.Values) -> None:
@@ -354,6 +357,25 @@ class FixedLagIsam(Isam):
             keys = graph.at(number).keys()
             stamps_s.update((key, time_s) for key in keys if chr(gtsam.Symbol(key).chr()) in SHARED_LETTERS)
         self._smoother.update(graph, values, stamps_s, drop)
+
+
+def _order(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.KeyGroupMap | None:
+    """Put last in an elimination what the next frame changes: the newest state, before it errors of rims.
+
+    GTSAM's own order keeps at the root all that new factors involve, also the states between two frames and
+    the errors that new variables continue: a quarter of an update's cost. It is kept without such errors.
+    """
+    newest = max((key for key in values.keys() if key >> INDEX_BITS == ord(POSE)), default=-1)  # noqa: SIM118
+    involved = [graph.at(number).keys() for number in range(graph.size())]
+    errors = {key for keys in involved if newest in keys for key in keys if key >> INDEX_BITS in RIM_ERRORS}
+    if not errors:
+        return None
+    groups = gtsam.KeyGroupMap()
+    for key in errors:
+        groups.insert2(key, 1)
+    for letter in STATE_LETTERS:
+        groups.insert2(gtsam.symbol(letter, newest & INDEX_MASK), 2)
+    return groups
 
 
 def _since(

@@ -91,7 +91,7 @@ def intrinsic_error(rims: RimSet, camera: Camera, sigmas: FloatArray) -> ChartEr
     ChartError
     """
     roots = intrinsic_slopes(rims.chart, camera) * sigmas
-    return ChartError(INTRINSICS_KEY, list(range(len(rims))), roots)
+    return ChartError([INTRINSICS_KEY] * len(rims), roots)
 
 
 def estimated_intrinsics(

@@ -1,29 +1,24 @@
 """Marginal covariances of some variables of a graph, by square roots of information.
 
-A graph is eliminated once, by QR. From the root of its Bayes tree down, each clique gets the joint density of
-its variables: its own conditional density beside the marginal density of those that its parent has too. Both
-are triangular square roots of information, which rotations keep accurate. Covariances in their place would
-lose all digits: a state follows from the next one by the IMU alone, and errors grow along the descent.
+A graph is eliminated once: by QR, or by Cholesky factorisation where that keeps enough digits. From the root
+of its Bayes tree down, each clique gets the joint density of its variables: its own conditional density
+beside the marginal density of those that its parent has too. Both are triangular square roots of information,
+which rotations keep accurate. Covariances in their place would lose all digits: a state follows from the next
+one by the IMU alone, and errors grow along the descent.
 """
 
-import itertools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any
+from contextlib import suppress
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.estimators.correlated_errors import ERROR_LETTER
-from craternav_fg.estimators.incremental import INDEX_BITS
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-
-# Largest number of variables that a constructor of `gtsam.JacobianFactor` takes one by one.
-MOST_BLOCKS = 3
 
 
 class Marginals:
@@ -36,9 +31,14 @@ class Marginals:
     graph : gtsam.NonlinearFactorGraph
         Without constrained noise models, which have no square root of information.
     values : gtsam.Values
+    cholesky : bool
+        Eliminate by Cholesky factorisation, where it does not refuse: a fifth of the cost where rims have
+        errors of their own, but see `rounding`.
 
     Attributes
     ----------
+    cholesky : bool
+        Whether it did not refuse.
     step : gtsam.VectorValues
         Step to the minimum of the linear graph's error.
     predicted_decrease : float
@@ -51,15 +51,53 @@ class Marginals:
         large covariance instead.
     """
 
-    def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    def __init__(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, cholesky: bool = False
+    ) -> None:
         linear = graph.linearize(values)
-        parts = separated(linear, values)
-        ordering = gtsam.Ordering.ColamdGaussianFactorGraph(parts)
-        self._tree = parts.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+        ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+        self.cholesky = False
+        if cholesky:
+            with suppress(RuntimeError):
+                self._tree = linear.eliminateMultifrontal(ordering)
+                self.cholesky = True
+        if not self.cholesky:
+            self._tree = linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+        self._linear = linear
         self.step = self._tree.optimize()
         here = gtsam.VectorValues.Zero(self.step)
         self.predicted_decrease = float(linear.error(here) - linear.error(self.step))
         self._sizes = {key: len(self.step.at(key)) for key in graph.keyVector()}
+
+    def rounding(self, covariances: Mapping[int, FloatArray]) -> float:
+        """Estimate the relative error of variances that rounding leaves.
+
+        Cholesky factorisation works on squares: it loses the digits by which the information of a variable,
+        given all others, exceeds that of its marginal density. GTSAM refuses to lose more than half.
+
+        Parameters
+        ----------
+        covariances : mapping of int to ndarray, shape (m, m)
+            Covariances of some variables, as `covariances` gives them.
+
+        Returns
+        -------
+        float
+            To an order of magnitude; 0 after an elimination by QR.
+        """
+        if not self.cholesky:
+            return 0.0
+        index = gtsam.VariableIndex(self._linear)
+        largest = 0.0
+        for key, covariance in covariances.items():
+            information = np.zeros(len(covariance))
+            for number in index.at(key):
+                factor = self._linear.at(number)
+                keys = list(factor.keys())
+                place = _places(keys, self._sizes)[key]
+                information += np.sum(factor.jacobian()[0][:, place] ** 2, axis=0)
+            largest = max(largest, float(np.max(information * np.diag(covariance))))
+        return float(np.finfo(np.float64).eps) * largest
 
     def covariances(self, keys: Sequence[int]) -> dict[int, FloatArray]:
         """Compute the covariances of some variables.
@@ -107,64 +145,6 @@ class Marginals:
                     kept[places[key]] = key in theirs
                 pending.append((child, [key for key in order if key in theirs], marginal_root(joint, kept)))
         return out
-
-
-def separated(linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
-    """Give each rim of a frame a factor of its own, where its error is a variable.
-
-    A frame's factor has zeros for the errors of all other rims, and an elimination would fill them in.
-    Without them it costs half.
-
-    Parameters
-    ----------
-    linear : gtsam.GaussianFactorGraph
-    values : gtsam.Values
-        Of all its variables.
-
-    Returns
-    -------
-    gtsam.GaussianFactorGraph
-        With the same minimum and the same information; without the constants of rows that are all zero.
-    """
-    out = gtsam.GaussianFactorGraph()
-    zero = values.zeroVectors()
-    for number in range(linear.size()):
-        factor = linear.at(number)
-        keys = list(factor.keys())
-        errors = sum(key >> INDEX_BITS == ord(ERROR_LETTER) for key in keys)
-        # A link between two errors has no rows of zeros.
-        if errors < 2 or errors == len(keys):
-            out.push_back(factor)
-            continue
-        for part in _by_keys(factor, keys, [len(zero.at(key)) for key in keys]):
-            out.push_back(part)
-    return out
-
-
-def _by_keys(
-    factor: gtsam.GaussianFactor, keys: Sequence[int], sizes: Sequence[int]
-) -> list[gtsam.GaussianFactor]:
-    """Split a factor between rows that involve different variables."""
-    A, b = factor.jacobian()
-    begins = np.cumsum([0, *sizes])
-    involved = np.logical_or.reduceat(A != 0.0, begins[:-1], axis=1)
-    ends = [*(1 + np.flatnonzero((involved[1:] != involved[:-1]).any(axis=1))).tolist(), len(b)]
-    parts: list[gtsam.GaussianFactor] = []
-    first = 0
-    for last in ends:
-        blocks = [
-            (keys[k], A[first:last, begins[k] : begins[k + 1]])
-            for k in np.flatnonzero(involved[first]).tolist()
-        ]
-        # GTSAM has no constructor for more: such as with variables of the map.
-        if len(blocks) > MOST_BLOCKS:
-            return [factor]
-        if blocks:
-            unit = gtsam.noiseModel.Unit.Create(last - first)
-            terms: list[Any] = [*itertools.chain(*blocks), b[first:last], unit]
-            parts.append(gtsam.JacobianFactor(*terms))
-        first = last
-    return parts
 
 
 def _joint(

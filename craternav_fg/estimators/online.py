@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem, Start
-from craternav_fg.estimators.correlated_errors import RimErrorStates
+from craternav_fg.estimators.correlated_errors import SHARED_LETTER, RimErrorStates
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import (
     FactorGraph,
@@ -28,7 +28,7 @@ from craternav_fg.estimators.graph import (
     insert_state,
     state_stamps,
 )
-from craternav_fg.estimators.incremental import RELINEARISE_M, FixedLagIsam, Isam
+from craternav_fg.estimators.incremental import INDEX_BITS, INDEX_MASK, RELINEARISE_M, FixedLagIsam, Isam
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.point_features import SETTLED_ATTITUDE_RAD, FeatureStates
@@ -103,7 +103,10 @@ class OnlineSession:
             solver = Isam(self._relinearise_m(descent.initial.gTb), keep_past=keep_past)
         self._solver = solver
         self._last = 0
-        self._errors = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
+        self._errors = None
+        if options.rim_errors is not None:
+            # A lag bounds the tree by itself.
+            self._errors = RimErrorStates(options.rim_errors, renewed=not isinstance(solver, FixedLagIsam))
         self._frame_states = array("q")
         self._stamp_ns = descent.initial.stamp_ns
         self._newest: FilterState | None = None
@@ -156,7 +159,7 @@ class OnlineSession:
         initial = self._descent.initial
         add_prior(graph, initial)
         gTb = start.gTb if start.frame == 0 else initial.gTb
-        variables = RimVariables(values, self._errors, apart=True)
+        variables = RimVariables(values, self._errors)
         add_frame(graph, self._descent, self._options, X(0), frame, variables=variables, near=gTb)
         samples = self._bank.at(frame.stamp_ns)
         weights = innovation_weights(samples, filter_state.prior(self._descent), frame.stamp_ns)
@@ -179,7 +182,7 @@ class OnlineSession:
         states = filter_state.states_through_start(problem)
         graph, values = FactorGraph(), gtsam.Values()
         add_prior(graph, self._descent.initial)
-        variables, near = RimVariables(values, self._errors, apart=True), states[0].gTb
+        variables, near = RimVariables(values, self._errors), states[0].gTb
         add_frame(graph, self._descent, self._options, X(0), frames[0], variables=variables, near=near)
         begin = gtsam.NavState(gtsam.Pose3(states[0].gTb), states[0].gV)
         insert_state(values, 0, begin, states[0].bias)
@@ -272,7 +275,7 @@ class OnlineSession:
             state, begin_ns = ahead, int(end_ns)
         # At the prediction and no later pose: the rims' weights must not depend on what they measured.
         frame = with_predicted_covariances(frame, state.gTb, self._descent.camera, self._descent.catalog)
-        variables = RimVariables(values, self._errors, self._solver.tree.valueExists, apart=True)
+        variables = RimVariables(values, self._errors, self._solver.tree.valueExists)
         add_frame(graph, self._descent, self._options, X(last), frame, variables=variables, near=state.gTb)
         samples = self._bank.at(frame.stamp_ns)
         if samples:
@@ -410,8 +413,15 @@ class OnlineSession:
         return self._log.trajectory()
 
     def smoothed_values(self) -> gtsam.Values:
-        """Estimates of all states that the solver keeps, from all data so far (see `Isam`)."""
-        return self._solver.estimate()
+        """Estimates of all states that the solver keeps, from all data so far (see `Isam`).
+
+        Of the error that all rims share, one variable stands for those that renew it.
+        """
+        values = self._solver.estimate()
+        for key in values.keys():  # noqa: SIM118 (Values is no mapping)
+            if key >> INDEX_BITS == ord(SHARED_LETTER) and key & INDEX_MASK:
+                values.erase(key)
+        return values
 
 
 class OnlineSmoother:

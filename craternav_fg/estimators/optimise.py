@@ -100,17 +100,19 @@ class _Solver:
 
     Parameters
     ----------
-    ordering : gtsam.Ordering
     cholesky : bool
         Whether to begin with Cholesky factorisation; QR takes over from the first graph that it refuses.
     """
 
-    def __init__(self, ordering: gtsam.Ordering, *, cholesky: bool) -> None:
-        self._ordering = ordering
+    def __init__(self, *, cholesky: bool) -> None:
+        # That of the first graph: all have the same factors.
+        self._ordering: gtsam.Ordering | None = None
         self.cholesky = cholesky
 
     def solve(self, linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
         """Minimise the error of one; RuntimeError where it does not determine all variables."""
+        if self._ordering is None:
+            self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
         if self.cholesky:
             with suppress(RuntimeError):
                 return linear.optimize(self._ordering)
@@ -142,7 +144,7 @@ def levenberg_marquardt(
     error = graph.error(values)
     if not np.isfinite(error):
         raise EstimationError(f"the error at the start is {error}")
-    solver = _Solver(gtsam.Ordering.ColamdNonlinearFactorGraph(graph), cholesky=options.cholesky)
+    solver = _Solver(cholesky=options.cholesky)
     damping = 0.0
     for iteration in range(1, options.max_iterations + 1):
         linear = graph.linearize(values)
@@ -220,7 +222,7 @@ def gauss_newton(
     LmResult
         Not converged, too, when a step leads to where the graph does not determine all variables.
     """
-    solver = _Solver(gtsam.Ordering.ColamdNonlinearFactorGraph(graph), cholesky=False)
+    solver = _Solver(cholesky=False)
     error = graph.error(values)
     for iteration in range(1, options.max_iterations + 1):
         step = _step(graph.linearize(values), values, solver, 0.0)

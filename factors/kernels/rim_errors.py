@@ -3,12 +3,14 @@
 import numpy as np
 import numpy.typing as npt
 
+from factors.kernels.admission import sum_of_squares
 from factors.kernels.compiled import njit
 from factors.kernels.conic import camera_pose, moments, rim_in_camera
 from factors.kernels.packed import CRATER, HEADER, shape_residuals
-from factors.kernels.robust import loss_and_weight
+from factors.kernels.robust import NONE, loss_and_weight
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy")
@@ -82,67 +84,148 @@ def ground_slopes(gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: F
 
 
 @njit(cache=True, error_model="numpy")
+def pack_apart(packed: FloatArray, charts: FloatArray, roots: FloatArray) -> FloatArray:
+    """Pack the constants of rims with errors that are variables, each rim by itself.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (n_packed,)
+        All rims, from `packed.pack`.
+    charts : ndarray, shape (n, 5)
+        Measured charts, normalised.
+    roots : ndarray, shape (n, 5, m)
+        Errors z of a rim add roots z to its predicted chart.
+
+    Returns
+    -------
+    ndarray, shape (n, n_data)
+        For each rim what `packed.pack` gives without a loss, its chart, its roots, its roots whitened, and
+        the loss. Empty where a root is not finite.
+    """
+    n, m = roots.shape[0], roots.shape[2]
+    if not np.isfinite(sum_of_squares(roots.reshape(-1))):
+        return np.empty((0, 0))
+    begin = HEADER + CRATER
+    out = np.empty((n, begin + 5 + 10 * m + 2))
+    for i in range(n):
+        row = out[i]
+        for k in range(12):
+            row[k] = packed[k]
+        row[12], row[13] = NONE, 1.0
+        for k in range(CRATER):
+            row[HEADER + k] = packed[HEADER + CRATER * i + k]
+        for k in range(5):
+            row[begin + k] = charts[i, k]
+        W = begin - 15
+        for r in range(5):
+            for j in range(m):
+                total = 0.0
+                for k in range(r + 1):
+                    total += row[W + k] * roots[i, k, j]
+                row[begin + 5 + m * r + j] = roots[i, r, j]
+                row[begin + 5 + m * (5 + r) + j] = total
+            W += r + 1
+        row[-2], row[-1] = packed[12], packed[13]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def shape_residuals_with_errors(
-    gTb: FloatArray, z: FloatArray, data: FloatArray, charts: FloatArray, roots: FloatArray,
-    white: FloatArray, kind: int, scale: float, linearise: bool, out: FloatArray, slopes: FloatArray,
-) -> float:  # fmt: skip
-    """Conic shape with errors: zero when every predicted rim, moved by its errors, has the measured chart.
+    gTb: FloatArray, z: FloatArray, data: FloatArray, linearise: bool, out: FloatArray
+) -> float:
+    """Conic shape with errors: zero when the predicted rim, moved by its errors, has the measured chart.
 
     Parameters
     ----------
     gTb : ndarray, shape (4, 4)
         Pose of the body in g.
     z : ndarray, shape (m,)
-        Errors of all rims, in the units of `roots`.
+        Errors of the rim, in the units of their roots.
     data : ndarray, shape (n_data,)
-        From `packed.pack`, without a loss; its charts are overwritten.
-    charts : ndarray, shape (n, 5)
-        Measured charts.
-    roots : ndarray, shape (5 n, m)
-        The errors add roots z to the predicted charts.
-    white : ndarray, shape (5 n, m)
-        The roots, whitened.
-    kind, scale : int, float
-        Loss, see `robust`.
+        Of the rim, from `pack_apart`; where the chart is packed, that moved by the errors is written.
     linearise : bool
         Whether the Jacobians are written.
-    out : ndarray, shape (7, 5 n)
-        Written as by `packed.shape_residuals`.
-    slopes : ndarray, shape (5 n, m)
-        Written: the Jacobian in z.
+    out : ndarray, shape (7 + m, 5)
+        Written: the Jacobian's columns for the body's right twist [w, rho], then the residual, then the
+        Jacobian's columns in z.
 
     Returns
     -------
     float
         Finite only where all that was written is.
     """
-    n = charts.shape[0]
-    for crater in range(n):
-        k = HEADER + CRATER * crater + 9
-        for i in range(5):
-            moved = charts[crater, i]
-            for j in range(z.shape[0]):
-                moved -= roots[5 * crater + i, j] * z[j]
-            data[k + i] = moved
-    total = shape_residuals(gTb, data, linearise, out)
-    for crater in range(n):
-        row = 5 * crater
-        d2, slope2 = 0.0, 0.0
-        for r in range(row, row + 5):
-            d2 += out[6, r] * out[6, r]
-            for j in range(6):
-                slope2 += out[j, r] * out[j, r]
-        loss, weight = loss_and_weight(d2, kind, scale)
-        factor = np.sqrt(weight) if linearise or d2 == 0.0 else np.sqrt(loss / d2)
+    m = z.shape[0]
+    begin = HEADER + CRATER
+    roots = begin + 5
+    white = roots + 5 * m
+    total = 0.0
+    for i in range(5):
+        moved = data[begin + i]
+        for j in range(m):
+            moved -= data[roots + m * i + j] * z[j]
+        data[HEADER + 9 + i] = moved
+        # A crater that cannot be seen hides errors that are not finite.
+        total += moved
+    total += shape_residuals(gTb, data[:begin], linearise, out[:7])
+    d2, slope2 = 0.0, 0.0
+    for r in range(5):
+        d2 += out[6, r] * out[6, r]
+        for j in range(6):
+            slope2 += out[j, r] * out[j, r]
+    loss, weight = loss_and_weight(d2, int(data[-2]), data[-1])
+    factor = np.sqrt(weight) if linearise or d2 == 0.0 else np.sqrt(loss / d2)
+    for r in range(5):
+        out[6, r] *= factor
+    if linearise:
         # A rim that the pose cannot see does not constrain its errors either.
         share = 0.0 if slope2 == 0.0 else factor
-        for r in range(row, row + 5):
-            out[6, r] *= factor
-            if linearise:
-                for j in range(6):
-                    out[j, r] *= factor
-                for j in range(z.shape[0]):
-                    slopes[r, j] = share * white[r, j]
-    for j in range(z.shape[0]):
-        total += z[j]
+        for r in range(5):
+            for j in range(6):
+                out[j, r] *= factor
+            for j in range(m):
+                out[7 + j, r] = share * data[white + m * r + j]
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def all_shape_residuals_with_errors(
+    poses: FloatArray, of_pose: IntArray, errors: FloatArray, places: IntArray, data: FloatArray,
+    linearise: bool, out: FloatArray,
+) -> tuple[float, int]:  # fmt: skip
+    """Conic shape of rims of many frames, each with errors.
+
+    Parameters
+    ----------
+    poses : ndarray, shape (4, 4, k)
+        Poses of the body in g, column-major as GTSAM's matrices are: a kernel is compiled for each order.
+    of_pose : ndarray of int, shape (n,)
+        Index of each rim's pose.
+    errors : ndarray, shape (l,)
+        All errors, in the units of their roots.
+    places : ndarray of int, shape (n, m)
+        Where among them each rim's are.
+    data : ndarray, shape (n, n_data)
+        From `pack_apart`.
+    linearise : bool
+        Whether the Jacobians are written.
+    out : ndarray, shape (n, 7 + m, 5)
+        Written as by `shape_residuals_with_errors`.
+
+    Returns
+    -------
+    error : float
+        Half the sum of squares of all residuals.
+    bad : int
+        First rim of which something written is not finite; -1 if there is none.
+    """
+    z = np.empty(places.shape[1])
+    error, bad = 0.0, -1
+    for i in range(len(data)):
+        for j in range(len(z)):
+            z[j] = errors[places[i, j]]
+        total = shape_residuals_with_errors(poses[:, :, of_pose[i]], z, data[i], linearise, out[i])
+        if bad < 0 and not np.isfinite(total):
+            bad = i
+        for r in range(5):
+            error += 0.5 * out[i, 6, r] * out[i, 6, r]
+    return error, bad

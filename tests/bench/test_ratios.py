@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from craternav_fg.bench import detect, floors, images, pipeline, ratios, report
-from craternav_fg.bench.problems import Bench, make
+from craternav_fg.bench.problems import Bench, make, tracked
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli.app import app
 from craternav_fg.estimators.batch import build_graph
@@ -22,6 +22,7 @@ from craternav_fg.estimators.graph import GraphOptions, add_prior
 from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.optimise import levenberg_marquardt
+from factors.kernels import strapdown
 
 TINY = report.Sizes((20, 40, 80), (1, 10), 30, 40, 40, 1, 5, 1, 3)
 PROMISED = {
@@ -36,6 +37,10 @@ PROMISED = {
     "online_mean_ratio",
     "online_p99_ratio",
     "fixed_lag_ratio",
+    "errors_batch_ratio",
+    "errors_batch_floor",
+    "errors_online_ratio",
+    "errors_online_floor",
     "ekf_step_us",
     "scaling_exponent_batch",
     "pose_ms_n3",
@@ -91,6 +96,19 @@ def test_a_floor_has_the_same_system_to_solve(bench: Bench) -> None:
             found = frozen.at(number).linearize(where).jacobian()
             assert_allclose(found[0], A)
             assert_allclose(found[1], b)
+
+
+def test_updates_of_a_session_are_repeated_without_our_factors() -> None:
+    """Of a descent whose errors are recognised as lasting: the solver ends where the session's did."""
+    problem = tracked(12, 6)
+    assert len(np.unique(problem.frames[6].rims.craters)) == 6
+    for options in (GraphOptions(), GraphOptions(rim_errors=None)):
+        session = OnlineSmoother(options).run(problem)
+        solver = floors._Recorded(problem, options).replay()
+        key = X(session.frame_state_indices[-1])
+        found = solver.tree.calculateEstimatePose3(key).translation()
+        sigma_m = np.sqrt(np.diag(session.state.covariance)[strapdown.POSITION])
+        assert (np.abs(found - session.state.gTb[:3, 3]) < 0.05 * sigma_m).all()
 
 
 def test_reference_session_tracks_as_ours_does(bench: Bench) -> None:
