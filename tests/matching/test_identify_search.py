@@ -91,6 +91,35 @@ def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, m
     assert {16, 48, 160} <= set(examined)
 
 
+def test_a_deeper_search_that_would_be_the_same_is_none(synthetic, monkeypatch) -> None:
+    """In a small index, and with a known attitude."""
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    deep = IdentifyOptions(deep=True)
+    assert identify(view.ellipses_px, view.camera, synthetic, options=deep).status is Status.NO_ANSWER
+    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
+    known = tracker(view, np.random.default_rng(9))
+    assert not identify(view.ellipses_px, view.camera, synthetic, known, deep).identified
+    assert identify(view.ellipses_px, view.camera, synthetic, known).identified
+
+
+def test_sizes_that_scatter_more_than_the_noise(synthetic) -> None:
+    """By a tenth, as those of circles that people drew do: rims are found by their places."""
+    rng = np.random.default_rng(8)
+    exact_places = {"noise_levels_px": (1.0,), "candidates": (16,), "triples": 24}
+    wide, narrow = IdentifyOptions(size_sigma=0.1, **exact_places), IdentifyOptions(**exact_places)
+    found, at_default = 0, 0
+    for _ in range(12):
+        view = random_view(synthetic.catalog, ViewOptions(missing=0.3), rng, true_rims=(10, 16))
+        size = np.exp(0.12 * rng.normal(size=len(view.ellipses_px)))[:, None]
+        rims = view.ellipses_px * size ** np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+        answer = identify(rims, view.camera, synthetic, options=wide)
+        assert not answer.identified or view.agrees(answer.rows)
+        found += answer.identified
+        at_default += identify(rims, view.camera, synthetic, options=narrow).identified
+    assert found >= 9
+    assert at_default <= 6
+
+
 def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatch) -> None:
     """Those of plains with few rims, and of maps most of whose craters the image does not show."""
     view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))

@@ -15,7 +15,6 @@ from craternav_fg.matching.identify.hypothesis import (
 from craternav_fg.matching.identify.noise import (
     CENTRE_SIGMA_RANGE_PX,
     CHI2_2_MEDIAN,
-    INITIAL_AXIS_SHARE,
     fit_axis_noise,
     median,
     shape_scale,
@@ -258,7 +257,7 @@ def expand_inliers(
     for i in range(n):
         used += match[i] >= 0
     sigma[0] = sigma[1] = noise
-    sigma[2] = INITIAL_AXIS_SHARE
+    sigma[2] = view.size_share
     covariance = np.empty((6, 6))
     before = np.empty(n, dtype=np.int64)
     ratio = np.empty(n)

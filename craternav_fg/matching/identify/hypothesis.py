@@ -32,8 +32,8 @@ _GATE_SIGMAS = 3.0
 # crater's, px, and that the ground is not a sphere, in the logarithm of the size.
 _GATE_PX = 1.0
 _GATE_LOG_SIZE = 0.06
-# Relative standard deviation of a rim's size: a constant part, and a part per noise in px over the radius.
-_SIZE_SHARE, _SIZE_PER_NOISE = 0.02, 0.4
+# Relative standard deviation of a rim's size per noise in px over the radius, beside the view's share.
+_SIZE_PER_NOISE = 0.4
 # Least cosine of the angle between a line of sight and the vertical: sizes nearer the limb are not used.
 _MIN_COS_SLANT = 0.1
 # Relative distance within which two hypothetical positions are one: squared, 1e-3 of the range.
@@ -88,7 +88,7 @@ def size_sigma(view: View, i: int, sigma: float) -> float:
     sigma : float
         Noise of the centres, px.
     """
-    return np.sqrt(_SIZE_SHARE**2 + (_SIZE_PER_NOISE * sigma / view.radius_px[i]) ** 2)
+    return np.sqrt(view.size_share**2 + (_SIZE_PER_NOISE * sigma / view.radius_px[i]) ** 2)
 
 
 @njit(cache=True, error_model="numpy")

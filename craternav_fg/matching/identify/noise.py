@@ -20,8 +20,6 @@ FloatArray = npt.NDArray[np.float64]
 
 # Standard deviations of centres that are considered, px: from a well-fitted rim to a poor one.
 CENTRE_SIGMA_RANGE_PX = (0.25, 8.0)
-# Relative standard deviation of the axes before it is estimated.
-INITIAL_AXIS_SHARE = 0.02
 # Median of a chi-square variable of two degrees of freedom, 2 ln 2.
 CHI2_2_MEDIAN = 1.386
 # Noise of the axes that is considered: elements 1 and 2 of the noise.

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craternav_fg.matching.identify.view import SIZE_SHARE
 from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX
 
 
@@ -23,8 +24,13 @@ class IdentifyOptions:
     size_factors : tuple of float
         Sizes of rims in the image over those on the map, tried one after the other until one gives an answer.
         People trace real rims inside the crests that images show: 5 to 15 % smaller.
+    size_sigma : float
+        Relative standard deviation of the sizes beside the noise, before it is estimated: irregular outlines,
+        and the map's ellipses or circles.
     deep : bool
-        Whether, if there is no answer, candidates are multiplied by the millions of triples in the index.
+        Whether candidates are multiplied by the millions of triples in the index, for rims to which a plain
+        search gave no answer. Nothing is searched where that would be the same: in a smaller index, or with a
+        known attitude.
     triples : int
         Largest number of rim triples that are looked up per noise level and estimate of the vertical. A
         quarter of it is used for verticals beside the best estimate. If nothing is found, as many again are
@@ -51,6 +57,7 @@ class IdentifyOptions:
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
     size_factors: tuple[float, ...] = (1.0,)
+    size_sigma: float = SIZE_SHARE
     deep: bool = False
     triples: int = 96
     tried: int = 3_000_000

@@ -279,7 +279,7 @@ def identify(
     threshold = -(options.log_chance if attitude is None else options.log_chance_attitude)
     best, found = -np.inf, list[_Expanded]()
     for factor, depth in _passes(index, attitude, options):
-        view = view_of(ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera)
+        view = view_of(ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma)
         search = _Search(view, index, attitude, camera, options)
         first = factor == options.size_factors[0]
         # Single rims are many: they are tried once.
@@ -308,10 +308,10 @@ def _passes(
     The larger the catalogue, the more of its triples resemble one of rims as much as the right one does. A
     known attitude needs no triples.
     """
-    passes = [(factor, 1) for factor in options.size_factors]
-    depth = len(index.tree.points) // _TRIPLES_OF_CANDIDATES
-    further = options.deep and depth > 1 and attitude is None
-    return passes + [(factor, depth) for factor in options.size_factors if further]
+    depth = len(index.tree.points) // _TRIPLES_OF_CANDIDATES if options.deep else 1
+    if options.deep and (depth < 2 or attitude is not None):
+        return []
+    return [(factor, depth) for factor in options.size_factors]
 
 
 def _expanded(search: _Search, depth: int, singles: bool) -> list[_Expanded]:

@@ -22,7 +22,7 @@ from craternav_fg.matching.identify.hypothesis import (
     size_sigma,
     support,
 )
-from craternav_fg.matching.identify.noise import INITIAL_AXIS_SHARE, shape_scale
+from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.pose_fit import chart_errors
 from craternav_fg.matching.identify.view import View
 from factors.kernels.compiled import njit
@@ -80,7 +80,7 @@ def search_single_rims(
             g[r] = attitude[r, 0] * d[0] + attitude[r, 1] * d[1] + attitude[r, 2] * d[2]
         lever = _LEVER_SIGMAS * np.hypot(size_sigma(view, i, sigma), attitude_sigma)
         slack2 = (_SHAPE_PER_RAD * attitude_sigma) ** 2
-        scale = shape_scale(view, i, np.array([sigma, sigma, INITIAL_AXIS_SHARE]))
+        scale = shape_scale(view, i, np.array([sigma, sigma, view.size_share]))
         for crater in range(craters.centres.shape[0]):
             toward, sphere2 = 0.0, 0.0
             for r in range(3):

@@ -20,7 +20,8 @@ CENTRE_SIGMA_PX, AXIS_SIGMA_PX = 1.0, 0.5
 # The centre's standard deviation that grows with the rim, over its radius: catalogued centres and irregular
 # outlines are off by about a percent of the size.
 CENTRE_SIGMA_SHARE = 0.01
-
+# Relative standard deviation of the sizes beside the noise: of ellipses against a catalogue of ellipses.
+SIZE_SHARE = 0.02
 
 # Ellipses closer than this in centre and axes, px, are one rim given twice.
 _SAME_PX = 0.05
@@ -53,9 +54,11 @@ class View(NamedTuple):
     """Focal length along y."""
     principal_px: FloatArray
     """Principal point, shape (2,)."""
+    size_share: float
+    """Relative standard deviation of the sizes beside the noise, see `IdentifyOptions`."""
 
 
-def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
+def view_of(ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SHARE) -> View:
     """Remove the lens distortion from an image's ellipses.
 
     Parameters
@@ -63,6 +66,8 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
     ellipses_px : ndarray, shape (n, 5)
         Centre, semi-axes, angle of the first axis from x towards y, rad; px, as seen in the image.
     camera : Camera
+    size_share : float, optional
+        See `View`.
 
     Returns
     -------
@@ -97,6 +102,7 @@ def view_of(ellipses_px: FloatArray, camera: Camera) -> View:
         fx_px=fx,
         fy_px=fy,
         principal_px=np.array([camera.cx_px, camera.cy_px]),
+        size_share=size_share,
     )
 
 
