@@ -67,7 +67,7 @@ def warm_up(folder: Path) -> Dataset:
         execute_run(data, folder / "run", DEFAULT, label="../measured", began_s=time.perf_counter())
     data = _data(folder, "rendered", RENDERED)
     with suppress(CraternavError):
-        reconstruct(data, ["online"])
+        reconstruct(data, ["smoother", "online"])
     return data
 
 
