@@ -53,6 +53,31 @@ class ArcOptions:
     margin_px: float = 400.0
 
 
+def across_sigma_px(points_px: FloatArray, chart_px: FloatArray, covariance_px: FloatArray) -> float:
+    """Compute how far a rim that is off moves across its outline, where points of an arc are.
+
+    Parameters
+    ----------
+    points_px : ndarray, shape (n, 2)
+        Points along the rim.
+    chart_px : ndarray, shape (5,)
+        Chart of the rim in pixels.
+    covariance_px : ndarray, shape (5, 5)
+        Covariance of the chart.
+
+    Returns
+    -------
+    float
+        Root mean square over the points of the standard deviation along the rim's normal; 0 without points.
+    """
+    normal, derivative = np.empty(2), np.empty(5)
+    variances = np.zeros(len(points_px))
+    for i, (x, y) in enumerate(points_px):
+        signed_distance(x, y, chart_px, normal, derivative)
+        variances[i] = derivative @ covariance_px @ derivative
+    return float(np.sqrt(variances.mean())) if len(points_px) else 0.0
+
+
 def judge(
     edges: EdgePoints,
     chart_px: FloatArray,

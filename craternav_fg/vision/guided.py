@@ -13,11 +13,11 @@ from scipy.special import chdtri
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray as GreyImage
-from craternav_fg.ellipse import pixel_chart, points_on
+from craternav_fg.ellipse import normalised_chart, pixel_chart, points_on
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
-from craternav_fg.vision.arcs import judge
+from craternav_fg.vision.arcs import across_sigma_px, judge
 from craternav_fg.vision.error_model.correlated import arc_sigma_px, map_covariance, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
@@ -231,12 +231,19 @@ class GuidedFrontEnd:
         sigmas: list[FloatArray] = []
         correlated: list[float] = []
         reach_px = _reach_px(rims, opt.second_reach)
+        scale = normalised_chart(rims.charts_px, self.camera)[1]
+        of_map_px = self._of_map(rims.rows, result.gTb) / np.outer(scale, scale)
         for i in range(len(rims)):
             edges = fitter.trace(rims, i, float(reach_px[i]))
             if len(edges) < opt.arcs.min_found_share * edges.tried:
                 continue
             minor_px = rims.smallest_radius_px(i)
-            correlated_px = arc_sigma_px(minor_px, outline, opt.correlated_errors)
+            correlated_px = float(
+                np.hypot(
+                    arc_sigma_px(minor_px, outline, opt.correlated_errors),
+                    across_sigma_px(edges.points_px, rims.charts_px[i], of_map_px[i]),
+                )
+            )
             arc = judge(
                 edges, rims.charts_px[i], minor_px, correlated_px, float(predicted_px[i]), opt.arcs
             )  # fmt: skip

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
+from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.graph import GraphOptions, add_frame
 from craternav_fg.estimators.optimise import levenberg_marquardt
@@ -110,3 +111,34 @@ def test_no_arcs_without_whole_rims_to_tell_the_pose():
     noise = np.clip(rng.normal(110.0, 3.0, (scene.SIZE_PX, scene.SIZE_PX)), 0, 255).astype(np.uint8)
     out = GuidedFrontEnd(scene.camera(), catalog).measure(noise, 0, gTb, scene.covariance(1.0), sun_g)
     assert len(out.arcs) == 0
+
+
+def test_the_errors_of_the_map_are_in_the_error_that_the_points_of_an_arc_share(frames):
+    """A shift of the rim moves its points across it as far as itself, growth by that share of the radius."""
+    rng = np.random.default_rng(20)
+    catalog = scene.craters(rng, 26, 14.0, 40.0, half=0.48)
+    gTb, sun_g = scene.pose(rng.uniform(0.0, 6.0)), scene.sun(rng.uniform(20.0, 50.0))
+    image = scene.render(catalog, gTb, sun_g, rng)
+    range_m = np.linalg.norm(gTb[:3, 3] - catalog.centres, axis=1)
+    place_px, size = 6.0, 0.1
+    place_m = place_px * range_m / scene.camera().focal_px
+    none = np.zeros(len(catalog))
+
+    def of_map_px(errors):
+        arcs = (
+            GuidedFrontEnd(scene.camera(), replace(catalog, errors=errors))
+            .measure(image, 0, gTb, scene.covariance(0.5), sun_g)
+            .arcs
+        )
+        both, i, j = np.intersect1d(exact.craters, arcs.craters, return_indices=True)
+        assert len(both) >= 3
+        variance = arcs.correlated_sigmas[j] ** 2 - exact.correlated_sigmas[i] ** 2
+        return both, scene.camera().focal_px * np.sqrt(variance)
+
+    exact = frames[0][2].arcs
+    shifted = of_map_px(MapErrors(place_m, none, none))[1]
+    np.testing.assert_allclose(shifted, place_px, rtol=0.15)
+    craters, grown = of_map_px(MapErrors(none, np.full(len(catalog), size), none))
+    radius_px = scene.camera().focal_px * np.linalg.norm(catalog.axes[craters], axis=2).mean(axis=1)
+    radius_px /= range_m[craters]
+    np.testing.assert_allclose(grown, size * radius_px, rtol=0.25)
