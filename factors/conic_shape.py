@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.ahead import Ahead
 from factors.custom import Loss, constant_mounting, packed_pose_factor, packed_pose_factor_with_errors
 from factors.errors import FactorError
 from factors.kernels import packed, rim_errors
@@ -49,6 +50,7 @@ def conic_shape_factor(
     *,
     mounting_key: int | None = None,
     reduced: bool = False,
+    ahead: Ahead | None = None,
 ) -> gtsam.CustomFactor:
     """Build a factor of the body's pose from the rims of a frame.
 
@@ -75,6 +77,8 @@ def conic_shape_factor(
     reduced : bool
         Whether the rows of several rims are turned into seven that optimisers cannot tell from them: less to
         copy and to eliminate. The residual of a single rim can then not be read.
+    ahead : Ahead, optional
+        Evaluates the rims of many frames at once, where they are reduced and the mounting is known.
 
     Returns
     -------
@@ -90,14 +94,14 @@ def conic_shape_factor(
     if mounting_key is None:
         data = _packed(n, (bTc, centres, axes, charts, covariances), loss)
         if len(data):
-            return _of_packed(key, n, data, None, reduced=reduced)
+            return _of_packed(key, n, data, None, ahead, reduced=reduced)
     centres = validation.array("centres", centres, (n, 3))
     axes = validation.rim_axes("axes", axes, n)
     charts = validation.charts("charts", charts, n)
     W = validation.whitening("covariances", covariances, n, 5)
     mounting = constant_mounting(key, bTc, mounting_key)
     data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
-    return _of_packed(key, n, data, mounting_key, reduced=reduced)
+    return _of_packed(key, n, data, mounting_key, ahead, reduced=reduced)
 
 
 def conic_shape_factors(
@@ -228,9 +232,11 @@ def _are_plain(n: int, fields: tuple[npt.ArrayLike | None, ...]) -> bool:
 
 
 def _of_packed(
-    key: int, n: int, data: FloatArray, mounting_key: int | None, *, reduced: bool
+    key: int, n: int, data: FloatArray, mounting_key: int | None, ahead: Ahead | None, *, reduced: bool
 ) -> gtsam.CustomFactor:
     """Build the factor of packed rims."""
     if reduced and n > 1:
-        return packed_pose_factor(key, REDUCED_ROWS, packed.reduced_shape_residuals, data, mounting_key)
+        kernel = packed.reduced_shape_residuals
+        first = ahead if mounting_key is None else None
+        return packed_pose_factor(key, REDUCED_ROWS, kernel, data, mounting_key, first)
     return packed_pose_factor(key, 5 * n, packed.shape_residuals, data, mounting_key)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.ahead import Ahead
 from factors.errors import FactorError
 from factors.kernels import conic
 from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED, apply_loss
@@ -24,6 +25,8 @@ FloatArray = npt.NDArray[np.float64]
 _at_pose = gtsam.Values.atPose3
 _at_vector = gtsam.Values.atVector
 _matrix = gtsam.Pose3.matrix
+# Of factors that nothing is evaluated for before GTSAM asks.
+_NEVER = Ahead()
 
 # kernel(gTb, bTc, linearise, e, J): writes e (rows,) and, when asked, J (rows, 6) for the body's twist.
 PoseKernel = Callable[[FloatArray, FloatArray, bool, FloatArray, FloatArray], None]
@@ -146,7 +149,12 @@ def pose_factor(
 
 
 def packed_pose_factor(
-    key: int, rows: int, kernel: PackedKernel, data: FloatArray, mounting_key: int | None = None
+    key: int,
+    rows: int,
+    kernel: PackedKernel,
+    data: FloatArray,
+    mounting_key: int | None = None,
+    ahead: Ahead | None = None,
 ) -> gtsam.CustomFactor:
     """Build a factor as `pose_factor` does, of a kernel that takes its constants as one array: the fast way.
 
@@ -164,6 +172,8 @@ def packed_pose_factor(
         change them.
     mounting_key : int, optional
         Key of the mounting (`Pose3`) when it is a variable.
+    ahead : Ahead, optional
+        Where the kernel is `packed.reduced_shape_residuals` and there is no such key: may evaluate it first.
 
     Returns
     -------
@@ -184,8 +194,16 @@ def packed_pose_factor(
             key, mounting_key, lambda T, linearise: math.isfinite(kernel(T, data, linearise, out)), e, J
         )
 
+    first = ahead or _NEVER
+    ready = first.add(key, data) if ahead else []
+
     def evaluate(_: gtsam.CustomFactor, values: gtsam.Values, H: Any) -> FloatArray:
         linearise = H is not None
+        if first.written > linearise:
+            slopes, residual = ready
+            if linearise:
+                H[0] = slopes
+            return residual
         if not math.isfinite(kernel(_matrix(_at_pose(values, key)), data, linearise, out)):
             raise _not_finite(key)
         if linearise:

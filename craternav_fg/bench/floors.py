@@ -6,7 +6,6 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from craternav_fg.bench.problems import Bench
@@ -24,16 +23,12 @@ from craternav_fg.bench.timing import cpu_and_wall_s
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph
 from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.estimators.graph import FactorGraph, GraphOptions
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.motion import longest_interval_s
 from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
-from factors.conic_shape import REDUCED_ROWS
-from factors.custom import PackedKernel, packed_pose_factor
-
-FloatArray = npt.NDArray[np.float64]
 
 # Of the batch smoother without errors of rims: steps, and one for covariances.
 BATCH_ELIMINATIONS = 5
@@ -50,15 +45,20 @@ def factor_floor(bench: Bench, repetitions: int = 31) -> Ratio:
     Returns
     -------
     Ratio
-        Of the time to linearise all frames, with one factor of as many rows as ours for each frame; they have
-        several rims.
+        Of the time to linearise all frames, of several rims each, with our factors evaluated before.
     """
     values = bench.values(np.random.default_rng(1), scale=0.1)
+    problem = bench.problem
+    ours = FactorGraph()
+    for i, frame in enumerate(problem.frames):
+        add_frame(ours, problem, GraphOptions(), X(i), frame)
     reference = projection_factors(bench, values)
-    empty = FactorGraph()
-    for i in range(len(bench.problem.frames)):
-        empty.push_back(packed_pose_factor(X(i), REDUCED_ROWS, lambda *_: 0.0, np.zeros(1)))
-    return interleaved(lambda: empty.linearize(values), lambda: reference.linearize(values), repetitions)
+    with ours.ahead.at(values, linearise=True):
+        return interleaved(
+            lambda: gtsam.NonlinearFactorGraph.linearize(ours, values),
+            lambda: reference.linearize(values),
+            repetitions,
+        )
 
 
 def batch_steps(bench: Bench, repetitions: int = 15) -> tuple[dict[str, Ratio], dict[str, float]]:
@@ -78,17 +78,18 @@ def batch_steps(bench: Bench, repetitions: int = 15) -> tuple[dict[str, Ratio], 
         `batch_iterations` and `batch_reference_iterations`: steps until the decrease is below the tolerance.
     """
     ours, reference, values = batch_graphs(bench)
-    frozen = _frozen(ours, ours.linearize(values))
     ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(ours)
+    plain = gtsam.NonlinearFactorGraph
 
-    def step(graph: gtsam.NonlinearFactorGraph) -> float:
-        moved = values.retract(graph.linearize(values).optimize(ordering, gtsam.EliminateQR))
-        return float(graph.error(moved))
+    def step(graph: gtsam.NonlinearFactorGraph, kind: type[gtsam.NonlinearFactorGraph] = plain) -> float:
+        moved = values.retract(kind.linearize(graph, values).optimize(ordering, gtsam.EliminateQR))
+        return float(kind.error(graph, moved))
 
     ratios = {
-        "batch_step_ratio": interleaved(lambda: step(ours), lambda: step(reference), repetitions),
-        "batch_step_floor": interleaved(lambda: step(frozen), lambda: step(reference), repetitions),
+        "batch_step_ratio": interleaved(lambda: step(ours, FactorGraph), lambda: step(reference), repetitions)
     }
+    with ours.ahead.at(values, linearise=True):
+        ratios["batch_step_floor"] = interleaved(lambda: step(ours), lambda: step(reference), repetitions)
     options = LmOptions(relative_tolerance=RELATIVE_TOLERANCE)
     counts = {
         "batch_iterations": float(levenberg_marquardt(ours, values, options).iterations),
@@ -212,27 +213,3 @@ def _linear(graph: gtsam.NonlinearFactorGraph, point: gtsam.Values) -> gtsam.Non
             factor = gtsam.LinearContainerFactor(factor.linearize(point), point)
         out.push_back(factor)
     return out
-
-
-def _frozen(graph: gtsam.NonlinearFactorGraph, linear: gtsam.GaussianFactorGraph) -> FactorGraph:
-    """Replace our factors by ones that always return what they return at one point."""
-    out = FactorGraph()
-    for number in range(graph.size()):
-        factor = graph.at(number)
-        if not isinstance(factor, gtsam.CustomFactor):
-            out.push_back(factor)
-            continue
-        A, b = linear.at(number).jacobian()
-        out.push_back(packed_pose_factor(factor.keys()[0], len(b), _constant(A, b), np.zeros(1)))
-    return out
-
-
-def _constant(A: FloatArray, b: FloatArray) -> PackedKernel:
-    """Kernel that writes a Jacobian and a residual when it is first called, and nothing later."""
-
-    def kernel(gTb: FloatArray, data: FloatArray, linearise: bool, out: FloatArray) -> float:
-        if data[0] == 0.0:
-            out[:6], out[6], data[0] = A.T, -b, 1.0
-        return 0.0
-
-    return kernel

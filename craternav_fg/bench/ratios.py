@@ -144,7 +144,7 @@ def projection_factors(bench: Bench, values: gtsam.Values) -> gtsam.NonlinearFac
 
 def batch_graphs(
     bench: Bench,
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.NonlinearFactorGraph, gtsam.Values]:
+) -> tuple[FactorGraph, gtsam.NonlinearFactorGraph, gtsam.Values]:
     """Make the graph of a descent with our factors, the one with GTSAM's own, and their initial values.
 
     Parameters
@@ -153,7 +153,8 @@ def batch_graphs(
 
     Returns
     -------
-    ours, reference : gtsam.NonlinearFactorGraph
+    ours : FactorGraph
+    reference : gtsam.NonlinearFactorGraph
         With the same IMU factors.
     values : gtsam.Values
     """

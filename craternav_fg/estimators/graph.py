@@ -19,6 +19,7 @@ from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
+from factors.ahead import Ahead
 from factors.conic_shape import ChartError, conic_shape_factor, conic_shape_factors
 from factors.custom import Loss
 from factors.imu import imu_factor, integrate, parameters
@@ -125,6 +126,8 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
     rims : RimsWithErrors
         Rims beside the factors. They count in `error` and `linearize`, but not where GTSAM's own optimisers
         evaluate the graph.
+    ahead : Ahead
+        Evaluates the factors of its frames' rims at once in `error` and `linearize`.
     """
 
     def __init__(self) -> None:
@@ -133,14 +136,17 @@ class FactorGraph(gtsam.NonlinearFactorGraph):
         self.intervals: list[ImuInterval] = []
         self.left_out = 0
         self.rims = RimsWithErrors()
+        self.ahead = Ahead()
 
     def error(self, values: gtsam.Values) -> float:
         """Half the sum of squares of all residuals, under their losses."""
-        return float(super().error(values)) + self.rims.error(values)
+        with self.ahead.at(values, linearise=False):
+            return float(super().error(values)) + self.rims.error(values)
 
     def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Linearise all factors and rims at values."""
-        linear = super().linearize(values)
+        with self.ahead.at(values, linearise=True):
+            linear = super().linearize(values)
         self.rims.linearise(values, linear)
         return linear
 
@@ -245,7 +251,7 @@ def add_frame(
                     graph.push_back(factor)
             else:
                 factor = conic_shape_factor(
-                    key, bTc, centres, axes, rims.chart, S, options.loss, reduced=True
+                    key, bTc, centres, axes, rims.chart, S, options.loss, reduced=True, ahead=graph.ahead
                 )
                 graph.push_back(factor)
                 left_out = rims.chart.size - factor.dim()

@@ -22,6 +22,7 @@ from factors.kernels.robust import loss_and_weight
 from factors.kernels.validity import UNSEEN
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 # Sums may be fused and reordered; NaN and infinity keep their meaning, but are not to be tested for in here.
 _FUSED = {"contract", "reassoc", "arcp", "nsz"}
@@ -176,6 +177,46 @@ def reduced_shape_residuals(gTb: FloatArray, data: FloatArray, linearise: bool, 
         e2 += rows[6, i] * rows[6, i]
     out[6, 6] = np.sqrt(e2)
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def all_reduced_shape_residuals(
+    poses: FloatArray, rows: IntArray, data: FloatArray, offsets: IntArray, linearise: bool, out: FloatArray
+) -> int:
+    """Conic shape of many frames, each as by `reduced_shape_residuals`.
+
+    Parameters
+    ----------
+    poses : ndarray, shape (m, 12)
+        Poses gTb: the rotation's rows, then the position in g, m.
+    rows : ndarray of int, shape (n,)
+        Row of each frame's pose.
+    data : ndarray, shape (n_data,)
+        From `pack`, of one frame after the other.
+    offsets : ndarray of int, shape (n + 1,)
+        Where each frame's begins, and the end.
+    linearise : bool
+        Whether Jacobians are written.
+    out : ndarray, shape (n, 7, 7)
+        Written.
+
+    Returns
+    -------
+    int
+        The first frame of which something is not finite, or -1.
+    """
+    gTb = np.zeros((4, 4))
+    gTb[3, 3] = 1.0
+    for k in range(len(rows)):
+        for i in range(3):
+            for j in range(3):
+                gTb[i, j] = poses[rows[k], 3 * i + j]
+            gTb[i, 3] = poses[rows[k], 9 + i]
+        if not np.isfinite(
+            reduced_shape_residuals(gTb, data[offsets[k] : offsets[k + 1]], linearise, out[k])
+        ):
+            return k
+    return -1
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FUSED)
