@@ -1,8 +1,11 @@
 """Frames with rims drawn on them: measured, predicted, and those of the catalogue at the estimated pose."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from os import cpu_count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -18,9 +21,11 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.ellipse import points_on
+from craternav_fg.errors import CraternavError
 from craternav_fg.measurements import FrameMeasurement, SunTilt
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.plots.style import save
+from craternav_fg.workers import each_result, processes
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -42,6 +47,8 @@ _DPI = 100
 _LABEL_PT, _LETTER, _LINE = 7.5, 0.62, 1.3
 # Height of the strip below the image that holds title and legend.
 _STRIP_PX = 62
+# Frames that take as long to draw as a process to start.
+_WORTH_A_PROCESS = 12
 # Points that draw a rim.
 _RIM_POINTS = 120
 
@@ -176,6 +183,8 @@ def write_overlays(
 ) -> None:
     """Write a PNG per frame into a folder, named by frame index and seconds since the first frame.
 
+    Many frames are drawn on all cores.
+
     Parameters
     ----------
     dataset : Dataset
@@ -185,15 +194,66 @@ def write_overlays(
     every : int
         Every Nth frame is drawn.
     progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        When an image cannot be read.
+    CraternavError
+        When a process that draws has died, for example of lack of memory.
     """
-    chosen = range(0, len(dataset), every)
-    for done, index in enumerate(chosen, 1):
-        one = overlay(dataset, result, index)
-        figure = draw_overlay(one, dataset.camera, dataset.catalog)
-        seconds = 1e-9 * float(one.frame.stamp_ns - dataset.stamps_ns[0])
-        save(figure, folder / f"frame_{index:05d}_{seconds:.1f}s.png", _DPI)
-        if progress is not None:
-            progress("overlays", done, len(chosen))
+    drawings = _Drawings(dataset, result, folder, every)
+    count = min(cpu_count() or 1, len(drawings) // _WORTH_A_PROCESS)
+    with ExitStack() as stack:
+        if count < 2:
+            written: Iterator[None] = map(_write, drawings.values())
+        else:
+            scratch = stack.enter_context(TemporaryDirectory(prefix="craternav-"))
+            workers = stack.enter_context(processes(count, Path(scratch)))
+            written = each_result(workers, _write, drawings, _died, "overlays")
+        for done, _ in enumerate(written, 1):
+            if progress is not None:
+                progress("overlays", done, len(drawings))
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """What a process needs to draw a frame."""
+
+    overlay: Overlay
+    camera: Camera
+    catalog: Catalog
+    path: Path
+
+
+class _Drawings(Mapping[int, _Drawing]):
+    """Frames to draw by their index; each image is read when it is asked for."""
+
+    def __init__(self, dataset: Dataset, result: Reconstruction, folder: Path, every: int) -> None:
+        self._dataset, self._result, self._folder = dataset, result, folder
+        self._chosen = range(0, len(dataset), every)
+
+    def __getitem__(self, index: int) -> _Drawing:
+        data = self._dataset
+        one = overlay(data, self._result, index)
+        seconds = 1e-9 * float(one.frame.stamp_ns - data.stamps_ns[0])
+        path = self._folder / f"frame_{index:05d}_{seconds:.1f}s.png"
+        return _Drawing(one, data.camera, data.catalog, path)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._chosen)
+
+    def __len__(self) -> int:
+        return len(self._chosen)
+
+
+def _write(drawing: _Drawing) -> None:
+    figure = draw_overlay(drawing.overlay, drawing.camera, drawing.catalog)
+    save(figure, drawing.path, _DPI)
+
+
+def _died(index: int) -> None:
+    raise CraternavError(f"overlay of frame {index}: the process that draws it has died")
 
 
 def draw_rims(axes: Axes, image: ImageArray, frame: FrameMeasurement, camera: Camera) -> None:

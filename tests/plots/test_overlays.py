@@ -1,6 +1,8 @@
 """Rims drawn on frames: where they are, in their own colours."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import matplotlib.colors
@@ -105,3 +107,39 @@ def test_a_lens_that_distorts_bends_the_rims_of_every_kind(one, tmp_path: Path):
     picture = cv2.imread(str(tmp_path / "bent.png"))
     measured = bent.pixels(points_on(overlay.frame.rims.chart, 60)).reshape(-1, 2)
     assert share_coloured(picture, measured, 2, overlays.MEASURED) > 0.9
+
+
+class Frames:
+    """Data set of a few images of one scene."""
+
+    def __init__(self, overlay, catalog):
+        self.overlay, self.catalog = overlay, catalog
+        self.camera, self.body = scene.camera(), scene.MOON
+        self.stamps_ns = np.arange(5) * 10**9
+
+    def __len__(self):
+        return len(self.stamps_ns)
+
+    def image(self, index):
+        return self.overlay.image + np.uint8(index)
+
+
+def test_processes_draw_the_same_as_one(one, tmp_path: Path, monkeypatch):
+    overlay, catalog = one
+    data = Frames(*one)
+    frames = [replace(overlay.frame, stamp_ns=int(stamp)) for stamp in data.stamps_ns]
+    poses = np.tile(overlay.gTb, (len(data), 1, 1))
+    trajectory = SimpleNamespace(stamps_ns=data.stamps_ns, gTb=poses, gP=poses[:, :3, 3])
+    result = SimpleNamespace(
+        trajectories={"smoother": trajectory}, frames=frames, expected_rims=None, predicted=None
+    )
+    reported = []
+    for name, worth in (("one", 100), ("several", 1)):
+        monkeypatch.setattr(overlays, "_WORTH_A_PROCESS", worth)
+        overlays.write_overlays(data, result, tmp_path / name, 2, lambda *args: reported.append(args))
+    assert reported == 2 * [("overlays", done, 3) for done in (1, 2, 3)]
+    names = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert names == ["frame_00000_0.0s.png", "frame_00002_2.0s.png", "frame_00004_4.0s.png"]
+    pictures = [[(tmp_path / folder / name).read_bytes() for name in names] for folder in ("one", "several")]
+    assert pictures[0] == pictures[1]
+    assert len(set(pictures[0])) == 3
