@@ -125,7 +125,7 @@ class Frames:
 
 
 def test_processes_draw_the_same_as_one(one, tmp_path: Path, monkeypatch):
-    overlay, catalog = one
+    overlay = one[0]
     data = Frames(*one)
     frames = [replace(overlay.frame, stamp_ns=int(stamp)) for stamp in data.stamps_ns]
     poses = np.tile(overlay.gTb, (len(data), 1, 1))
