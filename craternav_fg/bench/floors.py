@@ -27,7 +27,8 @@ from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.motion import longest_interval_s
-from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
+from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 
 # Of the batch smoother without errors of rims: steps, and one for covariances.

@@ -13,7 +13,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.start import find_start
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario

@@ -17,7 +17,7 @@ from craternav_fg.estimators.batch import build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
-from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.simulation.scenes import FOCAL_PX
 

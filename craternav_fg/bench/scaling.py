@@ -22,7 +22,7 @@ from craternav_fg.bench.ratios import RELATIVE_TOLERANCE, batch_graphs
 from craternav_fg.bench.timing import seconds_of
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
-from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.files import replacing
 from craternav_fg.linalg import whitening

@@ -36,7 +36,8 @@ from craternav_fg.estimators.intrinsics import intrinsic_error
 from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
-from craternav_fg.estimators.online import MIDPOINT_TOLERANCE_M, OnlineSmoother
+from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.online_session import MIDPOINT_TOLERANCE_M
 from craternav_fg.estimators.optimise import (
     MAX_PREDICTED_DECREASE,
     LmOptions,

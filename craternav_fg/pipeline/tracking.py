@@ -12,7 +12,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Start
 from craternav_fg.estimators.filter_state import POSE, FilterState
-from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import find_start
 from craternav_fg.linalg import squared_distance

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.incremental import FixedLagIsam
-from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.reproduce.fig15_18_trials import Trial, first_trials, problem_of
 from craternav_fg.reproduce.options import ReproduceOptions

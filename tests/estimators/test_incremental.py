@@ -19,7 +19,8 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.graph import ImuInterval
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.estimators.initial_values import initial_values
-from craternav_fg.estimators.online import FixedLagSmoother, OnlineSession, OnlineSmoother
+from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import RimSet
 from craternav_fg.trajectory import Trajectory
@@ -104,7 +105,7 @@ def test_session_goes_on_after_a_frame_that_failed(
         for k, frame in enumerate(p.frames[1:8], 1):
             if k == lost:
                 with monkeypatch.context() as patch:
-                    patch.setattr("craternav_fg.estimators.online.add_frame", spoilt)
+                    patch.setattr("craternav_fg.estimators.online_session.add_frame", spoilt)
                     with pytest.raises(EstimationError, match="taken back"):
                         session.update(frame)
             elif k != 4:
@@ -350,6 +351,6 @@ def test_online_gravity_follows_a_correction(
         return float(np.linalg.norm(velocity - expected.gV[0]))
 
     follows = end()
-    monkeypatch.setattr("craternav_fg.estimators.online.MIDPOINT_TOLERANCE_M", np.inf)
+    monkeypatch.setattr("craternav_fg.estimators.online_session.MIDPOINT_TOLERANCE_M", np.inf)
     stays = end()
     assert follows < 0.1 * stays

@@ -8,7 +8,7 @@ import pytest
 from craternav_fg.bench.problems import make
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.incremental import FixedLagIsam
-from craternav_fg.estimators.online import OnlineSession
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.state_log import StateLog
 from factors.kernels.strapdown import SIZE
 from tests.factors.test_scale import resident_kb

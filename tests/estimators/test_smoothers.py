@@ -21,7 +21,8 @@ from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.graph import GraphOptions, state_stamps
 from craternav_fg.estimators.marginals import Marginals
-from craternav_fg.estimators.online import OnlineSession, OnlineSmoother
+from craternav_fg.estimators.online import OnlineSmoother
+from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, gauss_newton, levenberg_marquardt
 from craternav_fg.estimators.registry import ESTIMATORS, RETROSPECTIVE, estimator
 from craternav_fg.estimators.start import find_start
