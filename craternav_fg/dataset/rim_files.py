@@ -140,20 +140,22 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
     }
     _check_charts(path, charts)
     _check_covariances(path, "covariance", covariances)
-    _check_roots(path, covariances, {name: parts[name].values for name in _ROOTS if name in parts})
+    roots = {name: parts[name].values for name in _ROOTS if name in parts}
+    _check_roots(path, covariances, roots)
     if _FUSED in parts:
         _check_covariances(path, _FUSED, parts[_FUSED].values, parts[_FUSED].known)
+        _check_fused(path, parts[_FUSED], _white(covariances, roots))
     _check_quality(path, {name: parts[name] for name in _QUALITY if name in parts})
     out = []
     for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
         seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
-        roots = {name: seen.pop(name) for name in _ROOTS if name in seen}
-        if "correlated_height" in roots and "correlated" in roots:
-            both = roots["correlated"], roots.pop("correlated_height")
-            roots["correlated"] = np.concatenate(both, axis=2)
+        here = {name: seen.pop(name) for name in _ROOTS if name in seen}
+        if "correlated_height" in here and "correlated" in here:
+            both = here["correlated"], here.pop("correlated_height")
+            here["correlated"] = np.concatenate(both, axis=2)
         fused = seen.pop(_FUSED, None)
         quality = RimQuality(**seen) if seen else None
-        out.append(RimSet(craters[own], charts[own], covariances[own], quality, fused_white=fused, **roots))
+        out.append(RimSet(craters[own], charts[own], covariances[own], quality, fused_white=fused, **here))
     return out
 
 
@@ -349,12 +351,29 @@ def _check_covariances(
         raise InputError(path, problem, column=name)
 
 
+def _white(covariances: FloatArray, roots: dict[str, FloatArray]) -> FloatArray:
+    """Compute what covariances (n, 5, 5) have beside the parts of which roots are given."""
+    return covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((5, 5)))
+
+
+def _check_fused(path: Path, fused: _Part, white: FloatArray) -> None:
+    """Refuse white parts for estimators that are less than those that are stated: they would be too sure."""
+    scale = np.sqrt(np.abs(np.diagonal(fused.values, axis1=1, axis2=2)))
+    scale = np.where(fused.known[:, None], scale, 1.0)
+    added = (fused.values - white) / (scale[:, :, None] * scale[:, None, :])
+    enough = (
+        np.linalg.eigvalsh(0.5 * (added + np.swapaxes(added, 1, 2)))[:, 0] > -_MAX_ASYMMETRY
+    ) | ~fused.known
+    if not enough.all():
+        problem = f"row {int(np.argmin(enough)) + 1}: expected at least the white part of the covariance"
+        raise InputError(path, problem, column=_FUSED)
+
+
 def _check_roots(path: Path, covariances: FloatArray, roots: dict[str, FloatArray]) -> None:
     """Refuse parts that are not less than the whole covariances (n, 5, 5)."""
     if not roots or not len(covariances):
         return
-    white = covariances - sum((A @ np.swapaxes(A, 1, 2) for A in roots.values()), np.zeros((5, 5)))
-    less = np.linalg.eigvalsh(white)[:, 0] > 0.0
+    less = np.linalg.eigvalsh(_white(covariances, roots))[:, 0] > 0.0
     if not less.all():
         problem = f"row {int(np.argmin(less)) + 1}: expected parts that are less than the whole covariance"
         raise InputError(path, problem, column=next(iter(roots)))

@@ -335,6 +335,10 @@ RIM_CASES = {
         set_cell(2, "fused_white", [-1.0] * 25),
         [layout.RIMS, "fused_white", "row 3", "positive"],
     ),
+    "white part of estimators too small": (
+        spoiled(lambda rows: rows[2].update(fused_white=[0.4 * value for value in rows[2]["fused_white"]])),
+        [layout.RIMS, "fused_white", "row 3", "at least the white part"],
+    ),
     "quality of some rims": (set_cell(1, "rms_px", None), [layout.RIMS, "rms_px", "row 2 has none"]),
     "quality in part": (
         spoiled(lambda rows: [row.__setitem__("rms_px", None) for row in rows]),

@@ -11,7 +11,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.ekf.filter import ekf, ekf_paper
 from craternav_fg.estimators.filter_state import FilterState
-from craternav_fg.estimators.graph import GraphOptions, add_frame
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.instruments import CAMERA_AND_IMU, Rims, Sun, instruments
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.evaluation.innovations import innovations
@@ -40,7 +40,7 @@ def test_rims_and_sun_compare_what_their_factors_add(problem: Problem, predicted
     rows = [row for one in (Rims(), Sun()) for row in one.compare(predicted, frame, problem)]
     assert len(rows) == len(frame.rims) + 1
     A, r = np.concatenate([row.A for row in rows]), np.concatenate([row.residual for row in rows])
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph, values = FactorGraph(), gtsam.Values()
     values.insert(X(0), gtsam.Pose3(predicted.gTb))
     weighted = with_predicted_covariances(frame, predicted.gTb, problem.camera, problem.catalog)
     add_frame(graph, problem, GraphOptions(loss=Loss(robust.NONE)), X(0), weighted)

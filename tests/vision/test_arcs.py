@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import X
 
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.graph import GraphOptions, add_frame
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame
 from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import ArcSet
@@ -76,7 +76,7 @@ def pose_error(catalog, gTb, frame, rows):
     initial = InitialState(0, gTb, np.zeros(3), 0.01, 300.0, 1.0, 0.01, 1e-6, 1e-3)
     imu = ImuLog(np.arange(2), np.zeros((2, 3)), np.zeros((2, 3)))
     descent = Descent(scene.MOON, scene.camera(), catalog, imu, ImuNoise(1e-5, 1e-4, 1e-8, 1e-7), initial)
-    graph = gtsam.NonlinearFactorGraph()
+    graph = FactorGraph()
     sigmas = np.repeat([0.01, 300.0], 3)
     graph.push_back(gtsam.PriorFactorPose3(X(0), gtsam.Pose3(gTb), gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
     add_frame(graph, descent, GraphOptions(variance_inflation=1.0), X(0), some)
