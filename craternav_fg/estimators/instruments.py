@@ -131,15 +131,20 @@ class Rims(Instrument):
         Returns
         -------
         list of LinearMeasurement
-            In the pose: five rows of a rim's ellipse chart, a row for each point of an arc.
+            In the pose: five rows of a rim's ellipse chart; one of an arc, the mean distance of its points,
+            whose errors are largely the same.
         """
         gTb, camera, catalog = predicted.gTb, descent.camera, descent.catalog
         rims = with_predicted_covariances(frame, gTb, camera, catalog).rims
         A, residual, usable = linearise_rims(gTb, rims, camera, catalog, model="chart", noise="measured")
         whole = [LinearMeasurement(a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
-        # The errors of one frame, time-correlated ones included.
+        # The errors of one frame, time-correlated ones included: so large that their mean has the right one.
         arcs = frame.inflate_correlated(1.0).arcs
-        return whole + linearise_arcs(gTb, arcs, camera, catalog)
+        for row, sigmas in enumerate(arcs.sigmas):
+            mean = 1.0 / (sigmas * np.linalg.norm(1.0 / sigmas))
+            for points in linearise_arcs(gTb, arcs.take(np.array([row])), camera, catalog):
+                whole.append(LinearMeasurement(mean[None] @ points.A, mean[None] @ points.residual))
+        return whole
 
     def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
         """Take rims and arcs out of a frame."""

@@ -32,7 +32,7 @@ class Innovations:
     Attributes
     ----------
     sensor : tuple of str, length n
-        "rims": a rim's five (or an arc's points') innovations; "sun": the tilt's one; "imu": the part of all
+        "rims": a rim's five innovations, or an arc's mean one; "sun": the tilt's one; "imu": the part of all
         innovations of a frame that errors of the predicted pose can cause, of at most six dimensions. The
         rest tells how far the frame's measurements agree with each other. Further sensors by their names,
         each sample by itself.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
+from craternav_fg.ellipse import points_on
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.ekf.filter import ekf, ekf_paper
@@ -18,6 +19,7 @@ from craternav_fg.evaluation.innovations import innovations
 from craternav_fg.measurements import ArcSet, RimSet
 from factors.custom import Loss
 from factors.kernels import robust
+from factors.kernels.conic import project_rims
 from tests import descents
 
 
@@ -83,20 +85,47 @@ def test_predictions_that_a_filter_kept_are_those_of_its_states(problem: Problem
     assert ekf_paper().run(problem).predictions is None
 
 
+def arcs_of(craters, charts, sizes, rng, off=0.0, noise=1e-3, shared=None):
+    """Points on a quarter of each rim, displaced outwards."""
+    points = []
+    for chart, size in zip(charts, sizes, strict=True):
+        rim = points_on(chart[None], 360)[0]
+        chosen = rim[rng.integers(0, 90, size)]
+        outward = (chosen - chart[:2]) / np.linalg.norm(chosen - chart[:2], axis=1, keepdims=True)
+        points.append(chosen + (off + noise * rng.standard_normal((size, 1))) * outward)
+    sigmas = tuple(np.full(size, noise) for size in sizes)
+    return ArcSet(craters, tuple(points), sigmas, shared)
+
+
 def test_innovations_of_rims_and_arcs_keep_their_order(problem: Problem, predicted: FilterState) -> None:
     """Those of one shape are whitened at once, and each is what it is alone."""
     frame = problem.frames[3]
-    rng = np.random.default_rng(0)
-    sizes = 9, 7, 9
-    arcs = ArcSet(
-        frame.rims.craters[:3],
-        tuple(rng.normal(frame.rims.chart[k, :2], 1e-3, (size, 2)) for k, size in enumerate(sizes)),
-        tuple(np.full(size, 1e-3) for size in sizes),
-    )
+    rims = frame.rims.take(np.arange(3))
+    arcs = arcs_of(rims.craters, rims.chart, (9, 7, 9), np.random.default_rng(0))
     both = Rims().nis(predicted, replace(frame, arcs=arcs), problem)
-    assert [size for _, size in both] == [5] * len(frame.rims) + [*sizes]
+    assert [size for _, size in both] == [5] * len(frame.rims) + [1, 1, 1]
     alone = Rims().nis(predicted, frame, problem)
     for k in range(3):
         one = replace(frame, rims=RimSet.empty(), arcs=arcs.take(np.array([k])))
         alone += Rims().nis(predicted, one, problem)
     np.testing.assert_allclose([nis for nis, _ in both], [nis for nis, _ in alone], rtol=1e-9)
+
+
+def test_the_innovation_of_an_arc_scatters_as_its_shared_error_does(
+    problem: Problem, predicted: FilterState
+) -> None:
+    """Points that err together are not so many measurements: where the pose is known the mean NIS is one."""
+    frame = problem.frames[3]
+    craters, catalog = frame.rims.craters[:1], problem.catalog
+    charts = project_rims(predicted.gTb, problem.camera.bTc, catalog.centres[craters], catalog.axes[craters])[
+        0
+    ]
+    known = replace(predicted, covariance=1e-12 * predicted.covariance)
+    rng = np.random.default_rng(1)
+    nis = []
+    for _ in range(300):
+        shared = 5e-4
+        off = shared * rng.standard_normal()
+        arcs = arcs_of(craters, charts, (40,), rng, off, 2e-4, np.array([shared]))
+        nis += [d2 for d2, _ in Rims().nis(known, replace(frame, rims=RimSet.empty(), arcs=arcs), problem)]
+    assert np.mean(nis) == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / 300))
