@@ -200,10 +200,8 @@ class GuidedFrontEnd:
         limit = chdtri(_CHART_SIZE, 1.0 - self.options.gate_probability)
         keep = visible & (common2 < limit) & (prior2 < limit * variance_factor(prior2, _CHART_SIZE))
         # Of half a rim the ellipse errs two or three times as much as of more, now and then by far more. It
-        # counts by its edge points where other rims are enough for a pose, and where the map errs less: its
-        # errors can be followed from frame to frame in ellipses only.
-        own, of_place = (np.trace(S[:, :2, :2], axis1=1, axis2=2) for S in (errors.covariance, of_map))
-        more = keep & ((fitted.quality.arc_share >= self.options.full_arc_share) | (of_place > own))
+        # counts by its edge points where other rims are enough for a pose.
+        more = keep & (fitted.quality.arc_share >= self.options.full_arc_share)
         keep = more if np.count_nonzero(more) >= _MIN_AGREEING_RIMS else keep
         rows = rows[keep]
         covariance, correlated, shared, fused_white = split(

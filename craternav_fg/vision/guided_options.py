@@ -50,8 +50,8 @@ class GuidedOptions:
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     full_arc_share : float
-        Share of a rim that its edge points must cover, where at least three rims of the frame have as much
-        and the map's errors are smaller than the ellipse's; of the others, the edge points are measured.
+        Share of a rim that its edge points must cover, where at least three rims of the frame have as much;
+        of the others, the edge points are measured.
     edges : EdgeOptions
         Options of the edge points.
     fit : FitOptions

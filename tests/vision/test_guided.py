@@ -104,10 +104,10 @@ def test_the_result_does_not_follow_the_prediction(view):
 
 
 def test_of_rims_seen_too_little_edge_points_are_measured(view):
-    """As long as at least three others are seen enough, and the map is exact; else all ellipses stay."""
+    """As long as at least three others are seen enough; else all ellipses stay."""
     catalog, gTb, sun_g, image = view
 
-    def measured(share, catalog=catalog):
+    def measured(share):
         front_end = GuidedFrontEnd(scene.camera(), catalog, GuidedOptions(full_arc_share=share))
         return front_end.measure(image, 0, gTb, scene.covariance(0.5), sun_g)
 
@@ -120,12 +120,6 @@ def test_of_rims_seen_too_little_edge_points_are_measured(view):
     gone = np.setdiff1d(every.rims.craters, some.rims.craters)
     assert len(np.intersect1d(some.arcs.craters, gone)) >= 0.8 * len(gone)
     np.testing.assert_array_equal(measured(1.1).rims.craters, every.rims.craters)
-    none = np.zeros(len(catalog))
-    # Searched again around their ellipses, some are seen enough.
-    for place_m, low, high in ((0.1, 0.0, 0.5), (200.0, 1.0, 1.0)):
-        errors = MapErrors(np.full(len(catalog), place_m), none, none)
-        rims = measured(limit, replace(catalog, errors=errors)).rims
-        assert low <= np.mean(np.isin(gone, rims.craters)) <= high
 
 
 def test_what_is_not_there_is_not_measured(view):
