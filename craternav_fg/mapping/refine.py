@@ -3,7 +3,9 @@
 The crest is searched on rays around each crater, as a closed line (`crest_kernel`), and an ellipse is fitted
 to it robustly, as to the edge points of an image (`vision.ellipse_kernel`): outlines of real craters are not
 ellipses, and their deviation is part of the covariance. The ellipse found is the start of the next search, in
-a narrower ring. A rim that the model does not show keeps the catalogue's numbers, and the reason is told.
+a narrower ring. What the model's blur does to the last one is corrected: its size (`crest_blur`), and its
+centre, which the walls show as well (`wall_centre`). A rim that the model does not show keeps the catalogue's
+numbers, and the reason is told.
 
 The rim is a planar ellipse on local horizontal axes; the mean height of its points is that of the crest. The
 least-squares plane through the crest gives the tilt, and the deviation from it the scatter. A catalogue
@@ -34,9 +36,11 @@ from craternav_fg.ellipse import (
     points_on,
     shape_change,
 )
+from craternav_fg.mapping.crest_blur import crest_bias
 from craternav_fg.mapping.crest_search import RAYS, SEARCHES, Terrain, find_crest
 from craternav_fg.mapping.measured_rim import Found, MeasuredRim
 from craternav_fg.mapping.measured_rim import Outcome as Outcome
+from craternav_fg.mapping.wall_centre import wall_shift
 from craternav_fg.vision import ellipse_kernel
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,6 +58,8 @@ _BESIDE = (0.75, 1.25)
 # Systematic error of centre and semi-axes, per resolved length: blur moves the crest where its walls differ.
 # Measured in `tests/mapping` on synthetic ground of other profiles, 1 to 2.5 steps of blur.
 _FLOOR_PER_RESOLUTION = 0.2
+# Direction in the chart in which an ellipse becomes larger.
+_SIZE = np.array([0.0, 0.0, 1.0, 0.0, 1.0])
 # Craters per task of a thread.
 _CHUNK = 64
 
@@ -303,13 +309,18 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
     radius_m = float(mean_radius(chart))
     if kept < options.min_kept_share * RAYS or rms * step_m > options.max_scatter_share * radius_m:
         return Outcome.NO_CREST
+    resolution_m = options.resolution_steps * step_m
+    floor_m = _FLOOR_PER_RESOLUTION * resolution_m
+    bias, spread = crest_bias(resolution_m / radius_m)
     unit = np.array([step_m, step_m, 1.0, 1.0, 1.0])
-    floor = axes_covariance(chart, _FLOOR_PER_RESOLUTION * options.resolution_steps * step_m)
+    floor = axes_covariance(chart, floor_m) + spread**2 * np.outer(_SIZE, _SIZE)
     rim = _measured(chart, np.outer(unit, unit) * covariance + floor, crest, terrain)
     if rim.relief_m < options.min_relief_share * radius_m:
         return Outcome.NO_CREST
+    resolved = chart - bias * _SIZE
+    resolved[:2] += wall_shift(chart, terrain, floor_m)
     # Semi-axes are lengths at the height of the rim.
-    return replace(rim, chart_m=_scaled(chart, (catalog.body.radius_m + rim.height_m) / range_m))
+    return replace(rim, chart_m=_scaled(resolved, (catalog.body.radius_m + rim.height_m) / range_m))
 
 
 def _measured(chart: FloatArray, covariance: FloatArray, crest: FloatArray, terrain: Terrain) -> MeasuredRim:
