@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from craternav_fg.calibration.arcs import arcs
 from craternav_fg.calibration.blind_detection import blind_quality, candidates
 from craternav_fg.calibration.correlated_errors import correlated_errors, outline_brightness
+from craternav_fg.calibration.crest_blur import crest_blur
 from craternav_fg.calibration.pooling import pooling
 from craternav_fg.calibration.reference_brightness import reference_brightness
 from craternav_fg.calibration.regenerated import Regenerated
@@ -16,6 +17,7 @@ from craternav_fg.calibration.variance_inflation import variance_inflation
 # Those that share what they render stand together.
 FAMILIES: Mapping[str, Callable[[], list[Regenerated]]] = {
     "robust_moments": robust_moments,
+    "crest_blur": crest_blur,
     "blind_quality": blind_quality,
     "candidates": candidates,
     "reference_brightness": reference_brightness,

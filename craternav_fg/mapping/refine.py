@@ -3,7 +3,9 @@
 The crest is searched on rays around each crater, as a closed line (`crest_kernel`), and an ellipse is fitted
 to it robustly, as to the edge points of an image (`vision.ellipse_kernel`): outlines of real craters are not
 ellipses, and their deviation is part of the covariance. The ellipse found is the start of the next search, in
-a narrower ring. A rim that the model does not show keeps the catalogue's numbers, and the reason is told.
+a narrower ring. What the model's blur does to the last one is corrected: its size (`crest_blur`), and its
+centre, which the walls show as well (`wall_centre`). A rim that the model does not show keeps the catalogue's
+numbers, and the reason is told.
 
 The rim is a planar ellipse on local horizontal axes; the mean height of its points is that of the crest. The
 least-squares plane through the crest gives the tilt, and the deviation from it the scatter. A catalogue
@@ -34,9 +36,11 @@ from craternav_fg.ellipse import (
     points_on,
     shape_change,
 )
-from craternav_fg.mapping.crest_kernel import closed_ridge, crest_score
+from craternav_fg.mapping.crest_blur import crest_bias
+from craternav_fg.mapping.crest_search import RAYS, SEARCHES, Terrain, find_crest
 from craternav_fg.mapping.measured_rim import Found, MeasuredRim
 from craternav_fg.mapping.measured_rim import Outcome as Outcome
+from craternav_fg.mapping.wall_centre import wall_shift
 from craternav_fg.vision import ellipse_kernel
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,15 +48,6 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
-# Rays of a search.
-_RAYS = 72
-# Ring of each search, in radii of its start, prior deviation of the crest there, weight of its height.
-_SEARCHES = ((0.6, 1.5, 0.25, 0.5), (0.75, 1.3, 0.12, 0.25), (0.8, 1.25, 0.1, 0.0))
-# Samples per step of the model along a ray, and the minimum and maximum of a ray.
-_SAMPLES_PER_STEP = 2.0
-_RAY_SAMPLES = (24, 80)
-# Smoothing along a ray, in radii: narrower than a rim's crest, wider than its roughness.
-_SMOOTHING_RADII = 0.06
 # Largest gap between neighbouring points that counts as covered, rad: five rays.
 _MAX_GAP_RAD = 0.45
 # Scatter of a perfect crest, in steps of the model: it is interpolated.
@@ -63,6 +58,8 @@ _BESIDE = (0.75, 1.25)
 # Systematic error of centre and semi-axes, per resolved length: blur moves the crest where its walls differ.
 # Measured in `tests/mapping` on synthetic ground of other profiles, 1 to 2.5 steps of blur.
 _FLOOR_PER_RESOLUTION = 0.2
+# Direction in the chart in which an ellipse becomes larger.
+_SIZE = np.array([0.0, 0.0, 1.0, 0.0, 1.0])
 # Craters per task of a thread.
 _CHUNK = 64
 
@@ -294,14 +291,14 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
     # Metres along the tangent plane are those at the height of the terrain.
     range_m = catalog.body.radius_m + float(dem.heights_m(enu[None, row, :, 2])[0])
     terrain = partial(_heights, dem, enu[row], range_m)
-    around = np.concatenate([share * points_on(start, 16) for share in (*_BOWL, 1.0, _SEARCHES[0][1])])
+    around = np.concatenate([share * points_on(start, 16) for share in (*_BOWL, 1.0, SEARCHES[0][1])])
     if not np.all(dem.covers(_directions(enu[row], range_m, around))):
         return Outcome.OUTSIDE
     chart = start
-    for search in _SEARCHES:
-        crest = _crest(chart, terrain, search, step_m)
+    for search in SEARCHES:
+        crest = find_crest(chart, terrain, search, step_m)
         ok, steps, covariance, _, _, rms, kept, _, _ = ellipse_kernel.fit(
-            crest / step_m, np.ones(_RAYS), np.zeros((_RAYS, 2)), 1.0, 0.0, np.zeros(2),
+            crest / step_m, np.ones(RAYS), np.zeros((RAYS, 2)), 1.0, 0.0, np.zeros(2),
             _scaled(chart, 1.0 / step_m), _MIN_SCATTER_STEPS, _MAX_GAP_RAD, options.outline_share,
         )  # fmt: skip
         if not ok:
@@ -310,20 +307,23 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
         if not _near(chart, start, options):
             return Outcome.OTHER_CRATER
     radius_m = float(mean_radius(chart))
-    if kept < options.min_kept_share * _RAYS or rms * step_m > options.max_scatter_share * radius_m:
+    if kept < options.min_kept_share * RAYS or rms * step_m > options.max_scatter_share * radius_m:
         return Outcome.NO_CREST
+    resolution_m = options.resolution_steps * step_m
+    floor_m = _FLOOR_PER_RESOLUTION * resolution_m
+    bias, spread = crest_bias(resolution_m / radius_m)
     unit = np.array([step_m, step_m, 1.0, 1.0, 1.0])
-    floor = axes_covariance(chart, _FLOOR_PER_RESOLUTION * options.resolution_steps * step_m)
+    floor = axes_covariance(chart, floor_m) + spread**2 * np.outer(_SIZE, _SIZE)
     rim = _measured(chart, np.outer(unit, unit) * covariance + floor, crest, terrain)
     if rim.relief_m < options.min_relief_share * radius_m:
         return Outcome.NO_CREST
+    resolved = chart - bias * _SIZE
+    resolved[:2] += wall_shift(chart, terrain, floor_m)
     # Semi-axes are lengths at the height of the rim.
-    return replace(rim, chart_m=_scaled(chart, (catalog.body.radius_m + rim.height_m) / range_m))
+    return replace(rim, chart_m=_scaled(resolved, (catalog.body.radius_m + rim.height_m) / range_m))
 
 
-def _measured(
-    chart: FloatArray, covariance: FloatArray, crest: FloatArray, terrain: Callable[..., FloatArray]
-) -> MeasuredRim:
+def _measured(chart: FloatArray, covariance: FloatArray, crest: FloatArray, terrain: Terrain) -> MeasuredRim:
     """Measure the heights of a rim and of its bowl."""
     radius_m = float(mean_radius(chart))
     off = crest - chart[:2]
@@ -347,32 +347,6 @@ def _measured(
         float(plane[0] - np.quantile(bowl, 0.1)),
         float(plane[0] - np.mean(beside)),
     )
-
-
-def _crest(
-    chart: FloatArray, terrain: Callable[..., FloatArray], search: tuple[float, ...], step_m: float
-) -> FloatArray:  # fmt: skip
-    """Find the crest (rays, 2) around an ellipse in the tangent plane, m."""
-    radius_m = float(mean_radius(chart))
-    low, high, prior, height_weight = search
-    samples = int(np.clip(_SAMPLES_PER_STEP * (high - low) * radius_m / step_m, *_RAY_SAMPLES))
-    share = np.linspace(low, high, samples)
-    off = points_on(chart, _RAYS) - chart[:2]
-    places = chart[:2] + share[:, None] * off[:, None]
-    heights = terrain(places.reshape(-1, 2))
-    # The regional slope says nothing of the rim.
-    G = np.column_stack([np.ones(len(heights)), (places.reshape(-1, 2) - chart[:2]) / radius_m])
-    level = heights - G @ np.linalg.lstsq(G, heights, rcond=None)[0]
-    spacing = share[1] - share[0]
-    score = crest_score(level.reshape(_RAYS, samples), max(_SMOOTHING_RADII / spacing, 1.0), height_weight)
-    score -= 0.5 * ((share - 1.0) / prior) ** 2
-    rays = np.arange(_RAYS)
-    line = np.clip(closed_ridge(score), 1, samples - 2)
-    # The maximum of a parabola through the score's three values.
-    before, at, after = (score[rays, line + k] for k in (-1, 0, 1))
-    bend = np.minimum(before - 2.0 * at + after, -1e-12)
-    fine = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
-    return chart[:2] + (low + spacing * (line + fine))[:, None] * off
 
 
 def _near(chart: FloatArray, start: FloatArray, options: RefineOptions) -> bool:
