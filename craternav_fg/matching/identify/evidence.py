@@ -180,7 +180,7 @@ def log_evidence(
             continue
         place[i] = e[0] * e[0] + e[1] * e[1]
         shape[i] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
-        rest[i] = -2.5 * _LOG_2PI - np.log(n)
+        rest[i] = -2.5 * _LOG_2PI - np.log(view.quality.sum() / view.quality[i])
         for r in range(5):
             rest[i] += np.log(view.precision[i, r])
         c = craters.centres[match[i]]

@@ -39,6 +39,7 @@ from craternav_fg.matching.identify.triple_search import (
     Projection,
     image_order,
     image_triples,
+    likeliest,
     project_all_to_sphere,
     search_triples,
 )
@@ -68,6 +69,9 @@ _MIN_RIMS_OF_ONE_NADIR = 15
 # tried for it: the foreshortening depends only weakly on the altitude.
 _NADIR_RIMS = 40
 _NADIR_HEIGHTS = np.array([0.08, 0.25])
+# Where no estimate is so near to the optical axis, that is tried, too: many cameras look down, and craters that
+# are elongated alike by the light or by a common outline seem to be foreshortened.
+_MAX_OFF_AXIS_RAD = float(np.radians(15.0))
 # Divisor of the number of triples for verticals around the best estimate.
 _RING_DIVISOR = 4
 # When all that has found nothing, so many times as many triples are looked up with the best vertical, at the
@@ -146,13 +150,19 @@ class _Search:
         self.limits = PoseLimits(attitude, min_cos_turn, *options.altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
         self.largest = _largest(view, np.arange(self.n))
-        self.plausible = _largest(view, plausible_rims(view))
-        self.order = image_order(view, self.plausible, _ORDERED_RIMS)
+        self._take(_largest(view, plausible_rims(view)))
 
     def take_all_rims(self) -> None:
         """Begin hypotheses from all rims alike, those in excess of the size law too."""
-        self.plausible = self.largest
-        self.order = image_order(self.view, self.plausible, _ORDERED_RIMS)
+        self._take(self.largest)
+
+    def _take(self, plausible: IntArray) -> None:
+        """Begin hypotheses from these rims, the likeliest of them, and all."""
+        self.plausible = plausible
+        likely = likeliest(self.view, plausible, _ORDERED_RIMS)
+        self.order = image_order(self.view, likely, _ORDERED_RIMS)
+        groups = {len(rims): rims for rims in (likely, plausible, self.largest)}
+        self.groups = list(groups.values())
 
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
         """Expand a hypothesis; if its evidence is promising but too low, try variations of it."""
@@ -240,7 +250,7 @@ class _Search:
 
 def identify(
     ellipses_px: FloatArray, camera: Camera, index: TripleIndex, attitude: KnownAttitude | None = None,
-    options: IdentifyOptions = IdentifyOptions(),
+    options: IdentifyOptions = IdentifyOptions(), quality: FloatArray | None = None,
 ) -> Identification:  # fmt: skip
     """Identify the craters of an image's rims, and estimate the pose.
 
@@ -255,6 +265,8 @@ def identify(
     attitude : KnownAttitude, optional
         An exact attitude is used with a standard deviation of 1e-5 rad.
     options : IdentifyOptions
+    quality : ndarray, shape (n,), optional
+        Probability of each rim to be a crater's, above 0; 1 if not given. Only ratios matter to the evidence.
 
     Returns
     -------
@@ -279,7 +291,10 @@ def identify(
     threshold = -(options.log_chance if attitude is None else options.log_chance_attitude)
     best, found = -np.inf, list[_Expanded]()
     for factor, depth in _passes(index, attitude, options):
-        view = view_of(ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma)
+        view = view_of(
+            ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma,
+            options.centre_share, None if quality is None else quality[once],
+        )  # fmt: skip
         search = _Search(view, index, attitude, camera, options)
         first = factor == options.size_factors[0]
         # Single rims are many: they are tried once.
@@ -354,16 +369,12 @@ def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
 
 
 def _triples(search: _Search, projection: Projection, noise: float) -> Int32Array:
-    """Triples of rims, the most promising first: those of plausible rims and those of all in turn."""
+    """Triples of rims, the most promising first: those of each of the search's groups of rims in turn."""
     lists = [
-        image_triples(search.view, projection, rims, _PAIRED_NEIGHBOURS, noise)
-        for rims in ([search.plausible, search.largest])[: 1 + (len(search.plausible) < len(search.largest))]
+        image_triples(search.view, projection, rims, _PAIRED_NEIGHBOURS, noise) for rims in search.groups
     ]
-    if len(lists) == 1:
-        return lists[0]
-    few = min(len(one) for one in lists)
-    both = np.stack([one[:few] for one in lists], axis=1).reshape(-1, 3)
-    return np.concatenate([both, *(one[few:] for one in lists)])
+    turn = np.concatenate([np.arange(len(one)) for one in lists])
+    return np.concatenate(lists)[np.argsort(turn, kind="stable")]
 
 
 def _stages(search: _Search, depth: int) -> list[tuple[FloatArray, slice, float, int]]:
@@ -373,6 +384,8 @@ def _stages(search: _Search, depth: int) -> list[tuple[FloatArray, slice, float,
     largest = plausible[np.argsort(-view.radius_px[plausible])[:_NADIR_RIMS]]
     models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MIN_RIMS_OF_ONE_NADIR else 2)
     models = models[np.argsort(misfits)]
+    if models[:, 2].max() < np.cos(_MAX_OFF_AXIS_RAD):
+        models = np.insert(models, 1, [0.0, 0.0, 1.0, models[0, 3]], axis=0)
     tried = [(model, slice(options.triples)) for model in models]
     tried += [(model, slice(options.triples // _RING_DIVISOR)) for model in models_around(models[0])]
     candidates = [depth * count for count in options.candidates]
