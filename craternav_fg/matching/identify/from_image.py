@@ -78,7 +78,9 @@ def identify_image(
     for deep, detections in ((False, once), (True, again)):
         how = replace(options, deep=deep)
         for rims in detections:
-            found = identify_detected(rims.ellipses_px, rims.traced, camera, index, attitude, how, rims.quality)
+            found = identify_detected(
+                rims.ellipses_px, rims.traced, camera, index, attitude, how, rims.quality
+            )
             seconds += found.seconds
             if found.identified:
                 return rims, replace(found, seconds=seconds)

@@ -36,6 +36,9 @@ Int32Array = npt.NDArray[np.int32]
 # Squared distance in the index, in standard deviations, up to which a triple of craters is a candidate: with
 # five degrees of freedom, 97 % of the true ones.
 _MAX_DISTANCE2 = 12.0
+# Share of the index that is so near to a triple of rims, typically. Where fewer are, each is the more
+# significant.
+_TYPICAL_SHARE = 0.005
 # Other rims after which a hypothesis with a score that is not positive is given up.
 _PATIENCE = 3
 # Least share of a disc around a rim that counts as shown in the image: bounds the estimate of how many
@@ -118,6 +121,26 @@ def _project_all(
         log_size[i] = view.log_angle[i] + np.log(distance) - 0.5 * np.log(cos)
         m_per_px[i] = distance / np.sqrt(cos) / view.focal_px
     return X, log_size, m_per_px
+
+
+def largest(view: View, rims: IntArray, count: int) -> IntArray:
+    """Select the largest rims.
+
+    Parameters
+    ----------
+    view : View
+    rims : ndarray of int, shape (m,)
+    count : int
+        Largest number of them.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        In their order.
+    """
+    if len(rims) <= count:
+        return rims
+    return np.sort(rims[np.argsort(-view.radius_px[rims], kind="stable")[:count]])
 
 
 def likeliest(view: View, rims: IntArray, count: int) -> IntArray:
@@ -314,8 +337,17 @@ def _pose_of(
 
 
 @njit(cache=True, error_model="numpy")
+def _alike(found_d2: FloatArray, hits: int) -> float:
+    """Estimate the number of the index' triples within the largest distance from the nearest `hits`."""
+    if hits < found_d2.shape[0]:
+        return max(hits, 1.0)
+    # Their number grows with the volume in five dimensions.
+    return hits * (_MAX_DISTANCE2 / max(found_d2[0], 1e-3)) ** 2.5
+
+
+@njit(cache=True, error_model="numpy")
 def _crowding(craters: Craters, neighbours: Int32Array, crater: int) -> float:
-    """Density of craters around one over that of the whole body, by its farthest neighbour in the index."""
+    """Estimate the density of craters around one, over the whole body's, by its neighbours in the index."""
     count = 0
     away2 = 0.0
     for k in range(neighbours.shape[1]):
@@ -383,6 +415,7 @@ def search_triples(
         for k in range(3):
             weights[2 + k] = SIZE_UNIT / np.hypot(size_sigma(view, rims[k], sigma), side)
         hits = nearest(tree, query, weights, _MAX_DISTANCE2, found_d2, found)
+        rarity = -np.log(_alike(found_d2, hits) / (_TYPICAL_SHARE * tree.points.shape[0]))
         extent_px = perimeter / m_per_px[rims[0]] / 4.0
         for h in range(hits):
             code = np.int64(found[h])
@@ -406,6 +439,6 @@ def search_triples(
             score = support(
                 view, index, craters, order[rims[0]], pose, extent_px, LEVER, sigma, _PATIENCE, crowding
             )
-            pose[SCORE] = score - 0.5 * found_d2[h]
+            pose[SCORE] = score - 0.5 * found_d2[h] + rarity
             if pose[SCORE] > 0.0:
                 keep(pose, best)
