@@ -24,6 +24,8 @@ def identify_detected(
 ) -> Identification:
     """Identify detected rims: by those that were traced or, where they do not suffice, by all.
 
+    A deep search is by all at once.
+
     Parameters
     ----------
     ellipses_px : ndarray, shape (n, 5)
@@ -42,6 +44,9 @@ def identify_detected(
     Identification
         With one row for each of the n ellipses.
     """
+    if options.deep:
+        # The traced ones alone would take as long, and rarely answer where the others do not.
+        return identify(ellipses_px, camera, index, attitude, options, quality)
     of_traced = None if quality is None else quality[traced]
     found = identify(ellipses_px[traced], camera, index, attitude, options, of_traced)
     if not found.identified and not traced.all():
