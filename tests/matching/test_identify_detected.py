@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from craternav_fg.matching.identify import detected
 from craternav_fg.matching.identify.detected import identify_detected
+from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
@@ -47,3 +49,16 @@ def test_no_rims(index, view):
     found = identify_detected(np.empty((0, 5)), np.empty(0, bool), view.camera, index)
     assert not found.identified
     assert found.craters == ()
+
+
+def test_a_deep_search_is_by_all(index, view, monkeypatch):
+    asked = []
+
+    def noted(ellipses_px, *others):
+        asked.append(len(ellipses_px))
+        return identify(ellipses_px, *others)
+
+    monkeypatch.setattr(detected, "identify", noted)
+    traced = np.arange(len(view.ellipses_px)) < 6
+    identify_detected(view.ellipses_px, traced, view.camera, index, options=IdentifyOptions(deep=True))
+    assert asked == [len(traced)]

@@ -80,18 +80,29 @@ def test_less_likely_and_smaller_rims_come_last_and_without_an_answer_the_first_
     assert rims is mirrored
     assert len(found.rows) == len(mirrored.ellipses_px)
     assert [(sun is None, quality) for sun, quality in asked] == [
-        (True, None), (False, None), (False, (0.2, 5.0)), (False, (0.2, 5.0)),
+        (True, None), (False, None), (False, (0.05, 5.0)), (False, (0.05, 5.0)),
     ]  # fmt: skip
     assert asked[3][0] - asked[2][0] == pytest.approx(np.pi)
 
 
-def test_an_image_without_rims(index, view, detector):
+def test_the_sun_may_be_anywhere_in_an_image_without_rims(index, view, detector):
     asked, answers = detector
-    answers += [rims_of(np.empty((0, 5)))] * 2
+    right = rims_of(view.ellipses_px)
+    answers += [rims_of(np.empty((0, 5)))] * 4 + [right]
+    rims, found = identify_image(IMAGE, view.camera, index)
+    assert found.identified
+    assert rims is right
+    assert asked == [
+        (None, None), *((pytest.approx(0.5 * np.pi * k), (0.05, 5.0)) for k in range(4)),
+    ]  # fmt: skip
+
+
+def test_an_image_without_rims(index, view, detector):
+    _, answers = detector
+    answers += [rims_of(np.empty((0, 5)))] * 5
     rims, found = identify_image(IMAGE, view.camera, index)
     assert not found.identified
     assert len(rims.quality) == 0
-    assert asked == [(None, None), (None, (0.2, 5.0))]
 
 
 def test_rims_are_searched_deeper_once_no_others_are_found_at_once(index, view, detector, monkeypatch):
@@ -100,7 +111,7 @@ def test_rims_are_searched_deeper_once_no_others_are_found_at_once(index, view, 
     answers += [rims_of(view.ellipses_px[:n]) for n in (4, 5, 6, 7)]
     searched = []
 
-    def noted(ellipses_px, traced, camera, index, attitude, options):
+    def noted(ellipses_px, traced, camera, index, attitude, options, quality):
         searched.append((len(ellipses_px), options.deep))
         right = searched[-1] == (6, True)
         mirrored = view.mirrored()[: len(ellipses_px)]

@@ -10,7 +10,8 @@ The algorithm, in order, with the module of each step:
 3. `nadir`: most craters are nearly circular, so the common foreshortening of the rims shows the vertical.
 4. `triple_search`: with the vertical, rims are projected to the sphere up to scale. Triples of neighbouring
    rims are looked up in the index; each hit gives the altitude and a rotation, thus a pose (`hypothesis`).
-   The pose is scored by how many further rims it puts on craters of their size; the best poses are kept.
+   The pose is scored by how many further rims it puts on craters of their size, and how many craters there
+   are around; the best poses are kept. Likely rims come first, and count more.
 5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when
    triples gave no answer.
 6. `expand`: the best poses are refined by Gauss-Newton (`pose_fit`) on all rims that they explain, and rims

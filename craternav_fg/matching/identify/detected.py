@@ -20,8 +20,11 @@ def identify_detected(
     index: TripleIndex,
     attitude: KnownAttitude | None = None,
     options: IdentifyOptions = IdentifyOptions(),
+    quality: npt.NDArray[np.float64] | None = None,
 ) -> Identification:
     """Identify detected rims: by those that were traced or, where they do not suffice, by all.
+
+    A deep search is by all at once.
 
     Parameters
     ----------
@@ -33,15 +36,21 @@ def identify_detected(
     index : TripleIndex
     attitude : KnownAttitude, optional
     options : IdentifyOptions, optional
+    quality : ndarray, shape (n,), optional
+        See `search.identify`.
 
     Returns
     -------
     Identification
         With one row for each of the n ellipses.
     """
-    found = identify(ellipses_px[traced], camera, index, attitude, options)
+    if options.deep:
+        # The traced ones alone would take as long, and rarely answer where the others do not.
+        return identify(ellipses_px, camera, index, attitude, options, quality)
+    of_traced = None if quality is None else quality[traced]
+    found = identify(ellipses_px[traced], camera, index, attitude, options, of_traced)
     if not found.identified and not traced.all():
-        all_of = identify(ellipses_px, camera, index, attitude, options)
+        all_of = identify(ellipses_px, camera, index, attitude, options, quality)
         return replace(all_of, seconds=found.seconds + all_of.seconds)
     places = np.flatnonzero(traced)
     craters: list[str | None] = [None] * len(ellipses_px)

@@ -1,9 +1,11 @@
 """Evidence of a pose: how much more probable the image is as a view from it than as a set of false rims.
 
 From a pose, each visible crater is found with an unknown probability (uniform prior), and all other rims are
-false (see `chance`). The ratio of the two densities is averaged over the poses that were possible before the
-image was seen, by Laplace's approximation at the best one. Over images of false rims the ratio has the mean
-1, so by Markov's inequality it exceeds L with a probability of at most 1 / L.
+false (see `chance`). Where the detector states how likely each rim is a crater's, rims of craters are more
+frequent among the likely ones in proportion, and false rims are as frequent among all. The ratio of the two
+densities is averaged over the poses that were possible before the image was seen, by Laplace's approximation
+at the best one. Over images of false rims the ratio has the mean 1, so by Markov's inequality it exceeds L
+with a probability of at most 1 / L.
 """
 
 from math import lgamma
@@ -180,7 +182,7 @@ def log_evidence(
             continue
         place[i] = e[0] * e[0] + e[1] * e[1]
         shape[i] = e[2] * e[2] + e[3] * e[3] + e[4] * e[4]
-        rest[i] = -2.5 * _LOG_2PI - np.log(n)
+        rest[i] = -2.5 * _LOG_2PI - np.log(view.quality.sum() / view.quality[i])
         for r in range(5):
             rest[i] += np.log(view.precision[i, r])
         c = craters.centres[match[i]]

@@ -25,7 +25,7 @@ from craternav_fg.matching.identify.pose_fit import (
     fit_pose,
     pack_rims,
 )
-from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, CENTRE_SIGMA_SHARE, View
+from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, View
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert
 
@@ -123,6 +123,7 @@ def associate(
     e = np.empty(5)
     found = np.empty(_MAX_CANDIDATES, dtype=np.int64)
     pairs = 0
+    total = view.quality.sum()
     for i in range(n):
         match[i] = -1
         weight[i] = -np.inf
@@ -130,7 +131,8 @@ def associate(
         if not seen:
             continue
         place2, size2 = _prediction_variances(view, i, scale, covariance)
-        place_px = np.sqrt(sigma[0] ** 2 + (CENTRE_SIGMA_SHARE * view.radius_px[i]) ** 2 + place2)
+        unit2 = 1.0 + (view.centre_share * view.radius_px[i]) ** 2
+        place_px = np.sqrt(sigma[0] ** 2 * unit2 + place2)
         gate_px = min(_GATE_SIGMAS * place_px, _MAX_GATE_PX) + _CENTRE_OFFSET_SHARE * view.radius_px[i]
         shape2 = shape_scale(view, i, sigma) ** 2
         share2 = shape2 * (AXIS_SIGMA_PX / view.radius_px[i]) ** 2 + size2
@@ -141,12 +143,12 @@ def associate(
         )
         if count == _MAX_CANDIDATES:
             continue
-        place_var, size_var = sigma[0] ** 2 + place2, shape2 + size2 * view.radius_px[i] ** 2
+        place_var, size_var = sigma[0] ** 2 + place2 / unit2, shape2 + size2 * view.radius_px[i] ** 2
         density = -2.5 * _LOG_2PI - np.log(place_var) - 0.5 * np.log(size_var) - np.log(shape2)
         for r in range(5):
             density += np.log(view.precision[i, r])
         # Relative to a rim that is false.
-        density -= np.log(n) + chance[i] + LOG_FALSE
+        density -= np.log(total / view.quality[i]) + chance[i] + LOG_FALSE
         rest = 1.0
         for k in range(count):
             if not chart_errors(view, i, craters, found[k], R, P, e):

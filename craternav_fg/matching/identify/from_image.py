@@ -2,8 +2,9 @@
 
 On real ground, ridges and domes can look like craters that are lit from the opposite side, most craters are
 worn, and plains have small ones only. If the rims found at first cannot be identified, those lit from the
-opposite side are detected, then less likely and smaller ones from both sides. Where no rims can be identified
-at once, all of them are searched deeper, in the same order. An answer needs the same evidence each time.
+opposite side are detected, then unlikely and smaller ones from both sides; from all four sides if none were
+found at first, for then nothing shows where the sun is. Where no rims can be identified at once, all of them
+are searched deeper, in the same order. An answer needs the same evidence each time.
 """
 
 from collections.abc import Iterator
@@ -27,11 +28,13 @@ from craternav_fg.vision.network_detect import find_rims_network
 _SIZE_FACTORS = (1.0, 1.12, 1.25)
 # And the scatter of the logarithms about that median, which was 0.03 to 0.18.
 _SIZE_SIGMA = 0.1
-# Their centres scatter by 0.5 to 4 px. A level of 6 px takes most of the time of a search.
+# Their centres scatter in proportion to the radius, of any size from 8 to 60 px: by 0.1 of it per coordinate.
+_CENTRE_SHARE = 0.12
+# And at least by 0.5 px. A level of 6 px takes most of the time of a search.
 _NOISE_LEVELS_PX, _CANDIDATES = (1.0, 3.0), (16, 48)
-# Where likelier rims do not suffice: the minimum quality, at which half of the rims are no craters, and the
-# radius of the smallest. Above a plain at 200 km few craters are larger.
-_UNLIKELY = BlindOptions(min_quality=0.2, min_radius_px=5.0)
+# Where likelier rims do not suffice: the minimum quality, and the radius of the smallest. Above a plain at
+# 200 km few craters are larger. Most of these rims are no craters, but identification knows their quality.
+_UNLIKELY = BlindOptions(min_quality=0.05, min_radius_px=5.0)
 
 
 def identify_image(
@@ -51,7 +54,7 @@ def identify_image(
     index : TripleIndex
     attitude : KnownAttitude, optional
     options : IdentifyOptions, optional
-        Except `size_factors`, `size_sigma`, `noise_levels_px`, `candidates` and `deep`.
+        Except `size_factors`, `size_sigma`, `centre_share`, `noise_levels_px`, `candidates` and `deep`.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def identify_image(
     """
     options = replace(
         options, size_factors=_SIZE_FACTORS, size_sigma=_SIZE_SIGMA, noise_levels_px=_NOISE_LEVELS_PX,
-        candidates=_CANDIDATES,
+        candidates=_CANDIDATES, centre_share=_CENTRE_SHARE,
     )  # fmt: skip
     first: tuple[FoundRims, Identification] | None = None
     seconds = 0.0
@@ -77,7 +80,9 @@ def identify_image(
     for deep, detections in ((False, once), (True, again)):
         how = replace(options, deep=deep)
         for rims in detections:
-            found = identify_detected(rims.ellipses_px, rims.traced, camera, index, attitude, how)
+            found = identify_detected(
+                rims.ellipses_px, rims.traced, camera, index, attitude, how, rims.quality
+            )
             seconds += found.seconds
             if found.identified:
                 return rims, replace(found, seconds=seconds)
@@ -90,10 +95,10 @@ def _detections(image: npt.NDArray[np.generic]) -> Iterator[FoundRims]:
     """Detect rims, under the likeliest assumptions first."""
     rims = find_rims_network(image)
     yield rims
-    sides = [float("nan")]
+    sides = [0.5 * np.pi * quarter for quarter in range(4)]
     if len(rims.quality):
-        towards = rims.local_sun_angles_rad[np.argmax(rims.quality)]
-        sides = [float(towards), float(towards + np.pi)]
+        towards = float(rims.local_sun_angles_rad[np.argmax(rims.quality)])
+        sides = [towards, towards + np.pi]
         yield find_rims_network(image, sides[1])
     for towards in sides:
-        yield find_rims_network(image, None if np.isnan(towards) else towards, _UNLIKELY)
+        yield find_rims_network(image, towards, _UNLIKELY)

@@ -21,11 +21,11 @@ IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
 SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14, 17, 20
-# Most rims by which a hypothesis is scored.
+# Most craters, as expected among the rims, by which a hypothesis is scored.
 SCORED_RIMS = 14
-# Penalty on the score for a rim without a crater, about ln 2: one rim in two may be false or be missing from
-# the catalogue.
-_MISS_PENALTY = 0.7
+# Share of the image's craters that fall on craters of the catalogue at the right pose: the others are missing
+# from it, or are not where it puts them.
+_SHARE_IN_CATALOG = 0.5
 # Gate on a rim's place and size, in standard deviations.
 _GATE_SIGMAS = 3.0
 # Additions to the gates for what no noise accounts for: that an ellipse's centre is not the image of the
@@ -157,7 +157,7 @@ def project_to_sphere(view: View, i: int, pose: FloatArray, X: FloatArray) -> tu
 @njit(cache=True, error_model="numpy")
 def support(
     view: View, index: SphereIndex, craters: Craters, order: Int32Array, pose: FloatArray, extent_px: float,
-    lever: float, sigma: float, patience: int,
+    lever: float, sigma: float, patience: float, crowding: float,
 ) -> float:  # fmt: skip
     """Score a hypothesis: how improbable it is by chance that so many rims fall on craters of their size.
 
@@ -176,8 +176,11 @@ def support(
         Further error of a predicted place, over its distance in the image from the hypothesis' own rims.
     sigma : float
         Noise of the centres, px.
-    patience : int
-        Rims after which the scoring ends when the score is not positive.
+    patience : float
+        Expected number of craters among the rims asked after which the scoring ends when the score is not
+        positive.
+    crowding : float
+        Density of craters there over that of the whole body.
 
     Returns
     -------
@@ -188,7 +191,7 @@ def support(
     # Room for one: whether there is a crater, not how many.
     found = np.empty(1, dtype=np.int64)
     score = 0.0
-    asked = 0
+    asked = 0.0
     hits = 0
     u0, v0, used = 0.0, 0.0, 0
     for k in range(3):
@@ -209,19 +212,19 @@ def support(
         seen, size, scale = project_to_sphere(view, i, pose, X)
         if not seen:
             continue
-        asked += 1
+        asked += view.quality[i]
         away = np.sqrt((view.points_px[i, 0] - u0) ** 2 + (view.points_px[i, 1] - v0) ** 2)
         gate_px = _GATE_PX + _GATE_SIGMAS * sigma * np.sqrt(1.0 + (away / extent_px) ** 2) + lever * away
         slack = _GATE_LOG_SIZE + _GATE_SIGMAS * size_sigma(view, i, sigma)
         angle = gate_px * scale / (view.focal_px * pose[SPHERE])
-        chance = density(craters, size - slack, size + slack) * np.pi * angle * angle
+        chance = crowding * density(craters, size - slack, size + slack) * np.pi * angle * angle
         if chance < 1.0:
+            true = _SHARE_IN_CATALOG * view.quality[i]
+            score += np.log(1.0 - true)
             if within(index, X[0], X[1], X[2], angle, size - slack, size + slack, found):
                 hits += 1
-                score -= np.log(chance)
-            else:
-                score -= _MISS_PENALTY * (1.0 - chance)
-        if asked == SCORED_RIMS or (asked >= patience and score <= 0.0):
+                score += np.log(1.0 + true / ((1.0 - true) * chance))
+        if asked >= SCORED_RIMS or (asked >= patience and score <= 0.0):
             break
     return score if hits else -1.0
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from craternav_fg.matching.identify.view import SIZE_SHARE
+from craternav_fg.matching.identify.view import CENTRE_SHARE, SIZE_SHARE
 from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX
 
 
@@ -27,6 +27,8 @@ class IdentifyOptions:
     size_sigma : float
         Relative standard deviation of the sizes beside the noise, before it is estimated: irregular outlines,
         and the map's ellipses or circles.
+    centre_share : float
+        Standard deviation of the centres beside the noise: the noise times this times the radius, px.
     deep : bool
         Whether candidates are multiplied by the millions of triples in the index, for rims to which a plain
         search gave no answer. Nothing is searched where that would be the same: in a smaller index, or with a
@@ -58,6 +60,7 @@ class IdentifyOptions:
     candidates: tuple[int, ...] = (16, 48, 160)
     size_factors: tuple[float, ...] = (1.0,)
     size_sigma: float = SIZE_SHARE
+    centre_share: float = CENTRE_SHARE
     deep: bool = False
     triples: int = 96
     tried: int = 3_000_000

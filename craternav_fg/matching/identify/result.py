@@ -1,6 +1,7 @@
 """Result of identification."""
 
 import math
+import time
 from dataclasses import dataclass
 from enum import Enum
 
@@ -70,3 +71,24 @@ class Identification:
     def identified(self) -> bool:
         """Whether there is an answer."""
         return self.status is Status.IDENTIFIED
+
+
+def no_answer(n: int, status: Status, reason: str, log_chance: float, began: float) -> Identification:
+    """Make a result without matches and pose.
+
+    Parameters
+    ----------
+    n : int
+        Number of rims.
+    status : Status
+    reason : str
+    log_chance : float
+        See `Identification`.
+    began : float
+        Time at which identification began, by `time.perf_counter`.
+    """
+    empty = np.full((4, 4), np.nan)
+    return Identification(
+        status, reason, (None,) * n, np.full(n, -1), empty, empty, np.full((6, 6), np.nan), log_chance,
+        np.nan, time.perf_counter() - began,
+    )  # fmt: skip

@@ -31,7 +31,7 @@ from craternav_fg.matching.identify.nadir import models_around, nadirs
 from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.refine import refine
-from craternav_fg.matching.identify.result import Identification, Status
+from craternav_fg.matching.identify.result import Identification, Status, no_answer
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
 from craternav_fg.matching.identify.size_excess import plausible_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -39,6 +39,8 @@ from craternav_fg.matching.identify.triple_search import (
     Projection,
     image_order,
     image_triples,
+    largest,
+    likeliest,
     project_all_to_sphere,
     search_triples,
 )
@@ -68,6 +70,9 @@ _MIN_RIMS_OF_ONE_NADIR = 15
 # tried for it: the foreshortening depends only weakly on the altitude.
 _NADIR_RIMS = 40
 _NADIR_HEIGHTS = np.array([0.08, 0.25])
+# Where no estimate is so near to the optical axis, that is tried, too: many cameras look down, and craters
+# that the light makes elongated alike seem to be foreshortened.
+_MAX_OFF_AXIS_RAD = float(np.radians(15.0))
 # Divisor of the number of triples for verticals around the best estimate.
 _RING_DIVISOR = 4
 # When all that has found nothing, so many times as many triples are looked up with the best vertical, at the
@@ -90,6 +95,9 @@ _MIN_SCORE = 4.0
 # that the image does not show, hypotheses of the right craters have scores of 1 to 3: others would end there.
 _DEEP_EXPANDED_PER_ROUND = 24
 _DEEP_MIN_SCORE = 1.0
+# And the factor on the number of candidates of the first triples, which halves from expansion to expansion:
+# the most promising triples are right most often, but often not with their nearest candidates.
+_FIRST_FACTOR = 8
 # Triples of an index for which the options' number of candidates is meant.
 _TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
@@ -117,13 +125,6 @@ class _Expanded:
     log_ratio: float
 
 
-def _largest(view: View, rims: IntArray) -> IntArray:
-    """Select the largest rims, in their order, when there are more than hypotheses can begin with."""
-    if len(rims) <= _MAX_RIMS:
-        return rims
-    return np.sort(rims[np.argsort(-view.radius_px[rims], kind="stable")[:_MAX_RIMS]])
-
-
 class _Search:
     """Data of one call that every step needs."""
 
@@ -145,14 +146,16 @@ class _Search:
             min_cos_turn = float(np.cos(_MAX_TURN_RAD + _ATTITUDE_SIGMAS * self.sigma_rad))
         self.limits = PoseLimits(attitude, min_cos_turn, *options.altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
-        self.largest = _largest(view, np.arange(self.n))
-        self.plausible = _largest(view, plausible_rims(view))
-        self.order = image_order(view, self.plausible, _ORDERED_RIMS)
+        self.largest = largest(view, np.arange(self.n), _MAX_RIMS)
+        self.begin_with(largest(view, plausible_rims(view), _MAX_RIMS))
 
-    def take_all_rims(self) -> None:
-        """Begin hypotheses from all rims alike, those in excess of the size law too."""
-        self.plausible = self.largest
-        self.order = image_order(self.view, self.plausible, _ORDERED_RIMS)
+    def begin_with(self, plausible: IntArray) -> None:
+        """Begin hypotheses from these rims, the likeliest of them, and all."""
+        self.plausible = plausible
+        likely = likeliest(self.view, plausible, _ORDERED_RIMS)
+        self.order = image_order(self.view, likely, _ORDERED_RIMS)
+        groups = {len(rims): rims for rims in (likely, plausible, self.largest)}
+        self.groups = list(groups.values())
 
     def expand(self, hypothesis: FloatArray, noise: float) -> _Expanded | None:
         """Expand a hypothesis; if its evidence is promising but too low, try variations of it."""
@@ -240,7 +243,7 @@ class _Search:
 
 def identify(
     ellipses_px: FloatArray, camera: Camera, index: TripleIndex, attitude: KnownAttitude | None = None,
-    options: IdentifyOptions = IdentifyOptions(),
+    options: IdentifyOptions = IdentifyOptions(), quality: FloatArray | None = None,
 ) -> Identification:  # fmt: skip
     """Identify the craters of an image's rims, and estimate the pose.
 
@@ -255,6 +258,8 @@ def identify(
     attitude : KnownAttitude, optional
         An exact attitude is used with a standard deviation of 1e-5 rad.
     options : IdentifyOptions
+    quality : ndarray, shape (n,), optional
+        Probability of each rim to be a crater's, above 0; 1 if not given. Only ratios matter to the evidence.
 
     Returns
     -------
@@ -275,11 +280,14 @@ def identify(
     once = distinct_rows(ellipses)
     if len(once) < _MIN_RIMS:
         reason = f"found {len(once)} rims, expected {_MIN_RIMS} or more"
-        return _no_answer(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
+        return no_answer(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
     threshold = -(options.log_chance if attitude is None else options.log_chance_attitude)
     best, found = -np.inf, list[_Expanded]()
     for factor, depth in _passes(index, attitude, options):
-        view = view_of(ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma)
+        view = view_of(
+            ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma,
+            options.centre_share, None if quality is None else quality[once],
+        )  # fmt: skip
         search = _Search(view, index, attitude, camera, options)
         first = factor == options.size_factors[0]
         # Single rims are many: they are tried once.
@@ -293,10 +301,10 @@ def identify(
             break
     else:
         reason = "no pose puts more rims on craters of their size than chance does"
-        return _no_answer(n, Status.NO_ANSWER, reason, -best if np.isfinite(best) else 0.0, began)
+        return no_answer(n, Status.NO_ANSWER, reason, -best if np.isfinite(best) else 0.0, began)
     if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
         reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} times as probable"
-        return _no_answer(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
+        return no_answer(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
     return _answer(search.best_variation(found[0]), search, once, n, camera, began)
 
 
@@ -320,7 +328,7 @@ def _expanded(search: _Search, depth: int, singles: bool) -> list[_Expanded]:
     threshold = -search.options.log_chance
     if len(search.plausible) < search.n and not (found and found[0].log_ratio >= threshold):
         # Real images have many large craters, too: the excess may be these.
-        search.take_all_rims()
+        search.begin_with(search.largest)
         found = sorted(found + _by_triples(search, depth), key=lambda one: -one.log_ratio)
     if singles and not (found and found[0].log_ratio >= threshold):
         found = _by_single_rims(search, found)
@@ -342,9 +350,11 @@ def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
         triples = _triples(search, projection, noise)[tried]
         best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
         for start in range(0, len(triples), _LOOKED_UP):
+            more = max(_FIRST_FACTOR >> start // _LOOKED_UP, 1) if depth > 1 else 1
             search_triples(
                 view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
-                triples[start : start + _LOOKED_UP], search.order, noise, candidates, search.limits, best,
+                triples[start : start + _LOOKED_UP], search.order, noise, more * candidates, search.limits,
+                best,
             )  # fmt: skip
             expanded, enough = search.expand_best(best, count, min_score, noise)
             if enough:
@@ -354,25 +364,23 @@ def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
 
 
 def _triples(search: _Search, projection: Projection, noise: float) -> Int32Array:
-    """Triples of rims, the most promising first: those of plausible rims and those of all in turn."""
+    """Triples of rims, the most promising first: those of each of the search's groups of rims in turn."""
     lists = [
-        image_triples(search.view, projection, rims, _PAIRED_NEIGHBOURS, noise)
-        for rims in ([search.plausible, search.largest])[: 1 + (len(search.plausible) < len(search.largest))]
+        image_triples(search.view, projection, rims, _PAIRED_NEIGHBOURS, noise) for rims in search.groups
     ]
-    if len(lists) == 1:
-        return lists[0]
-    few = min(len(one) for one in lists)
-    both = np.stack([one[:few] for one in lists], axis=1).reshape(-1, 3)
-    return np.concatenate([both, *(one[few:] for one in lists)])
+    turn = np.concatenate([np.arange(len(one)) for one in lists])
+    return np.concatenate(lists)[np.argsort(turn, kind="stable")]
 
 
 def _stages(search: _Search, depth: int) -> list[tuple[FloatArray, slice, float, int]]:
     """Vertical and altitude (4,), which triples, noise, and candidates per triple, in the order tried."""
     view, options = search.view, search.options
     plausible = search.plausible
-    largest = plausible[np.argsort(-view.radius_px[plausible])[:_NADIR_RIMS]]
-    models, misfits = nadirs(view, largest, _NADIR_HEIGHTS, 1 if search.n >= _MIN_RIMS_OF_ONE_NADIR else 2)
+    by_size = plausible[np.argsort(-view.radius_px[plausible])[:_NADIR_RIMS]]
+    models, misfits = nadirs(view, by_size, _NADIR_HEIGHTS, 1 if search.n >= _MIN_RIMS_OF_ONE_NADIR else 2)
     models = models[np.argsort(misfits)]
+    if models[:, 2].max() < np.cos(_MAX_OFF_AXIS_RAD):
+        models = np.insert(models, 1, [0.0, 0.0, 1.0, models[0, 3]], axis=0)
     tried = [(model, slice(options.triples)) for model in models]
     tried += [(model, slice(options.triples // _RING_DIVISOR)) for model in models_around(models[0])]
     candidates = [depth * count for count in options.candidates]
@@ -488,12 +496,3 @@ def _unknown_intrinsics(
         focal_scale_sigma=_INTRINSICS_SPREAD * fit.focal_scale_sigma,
         principal_covariance_px2=_INTRINSICS_SPREAD**2 * fit.principal_covariance_px2,
     )
-
-
-def _no_answer(n: int, status: Status, reason: str, log_chance: float, began: float) -> Identification:
-    """Make a result without matches and pose."""
-    empty = np.full((4, 4), np.nan)
-    return Identification(
-        status, reason, (None,) * n, np.full(n, -1), empty, empty, np.full((6, 6), np.nan), log_chance,
-        np.nan, time.perf_counter() - began,
-    )  # fmt: skip

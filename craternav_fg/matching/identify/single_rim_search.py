@@ -112,7 +112,7 @@ def search_single_rims(
             for k in range(3):
                 pose[RIMS + k] = -1.0
             pose[RIMS], pose[CRATERS] = i, crater
-            score = support(view, index, craters, order[i], pose, np.inf, lever, sigma, patience)
+            score = support(view, index, craters, order[i], pose, np.inf, lever, sigma, patience, 1.0)
             pose[SCORE] = score - 0.5 * shape2
             if pose[SCORE] > best[:, SCORE].min():
                 keep(pose, best)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from craternav_fg.catalogs.sphere_index import SphereIndex
-from craternav_fg.matching.identify.craters import Craters
+from craternav_fg.matching.identify.craters import Craters, density
 from craternav_fg.matching.identify.hypothesis import (
     CRATERS,
     HYPOTHESIS,
@@ -36,6 +36,9 @@ Int32Array = npt.NDArray[np.int32]
 # Squared distance in the index, in standard deviations, up to which a triple of craters is a candidate: with
 # five degrees of freedom, 97 % of the true ones.
 _MAX_DISTANCE2 = 12.0
+# Share of the index that is so near to a triple of rims, typically. Where fewer are, each is the more
+# significant.
+_TYPICAL_SHARE = 0.005
 # Other rims after which a hypothesis with a score that is not positive is given up.
 _PATIENCE = 3
 # Least share of a disc around a rim that counts as shown in the image: bounds the estimate of how many
@@ -49,6 +52,10 @@ _MIN_COS_SLANT = 0.1
 SIDE_ERROR = 0.02
 # Share of the distance from a triple by which its pose predicts other rims wrongly.
 LEVER = 0.05
+# Density of craters somewhere over that of the whole body: so many neighbours do not show more than this.
+_MAX_CROWDING = 10.0
+# Divisor of the number of rims that are the likeliest.
+_LIKELY_DIVISOR = 3
 # Factor from the noise of one centre to that of the distance between two.
 _PAIR_NOISE = 1.4
 # Least ratio of twice a triple's area to the product of two sides: flatter triples give no rotation.
@@ -116,6 +123,47 @@ def _project_all(
     return X, log_size, m_per_px
 
 
+def largest(view: View, rims: IntArray, count: int) -> IntArray:
+    """Select the largest rims.
+
+    Parameters
+    ----------
+    view : View
+    rims : ndarray of int, shape (m,)
+    count : int
+        Largest number of them.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        In their order.
+    """
+    if len(rims) <= count:
+        return rims
+    return np.sort(rims[np.argsort(-view.radius_px[rims], kind="stable")[:count]])
+
+
+def likeliest(view: View, rims: IntArray, count: int) -> IntArray:
+    """Select a third of some rims, at least `count`, that are the likeliest craters.
+
+    Parameters
+    ----------
+    view : View
+    rims : ndarray of int, shape (m,)
+    count : int
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        In their order, with others that are as likely.
+    """
+    count = max(count, len(rims) // _LIKELY_DIVISOR)
+    if len(rims) <= count:
+        return rims
+    quality = view.quality[rims]
+    return rims[quality >= np.partition(quality, -count)[-count]]
+
+
 def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
     """Order the rims around each rim by their distance in the image.
 
@@ -141,9 +189,9 @@ def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
 def image_triples(view: View, projection: Projection, rims: IntArray, count: int, sigma: float) -> Int32Array:
     """Form triples of rims as the index forms triples of craters.
 
-    Two things decide the order. The index holds a triple only when few craters are nearer to its first one;
-    the share of the surroundings that the image shows tells how many may be hidden. And a triple with small
-    relative errors has fewer candidates.
+    Three things decide the order. The index holds a triple only when few craters are nearer to its first one;
+    the share of the surroundings that the image shows tells how many may be hidden. A triple with small
+    relative errors has fewer candidates. And all three rims must be craters.
 
     Parameters
     ----------
@@ -177,7 +225,9 @@ def image_triples(view: View, projection: Projection, rims: IntArray, count: int
     reach_px = np.sqrt(d2) / m_per_px[:, None]
     shown = _shown(view, rims, np.where(np.isfinite(reach_px), reach_px, 0.0))
     nearer = (np.arange(1, near.shape[1] + 1) / shown)[:, second].ravel()[there]
-    triples = np.stack([i, j, k], axis=-1)[np.argsort(doubt + nearer, kind="stable")]
+    triples = np.stack([i, j, k], axis=-1)
+    doubt -= np.log(view.quality[rims])[triples].sum(axis=-1)
+    triples = triples[np.argsort(doubt + nearer, kind="stable")]
     return rims[triples].astype(np.int32)
 
 
@@ -287,6 +337,34 @@ def _pose_of(
 
 
 @njit(cache=True, error_model="numpy")
+def _alike(found_d2: FloatArray, hits: int) -> float:
+    """Estimate the number of the index' triples within the largest distance from the nearest `hits`."""
+    if hits < found_d2.shape[0]:
+        return max(hits, 1.0)
+    # Their number grows with the volume in five dimensions.
+    return hits * (_MAX_DISTANCE2 / max(found_d2[0], 1e-3)) ** 2.5
+
+
+@njit(cache=True, error_model="numpy")
+def _crowding(craters: Craters, neighbours: Int32Array, crater: int) -> float:
+    """Estimate the density of craters around one, over the whole body's, by its neighbours in the index."""
+    count = 0
+    away2 = 0.0
+    for k in range(neighbours.shape[1]):
+        if neighbours[crater, k] < 0:
+            break
+        count += 1
+        away2, range2 = 0.0, 0.0
+        for r in range(3):
+            away2 += (craters.centres[neighbours[crater, k], r] - craters.centres[crater, r]) ** 2
+            range2 += craters.centres[crater, r] ** 2
+        away2 /= range2
+    least = craters.log_size[crater] + np.log(SMALLEST)
+    expected = density(craters, least, np.inf) * np.pi * away2
+    return min(max(count / expected, 1.0 / _MAX_CROWDING), _MAX_CROWDING) if expected > 0.0 else 1.0
+
+
+@njit(cache=True, error_model="numpy")
 def search_triples(
     view: View, index: SphereIndex, craters: Craters, neighbours: Int32Array, tree: Tree,
     projection: Projection, triples: Int32Array, order: Int32Array, sigma: float, candidates: int,
@@ -337,6 +415,7 @@ def search_triples(
         for k in range(3):
             weights[2 + k] = SIZE_UNIT / np.hypot(size_sigma(view, rims[k], sigma), side)
         hits = nearest(tree, query, weights, _MAX_DISTANCE2, found_d2, found)
+        rarity = -np.log(_alike(found_d2, hits) / (_TYPICAL_SHARE * tree.points.shape[0]))
         extent_px = perimeter / m_per_px[rims[0]] / 4.0
         for h in range(hits):
             code = np.int64(found[h])
@@ -356,7 +435,10 @@ def search_triples(
                 continue
             if not allowed(pose, limits):
                 continue
-            score = support(view, index, craters, order[rims[0]], pose, extent_px, LEVER, sigma, _PATIENCE)
-            pose[SCORE] = score - 0.5 * found_d2[h]
+            crowding = _crowding(craters, neighbours, triple[0])
+            score = support(
+                view, index, craters, order[rims[0]], pose, extent_px, LEVER, sigma, _PATIENCE, crowding
+            )
+            pose[SCORE] = score - 0.5 * found_d2[h] + rarity
             if pose[SCORE] > 0.0:
                 keep(pose, best)

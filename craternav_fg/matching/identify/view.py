@@ -19,7 +19,7 @@ _BORDER_POINTS = 9
 CENTRE_SIGMA_PX, AXIS_SIGMA_PX = 1.0, 0.5
 # The centre's standard deviation that grows with the rim, over its radius: catalogued centres and irregular
 # outlines are off by about a percent of the size.
-CENTRE_SIGMA_SHARE = 0.01
+CENTRE_SHARE = 0.01
 # Relative standard deviation of the sizes beside the noise: of ellipses against a catalogue of ellipses.
 SIZE_SHARE = 0.02
 
@@ -56,9 +56,16 @@ class View(NamedTuple):
     """Principal point, shape (2,)."""
     size_share: float
     """Relative standard deviation of the sizes beside the noise, see `IdentifyOptions`."""
+    centre_share: float
+    """Standard deviation of the centres beside the noise, over the radius, see `IdentifyOptions`."""
+    quality: FloatArray
+    """Probability of each rim to be a crater's, shape (n,)."""
 
 
-def view_of(ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SHARE) -> View:
+def view_of(
+    ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SHARE,
+    centre_share: float = CENTRE_SHARE, quality: FloatArray | None = None,
+) -> View:  # fmt: skip
     """Remove the lens distortion from an image's ellipses.
 
     Parameters
@@ -66,8 +73,10 @@ def view_of(ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SH
     ellipses_px : ndarray, shape (n, 5)
         Centre, semi-axes, angle of the first axis from x towards y, rad; px, as seen in the image.
     camera : Camera
-    size_share : float, optional
+    size_share, centre_share : float, optional
         See `View`.
+    quality : ndarray, shape (n,), optional
+        See `View`; 1 if not given.
 
     Returns
     -------
@@ -80,7 +89,7 @@ def view_of(ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SH
     length = np.linalg.norm(rays, axis=1)
     fx, fy = camera.fx_px, camera.fy_px
     radius_px = np.sqrt(l11 * l22 * fx * fy)
-    centre_px = np.hypot(CENTRE_SIGMA_PX, CENTRE_SIGMA_SHARE * radius_px)
+    centre_px = np.hypot(CENTRE_SIGMA_PX, centre_share * radius_px)
     # Relative errors of L, the lower triangular root of S: of its diagonal those of the axes; of the element
     # below, twice the variance, so that errors of a circle do not depend on direction.
     below = l11 / l22 * radius_px / (np.sqrt(2.0) * AXIS_SIGMA_PX)
@@ -103,6 +112,8 @@ def view_of(ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SH
         fy_px=fy,
         principal_px=np.array([camera.cx_px, camera.cy_px]),
         size_share=size_share,
+        centre_share=centre_share,
+        quality=np.ones(len(charts)) if quality is None else ordered(quality),
     )
 
 
