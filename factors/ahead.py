@@ -33,8 +33,8 @@ class Ahead:
         self._keys: list[int] = []
         self._data: list[FloatArray] = []
         self._views: list[list[FloatArray]] = []
-        # Of the values last seen: the keys of all poses, and which of them the frames have.
-        self._poses: list[int] = []
+        # Keys of the values last seen, and which of their poses the frames have.
+        self._seen: list[int] = []
         self._rows = np.empty(0, dtype=np.int64)
         self._arrays: tuple[FloatArray, npt.NDArray[np.int64], FloatArray] | None = None
 
@@ -94,13 +94,14 @@ class Ahead:
 
     def _found(self, values: gtsam.Values) -> bool:
         """Look up the frames' poses; False where one is missing."""
-        keys: list[Any] = list(gtsam.utilities.allPose3s(values).keys())
-        if keys != self._poses or len(self._rows) != len(self._keys):
-            places = {key: place for place, key in enumerate(keys)}
+        keys: list[Any] = list(values.keys())
+        if keys != self._seen or len(self._rows) != len(self._keys):
+            # Looking for poses among all values takes as long as a rim for each of them.
+            places = {key: place for place, key in enumerate(gtsam.utilities.allPose3s(values).keys())}
             rows = [places.get(key, -1) for key in self._keys]
             if min(rows) < 0:
                 return False
-            self._poses, self._rows = keys, np.array(rows, dtype=np.int64)
+            self._seen, self._rows = keys, np.array(rows, dtype=np.int64)
         return True
 
     def _joined(self) -> tuple[FloatArray, npt.NDArray[np.int64], FloatArray]:

@@ -53,10 +53,11 @@ def factor_floor(bench: Bench, repetitions: int = 31) -> Ratio:
     ours = FactorGraph()
     for i, frame in enumerate(problem.frames):
         add_frame(ours, problem, GraphOptions(), X(i), frame)
+    poses = gtsam.Values(values)
     reference = projection_factors(bench, values)
-    with ours.ahead.at(values, linearise=True):
+    with ours.ahead.at(poses, linearise=True):
         return interleaved(
-            lambda: gtsam.NonlinearFactorGraph.linearize(ours, values),
+            lambda: gtsam.NonlinearFactorGraph.linearize(ours, poses),
             lambda: reference.linearize(values),
             repetitions,
         )
