@@ -2,7 +2,7 @@
 
 import os
 
-from craternav_fg.cli.ending import one_line_endings
+from craternav_fg.cli.ending import ended_by_a_signal, leave, one_line_endings
 
 
 def main() -> None:
@@ -10,8 +10,13 @@ def main() -> None:
     # Our matrices are small: threads of linear algebra would wait for each other most of the time, and keep
     # the cores busy meanwhile. It is read when numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with one_line_endings():
-        # Ctrl-C during the import ends in one line, too.
-        from craternav_fg.cli.app import run
+    try:
+        with one_line_endings():
+            # Ctrl-C during the import ends in one line, too.
+            from craternav_fg.cli.app import run
 
-        run()
+            run()
+    except SystemExit as end:
+        if ended_by_a_signal(end):
+            leave(end)
+        raise

@@ -75,6 +75,21 @@ def one_line_endings() -> Iterator[None]:
         _end_by(received[0], None)
 
 
+def ended_by_a_signal(end: SystemExit) -> bool:
+    """Tell whether a command was ended by a signal."""
+    return end.code in [_SIGNAL_CODE + number for number in _WORDS]
+
+
+def leave(end: SystemExit) -> NoReturn:
+    """End the process after what is to be done at its end, but without taking modules down.
+
+    What a signal interrupts in a module's C code may be without the interpreter's lock, and abort then.
+    """
+    atexit._run_exitfuncs()
+    assert isinstance(end.code, int)
+    os._exit(end.code)
+
+
 def _raising_again(
     received: list[int], lost: list[threading.Timer], report: Callable[[Any], object]
 ) -> Callable[[Any], object]:
