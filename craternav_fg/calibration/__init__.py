@@ -47,6 +47,7 @@ sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.03 
 ..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1
 ..                   floor_oblique_rad, squared, deg2              64      116 ± 45
+crest_blur           crest_blur.LOG_FOUND, CREST_SPREAD            tables  exact
 robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 ..                   ellipse_bias.PSI_CURVATURE                    0.4428  exact
 ..                   ellipse_bias.PSI_MIXED                        0.5720  exact

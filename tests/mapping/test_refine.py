@@ -320,6 +320,8 @@ def test_real_rims_come_closer_to_those_that_people_traced(place):
         np.hypot(*errors(c.take(one), traced.take(other))[:, :2].T) / size for c in (mapped, rims.catalog)
     )
     assert np.mean(after**2) < np.mean(before**2)
+    # Of ten pairs, near Posidonius, the median says little: there it is 1.03 times as large.
+    assert len(one) <= 10 or np.median(after) < 1.02 * np.median(before)
     assert np.median(after) < 0.08
     ratio = np.sqrt(rims.catalog.semi_major_m * rims.catalog.semi_minor_m)[one] / size
     assert abs(np.median(ratio) - 1.0) < 0.025
