@@ -1,9 +1,10 @@
-"""Command that improves a catalogue's rims by an elevation model or by the images of a descent."""
+"""Command that improves a catalogue's rims by an elevation model or by images."""
 
 import json
 from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,8 +29,9 @@ from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, check_input
-from craternav_fg.mapping.apply_errors import RunOutcome, apply_errors
+from craternav_fg.mapping.apply_errors import CorrectedRims, RunOutcome, apply_errors
 from craternav_fg.mapping.measured_rim import Outcome, disagrees
+from craternav_fg.mapping.posed_images import rims_in_posed_images
 from craternav_fg.mapping.refine import RefinedRims, RefineOptions
 from craternav_fg.mapping.refine_chunks import DemFile, KeptChunks, refine_in_chunks
 from craternav_fg.runs.read import read_map_errors, read_run
@@ -74,6 +76,13 @@ def refine(
             show_default=False,
         ),
     ] = None,
+    posed_images: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Data set whose ground truth gives the poses of its images, in place of --dem; repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Catalogue to write (.parquet).")] = Path(
         "runs/refined.parquet"
     ),
@@ -84,14 +93,22 @@ def refine(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Improve rims by an elevation model, or by the images of a reconstructed descent."""
-    _require_one(dem, images)
+    """Improve rims by an elevation model, a reconstructed descent, or images whose poses are known."""
+    posed = posed_images or []
+    _require_one(dem, images, posed)
     require_suffix(output, (SUFFIX,))
-    require_kept([catalog, *filter(None, [dem, images])], [output])
+    require_kept([catalog, *filter(None, [dem, images]), *posed], [output])
     require_free(output, force=force)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     if images is not None:
         _by_images(catalog, craters, images, output, as_json)
+        return
+    if posed:
+        with progress_bars() as shown:
+            found = rims_in_posed_images(
+                craters, [Dataset.open(one) for one in posed], progress=partial(shown, "measured images")
+            )
+        _write_corrected(catalog, posed[0], found, output, as_json)
         return
     assert dem is not None
     options = RefineOptions(
@@ -122,9 +139,9 @@ def refine(
     say(f"{output}")
 
 
-def _require_one(dem: Path | None, images: Path | None) -> None:
-    if (dem is None) == (images is None):
-        raise InputError("catalog refine", "expected either --dem or --images")
+def _require_one(dem: Path | None, images: Path | None, posed: list[Path]) -> None:
+    if (dem is not None) + (images is not None) + bool(posed) != 1:
+        raise InputError("catalog refine", "expected one of --dem, --images and --posed-images")
 
 
 def _by_images(path: Path, craters: Catalog, images: Path, output: Path, as_json: bool) -> None:
@@ -144,6 +161,11 @@ def _by_images(path: Path, craters: Catalog, images: Path, output: Path, as_json
             )
             raise InputError(path, problem)
     found = apply_errors(craters, {rows[name]: one for name, one in errors.items()})
+    _write_corrected(path, images, found, output, as_json)
+
+
+def _write_corrected(path: Path, images: Path, found: CorrectedRims, output: Path, as_json: bool) -> None:
+    """Write a catalogue corrected by images, and tell by how much."""
     counts = found.counts()
     told = ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
     if not counts.get(RunOutcome.REFINED.value):
@@ -154,10 +176,10 @@ def _by_images(path: Path, craters: Catalog, images: Path, output: Path, as_json
     if as_json:
         values = {"median_shift_m": shift_m, "median_center_sigma_m": sigma_m}
         out.print_json(
-            json.dumps({"catalog": str(output), "craters": len(craters), "outcomes": counts, **values})
+            json.dumps({"catalog": str(output), "craters": len(found.outcomes), "outcomes": counts, **values})
         )
         return
-    say(f"{len(craters)} craters: {told}")
+    say(f"{len(found.outcomes)} craters: {told}")
     say(f"refined rims: centres moved by {shift_m:.0f} m in the median, {sigma_m:.0f} m left (one sigma)")
     say(f"{output}")
 

@@ -30,7 +30,7 @@ class RunOutcome(StrEnum):
     """What has become of a crater."""
 
     REFINED = "refined"
-    NOT_SEEN = "not seen in the run"
+    NOT_SEEN = "not seen in the images"
     TOO_FAR = "the correction is beyond the catalogue's errors"
 
 

@@ -95,7 +95,7 @@ def test_others_keep_their_numbers_and_the_common_shift_stays(trials):
     near = (np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]), np.full(6, 1e-3))
     found = apply_errors(known, {0: far, 2: near})
     assert found.counts() == {
-        "refined": 1, "not seen in the run": n - 2, "the correction is beyond the catalogue's errors": 1,
+        "refined": 1, "not seen in the images": n - 2, "the correction is beyond the catalogue's errors": 1,
     }  # fmt: skip
     others = np.arange(n) != 2
     np.testing.assert_array_equal(found.catalog.centres[others], known.centres[others])
@@ -140,7 +140,7 @@ def test_the_command(tmp_path):
     assert "expected the same" in again.err
     both = call("catalog", "refine", map_of, "-o", tmp_path / "x.parquet")
     assert both.code == 2
-    assert "expected either --dem or --images" in both.err
+    assert "expected one of --dem, --images and --posed-images" in both.err
     metrics = json.loads((run / "metrics.json").read_text())
     del metrics["estimators"]["map_refining_smoother"]["calibrated"]
     (run / "metrics.json").write_text(json.dumps(metrics))
