@@ -8,18 +8,22 @@ compiles a kernel at a time, and the others wait for the result.
 
 import fcntl
 import functools
+import gc
 import hashlib
 import inspect
 import pickle
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 import numba
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.extending import overload
+from numba.np import arrayobj
 
 _ROOT = Path(__file__).resolve().parents[2]
 # `from package.module import names`; what is imported for type checkers only is indented.
@@ -90,6 +94,35 @@ def _locked(path: Path) -> IO[bytes] | None:
     return None
 
 
+@contextmanager
+def _nothing_collected() -> Iterator[None]:
+    """Keep Python from searching for garbage, which takes a tenth of a compilation and finds little."""
+    if gc.isenabled():
+        gc.disable()
+        try:
+            yield
+        finally:
+            gc.enable()
+    else:
+        yield
+
+
+def _refuse_slice(source: Any, target: Any) -> None:
+    """Stand for numba's error of a slice that is assigned an array of another size."""
+
+
+@overload(_refuse_slice)
+def _refuse_slice_compiled(source: Any, target: Any) -> Any:
+    def refuse(source: Any, target: Any) -> None:
+        raise ValueError("cannot assign slice from input of different size")
+
+    return refuse
+
+
+# The sizes in numba's own message are formatted by compiled code, which takes each process seconds to compile.
+arrayobj.raise_with_shape_context = _refuse_slice
+
+
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function with numba when it is first called.
 
@@ -106,13 +139,14 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     cached = options.pop("cache", False)
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(**options)(function)
+        # No kernel is called back from C: that entry takes a tenth of the compilation.
+        dispatcher = numba.njit(**options, no_cfunc_wrapper=True)(function)
         if cached:
             cache = dispatcher._cache = _Cache(function)
             compile_for = dispatcher.compile
 
             def compile_alone(signature: Any) -> Any:
-                with global_compiler_lock:
+                with global_compiler_lock, _nothing_collected():
                     try:
                         return compile_for(signature)
                     finally:
