@@ -119,7 +119,7 @@ def _refuse_slice_compiled(source: Any, target: Any) -> Any:
     return refuse
 
 
-# The sizes in numba's own message are formatted by compiled code, which takes each process seconds to compile.
+# The sizes in numba's own message are formatted by compiled code, which takes seconds to compile.
 arrayobj.raise_with_shape_context = _refuse_slice
 
 

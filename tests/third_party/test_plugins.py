@@ -124,8 +124,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def data(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("simulated") / "data"
-    done = craternav(site, "simulate", site / "short.toml", "-o", folder)
-    assert done.returncode == 0, done.stderr
+    (done,) = in_turn(site, ["simulate", site / "short.toml", "-o", folder])
+    assert done.code == 0, done.err
     assert (folder / "mav0/sun_sensor0/data.csv").is_file()
     return folder
 
@@ -160,9 +160,10 @@ def in_turn(site: Path, *commands: list[str | Path]) -> list[Done]:
 
 
 def test_the_command_line_lists_them(site: Path) -> None:
-    sensors = json.loads(craternav(site, "sensors", "--json").stdout)
+    sensors, estimators = (
+        json.loads(done.out) for done in in_turn(site, ["sensors", "--json"], ["estimators", "--json"])
+    )
     assert "Unit vectors towards the sun (mav0/sun_sensor0; other_sensor)" in sensors["sun_sensor"]
-    estimators = json.loads(craternav(site, "estimators", "--json").stdout)
     assert "The prior, carried on by the IMU" in estimators["carried"]
 
 
