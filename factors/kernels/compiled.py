@@ -8,14 +8,12 @@ compiles a kernel at a time, and the others wait for the result.
 
 import fcntl
 import functools
-import gc
 import hashlib
 import inspect
 import pickle
 import re
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
@@ -94,19 +92,6 @@ def _locked(path: Path) -> IO[bytes] | None:
     return None
 
 
-@contextmanager
-def _nothing_collected() -> Iterator[None]:
-    """Keep Python from searching for garbage, which takes a tenth of a compilation and finds little."""
-    if gc.isenabled():
-        gc.disable()
-        try:
-            yield
-        finally:
-            gc.enable()
-    else:
-        yield
-
-
 def _refuse_slice(source: Any, target: Any) -> None:
     """Stand for numba's error of a slice that is assigned an array of another size."""
 
@@ -146,7 +131,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             compile_for = dispatcher.compile
 
             def compile_alone(signature: Any) -> Any:
-                with global_compiler_lock, _nothing_collected():
+                with global_compiler_lock:
                     try:
                         return compile_for(signature)
                     finally:

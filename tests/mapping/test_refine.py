@@ -226,8 +226,7 @@ def refined_circles(place):
     """Circles of LU1319381 on a real model, and what is refined of them."""
     dem = read_dem(shared(f"gld100/gld100_256ppd_{place}.tif"))
     latitude, longitude, radius = published()
-    # All that people traced, and half of the smaller ones.
-    rows = np.flatnonzero((radius > 1900.0) | ((radius > 800.0) & (np.arange(len(radius)) % 2 == 0)))
+    rows = np.flatnonzero(radius > 800.0)
     rows = rows[dem.covers(up(latitude[rows], longitude[rows]))]
     mapped = catalog(latitude[rows], longitude[rows], radius[rows], radius[rows], np.zeros(len(rows)))
     return mapped, refine_on_dem(mapped, dem)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.runs.read import read_run
-from tests.cli.calls import Done
+from tests.cli.calls import Done, call
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -197,10 +197,11 @@ def test_they_take_part_in_a_run_and_its_report(site: Path, data: Path, tmp_path
     assert [("sun_sensor" in page, "carried" in page) for page in pages] == [(True, True), (False, False)]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_the_package_the_folder_is_told_of(data: Path, tmp_path: Path) -> None:
-    done = craternav(tmp_path, "reconstruct", data, "-o", tmp_path / "run", "-e", "smoother")
-    assert done.returncode == 0
-    assert "mav0/sun_sensor0" in done.stderr
+    done = call("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother")
+    assert done.code == 0
+    assert "mav0/sun_sensor0" in done.err
 
 
 def test_a_package_that_cannot_be_loaded_is_named(site: Path, tmp_path: Path) -> None:
