@@ -122,10 +122,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         The decorator.
     """
     cached = options.pop("cache", False)
+    # No kernel is called back from C: that entry takes a tenth of the compilation.
+    options["no_cfunc_wrapper"] = True
 
     def compiled(function: Callable[..., Any]) -> Any:
-        # No kernel is called back from C: that entry takes a tenth of the compilation.
-        dispatcher = numba.njit(**options, no_cfunc_wrapper=True)(function)
+        dispatcher = numba.njit(**options)(function)
         if cached:
             cache = dispatcher._cache = _Cache(function)
             compile_for = dispatcher.compile
