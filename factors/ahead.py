@@ -81,7 +81,7 @@ class Ahead:
             yield
             return
         data, offsets, out = self._arrays = self._arrays or self._joined()
-        poses = np.asfortranarray(gtsam.utilities.extractPose3(values))
+        poses = np.ascontiguousarray(gtsam.utilities.extractPose3(values))
         bad = all_reduced_shape_residuals(poses, self._rows, data, offsets, linearise, out)
         if bad >= 0:
             where = gtsam.DefaultKeyFormatter(self._keys[bad])

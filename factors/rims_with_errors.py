@@ -146,7 +146,7 @@ class _Kind:
             self._arrays = self._joined()
         poses, of_pose, errors, places, data, out, _ = self._arrays
         for key, number in self._poses.items():
-            poses[:, :, number] = values.atPose3(key).matrix()
+            poses[number] = values.atPose3(key).matrix().T
         for key, begin in self._errors.items():
             z = values.atVector(key)
             errors[begin : begin + len(z)] = z
@@ -180,7 +180,7 @@ class _Kind:
                 blocks += [key, columns[begin:end].T]
             terms.append(blocks)
         return (
-            np.empty((4, 4, len(self._poses)), order="F"),
+            np.empty((len(self._poses), 4, 4)),
             np.array(self._of_pose, dtype=np.int64),
             np.zeros(self._size),
             np.concatenate(

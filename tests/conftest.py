@@ -1,6 +1,7 @@
 """Settings of all tests."""
 
 import atexit
+import gc
 import os
 import shutil
 import signal
@@ -53,6 +54,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--views", type=int, metavar="N", default=50,
         help="views that tests of wrong answers draw of each fault (default: 50)",
     )  # fmt: skip
+
+
+def pytest_collection_finish() -> None:
+    # Modules and tests live to the end: no search for garbage need look through them again.
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs have no figures, which take most of the time of a short one."""
+    monkeypatch.setattr("craternav_fg.runs.execute._figures", lambda *_: {})
 
 
 @pytest.hookimpl(tryfirst=True)

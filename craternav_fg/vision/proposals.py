@@ -153,7 +153,11 @@ class Proposals:
     def _level(self, quarters: int, number: int) -> FloatArray:
         if (quarters, number) not in self._seen:
             values = self._values[number]
-            found = _peaks(cells(np.ascontiguousarray(np.rot90(values, quarters))))
+            # An even image, as of a night side, shows nothing, and would take as long as any other.
+            seen = values.any()
+            found = (
+                _peaks(cells(np.ascontiguousarray(np.rot90(values, quarters)))) if seen else np.empty((0, 4))
+            )
             scale = np.array([whole / part for whole, part in zip(self._shape, values.shape, strict=True)])
             found[:, :2] = (turned_back(found[:, :2], quarters, values.shape) + 0.5) * scale[::-1] - 0.5
             found[:, 2] *= np.sqrt(np.prod(scale))

@@ -20,6 +20,8 @@ from typing import IO, Any
 import numba
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.extending import overload
+from numba.np import arrayobj
 
 _ROOT = Path(__file__).resolve().parents[2]
 # `from package.module import names`; what is imported for type checkers only is indented.
@@ -90,6 +92,22 @@ def _locked(path: Path) -> IO[bytes] | None:
     return None
 
 
+def _refuse_slice(source: Any, target: Any) -> None:
+    """Stand for numba's error of a slice that is assigned an array of another size."""
+
+
+@overload(_refuse_slice)
+def _refuse_slice_compiled(source: Any, target: Any) -> Any:
+    def refuse(source: Any, target: Any) -> None:
+        raise ValueError("cannot assign slice from input of different size")
+
+    return refuse
+
+
+# The sizes in numba's own message are formatted by compiled code, which takes seconds to compile.
+arrayobj.raise_with_shape_context = _refuse_slice
+
+
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function with numba when it is first called.
 
@@ -104,6 +122,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         The decorator.
     """
     cached = options.pop("cache", False)
+    # No kernel is called back from C: that entry takes a tenth of the compilation.
+    options["no_cfunc_wrapper"] = True
 
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**options)(function)

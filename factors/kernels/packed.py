@@ -205,7 +205,8 @@ def all_reduced_shape_residuals(
     int
         The first frame of which something is not finite, or -1.
     """
-    gTb = np.zeros((4, 4))
+    # Column-major as GTSAM's matrices are: the kernels below are compiled for each order.
+    gTb = np.zeros((4, 4)).T
     gTb[3, 3] = 1.0
     for k in range(len(rows)):
         for i in range(3):

@@ -196,8 +196,9 @@ def all_shape_residuals_with_errors(
 
     Parameters
     ----------
-    poses : ndarray, shape (4, 4, k)
-        Poses of the body in g, column-major as GTSAM's matrices are: a kernel is compiled for each order.
+    poses : ndarray, shape (k, 4, 4)
+        Transposed poses of the body in g. Each is then column-major as GTSAM's matrices are: a kernel is
+        compiled for each order.
     of_pose : ndarray of int, shape (n,)
         Index of each rim's pose.
     errors : ndarray, shape (l,)
@@ -223,7 +224,7 @@ def all_shape_residuals_with_errors(
     for i in range(len(data)):
         for j in range(len(z)):
             z[j] = errors[places[i, j]]
-        total = shape_residuals_with_errors(poses[:, :, of_pose[i]], z, data[i], linearise, out[i])
+        total = shape_residuals_with_errors(poses[of_pose[i]].T, z, data[i], linearise, out[i])
         if bad < 0 and not np.isfinite(total):
             bad = i
         for r in range(5):

@@ -32,7 +32,7 @@ from craternav_fg.simulation.scenario_tables import CraterTrials, ExpectedSectio
 from craternav_fg.workers import Workers
 from tests.campaign import inline
 from tests.campaign.scene import ESTIMATORS, contents, options, small_scenario, without_times, write_scenario
-from tests.cli.calls import call, craternav
+from tests.cli.calls import call
 from tests.report.test_report import Reader
 
 
@@ -457,9 +457,9 @@ def test_bad_options(changes: dict[str, object], message: str) -> None:
 def test_command(tmp_path: Path, undisturbed: Path) -> None:
     case = write_scenario(tmp_path / "small.toml", small_scenario())
     names = [part for name in ESTIMATORS for part in ("-e", name)]
-    done = craternav("montecarlo", case, "-n", 4, "-o", undisturbed, *names, "--json")
-    assert done.returncode == 0, done.stderr
-    assert without_times(json.loads(done.stdout)) == contents(undisturbed)["summary.json"]
+    done = call("montecarlo", case, "-n", 4, "-o", undisturbed, *names, "--json")
+    assert done.code == 0, done.err
+    assert without_times(json.loads(done.out)) == contents(undisturbed)["summary.json"]
     for arguments, message in (
         (("-n", -3), "trials: expected 1 or more, found -3"),
         (("-n", 1, "--workers", 1, "--scheduler", "tcp://a:1"), "found both"),

@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from craternav_fg.campaign import run
 from craternav_fg.campaign.read import Campaign, failed_trials, read_campaign
 from craternav_fg.campaign.run import montecarlo
 from craternav_fg.campaign.store import trial_name
@@ -14,6 +15,7 @@ from craternav_fg.campaign.summary import of_estimator, rms_over_bound, summaris
 from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND, failed
 from craternav_fg.evaluation.consistency import over_altitude
 from craternav_fg.files import write_whole
+from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
 
 ALTITUDES_M = [900.0, 400.0, 175.0]
@@ -98,7 +100,8 @@ def test_an_estimator_that_failed_is_held_against_its_own_trials() -> None:
     assert values["converged"] == 0
 
 
-def test_a_folder_is_summarised_trial_by_trial(tmp_path: Path) -> None:
+def test_a_folder_is_summarised_trial_by_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "processes", inline.processes)
     small = small_scenario()
     montecarlo(small, tmp_path / "c", options(3))
     write_whole(tmp_path / "c/trials" / trial_name(3), failed(3, "no sense").parquet)

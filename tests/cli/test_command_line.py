@@ -212,6 +212,7 @@ def test_without_truth_there_are_sigmas_instead_of_errors(
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_images_that_show_something_else_are_warned_of(
     demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
@@ -249,6 +250,7 @@ def test_what_we_did_not_write_is_not_replaced(tmp_path: Path, names: list[str],
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_first_image_that_shows_nothing_only_delays_the_start(
     demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
@@ -301,6 +303,7 @@ def case3(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return data
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_simulate_and_one_estimator_from_measured_rims(case3: Path, tmp_path: Path) -> None:
     done = call("reconstruct", case3, "-o", tmp_path / "run", "-e", "ekf", "--json")
     assert done.code == 0, done.err
@@ -314,6 +317,7 @@ def test_simulate_and_one_estimator_from_measured_rims(case3: Path, tmp_path: Pa
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_imu_in_units_of_g_is_warned_of(case3: Path, tmp_path: Path) -> None:
     data = tmp_path / "data"
     shutil.copytree(case3, data)

@@ -23,6 +23,8 @@ from tests.campaign import inline
 from tests.cli.calls import call
 from tests.cli.test_help import COMMANDS
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SHORT = """
 base = "paper_case3"
 [trajectory]

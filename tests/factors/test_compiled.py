@@ -5,10 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
 from factors.kernels import compiled
 from factors.kernels.compiled import sources_digest
+
+FloatArray = npt.NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = ROOT / "factors/kernels"
@@ -118,3 +122,15 @@ print(sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
         process.stdin.flush()
     misses = [int(process.communicate()[0]) for process in pair]
     assert sorted(misses) == [0, 3]
+
+
+def test_a_slice_of_another_size_is_refused() -> None:
+    @compiled.njit()
+    def assign(source: FloatArray, target: FloatArray) -> None:
+        target[:2] = source
+
+    target = np.zeros(4)
+    assign(np.array([1.0, 2.0]), target)
+    assert target.tolist() == [1.0, 2.0, 0.0, 0.0]
+    with pytest.raises(ValueError, match="cannot assign slice from input of different size"):
+        assign(np.zeros(3), target)

@@ -2,9 +2,11 @@
 
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
+from craternav_fg.campaign import run as campaign_run
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.ellipses import write_detected_ellipses, write_matched_ellipses
@@ -14,6 +16,7 @@ from craternav_fg.runs.execute import execute_run
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenes import MOON
+from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario, write_scenario
 from tests.descents import scenario
 from tests.fuzz.foreign_targets import foreign_targets
@@ -28,15 +31,14 @@ def every_file(folder: Path) -> list[Path]:
 
 def make_targets(folder: Path) -> dict[str, Target]:
     """Make one sound example of everything that is read."""
-    from craternav_fg.campaign.run import montecarlo
-
     data = simulate(scenario(duration_s=6.0), folder / "data")
     run = folder / "run"
     run.mkdir()
     execute_run(
         Dataset.open(data), run, ["smoother", "dead_reckoning"], label=str(data), began_s=time.perf_counter()
     )
-    montecarlo(small_scenario(), folder / "campaign", options(2, workers=1))
+    with mock.patch.object(campaign_run, "processes", inline.processes):
+        campaign_run.montecarlo(small_scenario(), folder / "campaign", options(2, workers=1))
     view = folder / "view"
     view.mkdir()
     rng = np.random.default_rng(1)

@@ -1,5 +1,6 @@
 """Rims refined on elevation models that the simulator did not make, and on real ones."""
 
+import functools
 import json
 from dataclasses import replace
 from typing import NamedTuple
@@ -207,17 +208,35 @@ def test_a_catalogue_without_heights_gets_those_of_the_model(worlds):
     assert np.all(found.errors.height_m[10:] > 0.0)
 
 
+@functools.cache
+def published():
+    """Latitudes and longitudes, rad, and radii, m, of LU1319381."""
+    table = pq.read_table(shared("lu1319381.parquet"), columns=["LAT_DEG", "LON_E_DEG", "DIAMETER_KM"])
+    latitude, longitude, diameter_km = (column.to_numpy() for column in table.columns)
+    return np.radians(latitude), np.radians(longitude), 500.0 * diameter_km
+
+
+@functools.cache
+def traced_by_people():
+    return import_catalog(shared("robbins_2018_subset.csv"), None)[0]
+
+
+@functools.cache
+def refined_circles(place):
+    """Circles of LU1319381 on a real model, and what is refined of them."""
+    dem = read_dem(shared(f"gld100/gld100_256ppd_{place}.tif"))
+    latitude, longitude, radius = published()
+    rows = np.flatnonzero(radius > 800.0)
+    rows = rows[dem.covers(up(latitude[rows], longitude[rows]))]
+    mapped = catalog(latitude[rows], longitude[rows], radius[rows], radius[rows], np.zeros(len(rows)))
+    return mapped, refine_on_dem(mapped, dem)
+
+
 @pytest.mark.parametrize("place", ["imbrium_copernicus", "posidonius", "southern_highlands"])
 def test_heights_of_a_coarse_model_are_those_of_the_crests(place):
     """At 16 px/deg crests are smoothed away: without a correction rims would lie 20 m low."""
-    dem = read_dem(shared(f"gld100/gld100_256ppd_{place}.tif"))
-    circles = pq.read_table(shared("lu1319381.parquet"))
-    latitude, longitude = (np.radians(circles[name].to_numpy()) for name in ("LAT_DEG", "LON_E_DEG"))
-    radius = 500.0 * circles["DIAMETER_KM"].to_numpy()
-    rows = np.flatnonzero(dem.covers(up(latitude, longitude)) & (radius > 800.0))
-    mapped = catalog(latitude[rows], longitude[rows], radius[rows], radius[rows], np.zeros(len(rows)))
+    mapped, rims = refined_circles(place)
     coarse = read_dem(shared("gld100/gld100_16ppd_global.tif"))
-    rims = refine_on_dem(mapped, dem)
     assert rims.refined.sum() > 100
     zero = replace(mapped, errors=MapErrors.zeros(len(mapped)))
     stated = with_rim_heights(zero, coarse).take(np.flatnonzero(rims.refined))
@@ -298,18 +317,13 @@ def test_a_model_of_elsewhere_is_one_line(worlds, tmp_path):
 @pytest.mark.parametrize("place", ["imbrium_copernicus", "posidonius", "southern_highlands"])
 def test_real_rims_come_closer_to_those_that_people_traced(place):
     """Circles of LU1319381 against Robbins' ellipses, drawn by hand on other images."""
-    dem = read_dem(shared(f"gld100/gld100_256ppd_{place}.tif"))
-    circles = pq.read_table(shared("lu1319381.parquet"))
-    latitude, longitude = (np.radians(circles[name].to_numpy()) for name in ("LAT_DEG", "LON_E_DEG"))
-    radius = 500.0 * circles["DIAMETER_KM"].to_numpy()
-    rows = np.flatnonzero(dem.covers(up(latitude, longitude)) & (radius > 1900.0))
-    mapped = catalog(latitude[rows], longitude[rows], radius[rows], radius[rows], np.zeros(len(rows)))
-    rims = refine_on_dem(mapped, dem)
-    assert rims.refined.mean() > 0.4
-    traced = import_catalog(shared("robbins_2018_subset.csv"), None)[0]
+    mapped, rims = refined_circles(place)
+    large = mapped.semi_major_m > 1900.0
+    assert rims.refined[large].mean() > 0.4
+    traced = traced_by_people()
     pairs = [
         (k, near[0])
-        for k in np.flatnonzero(rims.refined)
+        for k in np.flatnonzero(rims.refined & large)
         for near in [_same(traced, rims.catalog, k)]
         if len(near)
     ]
@@ -355,10 +369,9 @@ def test_rims_at_gaps_of_the_model_are_left_as_they_were(worlds, tmp_path):
 
 def test_a_catalogue_that_is_kilometres_off_is_one_line(tmp_path):
     dem = shared("gld100/gld100_256ppd_southern_highlands.tif")
-    table = pq.read_table(shared("lu1319381.parquet"))
-    latitude, longitude = (np.radians(table[name].to_numpy()) for name in ("LAT_DEG", "LON_E_DEG"))
-    radius = 500.0 * table["DIAMETER_KM"].to_numpy()
-    near = np.flatnonzero(read_dem(dem).covers(up(latitude, longitude)) & (radius > 1200.0))[:200]
+    latitude, longitude, radius = published()
+    rows = np.flatnonzero(radius > 1200.0)
+    near = rows[read_dem(dem).covers(up(latitude[rows], longitude[rows]))][:200]
     for off_m, code in ((0.0, 0), (4e3, 2)):
         moved = latitude[near] + off_m / MOON.radius_m
         map_of = catalog(moved, longitude[near], radius[near], radius[near], np.zeros(len(near)))

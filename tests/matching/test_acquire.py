@@ -8,7 +8,8 @@ from craternav_fg.body import Body, ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import pixel_chart
-from craternav_fg.matching.acquire.detected_rims import detect_rims
+from craternav_fg.matching.acquire import search
+from craternav_fg.matching.acquire.detected_rims import DetectedRims, detect_rims
 from craternav_fg.matching.acquire.search import AcquireOptions, acquire, image_spread_px
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.craters import CraterFieldOptions, random_craters
@@ -67,6 +68,22 @@ class View:
 @pytest.fixture(scope="module")
 def view():
     return View(1)
+
+
+@pytest.fixture(scope="module")
+def detected() -> dict[tuple[bytes, str], DetectedRims]:
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def each_image_is_searched_once(monkeypatch, detected):
+    def once(image, camera, options):
+        key = (image.tobytes(), repr(options))
+        if key not in detected:
+            detected[key] = detect_rims(image, camera, options)
+        return detected[key]
+
+    monkeypatch.setattr(search, "detect_rims", once)
 
 
 def part_of(catalog, rows):

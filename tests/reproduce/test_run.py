@@ -25,7 +25,7 @@ from craternav_fg.reproduce import (
 from craternav_fg.reproduce.fig11_14_statistics import MEAN, RMS, STD, Condition
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.results import FIELDS, number, verdict
-from tests.cli.calls import call, craternav
+from tests.cli.calls import call
 
 SMALL = ReproduceOptions(trials=4, altitude_steps=2, workers=1)
 
@@ -224,9 +224,9 @@ def test_options_that_make_no_sense_are_named(change: dict[str, object], named: 
 
 
 def test_the_command_writes_the_folder_and_says_what_is_wrong(tmp_path: Path) -> None:
-    done = craternav("reproduce", "fig02", "-o", tmp_path / "out", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "reproduction.json").read_text())
+    done = call("reproduce", "fig02", "-o", tmp_path / "out", "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out) == json.loads((tmp_path / "out" / "reproduction.json").read_text())
     unknown = call("reproduce", "fig05", "-o", tmp_path / "other")
     assert unknown.code == 2
     assert "unknown figure 'fig05'" in unknown.err

@@ -68,15 +68,16 @@ def test_it_is_found_simulated_and_estimated(module: str, tmp_path: Path) -> Non
     named = tomllib.loads(entry)["project"]["entry-points"]["craternav_fg.sensors"]
     lines = [f"{name} = {place}\n" for name, place in named.items()]
     (about / "entry_points.txt").write_text("[craternav_fg.sensors]\n" + "".join(lines))
-    assert "beacon" in json.loads(craternav(tmp_path, "sensors", "--json").stdout)
     table = scenario[scenario.index("[sensors.beacon]") :]
     short = SCENARIO[: SCENARIO.index("[sensors.sun_sensor]")]
     (tmp_path / "beacon.toml").write_text(short + table, encoding="utf-8")
-    simulated, done = in_turn(
+    listed, simulated, done = in_turn(
         tmp_path,
+        ["sensors", "--json"],
         ["simulate", tmp_path / "beacon.toml", "-o", tmp_path / "data"],
         ["reconstruct", tmp_path / "data", "-o", tmp_path / "run", "-e", "smoother,ekf", "--json"],
     )
+    assert "beacon" in json.loads(listed.out)
     assert simulated.code == 0, simulated.err
     assert done.code == 0, done.err
     # The files of the page's own log hold what the simulated ones hold.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.runs.read import read_run
-from tests.cli.calls import Done
+from tests.cli.calls import Done, call
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -124,8 +124,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def data(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("simulated") / "data"
-    done = craternav(site, "simulate", site / "short.toml", "-o", folder)
-    assert done.returncode == 0, done.stderr
+    (done,) = in_turn(site, ["simulate", site / "short.toml", "-o", folder])
+    assert done.code == 0, done.err
     assert (folder / "mav0/sun_sensor0/data.csv").is_file()
     return folder
 
@@ -160,9 +160,10 @@ def in_turn(site: Path, *commands: list[str | Path]) -> list[Done]:
 
 
 def test_the_command_line_lists_them(site: Path) -> None:
-    sensors = json.loads(craternav(site, "sensors", "--json").stdout)
+    sensors, estimators = (
+        json.loads(done.out) for done in in_turn(site, ["sensors", "--json"], ["estimators", "--json"])
+    )
     assert "Unit vectors towards the sun (mav0/sun_sensor0; other_sensor)" in sensors["sun_sensor"]
-    estimators = json.loads(craternav(site, "estimators", "--json").stdout)
     assert "The prior, carried on by the IMU" in estimators["carried"]
 
 
@@ -196,10 +197,11 @@ def test_they_take_part_in_a_run_and_its_report(site: Path, data: Path, tmp_path
     assert [("sun_sensor" in page, "carried" in page) for page in pages] == [(True, True), (False, False)]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_the_package_the_folder_is_told_of(data: Path, tmp_path: Path) -> None:
-    done = craternav(tmp_path, "reconstruct", data, "-o", tmp_path / "run", "-e", "smoother")
-    assert done.returncode == 0
-    assert "mav0/sun_sensor0" in done.stderr
+    done = call("reconstruct", data, "-o", tmp_path / "run", "-e", "smoother")
+    assert done.code == 0
+    assert "mav0/sun_sensor0" in done.err
 
 
 def test_a_package_that_cannot_be_loaded_is_named(site: Path, tmp_path: Path) -> None:

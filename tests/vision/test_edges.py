@@ -10,6 +10,8 @@ CHART = np.array([*CENTRE, np.log(20.0), 0.2, np.log(17.0)])
 # Slope contrast towards -x: walls facing +x, on the left, are dark.
 CONTRAST_PX = np.array([-20.0, 0.0])
 NO_OFFSET = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_CONTRASTS)))
+# As the table is: the kernel would be compiled anew.
+NO_OFFSET.flags.writeable = False
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 EVEN = np.zeros(5)
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)

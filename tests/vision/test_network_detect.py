@@ -187,25 +187,28 @@ def test_shading_of_known_circles(scenes):
         np.testing.assert_allclose(dark.slope_contrast, found.slope_contrast, rtol=0.05)
 
 
-def _seconds_per_megapixel(images):
-    """CPU time of one core of the reference machine; compilation is not counted."""
+def _seconds_per_megapixel(images, enough):
+    """CPU time of one core of the reference machine, without compilation: the least of three, or enough."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
         find_rims_network(images[0])
-        ratios = []
+        least = np.inf
         for _ in range(3):
             began = time.process_time()
             for image in images:
                 find_rims_network(image)
-            ratios.append((time.process_time() - began) / slowness())
+            spent = (time.process_time() - began) / slowness()
+            least = min(least, spent / sum(image.size / 1e6 for image in images))
+            if least < enough:
+                break
     finally:
         cv2.setNumThreads(threads)
-    return min(ratios) / sum(image.size / 1e6 for image in images)
+    return least
 
 
 def test_a_megapixel_takes_less_than_half_a_second(scenes):
-    assert _seconds_per_megapixel([one.image for one in scenes]) < 0.5
+    assert _seconds_per_megapixel([one.image for one in scenes], 0.5) < 0.5
 
 
 @pytest.mark.slow
@@ -216,7 +219,7 @@ def test_so_does_a_megapixel_of_photographs():
     files = [one.path for one in annotated_images(FOLDER)]
     assert len(files) > 5
     photographs = [read_foreign_image(path)[:1024, :1024].copy() for path in files]
-    assert _seconds_per_megapixel(photographs) < 0.5
+    assert _seconds_per_megapixel(photographs, 0.5) < 0.5
 
 
 def test_threads_do_not_disturb_each_other(scenes, found):

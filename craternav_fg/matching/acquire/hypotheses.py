@@ -252,6 +252,6 @@ def _map_poses(
     """Maximum a posteriori poses (h, 4, 4) of pairs (h, k), information for the right twist, and costs."""
     return rim_poses.map_poses(
         prior.gTb, scaled_inverse(prior.covariance), starts, bTc, craters.centres, craters.axes,
-        craters.contrasts, rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0, crater,
-        rim,
+        craters.contrasts, rims.charts, rims.weights, rims.sunward_rad, rims.sunward_sigma_rad**-2.0,
+        np.ascontiguousarray(crater), np.ascontiguousarray(rim),
     )  # fmt: skip
