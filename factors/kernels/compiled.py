@@ -13,7 +13,8 @@ import inspect
 import pickle
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -104,8 +105,15 @@ def _refuse_slice_compiled(source: Any, target: Any) -> Any:
     return refuse
 
 
-# The sizes in numba's own message are formatted by compiled code, which takes seconds to compile.
-arrayobj.raise_with_shape_context = _refuse_slice
+@contextmanager
+def _short_refusal() -> Iterator[None]:
+    """Compile without numba's message of a wrong slice: code that formats its sizes takes seconds."""
+    original = arrayobj.raise_with_shape_context
+    arrayobj.raise_with_shape_context = _refuse_slice
+    try:
+        yield
+    finally:
+        arrayobj.raise_with_shape_context = original
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -127,18 +135,20 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**options)(function)
-        if cached:
-            cache = dispatcher._cache = _Cache(function)
-            compile_for = dispatcher.compile
+        cache = _Cache(function) if cached else None
+        if cache is not None:
+            dispatcher._cache = cache
+        compile_for = dispatcher.compile
 
-            def compile_alone(signature: Any) -> Any:
-                with global_compiler_lock:
-                    try:
-                        return compile_for(signature)
-                    finally:
+        def compile_alone(signature: Any) -> Any:
+            with global_compiler_lock, _short_refusal():
+                try:
+                    return compile_for(signature)
+                finally:
+                    if cache is not None:
                         cache.release()
 
-            dispatcher.compile = compile_alone
+        dispatcher.compile = compile_alone
         return dispatcher
 
     return compiled
