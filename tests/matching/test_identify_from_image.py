@@ -111,7 +111,7 @@ def test_rims_are_searched_deeper_once_no_others_are_found_at_once(index, view, 
     answers += [rims_of(view.ellipses_px[:n]) for n in (4, 5, 6, 7)]
     searched = []
 
-    def noted(ellipses_px, traced, camera, index, attitude, options, quality):
+    def noted(ellipses_px, traced, camera, index, attitude, options, quality, maps):
         searched.append((len(ellipses_px), options.deep))
         right = searched[-1] == (6, True)
         mirrored = view.mirrored()[: len(ellipses_px)]

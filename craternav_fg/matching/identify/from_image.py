@@ -4,7 +4,8 @@ On real ground, ridges and domes can look like craters that are lit from the opp
 worn, and plains have small ones only. If the rims found at first cannot be identified, those lit from the
 opposite side are detected, then unlikely and smaller ones from both sides; from all four sides if none were
 found at first, for then nothing shows where the sun is. Where no rims can be identified at once, all of them
-are searched deeper, in the same order. An answer needs the same evidence each time.
+are searched deeper, in the same order. From the second rims on, the image's shading where a pose predicts
+further craters counts, too (`shading`). An answer needs the same evidence each time.
 """
 
 from collections.abc import Iterator
@@ -20,8 +21,11 @@ from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.result import Identification
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.measurements import KnownAttitude
+from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.detect import BlindOptions, FoundRims
+from craternav_fg.vision.grey import undistorted
 from craternav_fg.vision.network_detect import find_rims_network
+from craternav_fg.vision.shading_maps import NO_SHADING, shading_maps
 
 # Sizes of rims in images over those that people trace or the map's circles have, chosen: in 40 images of
 # real ground the median logarithm against the circles of LU1319381 was 0.10 to 0.32, mostly 0.15.
@@ -76,17 +80,21 @@ def identify_image(
     )  # fmt: skip
     first: tuple[FoundRims, Identification] | None = None
     seconds = 0.0
+    maps = NO_SHADING
     once, again = tee(_detections(image))
     for deep, detections in ((False, once), (True, again)):
         how = replace(options, deep=deep)
         for rims in detections:
             found = identify_detected(
-                rims.ellipses_px, rims.traced, camera, index, attitude, how, rims.quality
+                rims.ellipses_px, rims.traced, camera, index, attitude, how, rims.quality, maps
             )
             seconds += found.seconds
             if found.identified:
                 return rims, replace(found, seconds=seconds)
-            first = first or (rims, found)
+            if first is None:
+                first = rims, found
+                straight = undistorted(filled(brightness(image))[0], camera)
+                maps = shading_maps(np.asarray(straight, np.float32))
     assert first is not None
     return first[0], replace(first[1], seconds=seconds)
 
