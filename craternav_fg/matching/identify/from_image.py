@@ -2,10 +2,10 @@
 
 On real ground, ridges and domes can look like craters that are lit from the opposite side, most craters are
 worn, and plains have small ones only. If the rims found at first cannot be identified, those lit from the
-opposite side are detected, then unlikely and smaller ones from both sides; from all four sides if none were
-found at first, for then nothing shows where the sun is. Where no rims can be identified at once, all of them
-are searched deeper, in the same order. From the second rims on, the image's shading where a pose predicts
-further craters counts, too (`shading`). An answer needs the same evidence each time.
+opposite side are detected, then unlikely and smaller ones from both sides. If no rims were found at first,
+the sides are those of the axis along which the image varies most. Where no rims can be identified at once,
+all of them are searched deeper, in the same order. From the second rims on, the image's shading where a pose
+predicts further craters counts, too (`shading`). An answer needs the same evidence each time.
 """
 
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.detect import BlindOptions, FoundRims
 from craternav_fg.vision.grey import undistorted
 from craternav_fg.vision.network_detect import find_rims_network
-from craternav_fg.vision.shading_maps import NO_SHADING, shading_maps
+from craternav_fg.vision.shading_maps import NO_SHADING, shading_maps, sun_axis
 
 # Sizes of rims in images over those that people trace or the map's circles have, chosen: in 40 images of
 # real ground the median logarithm against the circles of LU1319381 was 0.10 to 0.32, mostly 0.15.
@@ -103,10 +103,10 @@ def _detections(image: npt.NDArray[np.generic]) -> Iterator[FoundRims]:
     """Detect rims, under the likeliest assumptions first."""
     rims = find_rims_network(image)
     yield rims
-    sides = [0.5 * np.pi * quarter for quarter in range(4)]
     if len(rims.quality):
         towards = float(rims.local_sun_angles_rad[np.argmax(rims.quality)])
-        sides = [towards, towards + np.pi]
-        yield find_rims_network(image, sides[1])
-    for towards in sides:
-        yield find_rims_network(image, towards, _UNLIKELY)
+        yield find_rims_network(image, towards + np.pi)
+    else:
+        towards = sun_axis(filled(brightness(image))[0])
+    for side in (towards, towards + np.pi):
+        yield find_rims_network(image, side, _UNLIKELY)

@@ -362,7 +362,7 @@ def _by_triples(search: _Search, depth: int) -> list[_Expanded]:
             search_triples(
                 view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
                 triples[start : start + _LOOKED_UP], search.order, noise, more * candidates, search.limits,
-                search.maps, best,
+                best,
             )  # fmt: skip
             expanded, enough = search.expand_best(best, count, min_score, noise)
             if enough:

@@ -2,9 +2,8 @@
 
 Rims that were detected and matched are evidence already (`evidence`). Here count the other craters that the
 pose predicts: too worn, too smeared or too small to be detected, but visible to one who knows where to look.
-An unknown share of them is seen. The sun may be on either side, and the image may show nothing of the map's
-craters at all: the three cases are equally probable, so that a right answer loses a factor of 3 at most. Over
-images of other places the ratio has the mean 1, as the evidence of the rims has.
+An unknown share of them is seen, possibly none, and the sun may be on either side: a right answer loses a
+factor of 4 at most. Over images of other places the ratio has the mean 1, as the evidence of the rims has.
 """
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy.typing as npt
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.evidence import visible_craters
-from craternav_fg.matching.identify.hypothesis import CRATERS, POSITION, RIMS, ROTATION
 from craternav_fg.matching.identify.view import View
 from craternav_fg.vision.shading_maps import LEAST_RADIUS_PX, ShadingMaps, shading_density
 from factors.kernels.compiled import njit
@@ -21,10 +19,9 @@ from factors.kernels.gauss_newton import invert
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-Int32Array = npt.NDArray[np.int32]
 
 # Shares of the predicted craters that are seen, all equally probable.
-_SEEN_SHARES = np.array([0.2, 0.5, 0.8])
+_SEEN_SHARES = np.array([0.0, 0.3, 0.6, 0.9])
 # Predicted places are off by at most so many standard deviations of the pose's error and, for the map's, by
 # this share of the radius.
 _ERROR_SIGMAS, _ERROR_SHARE = 1.0, 0.15
@@ -57,7 +54,7 @@ def log_shading(
     Returns
     -------
     float
-        Natural logarithm of the ratio, at least -ln 3.
+        Natural logarithm of the ratio, at least -ln 4.
     """
     if not maps.first.shape[1]:
         return 0.0
@@ -98,80 +95,8 @@ def log_shading(
             density = shading_density(maps, side, circles[k, 0], circles[k, 1], circles[k, 2], error_px)
             for s in range(_SEEN_SHARES.shape[0]):
                 log_ratio[side, s] += np.log(1.0 + _SEEN_SHARES[s] * (density - 1.0))
-    most = max(log_ratio.max(), 0.0)
-    return float(most + np.log((2.0 * np.exp(log_ratio - most).mean() + np.exp(-most)) / 3.0))
-
-
-@njit(cache=True, error_model="numpy")
-def shading_support(
-    view: View, craters: Craters, neighbours: Int32Array, pose: FloatArray, extent_px: float, lever: float,
-    sigma: float, maps: ShadingMaps,
-) -> float:  # fmt: skip
-    """Score a hypothesis from a triple by the image's shading at the neighbours of the triple's craters.
-
-    Parameters
-    ----------
-    view : View
-    craters : Craters
-    neighbours : ndarray of int32, shape (c, k)
-        See `TripleIndex`.
-    pose : ndarray, shape (HYPOTHESIS,)
-    extent_px, lever, sigma : float
-        See `hypothesis.support`.
-    maps : ShadingMaps
-        Of the image without distortion.
-
-    Returns
-    -------
-    float
-        Natural logarithm of the ratio to chance; 0 without maps.
-    """
-    if not maps.first.shape[1]:
-        return 0.0
-    u0, v0 = 0.0, 0.0
-    for k in range(3):
-        u0 += view.points_px[int(pose[RIMS + k]), 0] / 3.0
-        v0 += view.points_px[int(pose[RIMS + k]), 1] / 3.0
-    one, other = 0.0, 0.0
-    asked = np.empty(3 * neighbours.shape[1], dtype=np.int64)
-    count = 0
-    p, ray = np.empty(3), np.empty(3)
-    for own in range(3):
-        for place in range(neighbours.shape[1]):
-            crater = int(neighbours[int(pose[CRATERS + own]), place])
-            if crater < 0:
-                break
-            known = False
-            for k in range(3):
-                known = known or crater == int(pose[CRATERS + k])
-            for k in range(count):
-                known = known or crater == asked[k]
-            if known:
-                continue
-            asked[count] = crater
-            count += 1
-            distance2, along, range2 = 0.0, 0.0, 0.0
-            for r in range(3):
-                c = craters.centres[crater, r]
-                ray[r] = c - pose[POSITION + r]
-                distance2 += ray[r] * ray[r]
-                along -= ray[r] * c
-                range2 += c * c
-            for r in range(3):
-                p[r] = pose[ROTATION + r] * ray[0]
-                p[r] += pose[ROTATION + 3 + r] * ray[1] + pose[ROTATION + 6 + r] * ray[2]
-            if not (p[2] > 0.0 and along > 0.0):
-                continue
-            x = view.principal_px[0] + view.fx_px * p[0] / p[2]
-            y = view.principal_px[1] + view.fy_px * p[1] / p[2]
-            cos = along / np.sqrt(distance2 * range2)
-            radius_px = np.exp(craters.log_size[crater]) * view.focal_px * np.sqrt(cos / distance2)
-            away = np.sqrt((x - u0) ** 2 + (y - v0) ** 2)
-            error_px = lever * away + _ERROR_SIGMAS * sigma * np.sqrt(1.0 + (away / extent_px) ** 2)
-            error_px = np.hypot(error_px, _ERROR_SHARE * radius_px)
-            one += np.log(0.5 + 0.5 * shading_density(maps, 0, x, y, radius_px, error_px))
-            other += np.log(0.5 + 0.5 * shading_density(maps, 1, x, y, radius_px, error_px))
-    return float(np.logaddexp(one, other) - np.log(2.0))
+    most = log_ratio.max()
+    return float(most + np.log(np.exp(log_ratio - most).mean()))
 
 
 @njit(cache=True, error_model="numpy")

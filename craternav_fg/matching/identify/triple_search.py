@@ -25,10 +25,8 @@ from craternav_fg.matching.identify.hypothesis import (
 )
 from craternav_fg.matching.identify.kd_tree import Tree, nearest
 from craternav_fg.matching.identify.nadir import place
-from craternav_fg.matching.identify.shading import shading_support
 from craternav_fg.matching.identify.triple_index import SIDE_UNIT, SIZE_UNIT, SMALLEST, describe
 from craternav_fg.matching.identify.view import View
-from craternav_fg.vision.shading_maps import ShadingMaps
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
@@ -41,8 +39,6 @@ _MAX_DISTANCE2 = 12.0
 # Share of the index that is so near to a triple of rims, typically. Where fewer are, each is the more
 # significant.
 _TYPICAL_SHARE = 0.005
-# Score from which the image's shading is asked, too: it seldom adds more than 3, and most scores are lower.
-_LEAST_SCORE_ASKED = -3.0
 # Other rims after which a hypothesis with a score that is not positive is given up.
 _PATIENCE = 3
 # Least share of a disc around a rim that counts as shown in the image: bounds the estimate of how many
@@ -372,7 +368,7 @@ def _crowding(craters: Craters, neighbours: Int32Array, crater: int) -> float:
 def search_triples(
     view: View, index: SphereIndex, craters: Craters, neighbours: Int32Array, tree: Tree,
     projection: Projection, triples: Int32Array, order: Int32Array, sigma: float, candidates: int,
-    limits: PoseLimits, maps: ShadingMaps, best: FloatArray,
+    limits: PoseLimits, best: FloatArray,
 ) -> None:  # fmt: skip
     """Look up triples of rims in the index and keep the best hypotheses.
 
@@ -395,8 +391,6 @@ def search_triples(
     candidates : int
         Largest number of triples of craters that are examined per triple of rims.
     limits : PoseLimits
-    maps : ShadingMaps
-        Of the image without distortion.
     best : ndarray, shape (h, HYPOTHESIS)
         Changed: the best hypothetical poses.
     """
@@ -446,7 +440,5 @@ def search_triples(
                 view, index, craters, order[rims[0]], pose, extent_px, LEVER, sigma, _PATIENCE, crowding
             )
             pose[SCORE] = score - 0.5 * found_d2[h] + rarity
-            if pose[SCORE] > _LEAST_SCORE_ASKED:
-                pose[SCORE] += shading_support(view, craters, neighbours, pose, extent_px, LEVER, sigma, maps)
             if pose[SCORE] > 0.0:
                 keep(pose, best)
