@@ -48,7 +48,7 @@ class ShadingMaps(NamedTuple):
     """Maps of one image, for compiled code: of each side of the sun's axis, level and reach."""
 
     density: Float32Array
-    """Density of the share at a crater over that by chance, of all maps, row by row."""
+    """Density of the share at a crater over that by chance, of all maps, row by row, shape (n,)."""
     first: IntArray
     """Where each map begins, shape (2, levels, 4)."""
     shapes: IntArray
@@ -106,6 +106,7 @@ def sun_axis(image: Float32Array) -> float:
     Parameters
     ----------
     image : ndarray of float32, shape (H, W)
+        Brightness, 0 to 255, finite.
 
     Returns
     -------
