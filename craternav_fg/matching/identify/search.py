@@ -132,7 +132,7 @@ class _Search:
 
     def __init__(
         self, view: View, index: TripleIndex, known: KnownAttitude | None, camera: Camera,
-        options: IdentifyOptions, maps: ShadingMaps,
+        options: IdentifyOptions, maps: ShadingMaps = NO_SHADING,
     ) -> None:  # fmt: skip
         self.view, self.index, self.options, self.maps = view, index, options, maps
         self.n = len(view.charts)
