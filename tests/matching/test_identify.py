@@ -13,7 +13,7 @@ from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.chance import chance_at, log_by_chance
-from craternav_fg.matching.identify.evidence import count_visible
+from craternav_fg.matching.identify.evidence import visible_craters
 from craternav_fg.matching.identify.search import (
     IdentifyOptions,
     Status,
@@ -251,10 +251,17 @@ def test_all_craters_that_should_be_seen_are_counted(synthetic, range_m, tilt_ra
     size_px = np.sqrt(camera.fx_px * camera.fy_px) * np.exp(0.5 * (charts[:, 2] + charts[:, 4]))
     wanted = np.sum(size_px >= least_px)
     view = view_of(np.array([[500.0, 500.0, 20.0, 15.0, 0.0]]), camera)
-    found = count_visible(view, synthetic.catalog.index, synthetic.craters, gTb, MOON.radius_m, least_px)
+    rows, circles_px = visible_craters(
+        view, synthetic.catalog.index, synthetic.craters, gTb, MOON.radius_m, least_px
+    )
     assert wanted > least
     # Of craters right behind the horizon a few more.
-    assert wanted <= found < 1.06 * wanted + 3
+    assert wanted <= len(rows) < 1.06 * wanted + 3
+    seen, charts = catalog.visible(camera, gTb, min_semi_minor_px=1e-3)
+    _, ours, theirs = np.intersect1d(rows, seen, return_indices=True)
+    assert len(ours) >= wanted
+    np.testing.assert_allclose(circles_px[ours, :2], camera.pixels(charts[theirs, :2]), atol=1e-6)
+    np.testing.assert_allclose(circles_px[ours, 2], size_px[theirs], rtol=1e-9)
 
 
 def test_pose_of_a_mounted_camera(synthetic) -> None:

@@ -13,6 +13,8 @@ from craternav_fg.simulation.scenes import MOON
 from craternav_fg.vision.detect import FoundRims
 from tests.cli.calls import call
 from tests.shared_data import FOLDER, shared
+from tests.vision.test_shading_maps import SUN_RAD as GROUND_SUN_RAD
+from tests.vision.test_shading_maps import rough_ground
 
 SUN_RAD = 0.7
 IMAGE = np.zeros((8, 8), np.uint8)
@@ -85,21 +87,23 @@ def test_less_likely_and_smaller_rims_come_last_and_without_an_answer_the_first_
     assert asked[3][0] - asked[2][0] == pytest.approx(np.pi)
 
 
-def test_the_sun_may_be_anywhere_in_an_image_without_rims(index, view, detector):
+def test_the_ground_shows_the_suns_axis_in_an_image_without_rims(index, view, detector):
     asked, answers = detector
     right = rims_of(view.ellipses_px)
-    answers += [rims_of(np.empty((0, 5)))] * 4 + [right]
-    rims, found = identify_image(IMAGE, view.camera, index)
+    answers += [rims_of(np.empty((0, 5)))] * 2 + [right]
+    image = rough_ground(np.random.default_rng(1)).astype(np.float32)
+    rims, found = identify_image(image, view.camera, index)
     assert found.identified
     assert rims is right
-    assert asked == [
-        (None, None), *((pytest.approx(0.5 * np.pi * k), (0.05, 5.0)) for k in range(4)),
+    assert [at for at, _ in asked] == [
+        None, pytest.approx(GROUND_SUN_RAD, abs=0.1), pytest.approx(GROUND_SUN_RAD + np.pi, abs=0.1),
     ]  # fmt: skip
+    assert [least for _, least in asked] == [None, (0.05, 5.0), (0.05, 5.0)]
 
 
 def test_an_image_without_rims(index, view, detector):
     _, answers = detector
-    answers += [rims_of(np.empty((0, 5)))] * 5
+    answers += [rims_of(np.empty((0, 5)))] * 3
     rims, found = identify_image(IMAGE, view.camera, index)
     assert not found.identified
     assert len(rims.quality) == 0
@@ -111,7 +115,7 @@ def test_rims_are_searched_deeper_once_no_others_are_found_at_once(index, view, 
     answers += [rims_of(view.ellipses_px[:n]) for n in (4, 5, 6, 7)]
     searched = []
 
-    def noted(ellipses_px, traced, camera, index, attitude, options, quality):
+    def noted(ellipses_px, traced, camera, index, attitude, options, quality, maps):
         searched.append((len(ellipses_px), options.deep))
         right = searched[-1] == (6, True)
         mirrored = view.mirrored()[: len(ellipses_px)]

@@ -18,7 +18,8 @@ The algorithm, in order, with the module of each step:
    and craters are re-associated, until the pairs no longer change. The noise of the rims is estimated
    from their residuals (`noise`).
 7. `evidence`: the pose is believed when so many agreeing rims are improbable by chance over all poses that
-   were searched. Two poses of similar evidence are ambiguous.
+   were searched. With the image at hand, further craters that the pose predicts count as well: whether the
+   image's shading shows them (`shading`). Two poses of similar evidence are ambiguous.
 8. `refine`: the pose that is returned and its covariance are averaged over the unknown noise.
 
 `search` runs these steps (`search.identify`); `detected` does so for rims some of which are coarse. `options`

@@ -11,6 +11,7 @@ from craternav_fg.matching.identify.result import Identification
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.measurements import KnownAttitude
+from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
 
 
 def identify_detected(
@@ -21,6 +22,7 @@ def identify_detected(
     attitude: KnownAttitude | None = None,
     options: IdentifyOptions = IdentifyOptions(),
     quality: npt.NDArray[np.float64] | None = None,
+    maps: ShadingMaps = NO_SHADING,
 ) -> Identification:
     """Identify detected rims: by those that were traced or, where they do not suffice, by all.
 
@@ -37,6 +39,7 @@ def identify_detected(
     attitude : KnownAttitude, optional
     options : IdentifyOptions, optional
     quality : ndarray, shape (n,), optional
+    maps : ShadingMaps, optional
         See `search.identify`.
 
     Returns
@@ -46,11 +49,11 @@ def identify_detected(
     """
     if options.deep:
         # The traced ones alone would take as long, and rarely answer where the others do not.
-        return identify(ellipses_px, camera, index, attitude, options, quality)
+        return identify(ellipses_px, camera, index, attitude, options, quality, maps)
     of_traced = None if quality is None else quality[traced]
-    found = identify(ellipses_px[traced], camera, index, attitude, options, of_traced)
+    found = identify(ellipses_px[traced], camera, index, attitude, options, of_traced, maps)
     if not found.identified and not traced.all():
-        all_of = identify(ellipses_px, camera, index, attitude, options, quality)
+        all_of = identify(ellipses_px, camera, index, attitude, options, quality, maps)
         return replace(all_of, seconds=found.seconds + all_of.seconds)
     places = np.flatnonzero(traced)
     craters: list[str | None] = [None] * len(ellipses_px)

@@ -49,10 +49,10 @@ _MAX_LOG_SIZE = 30.0
 
 
 @njit(cache=True, error_model="numpy")
-def count_visible(
+def visible_craters(
     view: View, index: SphereIndex, craters: Craters, gTc: FloatArray, sphere: float, least_px: float
-) -> int:
-    """Count the craters whose whole rims lie in the image.
+) -> tuple[IntArray, FloatArray]:
+    """Find the craters whose whole rims lie in the image.
 
     Parameters
     ----------
@@ -67,8 +67,10 @@ def count_visible(
 
     Returns
     -------
-    int
-        A few craters just behind the horizon may be counted.
+    rows : ndarray of int, shape (m,)
+        A few craters just behind the horizon may be among them.
+    circles_px : ndarray, shape (m, 3)
+        Centres x and y, px without distortion, and mean radii.
     """
     left, top = view.bounds_px[0], view.bounds_px[1]
     right, bottom = view.bounds_px[2], view.bounds_px[3]
@@ -112,6 +114,7 @@ def count_visible(
         found = np.empty(4 * count, dtype=np.int64)
         count = within(index, middle[0], middle[1], middle[2], reach, least, _MAX_LOG_SIZE, found)
     p, axes_c, y5 = np.empty(3), np.empty((2, 3)), np.empty(5)
+    rows, circles = np.empty(count, dtype=np.int64), np.empty((count, 3))
     total = 0
     for k in range(count):
         # Most of the distant ones are too small, however they are oriented.
@@ -123,17 +126,19 @@ def count_visible(
         rim_in_camera(R, P, craters.centres[found[k]], craters.axes[found[k]], p, axes_c)
         if not chart(p, axes_c, y5):
             continue
-        if 0.5 * (y5[2] + y5[4]) + np.log(view.focal_px) < np.log(least_px):
+        log_radius = 0.5 * (y5[2] + y5[4]) + np.log(view.focal_px)
+        if log_radius < np.log(least_px):
             continue
         half_x, half_y = half_sides_kernel(y5[2], y5[3], y5[4])
         half_x *= view.fx_px
         half_y *= view.fy_px
         x = view.principal_px[0] + view.fx_px * y5[0]
         y = view.principal_px[1] + view.fy_px * y5[1]
-        total += (
-            x - half_x > left and x + half_x < right and y - half_y > top and y + half_y < bottom
-        )  # fmt: skip
-    return total
+        if x - half_x > left and x + half_x < right and y - half_y > top and y + half_y < bottom:
+            rows[total] = found[k]
+            circles[total, 0], circles[total, 1], circles[total, 2] = x, y, np.exp(log_radius)
+            total += 1
+    return rows[:total].copy(), circles[:total].copy()
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,7 +200,7 @@ def log_evidence(
     chance_at(view, R, P, sphere, chance, shape_chance, here)
     for i in range(n):
         rest[i] -= here[i]
-    # The noise is unknown, too: the best level counts with its prior probability.
+    # Rims that are improbable at the most probable noise lose their craters.
     centre_px = _centre_noise(place, match)
     sigma = np.empty(3)
     count = 0
@@ -204,11 +209,7 @@ def log_evidence(
             matched_shape[count], radius[count] = shape[i], view.radius_px[i]
             count += 1
     fit_axis_noise(matched_shape, radius, count, 1.0, centre_px, sigma)
-    levels = 0.0
-    for size in AXIS_LEVELS:
-        levels += np.exp(log_axis_prior(size, centre_px))
-    total = log_axis_prior(sigma[1], centre_px)
-    total -= np.log(_CENTRE_LEVELS_PX.shape[0] * levels * AXIS_SHARES.shape[0])
+    total = 0.0
     smallest = np.inf
     for i in range(n):
         if match[i] < 0:
@@ -220,17 +221,17 @@ def log_evidence(
             match[i] = -1
             pairs -= 1
         else:
-            total += term
+            total += rest[i]
             smallest = min(smallest, view.radius_px[i])
     if not pairs:
         return -np.inf
+    total += _log_over_noise(view, match, place, shape)
     # The probability that `pairs` of the visible craters are found, whichever the share of those found.
-    seen = max(count_visible(view, index, craters, gTc, sphere, smallest), pairs)
+    rows, _ = visible_craters(view, index, craters, gTc, sphere, smallest)
+    seen = max(len(rows), pairs)
     total += lgamma(pairs + 1.0) + lgamma(seen - pairs + 1.0) - lgamma(seen + 2.0)
-    clutter = -np.inf
-    for f in _FALSE_SHARES:
-        clutter = max(clutter, (1.0 - f) * n + (n - pairs) * np.log(f))
-    total += clutter - np.log(_FALSE_SHARES.shape[0])
+    clutter = (1.0 - _FALSE_SHARES) * n + (n - pairs) * np.log(_FALSE_SHARES)
+    total += clutter.max() + np.log(np.exp(clutter - clutter.max()).mean())
     return total + log_prior + 3.0 * _LOG_2PI - 0.5 * _log_det(N)
 
 
@@ -246,6 +247,47 @@ def _centre_noise(d2: FloatArray, match: IntArray) -> float:
         if total > value:
             best, value = s, total
     return best
+
+
+@njit(cache=True, error_model="numpy")
+def _log_over_noise(view: View, match: IntArray, place: FloatArray, shape: FloatArray) -> float:
+    """Average the density of the errors of matched rims over the unknown noise, but for constants.
+
+    Parameters
+    ----------
+    view : View
+    match : ndarray of int, shape (n,)
+        Row of each rim's crater, -1 for none.
+    place, shape : ndarray, shape (n,)
+        Squared errors at a noise of 1 px: two and three degrees of freedom.
+
+    Returns
+    -------
+    float
+        Natural logarithm.
+    """
+    sigma = np.empty(3)
+    best, total, weights = -np.inf, 0.0, 0.0
+    for centre_px in _CENTRE_LEVELS_PX:
+        of_places = 0.0
+        for i in range(match.shape[0]):
+            if match[i] >= 0:
+                of_places -= 0.5 * place[i] / centre_px**2 + 2.0 * np.log(centre_px)
+        for size in AXIS_LEVELS:
+            prior = log_axis_prior(size, centre_px)
+            for share in AXIS_SHARES:
+                sigma[0], sigma[1], sigma[2] = centre_px, size, share
+                value = of_places + prior
+                for i in range(match.shape[0]):
+                    if match[i] >= 0:
+                        scale = shape_scale(view, i, sigma)
+                        value -= 0.5 * shape[i] / scale**2 + 3.0 * np.log(scale)
+                weights += np.exp(prior)
+                if value > best:
+                    total, best = total * np.exp(best - value) + 1.0, value
+                else:
+                    total += np.exp(value - best)
+    return float(best + np.log(total / weights))
 
 
 @njit(cache=True, error_model="numpy")

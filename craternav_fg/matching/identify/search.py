@@ -32,6 +32,7 @@ from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.refine import refine
 from craternav_fg.matching.identify.result import Identification, Status, no_answer
+from craternav_fg.matching.identify.shading import log_shading
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
 from craternav_fg.matching.identify.size_excess import plausible_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -53,6 +54,7 @@ from craternav_fg.resection.intrinsics import (
     intrinsics_warnings,
 )
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
 from factors.kernels.gauss_newton import screw
 
 __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
@@ -130,9 +132,9 @@ class _Search:
 
     def __init__(
         self, view: View, index: TripleIndex, known: KnownAttitude | None, camera: Camera,
-        options: IdentifyOptions,
+        options: IdentifyOptions, maps: ShadingMaps = NO_SHADING,
     ) -> None:  # fmt: skip
-        self.view, self.index, self.options = view, index, options
+        self.view, self.index, self.options, self.maps = view, index, options, maps
         self.n = len(view.charts)
         self.prior = np.eye(4)
         self.weight = np.zeros((6, 6))
@@ -224,7 +226,10 @@ class _Search:
         ratio = log_evidence(
             self.view, index, craters, gTc, match, N, self.chance, self.shape_chance, self._log_prior(gTc)
         )
-        return _Expanded(gTc, match, N, sigma, ratio) if np.isfinite(ratio) else None
+        if not np.isfinite(ratio):
+            return None
+        ratio += log_shading(self.view, index, craters, gTc, match, N, self.maps)
+        return _Expanded(gTc, match, N, sigma, ratio)
 
     def _log_prior(self, gTc: FloatArray) -> float:
         """Natural logarithm of the density of a pose before the image was seen, per rad^3 m^3."""
@@ -244,6 +249,7 @@ class _Search:
 def identify(
     ellipses_px: FloatArray, camera: Camera, index: TripleIndex, attitude: KnownAttitude | None = None,
     options: IdentifyOptions = IdentifyOptions(), quality: FloatArray | None = None,
+    maps: ShadingMaps = NO_SHADING,
 ) -> Identification:  # fmt: skip
     """Identify the craters of an image's rims, and estimate the pose.
 
@@ -260,6 +266,8 @@ def identify(
     options : IdentifyOptions
     quality : ndarray, shape (n,), optional
         Probability of each rim to be a crater's, above 0; 1 if not given. Only ratios matter to the evidence.
+    maps : ShadingMaps, optional
+        Of the image without distortion: poses are judged by it, too.
 
     Returns
     -------
@@ -288,7 +296,7 @@ def identify(
             ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma,
             options.centre_share, None if quality is None else quality[once],
         )  # fmt: skip
-        search = _Search(view, index, attitude, camera, options)
+        search = _Search(view, index, attitude, camera, options, maps)
         first = factor == options.size_factors[0]
         # Single rims are many: they are tried once.
         found = _expanded(search, depth, attitude is not None and first)
