@@ -193,18 +193,15 @@ def test_the_command(flight, published, corrected, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_rehearsal_over_real_ground_halves_the_errors_of_later_flights(tmp_path):
-    """Other trials of the scenario: other sensor noise, and other ground below the model's resolution."""
+def test_a_rehearsal_over_real_ground_halves_the_errors_of_a_later_flight(tmp_path):
+    """Another trial of the scenario: other sensor noise, and other ground below the model's resolution."""
     shared("gld100/gld100_256ppd_posidonius.tif")
     shared("lu1319381.parquet")
     case = load_scenario("gld100_mixed").with_data(FOLDER)
-    rehearsals = [Dataset.open(simulate(case, tmp_path / f"{trial}", trial=trial)) for trial in (7, 8)]
-    mapped = rims_in_posed_images(rehearsals[0].catalog, rehearsals).catalog
-    square_m2 = {"published": [], "rehearsed": []}
-    for trial in (0, 1):
-        data = Dataset.open(simulate(case, tmp_path / f"{trial}", trial=trial))
-        for name, catalog in (("published", data.catalog), ("rehearsed", mapped)):
-            trajectory = reconstruct(replace(data, catalog=catalog), ["smoother"]).trajectories["smoother"]
-            square_m2[name].append(np.mean(np.sum((trajectory.gP - data.truth.gP) ** 2, axis=1)))
-    ratio = np.sqrt(np.mean(square_m2["rehearsed"]) / np.mean(square_m2["published"]))
-    assert ratio < 0.6
+    rehearsal, flight = (Dataset.open(simulate(case, tmp_path / f"{trial}", trial=trial)) for trial in (7, 1))
+    seen = rims_in_posed_images(flight.catalog, [rehearsal]).catalog
+    rms_m = []
+    for catalog in (flight.catalog, seen):
+        trajectory = reconstruct(replace(flight, catalog=catalog), ["smoother"]).trajectories["smoother"]
+        rms_m.append(np.sqrt(np.mean(np.sum((trajectory.gP - flight.truth.gP) ** 2, axis=1))))
+    assert rms_m[1] < 0.6 * rms_m[0]
