@@ -8,6 +8,7 @@ compiles a kernel at a time, and the others wait for the result.
 
 import fcntl
 import functools
+import gc
 import hashlib
 import inspect
 import pickle
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numba
+from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.extending import overload
@@ -116,6 +118,19 @@ def _short_refusal() -> Iterator[None]:
         arrayobj.raise_with_shape_context = original
 
 
+@contextmanager
+def _no_garbage_search() -> Iterator[None]:
+    """Compile without the search for garbage, which looks through millions of objects that all stay."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function with numba when it is first called.
 
@@ -141,7 +156,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         compile_for = dispatcher.compile
 
         def compile_alone(signature: Any) -> Any:
-            with global_compiler_lock, _short_refusal():
+            # A kernel that is called with a constant is the one for any number: no version of its own.
+            if isinstance(signature, tuple):
+                signature = tuple(map(types.unliteral, signature))
+            with global_compiler_lock, _short_refusal(), _no_garbage_search():
                 try:
                     return compile_for(signature)
                 finally:
