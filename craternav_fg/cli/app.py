@@ -3,6 +3,7 @@
 A command's module is imported when the command is called: the help of all of them costs no import of GTSAM.
 """
 
+import functools
 import importlib
 import inspect
 import warnings
@@ -61,6 +62,19 @@ def _loaded(names: Any) -> TyperGroup:
     for name in names:
         for module in COMMANDS[name].modules:
             importlib.import_module(f"craternav_fg.cli.{module}")
+    return _group(_registered(app))
+
+
+def _registered(group: typer.Typer) -> int:
+    """Count the commands of a group and below it: each module that is imported adds its own."""
+    below = (one.typer_instance for one in group.registered_groups)
+    return len(group.registered_commands) + sum(_registered(one) for one in below if one is not None)
+
+
+# Made anew when commands have come: in one process, such as a test, many are called.
+@functools.lru_cache(maxsize=1)
+def _group(_count: int) -> TyperGroup:
+    """Return the group of all commands, of which so many are registered."""
     _leave_files_unchecked(app)
     group = typer.main.get_command(app)
     assert isinstance(group, TyperGroup)
@@ -133,7 +147,7 @@ def run() -> None:
     if numba_cache.FOLDER is not None:
         note(f"no folder for compiled code can be written: {numba_cache.FOLDER} is used")
     try:
-        app()
+        _loaded([])()
     except CraternavError:
         if out.verbose:
             err.print_exception()

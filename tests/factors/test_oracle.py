@@ -148,7 +148,10 @@ def rims(view: View) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def camera_columns(view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of the camera as a body with the identity as mounting, and scales of the twist's columns."""
+    """Pose of the camera as a body with the identity as mounting, and scales of the twist's columns.
+
+    Kernels that only factors call are given it column-major, as GTSAM's matrices are: each order is compiled.
+    """
     gTc = view.gTb @ view.bTc
     distance = np.linalg.norm(view.catalog.centres[0] - gTc[:3, 3])
     return np.ascontiguousarray(gTc), np.repeat([1.0, 1.0 / distance], 3)
@@ -206,7 +209,9 @@ def test_implicit(case: View) -> None:
     # The kernel takes for granted that the projection has the measured conic in its kernel.
     P -= (P @ q[:, :, None]) * q[:, None, :]
     e, J = np.empty(5 * n), np.empty((5 * n, 6))
-    implicit.implicit_residuals(pose, EYE, c.centres, c.axes, q, P, robust.NONE, 1.0, True, e, J)
+    implicit.implicit_residuals(
+        np.asfortranarray(pose), EYE, c.centres, c.axes, q, P, robust.NONE, 1.0, True, e, J
+    )
     for k, (flat, motion) in enumerate(rims(case)):
         p, dp = conics(flat, motion)
         dot = q[k] @ p
@@ -248,7 +253,7 @@ def test_centre(case: View) -> None:
     W = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
     e, J = np.empty(2 * n), np.empty((2 * n, 6))
     stacked.centre_residuals(
-        pose, EYE, case.catalog.centres, np.zeros((n, 2)), W, robust.NONE, 1.0, True, e, J
+        np.asfortranarray(pose), EYE, case.catalog.centres, np.zeros((n, 2)), W, robust.NONE, 1.0, True, e, J
     )
     for k, (flat, motion) in enumerate(rims(case)):
         x, y, z = flat[:3]
@@ -268,7 +273,18 @@ def test_line_of_sight(case: View) -> None:
     W = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
     e, J = np.empty(2 * n), np.empty((2 * n, 6))
     stacked.los_residuals(
-        pose, EYE, case.catalog.centres, case.catalog.normals, q, bases, W, robust.NONE, 1.0, True, e, J
+        np.asfortranarray(pose),
+        EYE,
+        case.catalog.centres,
+        case.catalog.normals,
+        q,
+        bases,
+        W,
+        robust.NONE,
+        1.0,
+        True,
+        e,
+        J,
     )
     for k, (flat, motion) in enumerate(rims(case)):
         n_c = pose[:3, :3].T @ case.catalog.normals[k]

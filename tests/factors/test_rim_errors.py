@@ -18,7 +18,10 @@ from factors.rims_with_errors import RimsWithErrors
 POSE = np.array(
     [[1.0, 0.0, 0.0, 300.0], [0.0, -1.0, 0.0, -500.0], [0.0, 0.0, -1.0, 20e3], [0.0, 0.0, 0.0, 1.0]]
 )
-MOUNTING = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 0.4), np.array([1.0, -0.5, 0.3])).matrix()
+# In rows, as cameras hold it: kernels are compiled for each order.
+MOUNTING = np.ascontiguousarray(
+    gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 0.4), np.array([1.0, -0.5, 0.3])).matrix()
+)
 CENTRES = np.array([[0.0, 0.0, 0.0], [2000.0, -1500.0, 50.0], [-2500.0, 800.0, -30.0]])
 AXES = np.array([[[900.0, 100.0, 0.0], [-80.0, 720.0, 0.0]]] * 3)
 OWN = [gtsam.symbol("r", i) for i in (3, 4, 7)]

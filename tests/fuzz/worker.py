@@ -14,6 +14,7 @@ import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -25,7 +26,8 @@ from tests.fuzz.targets import make_targets
 
 MEMORY = 2 << 30
 SECONDS = 20.0
-# Figures take most of the time of a reconstruction that succeeds: they are drawn in one case of so many.
+# Figures take most of the time of a reconstruction or of a campaign's report that succeeds: they are drawn in
+# one case of so many.
 DRAWN_EVERY = 8
 
 
@@ -35,11 +37,14 @@ def say(what: dict[str, Any]) -> None:
     sys.__stdout__.flush()  # type: ignore[union-attr]
 
 
-def figures(*, drawn: bool) -> contextlib.AbstractContextManager[object]:
-    """Draw the figures of a run, or not."""
-    if drawn:
-        return contextlib.nullcontext()
-    return mock.patch("craternav_fg.runs.execute._figures", return_value={})
+@contextlib.contextmanager
+def figures(*, drawn: bool) -> Iterator[None]:
+    """Draw the figures of runs and campaigns, or not."""
+    with contextlib.ExitStack() as stack:
+        if not drawn:
+            stack.enter_context(mock.patch("craternav_fg.runs.execute._figures", return_value={}))
+            stack.enter_context(mock.patch("craternav_fg.reports.campaign_page.inline_svg", return_value=""))
+        yield
 
 
 def reading(commands: list[list[str]], path: Path) -> list[list[str]]:
@@ -79,13 +84,14 @@ def run_case(targets: dict[str, Target], seed: int, place: Path) -> dict[str, An
 
 def main(folder: Path, first: int, last: int) -> None:
     """Run cases first to last - 1."""
-    targets = make_targets(folder / "sound")
-    for target in targets.values():
-        # What is compiled at its first call takes no time of a case.
-        here = target.copy(folder / "warm")
-        for command in target.commands(here):
-            call(*command)
-        shutil.rmtree(folder / "warm")
+    with figures(drawn=False):
+        targets = make_targets(folder / "sound")
+        for target in targets.values():
+            # What is compiled at its first call takes no time of a case.
+            here = target.copy(folder / "warm")
+            for command in target.commands(here):
+                call(*command)
+            shutil.rmtree(folder / "warm")
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     say({"ready": True})

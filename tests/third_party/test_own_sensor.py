@@ -12,7 +12,7 @@ import yaml
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.sensors.protocol import ATTITUDE, POSITION, SensorState, Surroundings
-from tests.third_party.test_plugins import SCENARIO, craternav, in_turn
+from tests.third_party.test_plugins import SCENARIO, in_turn
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/tutorials/own_sensor.md"
 
@@ -86,7 +86,7 @@ def test_it_is_found_simulated_and_estimated(module: str, tmp_path: Path) -> Non
     assert set(yaml.safe_load(settings)) <= set(yaml.safe_load((sensor / "sensor.yaml").read_text()))
     assert log.splitlines()[0] == (sensor / "data.csv").read_text().splitlines()[0]
     (sensor / "sensor.yaml").write_text(settings)
-    found = craternav(tmp_path, "reconstruct", tmp_path / "data", "-o", tmp_path / "own", "-e", "ekf")
-    assert found.returncode == 0, found.stderr
+    (found,) = in_turn(tmp_path, ["reconstruct", tmp_path / "data", "-o", tmp_path / "own", "-e", "ekf"])
+    assert found.code == 0, found.err
     nis = json.loads(done.out)["innovations"]["nis"]["beacon"]
     assert nis["low"] < nis["mean"] < nis["high"]
