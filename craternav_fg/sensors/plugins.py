@@ -1,8 +1,9 @@
 """What other packages register by entry points: sensors, estimators."""
 
-import importlib.metadata
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from craternav_fg.errors import CraternavError
@@ -48,7 +49,7 @@ def plugins(group: str) -> Iterator[Plugin]:
     CraternavError
         When one cannot be loaded: names it and its package.
     """
-    for entry in importlib.metadata.entry_points(group=group):
+    for entry in _registered(group):
         package = entry.dist.name if entry.dist is not None else entry.value
         try:
             value = entry.load()
@@ -56,3 +57,9 @@ def plugins(group: str) -> Iterator[Plugin]:
             said = " ".join(f"{type(error).__name__}: {error}".split())
             raise CraternavError(f"{entry.name} of the package {package}: cannot be loaded: {said}") from None
         yield Plugin(entry.name, package, value)
+
+
+# Files of all installed packages are read for it, and it is asked for each data set and estimator.
+@functools.cache
+def _registered(group: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=group))
