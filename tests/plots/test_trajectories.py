@@ -46,8 +46,9 @@ def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_
     for number, figure in enumerate(
         (
             trajectories.draw_descent(t, None, one_crater(), MOON),
-            trajectories.draw_errors({"smoother": t}, truth, [0] * frames_count),
-            trajectories.draw_consistency({"smoother": t}, truth),
+            # An estimator of another package is drawn as well.
+            trajectories.draw_errors({"smoother": t, "carried": t}, truth, [0] * frames_count),
+            trajectories.draw_consistency({"smoother": t, "carried": t}, truth),
             trajectories.draw_sigmas({"smoother": t}, [0] * frames_count),
             trajectories.draw_bounds({"smoother": t}, truth),
         )
