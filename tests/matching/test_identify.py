@@ -14,11 +14,10 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.chance import chance_at, log_by_chance
 from craternav_fg.matching.identify.evidence import visible_craters
+from craternav_fg.matching.identify.expansion import Expanded, Search
 from craternav_fg.matching.identify.search import (
     IdentifyOptions,
     Status,
-    _Expanded,
-    _Search,
     identify,
 )
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -190,10 +189,10 @@ def test_wrong_craters_on_one_side_are_left(synthetic) -> None:
     match = np.full(len(scene.craters), -1)
     match[kept] = scene.craters[kept]
     match[list(wrong)] = list(wrong.values())
-    search = _Search(
+    search = Search(
         view_of(scene.ellipses_px, scene.camera), synthetic, None, scene.camera, IdentifyOptions()
     )
-    found = search.best_variation(_Expanded(scene.gTb, match, np.eye(6), np.full(3, 8.0), 34.0))
+    found = search.best_variation(Expanded(scene.gTb, match, np.eye(6), np.full(3, 8.0), 34.0))
     true = scene.craters >= 0
     assert np.mean(found.match[true] == scene.craters[true]) > 0.9
 
