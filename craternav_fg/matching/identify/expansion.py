@@ -20,6 +20,7 @@ from craternav_fg.matching.identify.hypothesis import (
     PoseLimits,
 )
 from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.pose_fit import fit_pose, influences, pack_rims
 from craternav_fg.matching.identify.shading import log_shading
 from craternav_fg.matching.identify.size_excess import plausible_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -33,10 +34,18 @@ IntArray = npt.NDArray[np.int64]
 
 # A hypothesis is formed from a triple.
 MIN_RIMS = 3
-# Rims around each rim that may be asked when a hypothesis is scored.
-_ORDERED_RIMS = 24
+PROM = -5.0
+# Rims around each rim that may be asked when a hypothesis is scored; they are of the likeliest third.
+_ORDERED_RIMS, _LIKELY_DIVISOR = 24, 3
 # Rims of which hypotheses are formed, the largest: memory and time grow with the square of their number.
 _MAX_RIMS = 1500
+_LIKELY_DIVISOR = 3
+# Least evidence of a pose that is varied.
+_PROMISING = -5.0
+# Share of the images whose optical axis meets the ground, chosen: the others show the limb.
+_AIMED_SHARE = 0.9
+# Pairs that are left out, the most influential first, and times that a pose is varied.
+_LEFT_OUT, _MAX_VARIED = 3, 4
 # Largest rotation of a triple's hypothesis from a known attitude, beside 5 standard deviations of that: three
 # centres determine the attitude coarsely.
 _MAX_TURN_RAD = float(np.radians(20.0))
@@ -61,9 +70,11 @@ class Search:
 
     def __init__(
         self, view: View, index: TripleIndex, known: KnownAttitude | None, camera: Camera,
-        options: IdentifyOptions, maps: ShadingMaps = NO_SHADING,
+        options: IdentifyOptions, maps: ShadingMaps = NO_SHADING, log_ways: float = 0.0,
     ) -> None:  # fmt: skip
         self.view, self.index, self.options, self.maps = view, index, options, maps
+        # Logarithm of the number of ways to agree by chance beside the poses.
+        self.log_ways = log_ways
         self.n = len(view.charts)
         self.prior = np.eye(4)
         self.weight = np.zeros((6, 6))
@@ -83,7 +94,7 @@ class Search:
     def begin_with(self, plausible: IntArray) -> None:
         """Begin hypotheses from these rims, the likeliest of them, and all."""
         self.plausible = plausible
-        likely = likeliest(self.view, plausible, _ORDERED_RIMS)
+        likely = likeliest(self.view, plausible, max(_ORDERED_RIMS, len(plausible) // _LIKELY_DIVISOR))
         self.order = image_order(self.view, likely, _ORDERED_RIMS)
         groups = {len(rims): rims for rims in (likely, plausible, self.largest)}
         self.groups = list(groups.values())
@@ -97,7 +108,7 @@ class Search:
         rims = hypothesis[RIMS:CRATERS].astype(np.int64)
         match[rims[rims >= 0]] = hypothesis[CRATERS:][rims >= 0]
         expanded = self._expand_from(gTc, match, noise)
-        if expanded is not None and 0.0 < expanded.log_ratio < -self.options.log_chance:
+        if expanded is not None and _PROMISING < expanded.log_ratio < -self.options.log_chance:
             return self.best_variation(expanded)
         return expanded
 
@@ -121,11 +132,27 @@ class Search:
         return out, False
 
     def best_variation(self, expanded: Expanded) -> Expanded:
-        """Expand again from the pairs in each half of the image, and with each noise level; return the best.
+        """Expand again from other starts, as long as that finds more evidence.
 
-        Pairs that suit the noise assumed at first are kept, and wrong pairs on one side of the image distort
-        the pose there: both are overcome from another start.
+        Pairs that suit the noise assumed at first are kept, wrong pairs on one side of the image distort the
+        pose there, and a small rim with a wrong crater outweighs many large ones, or a distant one many that
+        are close together.
         """
+        for _ in range(_MAX_VARIED):
+            others = [
+                self._expand_from(expanded.gTc.copy(), match.copy(), noise)
+                for match, noise in self._starts(expanded)
+            ]
+            best = max(
+                (one for one in others if one is not None), key=lambda one: one.log_ratio, default=expanded
+            )
+            if best.log_ratio <= expanded.log_ratio:
+                break
+            expanded = best
+        return expanded
+
+    def _starts(self, expanded: Expanded) -> list[tuple[IntArray, float]]:
+        """Pairs and noise: all, all but the most influential ones, and those of each half of the image."""
         matched = expanded.match >= 0
         places = self.view.points_px[matched]
         halves = []
@@ -136,12 +163,23 @@ class Search:
                     halves.append(np.where(side, expanded.match, -1))
         levels = np.array(self.options.noise_levels_px)
         noise = float(levels[np.argmin(np.abs(np.log(levels / expanded.sigma[0])))])
-        starts = [(expanded.match, float(level)) for level in levels] + [(half, noise) for half in halves]
-        for match, level in starts:
-            other = self._expand_from(expanded.gTc.copy(), match.copy(), level)
-            if other is not None and other.log_ratio > expanded.log_ratio:
-                expanded = other
-        return expanded
+        sets = [expanded.match, *self._without_influential(expanded)]
+        return [(match, float(level)) for match in sets for level in levels] + [
+            (one, noise) for one in halves
+        ]
+
+    def _without_influential(self, expanded: Expanded) -> list[IntArray]:
+        """Pairs without the most influential one, without the one that then is, and so on."""
+        gTc, match = expanded.gTc.copy(), expanded.match.copy()
+        out: list[IntArray] = []
+        N = np.empty((6, 6))
+        while len(out) < _LEFT_OUT and np.sum(match >= 0) > MIN_RIMS:
+            data = pack_rims(self.view, self.index.craters, match, expanded.sigma)
+            if not fit_pose(gTc, data, self.prior, self.weight, N):
+                break
+            match[np.flatnonzero(match >= 0)[np.argmax(influences(gTc, data, N))]] = -1
+            out.append(match.copy())
+        return out
 
     def _expand_from(self, gTc: FloatArray, match: IntArray, noise: float) -> Expanded | None:
         """Expand a pose with some pairs (changed in place), and compute the evidence; None if it fails."""
@@ -157,7 +195,7 @@ class Search:
         )
         if not np.isfinite(ratio):
             return None
-        ratio += log_shading(self.view, index, craters, gTc, match, N, self.maps)
+        ratio += log_shading(self.view, index, craters, gTc, match, N, self.maps) - self.log_ways
         return Expanded(gTc, match, N, sigma, ratio)
 
     def _log_prior(self, gTc: FloatArray) -> float:
@@ -169,7 +207,11 @@ class Search:
             return -np.inf
         place = -np.log(4.0 * np.pi * range_m**2) - np.log(altitude * np.log(most / least))
         if not len(self.limits.attitude):
-            return float(place - np.log(8.0 * np.pi**2))
+            cos_horizon = float(np.sqrt(1.0 - (self.index.catalog.body.radius_m / range_m) ** 2))
+            ground = 0.5 * (1.0 - cos_horizon)
+            meets = -gTc[:3, 2] @ gTc[:3, 3] > cos_horizon * range_m
+            likely = _AIMED_SHARE / ground if meets else (1.0 - _AIMED_SHARE) / (1.0 - ground)
+            return float(place + np.log(likely) - np.log(8.0 * np.pi**2))
         turn = frames.rotation_log(self.limits.attitude.T @ gTc[:3, :3])
         spread = self.sigma_rad
         return float(place - 1.5 * np.log(2.0 * np.pi * spread**2) - 0.5 * turn @ turn / spread**2)

@@ -3,6 +3,8 @@
 The residuals and their derivatives are those of the smoother's conic-shape factor.
 """
 
+from contextlib import suppress
+
 import numpy as np
 import numpy.typing as npt
 
@@ -182,6 +184,36 @@ def centre_freedom_taken(gTc: FloatArray, data: FloatArray, covariance: FloatArr
                 for b in range(6):
                     total += out[a, k] * covariance[a, b] * out[b, k]
     return total
+
+
+def influences(gTc: FloatArray, data: FloatArray, N: FloatArray) -> FloatArray:
+    """Compute how far each rim pulls the fit of a pose: Cook's distance.
+
+    Parameters
+    ----------
+    gTc : ndarray, shape (4, 4)
+    data : ndarray, shape (packed,)
+        From `pack_rims`, of m rims.
+    N : ndarray, shape (6, 6)
+        Information of the pose.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Squared shift of the pose without the rim, in standard deviations; infinite where the others do not
+        determine the pose.
+    """
+    count = (data.shape[0] - packed.HEADER) // packed.CRATER
+    out = np.empty((7, 5 * count))
+    packed.shape_residuals(gTc, data, True, out)
+    rows = out.reshape(7, count, 5)
+    each = np.einsum("akr,bkr->kab", rows[:6], rows)
+    influence = np.full(count, np.inf)
+    for k in range(count):
+        with suppress(np.linalg.LinAlgError):
+            step = np.linalg.solve(N - each[k, :, :6], each[k, :, 6])
+            influence[k] = step @ N @ step
+    return influence
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,6 +22,8 @@ from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.matching.identify.triple_search import (
     Projection,
     image_triples,
+    largest,
+    likeliest,
     project_all_to_sphere,
     search_triples,
 )
@@ -66,6 +68,8 @@ _DEEP_MIN_SCORE = 1.0
 # And the factor on the number of candidates of the first triples, which halves from expansion to expansion:
 # the most promising triples are right most often, but often not with their nearest candidates.
 _FIRST_FACTOR = 8
+# Likeliest rims all of whose triples are looked up there, and hypotheses that are expanded of each triple.
+_LIKELIEST, _EXPANDED_OF_LIKELIEST = 16, 16
 # Triples of an index for which the options' number of candidates is meant.
 _TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
@@ -123,14 +127,11 @@ def identify(
             ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma,
             options.centre_share, None if quality is None else quality[once],
         )  # fmt: skip
-        search = Search(view, index, attitude, camera, options, maps)
         first = factor == options.size_factors[0]
+        log_ways = 0.0 if first else float(np.log(len(options.size_factors)))
+        search = Search(view, index, attitude, camera, options, maps, log_ways)
         # Single rims are many: they are tried once.
         found = _expanded(search, depth, attitude is not None and first)
-        if not first:
-            # Each further factor is another way to agree by chance.
-            for one in found:
-                one.log_ratio -= float(np.log(len(options.size_factors)))
         best = max(best, found[0].log_ratio) if found else best
         if found and found[0].log_ratio >= threshold:
             break
@@ -159,43 +160,85 @@ def _passes(
 
 def _expanded(search: Search, depth: int, singles: bool) -> list[Expanded]:
     """Expand hypotheses from triples and, if wanted, from single rims; the best first."""
-    found = _by_triples(search, depth)
     threshold = -search.options.log_chance
+    found: list[Expanded] = []
+    if depth > 1:
+        found = _among_likeliest(search, depth)
+    if not (found and found[0].log_ratio >= threshold):
+        found = _best_first(found + _by_triples(search, depth))
     if len(search.plausible) < search.n and not (found and found[0].log_ratio >= threshold):
         # Real images have many large craters, too: the excess may be these.
         search.begin_with(search.largest)
-        found = sorted(found + _by_triples(search, depth), key=lambda one: -one.log_ratio)
+        found = _best_first(found + _by_triples(search, depth))
     if singles and not (found and found[0].log_ratio >= threshold):
         found = _by_single_rims(search, found)
     return found
 
 
+def _best_first(found: list[Expanded]) -> list[Expanded]:
+    return sorted(found, key=lambda one: -one.log_ratio)
+
+
 def _by_triples(search: Search, depth: int) -> list[Expanded]:
     """Expand hypotheses from triples until one has enough evidence; the best first."""
-    view, index = search.view, search.index
-    radius = index.catalog.body.radius_m
     found: list[Expanded] = []
     count, min_score = _EXPANDED_PER_ROUND, _MIN_SCORE
     if depth > 1:
         count, min_score = _DEEP_EXPANDED_PER_ROUND, _DEEP_MIN_SCORE
     for model, tried, noise, candidates in _stages(search, depth):
-        projection = project_all_to_sphere(
-            view, np.ascontiguousarray(model[:3]), float(model[3] * radius), radius
-        )
+        projection = _projected(search, model)
         triples = _triples(search, projection, noise)[tried]
         best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
         for start in range(0, len(triples), _LOOKED_UP):
             more = max(_FIRST_FACTOR >> start // _LOOKED_UP, 1) if depth > 1 else 1
-            search_triples(
-                view, index.catalog.index, index.craters, index.neighbours, index.tree, projection,
-                triples[start : start + _LOOKED_UP], search.order, noise, more * candidates, search.limits,
-                best,
-            )  # fmt: skip
+            chosen = triples[start : start + _LOOKED_UP]
+            _look_up(search, projection, chosen, noise, more * candidates, best)
             expanded, enough = search.expand_best(best, count, min_score, noise)
             if enough:
                 return expanded[-1:]
             found += expanded
-    return sorted(found, key=lambda one: -one.log_ratio)
+    return _best_first(found)
+
+
+def _among_likeliest(search: Search, depth: int) -> list[Expanded]:
+    """Expand hypotheses from all triples of the few likeliest rims, wherever they are, one after the other.
+
+    Elsewhere a rim is paired with its neighbours, which among many false ones are rarely craters.
+    """
+    view = search.view
+    search.begin_with(search.largest)
+    model, _, noise, candidates = _stages(search, depth)[0]
+    projection = _projected(search, model)
+    rims = largest(view, likeliest(view, search.largest, _LIKELIEST), _LIKELIEST)
+    found: list[Expanded] = []
+    for triple in image_triples(view, projection, rims, len(rims) - 1, noise):
+        best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
+        _look_up(search, projection, triple[None], noise, candidates, best)
+        expanded, enough = search.expand_best(best, _EXPANDED_OF_LIKELIEST, -np.inf, noise)
+        if enough:
+            return expanded[-1:]
+        found += expanded
+    return _best_first(found)
+
+
+def _projected(search: Search, model: FloatArray) -> Projection:
+    """Rims on the sphere for a vertical and an altitude in the body's radii (4,)."""
+    radius = search.index.catalog.body.radius_m
+    return project_all_to_sphere(
+        search.view, np.ascontiguousarray(model[:3]), float(model[3] * radius), radius
+    )
+
+
+def _look_up(
+    search: Search, projection: Projection, triples: Int32Array, noise: float, candidates: int,
+    best: FloatArray,
+) -> None:  # fmt: skip
+    """Add the best hypotheses of some triples of rims to others."""
+    index = search.index
+    search_triples(
+        search.view, index.catalog.index, index.craters, index.neighbours, index.tree, projection, triples,
+        search.order, noise, candidates, search.limits, best,
+    )  # fmt: skip
 
 
 def _triples(search: Search, projection: Projection, noise: float) -> Int32Array:
