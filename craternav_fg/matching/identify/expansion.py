@@ -20,7 +20,7 @@ from craternav_fg.matching.identify.hypothesis import (
     PoseLimits,
 )
 from craternav_fg.matching.identify.options import IdentifyOptions
-from craternav_fg.matching.identify.pose_fit import fit_pose, influences, pack_rims
+from craternav_fg.matching.identify.pose_fit import fit_pose, pack_rims, shifts_without
 from craternav_fg.matching.identify.shading import log_shading
 from craternav_fg.matching.identify.size_excess import plausible_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -177,7 +177,9 @@ class Search:
             data = pack_rims(self.view, self.index.craters, match, expanded.sigma)
             if not fit_pose(gTc, data, self.prior, self.weight, N):
                 break
-            match[np.flatnonzero(match >= 0)[np.argmax(influences(gTc, data, N))]] = -1
+            shifts = shifts_without(gTc, data, N)
+            influence = np.einsum("ka,ab,kb->k", shifts, N, shifts)
+            match[np.flatnonzero(match >= 0)[np.argmax(influence)]] = -1
             out.append(match.copy())
         return out
 

@@ -186,8 +186,8 @@ def centre_freedom_taken(gTc: FloatArray, data: FloatArray, covariance: FloatArr
     return total
 
 
-def influences(gTc: FloatArray, data: FloatArray, N: FloatArray) -> FloatArray:
-    """Compute how far each rim pulls the fit of a pose: Cook's distance.
+def shifts_without(gTc: FloatArray, data: FloatArray, N: FloatArray) -> FloatArray:
+    """Compute how far each rim pulls the fit of a pose.
 
     Parameters
     ----------
@@ -195,12 +195,12 @@ def influences(gTc: FloatArray, data: FloatArray, N: FloatArray) -> FloatArray:
     data : ndarray, shape (packed,)
         From `pack_rims`, of m rims.
     N : ndarray, shape (6, 6)
-        Information of the pose.
+        Information of the pose, rad and m.
 
     Returns
     -------
-    ndarray, shape (m,)
-        Squared shift of the pose without the rim, in standard deviations; infinite where the others do not
+    ndarray, shape (m, 6)
+        Shift of the pose without the rim, as right twist [w, rho], rad and m; 0 where the others do not
         determine the pose.
     """
     count = (data.shape[0] - packed.HEADER) // packed.CRATER
@@ -208,12 +208,11 @@ def influences(gTc: FloatArray, data: FloatArray, N: FloatArray) -> FloatArray:
     packed.shape_residuals(gTc, data, True, out)
     rows = out.reshape(7, count, 5)
     each = np.einsum("akr,bkr->kab", rows[:6], rows)
-    influence = np.full(count, np.inf)
+    shifts = np.zeros((count, 6))
     for k in range(count):
         with suppress(np.linalg.LinAlgError):
-            step = np.linalg.solve(N - each[k, :, :6], each[k, :, 6])
-            influence[k] = step @ N @ step
-    return influence
+            shifts[k] = np.linalg.solve(N - each[k, :, :6], each[k, :, 6])
+    return shifts
 
 
 @njit(cache=True, error_model="numpy")

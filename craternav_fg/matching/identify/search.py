@@ -163,7 +163,10 @@ def _expanded(search: Search, depth: int, singles: bool) -> list[Expanded]:
     threshold = -search.options.log_chance
     found: list[Expanded] = []
     if depth > 1:
+        plausible = search.plausible
+        search.begin_with(search.largest)
         found = _among_likeliest(search, depth)
+        search.begin_with(plausible)
     if not (found and found[0].log_ratio >= threshold):
         found = _best_first(found + _by_triples(search, depth))
     if len(search.plausible) < search.n and not (found and found[0].log_ratio >= threshold):
@@ -206,7 +209,6 @@ def _among_likeliest(search: Search, depth: int) -> list[Expanded]:
     Elsewhere a rim is paired with its neighbours, which among many false ones are rarely craters.
     """
     view = search.view
-    search.begin_with(search.largest)
     model, _, noise, candidates = _stages(search, depth)[0]
     projection = _projected(search, model)
     rims = largest(view, likeliest(view, search.largest, _LIKELIEST), _LIKELIEST)
