@@ -88,8 +88,8 @@ def test_a_pair_that_outweighs_the_others_widens_the_covariance(distorted, monke
     """In case it is wrong."""
     scene, search, tilted, match = distorted
     nees = []
-    for usual in (answer._MOST_INFLUENCE, np.inf):
-        monkeypatch.setattr(answer, "_MOST_INFLUENCE", usual)
+    for usual in (answer._MOST_EXCESS, np.inf):
+        monkeypatch.setattr(answer, "_MOST_EXCESS", usual)
         wrong = search._expand_from(tilted.copy(), match.copy(), 3.0)
         assert wrong.match[-1] == match[-1]
         found = answer.answer(wrong, search, np.arange(len(match)), len(match), scene.camera, 0.0)

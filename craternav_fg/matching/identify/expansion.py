@@ -177,8 +177,7 @@ class Search:
             data = pack_rims(self.view, self.index.craters, match, expanded.sigma)
             if not fit_pose(gTc, data, self.prior, self.weight, N):
                 break
-            shifts = shifts_without(gTc, data, N)
-            influence = np.einsum("ka,ab,kb->k", shifts, N, shifts)
+            _, influence, _ = shifts_without(gTc, data, N)
             match[np.flatnonzero(match >= 0)[np.argmax(influence)]] = -1
             out.append(match.copy())
         return out
