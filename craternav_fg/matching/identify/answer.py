@@ -40,7 +40,25 @@ _INTRINSICS_SPREAD = 2.0
 def answer(
     expanded: Expanded, search: Search, once: IntArray, n: int, camera: Camera, began: float
 ) -> Identification:
-    """Refine the pose, and give it for the body."""
+    """Refine the pose, and give it for the body.
+
+    Parameters
+    ----------
+    expanded : Expanded
+        Changed: the refined pose of the camera.
+    search : Search
+    once : ndarray of int, shape (m,)
+        Rows of the rims in the view among those that were given.
+    n : int
+        Number of those.
+    camera : Camera
+    began : float
+        `time.perf_counter` when identification began, s.
+
+    Returns
+    -------
+    Identification
+    """
     index = search.index
     covariance = refine(
         search.view, index.craters, search.prior, search.weight, expanded.gTc, expanded.match, expanded.sigma

@@ -56,7 +56,21 @@ _MIN_ATTITUDE_SIGMA_RAD = 1e-5
 
 @dataclass
 class Expanded:
-    """A pose with its matched rims, information N (6, 6), noise (3,) and logarithm of the evidence."""
+    """A pose with its matched rims, and its evidence.
+
+    Attributes
+    ----------
+    gTc : ndarray, shape (4, 4)
+        Pose of the camera, m.
+    match : ndarray of int, shape (n,)
+        Row of each rim's crater, -1 for none.
+    N : ndarray, shape (6, 6)
+        Information of the pose for its right twist in c, rad and m.
+    sigma : ndarray, shape (3,)
+        Noise, see `noise`.
+    log_ratio : float
+        Natural logarithm of the evidence.
+    """
 
     gTc: FloatArray
     match: IntArray
@@ -66,14 +80,25 @@ class Expanded:
 
 
 class Search:
-    """Data of one call that every step needs."""
+    """Data of one call that every step needs.
+
+    Parameters
+    ----------
+    view : View
+    index : TripleIndex
+    known : KnownAttitude or None
+    camera : Camera
+    options : IdentifyOptions
+    maps : ShadingMaps, optional
+    log_ways : float, optional
+        Natural logarithm of the number of ways to agree by chance beside the poses: lowers the evidence.
+    """
 
     def __init__(
         self, view: View, index: TripleIndex, known: KnownAttitude | None, camera: Camera,
         options: IdentifyOptions, maps: ShadingMaps = NO_SHADING, log_ways: float = 0.0,
     ) -> None:  # fmt: skip
         self.view, self.index, self.options, self.maps = view, index, options, maps
-        # Logarithm of the number of ways to agree by chance beside the poses.
         self.log_ways = log_ways
         self.n = len(view.charts)
         self.prior = np.eye(4)
@@ -92,7 +117,13 @@ class Search:
         self.begin_with(largest(view, plausible_rims(view), _MAX_RIMS))
 
     def begin_with(self, plausible: IntArray) -> None:
-        """Begin hypotheses from these rims, the likeliest of them, and all."""
+        """Begin hypotheses from some rims, the likeliest of them, and all.
+
+        Parameters
+        ----------
+        plausible : ndarray of int, shape (m,)
+            Rows of the rims.
+        """
         self.plausible = plausible
         likely = likeliest(self.view, plausible, max(_ORDERED_RIMS, len(plausible) // _LIKELY_DIVISOR))
         self.order = image_order(self.view, likely, _ORDERED_RIMS)
@@ -100,7 +131,20 @@ class Search:
         self.groups = list(groups.values())
 
     def expand(self, hypothesis: FloatArray, noise: float) -> Expanded | None:
-        """Expand a hypothesis; if its evidence is promising but too low, try variations of it."""
+        """Expand a hypothesis; if its evidence is promising but too low, try variations of it.
+
+        Parameters
+        ----------
+        hypothesis : ndarray, shape (HYPOTHESIS,)
+            See `hypothesis`; the pose in m.
+        noise : float
+            Assumed noise of the centres, px.
+
+        Returns
+        -------
+        Expanded or None
+            None if the fit fails or too few rims agree.
+        """
         gTc = np.eye(4)
         gTc[:3, :3] = hypothesis[ROTATION:POSITION].reshape(3, 3)
         gTc[:3, 3] = hypothesis[POSITION:SPHERE]
@@ -117,7 +161,22 @@ class Search:
     ) -> tuple[list[Expanded], bool]:
         """Expand the best hypotheses and make room for others, until one has enough evidence.
 
-        Give those that did not fail, the last one being that with enough evidence, and whether there is one.
+        Parameters
+        ----------
+        best : ndarray, shape (h, HYPOTHESIS)
+            See `hypothesis`; the poses in m. Changed: those that were expanded have no score.
+        count : int
+            Largest number of them.
+        min_score : float
+        noise : float
+            Assumed noise of the centres, px.
+
+        Returns
+        -------
+        expanded : list of Expanded
+            Those that did not fail, the last one being that with enough evidence.
+        enough : bool
+            Whether there is one.
         """
         out: list[Expanded] = []
         for row in np.argsort(-best[:, SCORE])[:count]:
@@ -137,6 +196,15 @@ class Search:
         Pairs that suit the noise assumed at first are kept, wrong pairs on one side of the image distort the
         pose there, and a small rim with a wrong crater outweighs many large ones, or a distant one many that
         are close together.
+
+        Parameters
+        ----------
+        expanded : Expanded
+
+        Returns
+        -------
+        Expanded
+            With at least as much evidence.
         """
         for _ in range(_MAX_VARIED):
             others = [
