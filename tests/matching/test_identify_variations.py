@@ -98,3 +98,19 @@ def test_a_pair_that_outweighs_the_others_widens_the_covariance(distorted, monke
         nees.append(error @ np.linalg.solve(found.covariance, error))
     assert nees[0] < 16.0
     assert nees[1] > 2.0 * nees[0]
+
+
+def test_a_pose_that_the_rims_hardly_determine_is_none(distorted, synthetic, monkeypatch) -> None:
+    """Three rims close together fit somewhere else as well, at a noise of a few pixels."""
+    scene, search, _, match = distorted
+    three = Search(
+        view_of(scene.ellipses_px[np.isin(scene.craters, match[:3])], scene.camera, 0.1, 0.12), synthetic,
+        None, scene.camera, REAL,
+    )  # fmt: skip
+    rows = scene.craters[np.isin(scene.craters, match[:3])]
+    assert three._expand_from(scene.gTb.copy(), rows.copy(), 3.0) is None
+    monkeypatch.setattr(expansion, "_MAX_ATTITUDE_SIGMA_RAD", np.inf)
+    uncertain = three._expand_from(scene.gTb.copy(), rows.copy(), 3.0)
+    assert np.trace(np.linalg.inv(uncertain.N)[:3, :3]) > 0.1**2
+    monkeypatch.undo()
+    assert search._expand_from(scene.gTb.copy(), np.append(match[:-1], -1), 3.0) is not None
