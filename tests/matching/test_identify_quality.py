@@ -74,8 +74,7 @@ def test_triples_of_likely_rims_come_first(scene, quality) -> None:
 def test_likeliest_and_largest_rims(scene, quality) -> None:
     view = view_of(scene.ellipses_px, scene.camera, quality=quality)
     rims = np.arange(0, len(quality))
-    count = max(5, len(rims) // 3)
-    assert set(likeliest(view, rims, 5)) == set(np.argsort(-quality)[:count])
+    assert set(likeliest(view, rims, 5)) == set(np.argsort(-quality)[:5])
     assert likeliest(view, rims, len(rims)) is rims
     # Without probabilities all are as likely.
     assert len(likeliest(view_of(scene.ellipses_px, scene.camera), rims, 5)) == len(rims)

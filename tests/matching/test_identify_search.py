@@ -1,7 +1,11 @@
 """What identification tries, in which order, and when it searches deeper."""
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
+from craternav_fg import frames
+from craternav_fg.matching.identify.expansion import Search
 from craternav_fg.matching.identify.nadir import nadirs
 from craternav_fg.matching.identify.search import IdentifyOptions, Status, identify
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
@@ -135,8 +139,48 @@ def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatc
         args[-1][0] = right
 
     monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", low)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._among_likeliest", lambda *_: [])
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
     assert not identify(view.ellipses_px, view.camera, synthetic).identified
     found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(deep=True))
     assert found.identified
     assert view.agrees(found.rows)
+
+
+def test_the_likeliest_rims_are_combined_wherever_they_are(synthetic, monkeypatch) -> None:
+    """Among many false rims, the neighbours of a crater's rim are no craters."""
+    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
+    options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.9, missing=0.8, sigma_px=1.5)
+    few = IdentifyOptions(deep=True, noise_levels_px=(1.0,), candidates=(16,), triples=1)
+    rng = np.random.default_rng(1)
+    answered = []
+    for seed in (7, 9, 12, 15):
+        view = random_view(synthetic.catalog, options, np.random.default_rng(seed), true_rims=(8, 9))
+        true = view.craters >= 0
+        quality = np.where(true, 0.9, rng.uniform(0.02, 0.4, len(true)))
+        found = identify(view.ellipses_px, view.camera, synthetic, options=few, quality=quality)
+        with monkeypatch.context() as patch:
+            patch.setattr("craternav_fg.matching.identify.search._among_likeliest", lambda *_: [])
+            without = identify(view.ellipses_px, view.camera, synthetic, options=few, quality=quality)
+        assert view.agrees(found.rows)
+        answered.append((found.identified, without.identified))
+    with_them, without_them = np.sum(answered, axis=0)
+    assert with_them == 4
+    assert without_them <= 1
+
+
+def test_the_optical_axis_meets_the_ground_in_nine_of_ten_images(synthetic) -> None:
+    """A prior density: its mean over all attitudes is that of the uniform one."""
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    search = Search(view_of(view.ellipses_px, view.camera), synthetic, None, view.camera, IdentifyOptions())
+    rng = np.random.default_rng(2)
+    density, meets = [], []
+    for R in Rotation.random(20_000, rng=rng).as_matrix():
+        gTc = frames.pose(R, np.array([0.0, 0.0, MOON.radius_m + 2e5]))
+        density.append(np.exp(search._log_prior(gTc)))
+        # Below the horizon, seen from the pole.
+        meets.append(-R[2, 2] > np.cos(np.arcsin(MOON.radius_m / (MOON.radius_m + 2e5))))
+    density, meets = np.array(density), np.array(meets)
+    assert density[meets].sum() / density.sum() == pytest.approx(0.9, abs=0.01)
+    place = 4.0 * np.pi * (MOON.radius_m + 2e5) ** 2 * 2e5 * np.log(2000.0)
+    assert density.mean() * place * 8.0 * np.pi**2 == pytest.approx(1.0, rel=0.02)

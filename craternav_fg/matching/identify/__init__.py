@@ -11,16 +11,19 @@ The algorithm, in order, with the module of each step:
 4. `triple_search`: with the vertical, rims are projected to the sphere up to scale. Triples of neighbouring
    rims are looked up in the index; each hit gives the altitude and a rotation, thus a pose (`hypothesis`).
    The pose is scored by how many further rims it puts on craters of their size, and how many craters there
-   are around; the best poses are kept. Likely rims come first, and count more.
+   are around; the best poses are kept. Likely rims come first, and count more. A deep search begins with
+   all triples of the likeliest few, wherever they are.
 5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when
    triples gave no answer.
 6. `expand`: the best poses are refined by Gauss-Newton (`pose_fit`) on all rims that they explain, and rims
    and craters are re-associated, until the pairs no longer change. The noise of the rims is estimated
-   from their residuals (`noise`).
+   from their residuals (`noise`). Promising poses are found again from other starts, as without the pairs
+   that pull most (`expansion`): one wrong pair may distort a pose so that it stays.
 7. `evidence`: the pose is believed when so many agreeing rims are improbable by chance over all poses that
    were searched. With the image at hand, further craters that the pose predicts count as well: whether the
    image's shading shows them (`shading`). Two poses of similar evidence are ambiguous.
-8. `refine`: the pose that is returned and its covariance are averaged over the unknown noise.
+8. `refine`: the pose that is returned and its covariance are averaged over the unknown noise. `answer` adds
+   the errors of the map, of unknown intrinsics, and of a pair that pulls unusually: it may be wrong.
 
 `search` runs these steps (`search.identify`); `detected` does so for rims some of which are coarse. `options`
 and `result` say what it takes and returns; `craters` holds the catalogue as compiled code takes it.

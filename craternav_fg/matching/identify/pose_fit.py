@@ -3,6 +3,8 @@
 The residuals and their derivatives are those of the smoother's conic-shape factor.
 """
 
+from contextlib import suppress
+
 import numpy as np
 import numpy.typing as npt
 
@@ -182,6 +184,40 @@ def centre_freedom_taken(gTc: FloatArray, data: FloatArray, covariance: FloatArr
                 for b in range(6):
                     total += out[a, k] * covariance[a, b] * out[b, k]
     return total
+
+
+def shifts_without(
+    gTc: FloatArray, data: FloatArray, N: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Compute how far each rim pulls the fit of a pose.
+
+    Parameters
+    ----------
+    gTc : ndarray, shape (4, 4)
+    data : ndarray, shape (packed,)
+        From `pack_rims`, of m rims.
+    N : ndarray, shape (6, 6)
+        Information of the pose, rad and m.
+
+    Returns
+    -------
+    shifts : ndarray, shape (m, 6)
+        Shift of the pose without each rim, as right twist [w, rho], rad and m; 0 where the others do not
+        determine the pose.
+    squares, expected : ndarray, shape (m,)
+        Its square in standard deviations of the pose, and what that is on average if no rim is wrong.
+    """
+    count = (data.shape[0] - packed.HEADER) // packed.CRATER
+    out = np.empty((7, 5 * count))
+    packed.shape_residuals(gTc, data, True, out)
+    rows = out.reshape(7, count, 5)
+    each = np.einsum("akr,bkr->kab", rows[:6], rows)
+    shifts, expected = np.zeros((count, 6)), np.zeros(count)
+    for k in range(count):
+        with suppress(np.linalg.LinAlgError):
+            solved = np.linalg.solve(N - each[k, :, :6], each[k])
+            shifts[k], expected[k] = solved[:, 6], np.trace(solved[:, :6])
+    return shifts, np.einsum("ka,ab,kb->k", shifts, N, shifts), expected
 
 
 @njit(cache=True, error_model="numpy")

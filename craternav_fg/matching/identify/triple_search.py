@@ -54,8 +54,6 @@ SIDE_ERROR = 0.02
 LEVER = 0.05
 # Density of craters somewhere over that of the whole body: so many neighbours do not show more than this.
 _MAX_CROWDING = 10.0
-# Divisor of the number of rims that are the likeliest.
-_LIKELY_DIVISOR = 3
 # Factor from the noise of one centre to that of the distance between two.
 _PAIR_NOISE = 1.4
 # Least ratio of twice a triple's area to the product of two sides: flatter triples give no rotation.
@@ -144,7 +142,7 @@ def largest(view: View, rims: IntArray, count: int) -> IntArray:
 
 
 def likeliest(view: View, rims: IntArray, count: int) -> IntArray:
-    """Select a third of some rims, at least `count`, that are the likeliest craters.
+    """Select the rims that are the likeliest craters.
 
     Parameters
     ----------
@@ -157,7 +155,6 @@ def likeliest(view: View, rims: IntArray, count: int) -> IntArray:
     ndarray of int, shape (k,)
         In their order, with others that are as likely.
     """
-    count = max(count, len(rims) // _LIKELY_DIVISOR)
     if len(rims) <= count:
         return rims
     quality = view.quality[rims]
