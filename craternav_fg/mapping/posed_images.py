@@ -21,10 +21,10 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.mapping.apply_errors import CorrectedRims, RunOutcome, apply_errors
 from craternav_fg.measurements import RimSet
+from craternav_fg.vision.error_model.correlated import in_plane_slopes
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
 from factors.kernels import conic
-from factors.kernels.rim_errors import ground_slopes
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -40,8 +40,8 @@ _POOLED_IMAGES = 4.0
 _MAX_SIGMAS = 3.0
 # Rounding of a body's radius in a file.
 _SAME_RADIUS_M = 1.0
-# Columns of `ground_slopes` in the rim's plane, and the other's place among a crater's six errors.
-_IN_PLANE, _HEIGHT = [0, 1, 3, 4, 5], 2
+# Place of the height among a crater's six errors.
+_HEIGHT = 2
 # The front end wants a covariance of the poses that are known: rad^2, m^2.
 _POSE_COVARIANCE = np.diag([1e-10] * 3 + [1.0] * 3)
 # Steps of Newton's method from the map's rim to the measured one, and the largest last one, in radii.
@@ -154,7 +154,7 @@ def map_errors_of_rims(rims: RimSet, gTb: FloatArray, camera: Camera, catalog: C
     lengths = np.linalg.norm(axes, axis=-1)
     along = axes / lengths[:, :, None]
     radius_m = np.sqrt(lengths.prod(axis=-1))
-    slopes = ground_slopes(gTb, camera.bTc, centres, axes)[:, :, _IN_PLANE]
+    slopes = in_plane_slopes(rims.craters, gTb, camera, catalog)
     place, stretch = np.zeros((len(rims), 2)), np.tile(np.eye(2), (len(rims), 1, 1))
     step = np.full((len(rims), 5), np.inf)
     for _ in range(_STEPS):

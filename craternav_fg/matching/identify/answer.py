@@ -27,8 +27,8 @@ from factors.kernels.gauss_newton import screw
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-# Squared shift of the pose without a pair, in standard deviations, less its expectation, that is usual. Of
-# 90 right answers over rendered real ground, 4 have more; two that wrong pairs had moved had 20 and 100.
+# Squared shift of the pose without a pair, in standard deviations, less its expectation, that is usual:
+# chosen. Few right answers over rendered real ground have more; two that wrong pairs had moved had 20 and 100.
 _MOST_EXCESS = 8.0
 # Of fewer pairs each pulls much, and the noise, which they hardly show, is wide.
 _MIN_PAIRS = 6
