@@ -28,7 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 # Squared shift of the pose without a pair, in standard deviations, less its expectation, that is usual:
-# chosen. Few right answers over rendered real ground have more; two that wrong pairs had moved had 20 and 100.
+# chosen. Few right answers over rendered real ground have more; two that wrong pairs had moved, 20 and 100.
 _MOST_EXCESS = 8.0
 # Of fewer pairs each pulls much, and the noise, which they hardly show, is wide.
 _MIN_PAIRS = 6
