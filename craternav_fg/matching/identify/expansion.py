@@ -34,12 +34,10 @@ IntArray = npt.NDArray[np.int64]
 
 # A hypothesis is formed from a triple.
 MIN_RIMS = 3
-PROM = -5.0
 # Rims around each rim that may be asked when a hypothesis is scored; they are of the likeliest third.
 _ORDERED_RIMS, _LIKELY_DIVISOR = 24, 3
 # Rims of which hypotheses are formed, the largest: memory and time grow with the square of their number.
 _MAX_RIMS = 1500
-_LIKELY_DIVISOR = 3
 # A pose whose attitude is more uncertain is none: its evidence takes residuals for linear in it. Right poses
 # over rendered real ground have up to 0.03; three large rims on wrong craters had 0.25, and e^9 in evidence.
 _MAX_ATTITUDE_SIGMA_RAD = 0.1
