@@ -47,6 +47,8 @@ _PROMISING = -5.0
 _AIMED_SHARE = 0.9
 # Pairs that are left out, the most influential first, and times that a pose is varied.
 _LEFT_OUT, _MAX_VARIED = 3, 4
+# Evidence that a variation must gain for a further one: less is the same pose, from another start.
+_LEAST_GAIN = 0.1
 # Largest rotation of a triple's hypothesis from a known attitude, beside 5 standard deviations of that: three
 # centres determine the attitude coarsely.
 _MAX_TURN_RAD = float(np.radians(20.0))
@@ -78,6 +80,10 @@ class Expanded:
     N: FloatArray
     sigma: FloatArray
     log_ratio: float
+
+
+def _evidence(one: Expanded) -> float:
+    return one.log_ratio
 
 
 class Search:
@@ -212,12 +218,10 @@ class Search:
                 self._expand_from(expanded.gTc.copy(), match.copy(), noise)
                 for match, noise in self._starts(expanded)
             ]
-            best = max(
-                (one for one in others if one is not None), key=lambda one: one.log_ratio, default=expanded
-            )
-            if best.log_ratio <= expanded.log_ratio:
+            best = max((one for one in others if one is not None), key=_evidence, default=expanded)
+            gain, expanded = best.log_ratio - expanded.log_ratio, max(expanded, best, key=_evidence)
+            if gain < _LEAST_GAIN:
                 break
-            expanded = best
         return expanded
 
     def _starts(self, expanded: Expanded) -> list[tuple[IntArray, float]]:
