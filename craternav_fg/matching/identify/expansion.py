@@ -47,8 +47,8 @@ _PROMISING = -5.0
 _AIMED_SHARE = 0.9
 # Pairs that are left out, the most influential first, and times that a pose is varied.
 _LEFT_OUT, _MAX_VARIED = 3, 4
-# Evidence that a variation must gain for a further one: less is the same pose, from another start.
-_LEAST_GAIN = 0.1
+# Evidence that a variation must gain for a further one: less is hardly another pose.
+_LEAST_GAIN = 1.0
 # Largest rotation of a triple's hypothesis from a known attitude, beside 5 standard deviations of that: three
 # centres determine the attitude coarsely.
 _MAX_TURN_RAD = float(np.radians(20.0))

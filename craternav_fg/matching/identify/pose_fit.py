@@ -212,11 +212,14 @@ def shifts_without(
     packed.shape_residuals(gTc, data, True, out)
     rows = out.reshape(7, count, 5)
     each = np.einsum("akr,bkr->kab", rows[:6], rows)
-    shifts, expected = np.zeros((count, 6)), np.zeros(count)
-    for k in range(count):
-        with suppress(np.linalg.LinAlgError):
-            solved = np.linalg.solve(N - each[k, :, :6], each[k])
-            shifts[k], expected[k] = solved[:, 6], np.trace(solved[:, :6])
+    solved = np.zeros((count, 6, 7))
+    try:
+        solved = np.linalg.solve(N - each[:, :, :6], each)
+    except np.linalg.LinAlgError:
+        for k in range(count):
+            with suppress(np.linalg.LinAlgError):
+                solved[k] = np.linalg.solve(N - each[k, :, :6], each[k])
+    shifts, expected = solved[:, :, 6], np.trace(solved[:, :, :6], axis1=1, axis2=2)
     return shifts, np.einsum("ka,ab,kb->k", shifts, N, shifts), expected
 
 
