@@ -68,8 +68,8 @@ MAX_LAST_STEPS = 3
 # Largest decrease of the error, half a sum of squares, that the last of them predicts: 0.006 sigma.
 MAX_LAST_DECREASE = 2e-5
 # Relative error of variances by Cholesky factorisation, an order of magnitude estimated at some poses: above,
-# they are computed by QR.
-MAX_ROUNDING = 2e-6
+# they are computed by QR. Along a descent errors add up to 2 to 20 times as much.
+MAX_ROUNDING = 1e-5
 CHECKED_POSES = 8
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.

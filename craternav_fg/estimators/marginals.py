@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.estimators.elimination import CholeskyOrder
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
@@ -55,19 +56,21 @@ class Marginals:
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, cholesky: bool = False
     ) -> None:
         linear = graph.linearize(values)
-        ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
         self.cholesky = False
         if cholesky:
+            order = CholeskyOrder(linear)
+            apart = order.apart(linear)
             with suppress(RuntimeError):
-                self._tree = linear.eliminateMultifrontal(ordering)
-                self.cholesky = True
+                self._tree = apart.eliminateMultifrontal(order.ordering)
+                self.cholesky, linear = True, apart
         if not self.cholesky:
+            ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
             self._tree = linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
         self._linear = linear
         self.step = self._tree.optimize()
         here = gtsam.VectorValues.Zero(self.step)
         self.predicted_decrease = float(linear.error(here) - linear.error(self.step))
-        self._sizes = {key: len(self.step.at(key)) for key in graph.keyVector()}
+        self._sizes = {key: len(self.step.at(key)) for key in linear.keyVector()}
 
     def rounding(self, covariances: Mapping[int, FloatArray]) -> float:
         """Estimate the relative error of variances that rounding leaves.

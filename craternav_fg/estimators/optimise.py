@@ -1,7 +1,8 @@
-"""Levenberg-Marquardt and Gauss-Newton driven from Python, with QR.
+"""Levenberg-Marquardt and Gauss-Newton driven from Python, with QR or Cholesky factorisation.
 
 GTSAM's own optimisers hand every custom factor a deep copy of all values, and their Cholesky factorisation
-refuses much realistic IMU information. `graph.linearize` and `EliminateQR` have neither problem.
+refuses much realistic IMU information. `graph.linearize` does not have the first problem, `EliminateQR` and
+the order of `elimination` not the second.
 """
 
 from contextlib import suppress
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.correlated_errors import STATE_SIZE
+from craternav_fg.estimators.elimination import CholeskyOrder
 from craternav_fg.measurements import SHARED_SIZE
 
 FloatArray = npt.NDArray[np.float64]
@@ -105,18 +107,21 @@ class _Solver:
     """
 
     def __init__(self, *, cholesky: bool) -> None:
-        # That of the first graph: all have the same factors.
+        # Those of the first graph: all have the same factors.
         self._ordering: gtsam.Ordering | None = None
+        self._order: CholeskyOrder | None = None
         self.cholesky = cholesky
 
     def solve(self, linear: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
         """Minimise the error of one; RuntimeError where it does not determine all variables."""
+        if self.cholesky:
+            if self._order is None:
+                self._order = CholeskyOrder(linear)
+            with suppress(RuntimeError):
+                return self._order.apart(linear).optimize(self._order.ordering)
+            self.cholesky = False
         if self._ordering is None:
             self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-        if self.cholesky:
-            with suppress(RuntimeError):
-                return linear.optimize(self._ordering)
-            self.cholesky = False
         return linear.optimize(self._ordering, gtsam.EliminateQR)
 
 
