@@ -24,6 +24,10 @@ FloatArray = npt.NDArray[np.float64]
 _MAX_SIGMAS = 5.0
 # The same where the catalogue states no errors, in radii.
 _MAX_RADII = 0.5
+# Corrected craters that show how far the others may be off, where the catalogue does not say; with fewer, a
+# share of the radius as that of published circles, for places, heights and sizes.
+_LEAST_CRATERS = 5
+_UNKNOWN = 0.1
 
 
 class RunOutcome(StrEnum):
@@ -117,14 +121,24 @@ def apply_errors(catalog: Catalog, errors: Mapping[int, tuple[FloatArray, FloatA
         left[2][row] = sigma_m[row, 2]
     done = np.isfinite(shift_m[:, 0])
     if catalog.errors is None and done.any():
-        # What the corrected rims show of the others.
-        found = np.array([errors[row][0] for row in np.flatnonzero(done).tolist()])
-        place, height, size = (_rms(found[:, part]) for part in ([0, 1], [2], [3, 5]))
+        corrected = np.array([errors[row] for row in np.flatnonzero(done).tolist()])
+        place, height, size = (_of_others(corrected[:, :, part]) for part in ([0, 1], [2], [3, 5]))
         shown = (place * radius_m, np.full(n, size), height * radius_m)
         for array, values_of_all in zip(left, shown, strict=True):
             array[~done] = values_of_all[~done]
     refined = replace(catalog, **values, errors=MapErrors(*left) if done.any() else catalog.errors)
     return CorrectedRims(refined, tuple(outcomes), shift_m, sigma_m)
+
+
+def _of_others(corrected: FloatArray) -> float:
+    """Estimate how large errors are, of which some were estimated, with standard deviations (n, 2, m).
+
+    An estimate that shrinks to its prior keeps the prior's variance in its own. Two degrees of freedom less:
+    the mean of what the variance may be, and not its likeliest value.
+    """
+    if len(corrected) < _LEAST_CRATERS:
+        return _UNKNOWN
+    return float(np.sqrt(np.sum(corrected**2) / (corrected[:, 0].size - 2)))
 
 
 def _rms(values: FloatArray) -> float:

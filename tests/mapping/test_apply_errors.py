@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
@@ -18,6 +19,7 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.mapping.apply_errors import RunOutcome, apply_errors
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_tables import FaultsSection
+from craternav_fg.simulation.scenes import MOON
 from tests.cli.calls import call
 from tests.descents import problem, scenario
 
@@ -102,10 +104,47 @@ def test_others_keep_their_numbers_and_the_common_shift_stays(trials):
     np.testing.assert_array_equal(found.catalog.errors.place_m[others], 5.0)
     assert found.catalog.errors.place_m[2] < 3.0
     np.testing.assert_array_equal(found.catalog.common_shift.place_m, shift.place_m)
-    # A catalogue that states no errors shows them by its corrected rims.
-    bare = apply_errors(mapped, {2: near}).catalog.errors
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 0.02, 0.3])
+@pytest.mark.parametrize("number", [8, 60])
+def test_corrected_rims_show_how_far_the_others_are_off(number, sigma):
+    """Their estimates shrink to the prior the more, the less the images show of them."""
+    n, prior = 100, 0.02
+    radius_m = np.linspace(500.0, 2000.0, n)
+    zero = np.zeros(n)
+    mapped = Catalog(
+        tuple(map(str, range(n))), zero, np.linspace(0.0, 1.0, n), radius_m, radius_m, zero, zero, MOON
+    )
+    stated = []
+    for trial in range(200):
+        rng = np.random.default_rng([number, trial])
+        true = prior * rng.standard_normal((number, 6))
+        share = prior**2 / (prior**2 + sigma**2)
+        estimates = share * (true + sigma * rng.standard_normal((number, 6)))
+        left = np.full(6, np.sqrt(share) * sigma)
+        errors = apply_errors(mapped, {row: (one, left) for row, one in enumerate(estimates)}).catalog.errors
+        place, height = (
+            errors.place_m[number:] / radius_m[number:],
+            errors.height_m[number:] / radius_m[number:],
+        )
+        np.testing.assert_allclose(place, place[0])
+        stated.append([place[0], errors.size[-1], height[0]])
+    # On the safe side, and closer to the truth the more craters show it.
+    mean = np.sqrt(np.mean(np.square(stated), axis=0)) / prior
+    assert (mean > 0.97).all()
+    assert (mean < (1.3 if number == 8 else 1.05)).all()
+
+
+def test_few_corrected_rims_show_nothing_of_the_others(trials):
+    mapped = trials[0][0]
     radius_m = np.sqrt(mapped.semi_major_m * mapped.semi_minor_m)
-    np.testing.assert_allclose(bare.place_m[others], np.sqrt(0.5) * 1e-3 * radius_m[others])
+    exact = (np.full(6, 1e-4), np.full(6, 1e-4))
+    errors = apply_errors(mapped, {2: exact}).catalog.errors
+    others = np.arange(len(mapped)) != 2
+    assert (errors.place_m[others] > 0.05 * radius_m[others]).all()
+    assert (errors.height_m[others] > 0.05 * radius_m[others]).all()
+    assert (errors.size[others] > 0.05).all()
 
 
 def test_stated_errors_are_the_prior(trials):
