@@ -35,7 +35,12 @@ from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.point_tracks import GroundMotion, track_points
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
 IntArray = npt.NDArray[np.int64]
+
+# Of eigenvalues of correlations, which may be negative by so much.
+_MAX_ROUNDING = 1e-9
 
 # Called with the name of a step, its finished amount and its total.
 Progress = Callable[[str, int, int], None]
@@ -309,7 +314,8 @@ def _checked(trajectory: Trajectory) -> Trajectory:
     Raises
     ------
     EstimationError
-        When a state is not finite or a variance not positive: the estimator has failed, whatever it reports.
+        When a state is not finite or a covariance not positive definite: the estimator has failed, whatever
+        it reports.
     """
     for name in ("gTb", "gV", "bias", "pose_covariance", "velocity_covariance", "bias_covariance"):
         values = getattr(trajectory, name)
@@ -318,10 +324,19 @@ def _checked(trajectory: Trajectory) -> Trajectory:
         good, what = np.isfinite(values).reshape(len(values), -1).all(axis=1), "finite numbers"
         if good.all() and name.endswith("covariance"):
             good, what = (np.diagonal(values, axis1=1, axis2=2) > 0.0).all(axis=1), "positive variances"
+            if good.all():
+                good, what = _definite(values), "a positive definite matrix"
         if not good.all():
             frame = int(np.argmin(good))
             raise EstimationError(f"{name.replace('_', ' ')} of frame {frame}: expected {what}")
     return trajectory
+
+
+def _definite(covariances: FloatArray) -> BoolArray:
+    """Whether covariances (n, m, m) have no negative variance in any direction, but for rounding."""
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    correlations = covariances / (sigmas[:, :, None] * sigmas[:, None, :])
+    return np.asarray(np.linalg.eigvalsh(correlations)[:, 0] > -_MAX_ROUNDING)
 
 
 def _origin(dataset: Dataset, segments: Sequence[Segment]) -> Literal["given", "found", "replaced"]:

@@ -71,6 +71,27 @@ def test_numbers_that_are_none_are_a_failure(
     assert result.failures == {"odd": f"odd: {expected}"}
 
 
+def test_a_covariance_with_a_negative_variance_in_some_direction_is_a_failure(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = module.estimator
+
+    class Odd:
+        name = "odd"
+
+        def estimate(self, problem: Problem) -> Trajectory:
+            right = known("ekf").estimate(problem)
+            assert right.pose_covariance is not None
+            values = right.pose_covariance.copy()
+            sigmas = np.sqrt(np.diagonal(values[2]))
+            values[2, 3, 4] = values[2, 4, 3] = 1.5 * sigmas[3] * sigmas[4]
+            return dataclasses.replace(right, pose_covariance=values)
+
+    monkeypatch.setattr(module, "estimator", lambda name: Odd() if name == "odd" else known(name))
+    result = reconstruct(data, ["odd", "dead_reckoning"])
+    assert result.failures == {"odd": "odd: pose covariance of frame 2: expected a positive definite matrix"}
+
+
 def test_reconstruction_does_not_look_at_the_truth(data: Dataset) -> None:
     blind = reconstruct(dataclasses.replace(data, truth=None), ["smoother"])
     seeing = reconstruct(data, ["smoother"])
