@@ -81,7 +81,8 @@ class Instrument(ABC):
         Returns
         -------
         list of (float, int)
-            NIS and dimension of each measurement.
+            NIS and dimension of each measurement; 0 and 0 where it says nothing of the state, as a range does
+            whose beam misses the ground.
         """
         compared = self.compare(predicted, frame, descent)
         # All rims of a frame have rows of one shape, and are whitened at once: one by one they would cost
@@ -95,7 +96,10 @@ class Instrument(ABC):
             residual = np.array([compared[k].residual for k in members])
             W = _innovation_whitening(A, predicted.covariance[:size, :size])
             nis[members] = np.sum((W @ residual[:, :, None])[:, :, 0] ** 2, axis=1)
-        return [(float(d2), len(one.residual)) for d2, one in zip(nis, compared, strict=True)]
+        return [
+            (float(d2), len(one.residual)) if one.A.any() else (0.0, 0)
+            for d2, one in zip(nis, compared, strict=True)
+        ]
 
     def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
         """Take what it measured out of a frame.

@@ -41,6 +41,7 @@ class Innovations:
         NIS; its expectation is the dimension if prediction and measurement have the covariances that they
         claim.
     dimension : ndarray of int, shape (n,)
+        0 for a sample that says nothing of the predicted state.
     """
 
     sensor: tuple[str, ...]
@@ -81,7 +82,7 @@ class Innovations:
     @property
     def mean(self) -> float:
         """NIS per dimension: its expectation is 1 for a consistent filter; NaN without any."""
-        return float(self.nis.sum() / self.dimension.sum()) if len(self.nis) else float("nan")
+        return float(self.nis.sum() / self.dimension.sum()) if self.dimension.any() else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -62,12 +62,10 @@ def prior_sigmas(initial: InitialState, trajectory: Trajectory) -> dict[str, flo
     found = {
         "attitude": (turn, initial.attitude_sigma_rad),
         "position": (trajectory.gTb[0, :3, 3] - initial.gTb[:3, 3], initial.position_sigma_m),
+        "velocity": (trajectory.gV[0] - initial.gV, initial.velocity_sigma_m_s),
+        "gyro bias": (trajectory.bias[0, :3], initial.gyro_bias_sigma_rad_s),
+        "accelerometer bias": (trajectory.bias[0, 3:], initial.accelerometer_bias_sigma_m_s2),
     }
-    if trajectory.gV is not None:
-        found["velocity"] = trajectory.gV[0] - initial.gV, initial.velocity_sigma_m_s
-    if trajectory.bias is not None:
-        found["gyro bias"] = trajectory.bias[0, :3], initial.gyro_bias_sigma_rad_s
-        found["accelerometer bias"] = trajectory.bias[0, 3:], initial.accelerometer_bias_sigma_m_s2
     return {
         name: float(np.linalg.norm(error)) / sigma for name, (error, sigma) in found.items() if sigma > 0.0
     }
@@ -107,14 +105,13 @@ def smoothed_residuals(problems: Sequence[Problem], trajectory: Trajectory) -> d
 def _of_other_sensors(descent: Descent, at: Trajectory) -> dict[str, FloatArray]:
     """Residuals (n, d) of the sensors beside camera and IMU, each with the bias that fits it best."""
     out: dict[str, FloatArray] = {}
-    if at.gV is None or at.bias is None:
-        return out
     for sensor in descent.sensors:
         bank = SensorBank([sensor])
         found = []
         for k, stamp in enumerate(at.stamps_ns.tolist()):
             state = SensorState(stamp, at.gTb[k], at.gV[k], gyro_at(descent, stamp) - at.bias[k, :3])
-            found += [sample.linearise(state, np.zeros(len(bank.sigmas))) for sample in bank.at(stamp)]
+            samples = [sample.linearise(state, np.zeros(len(bank.sigmas))) for sample in bank.at(stamp)]
+            found += [sample for sample in samples if sample.informative]
         if not found:
             continue
         errors = np.array([-one.error for one in found])

@@ -75,6 +75,8 @@ def _median_nis(sensor: Sensor, states: Sequence[tuple[int, FilterState]]) -> fl
             P[STATE_SIZE:, STATE_SIZE:] = np.diag(bank.sigmas**2)
             alone = FilterState(state.gTb, state.gV, state.rate, state.bias, P, np.zeros(len(bank.sigmas)))
             A, residual = linearise_sample(sample, alone, np.zeros(size), stamp_ns)
+            if not A.any():
+                continue
             innovation = whitening(A @ P @ A.T + np.eye(len(A))) @ residual
             found.append(float(innovation @ innovation) / len(innovation))
     return float(np.median(found)) if found else float("nan")

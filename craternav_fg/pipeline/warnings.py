@@ -27,6 +27,8 @@ IMPROBABLE = 1e-7
 MAX_MEAN, MAX_MEAN_SIGMAS = 0.5, 6.0
 # Distance of an outlier in sigmas, and the largest share of samples that is reported as outliers.
 OUTLIER_SIGMAS, MAX_SENSOR_OUTLIER_SHARE = 7.0, 0.3
+# Share of a sensor's samples that may say nothing of the predicted state.
+MAX_SHARE_WITHOUT = 0.5
 # Norm of the three errors of attitude, position, velocity or a bias, in sigmas of the prior: chance exceeds
 # it once in 70,000.
 MAX_PRIOR_SIGMAS = 5.0
@@ -191,6 +193,9 @@ def inconsistent_sensors(
 
 
 def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
+    without = float(np.mean(part.dimension == 0))
+    if without > MAX_SHARE_WITHOUT:
+        return f"{100.0 * without:.3g} % of its samples cannot be from where {name} predicts the lander"
     size = int(part.dimension.sum())
     sigmas = np.sqrt(part.nis / np.maximum(part.dimension, 1))
     share = float(np.mean(sigmas > OUTLIER_SIGMAS))

@@ -103,6 +103,11 @@ class Linearisation:
     jacobian: FloatArray
     bias_jacobian: FloatArray
 
+    @property
+    def informative(self) -> bool:
+        """Whether the sample says anything of the state: not if a beam misses the ground, for example."""
+        return bool(self.jacobian.any())
+
 
 @dataclass(frozen=True)
 class Surroundings:

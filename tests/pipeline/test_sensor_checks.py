@@ -1,5 +1,6 @@
 """Data that are wrong without being impossible are refused or told; sound data are not."""
 
+import copy
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -153,6 +154,21 @@ def test_a_station_alone_is_not_to_be_trusted(sensors: Path, estimator: str) -> 
     assert result.warnings[0].startswith("no trajectory can be trusted, whatever its covariance: no rim was")
     assert "does not predict ranging (NIS per dimension" in result.warnings[0]
     assert any("there the trajectory rests on the IMU and ranging" in text for text in result.warnings)
+
+
+def test_an_altimeter_that_is_mounted_upside_down_is_told(sensors: Path) -> None:
+    """Its beam meets no ground: no sample contradicts the others, and none confirms them."""
+    data = Dataset.open(sensors)
+    turned = copy.copy(next(one for one in data.sensors if one.name == "altimeter"))
+    turned.bTs = turned.bTs @ np.diag([1.0, -1.0, -1.0, 1.0])
+    others = tuple(one for one in data.sensors if one.name != "altimeter")
+    result = reconstruct(replace(data, sensors=(turned, *others)), ESTIMATORS)
+    said = (
+        "altimeter: 100 % of its samples cannot be from where ekf predicts the lander; check its units, T_BS"
+    )
+    assert any(text.startswith(said) for text in result.warnings), result.warnings
+    assert result.innovations is not None
+    assert np.isnan(result.innovations.of("altimeter").mean)
 
 
 def test_sensors_from_a_good_start_need_no_rims(sensors: Path) -> None:
