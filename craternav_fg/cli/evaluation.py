@@ -13,6 +13,7 @@ from craternav_fg.cli.app import evaluate_commands, example
 from craternav_fg.cli.options import DemUnitOption, JsonOption
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers
 from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.apriori import AprioriStates
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import estimator
 from craternav_fg.evaluation.dem_check import check_against_dem
@@ -91,7 +92,9 @@ def apriori(run: RunArgument, name: NameOption = None, as_json: JsonOption = Fal
     """Compare a run with the a-priori states of its data set, such as those from SPICE."""
     result = read_run(run)
     name, trajectory = _trajectory(result, name)
-    _finish(name, offsets(trajectory, _stated(result)), "a-priori states", as_json)
+    stated = _stated(result)
+    found = offsets(trajectory, stated.states)
+    _finish(name, found, "a-priori states", as_json, stated.position_sigma_m)
 
 
 @evaluate_commands.command(
@@ -129,21 +132,24 @@ def _covariances(run: Path, name: str, trajectory: Trajectory) -> npt.NDArray[np
     return trajectory.pose_covariance
 
 
-def _stated(run: Run) -> Trajectory:
+def _stated(run: Run) -> AprioriStates:
     stated = Dataset.open(run.dataset).apriori
     if stated is None:
         raise InputError(run.dataset, "expected a data set with a-priori states (mav0/state_apriori0)")
-    return stated.states
+    return stated
 
 
-def _finish(name: str, found: Offsets, against: str, as_json: bool) -> None:
-    """Print offsets of an estimator from a reference."""
+def _finish(
+    name: str, found: Offsets, against: str, as_json: bool, reference_sigma_m: float | None = None
+) -> None:
+    """Print offsets of an estimator from a reference; its sigma where those of the offsets leave it out."""
     if as_json:
         values: dict[str, Any] = {
             "estimator": name,
             "frames": found.frames.tolist(),
             "east_north_up_m": found.enu_m.tolist(),
             "sigma_m": found.sigma_m.tolist(),
+            **({} if reference_sigma_m is None else {"reference_sigma_m": reference_sigma_m}),
         }
         out.print_json(json.dumps(values))
         return
@@ -156,7 +162,9 @@ def _finish(name: str, found: Offsets, against: str, as_json: bool) -> None:
     if len(found.frames) > 1:
         mean, scatter = found.enu_m.mean(axis=0), found.scatter_m
         say(f"{name} minus {against}: mean {_three(mean)} m, scatter {_three(scatter)} m (east, north, up)")
-    say(f"largest difference {np.max(np.abs(found.enu_m) / found.sigma_m):.1f} sigmas")
+    both = "" if reference_sigma_m is None else f" of both (states: {reference_sigma_m:g} m)"
+    largest = np.max(np.abs(found.enu_m) / np.hypot(found.sigma_m, reference_sigma_m or 0.0))
+    say(f"largest difference {largest:.1f} sigmas{both}")
 
 
 def _three(values: Any) -> str:

@@ -64,7 +64,8 @@ def heights_of_points(problems: Sequence[Problem]) -> bool:
         sum(_log_likelihood(replace(problem, catalog=one)) for problem in problems)
         for one in (catalog, lowered)
     )
-    return points - given > _MIN_LOG_RATIO
+    # A filter that fails says nothing of the heights.
+    return bool(np.isfinite(given)) and points - given > _MIN_LOG_RATIO
 
 
 def _log_likelihood(problem: Problem) -> float:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.base import Problem
+from craternav_fg.pipeline import rim_planes
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_tables import Crater, CraterList
@@ -59,6 +61,16 @@ def test_mean_heights_along_rims_are_recognised_and_lowered(high: Dataset) -> No
     assert points.lowered
     assert any("mean height along the rims" in text for text in points.warnings)
     assert error_m(high, points) == pytest.approx(error_m(high, planes), rel=0.05)
+
+
+def test_a_filter_that_fails_does_not_decide(high: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = reconstruct(high, ["ekf"]).problems
+
+    def fails(problem: Problem) -> float:
+        return -np.inf if problem.catalog is high.catalog else 0.0
+
+    monkeypatch.setattr(rim_planes, "_log_likelihood", fails)
+    assert not rim_planes.heights_of_points(frames)
 
 
 def test_small_rims_keep_their_heights(tmp_path: Path) -> None:
