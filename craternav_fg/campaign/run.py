@@ -50,7 +50,7 @@ class CampaignOptions:
     Raises
     ------
     CraternavError
-        When an estimator is unknown, or there is no trial or no worker.
+        When an estimator is unknown, there is no trial or no worker, or the first trial's number is negative.
     """
 
     trials: int
@@ -66,6 +66,8 @@ class CampaignOptions:
         for name in ("trials", "workers"):
             if getattr(self, name) < 1:
                 raise CraternavError(f"{name}: expected 1 or more, found {getattr(self, name)}")
+        if self.first < 0:
+            raise CraternavError(f"first: expected 0 or more, found {self.first}")
 
 
 def montecarlo(

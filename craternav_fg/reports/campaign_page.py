@@ -152,15 +152,18 @@ def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
     most = 0
     for name in names:
         nees = of_estimator(campaign.table, name, "nees")
-        if not np.isfinite(nees).all():
+        sound = np.asarray(np.isfinite(nees).all(axis=1))
+        if not sound.any():
             continue
+        label = name if sound.all() else f"{name} ({sound.sum()} of {len(sound)} trials)"
+        nees = nees[sound]
         most = max(most, len(nees))
         bins = anees_by_altitude(nees, altitude_m, edges.tolist())
         middle_km = [1e-3 * np.sqrt(one.highest_m * one.lowest_m) for one in bins]
         axes.loglog(middle_km, [one.mean for one in bins], marker="o", ms=3, label=name, **line_style(name))
         headings[1:] = [f"{1e-3 * one.highest_m:.3g} to {1e-3 * one.lowest_m:.3g} km" for one in bins]
         cells = [number_cell(one.mean, concern=not one.consistent) for one in bins]
-        rows.append((name, [Cell(name, name), *cells]))
+        rows.append((name, [Cell(label, label), *cells]))
     if not rows:
         return [Text("No estimator gives covariances.")]
     low, high = mean_interval(6, most)
@@ -175,7 +178,7 @@ def _consistency(campaign: Campaign, names: list[str]) -> list[Block]:
     )
     table_caption = (
         f"The same in numbers. Values outside {low:.2f} to {high:.2f}, the 95 % interval for {most} trials, "
-        "are highlighted."
+        "are highlighted. Trials with a singular covariance are left out, and their number is told."
     )
     return [_drawing(figure, "consistency", names, caption), Table(headings, rows, table_caption)]
 

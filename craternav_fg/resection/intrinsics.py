@@ -95,6 +95,8 @@ class IntrinsicsFit:
         True less the camera's principal point, by the rims alone; NaN when it is exact or they do not tell.
     principal_covariance_px2 : ndarray, shape (2, 2)
         Covariance of the shift.
+    cost : float
+        Squared norm of all whitened residuals, those of the prior of the intrinsics included.
     converged : bool
         False when no minimum below the cost of the initial pose was found: all the rest is then of that pose,
         with the camera's intrinsics.
@@ -109,6 +111,7 @@ class IntrinsicsFit:
     focal_scale_sigma: float
     principal_shift_px: FloatArray
     principal_covariance_px2: FloatArray
+    cost: float
     converged: bool
 
 
@@ -158,6 +161,7 @@ def fit_intrinsics(problem: ResectionProblem, gTb: FloatArray, prior: Intrinsics
         focal_scale_sigma=float(np.sqrt(log_scale_variance[0, 0])),
         principal_shift_px=prior.focal_px * shift,
         principal_covariance_px2=prior.focal_px**2 * shift_covariance,
+        cost=fit.cost,
         converged=converged,
     )
 
@@ -195,6 +199,14 @@ def _by_rims(estimate: FloatArray, covariance: FloatArray, sigma: float) -> tupl
     return np.asarray(np.linalg.solve(alone, with_prior @ estimate)), np.asarray(np.linalg.inv(alone))
 
 
+def _corrected(chart: FloatArray, unknowns: FloatArray) -> FloatArray:
+    """Charts (n, 5) as a camera with the true intrinsics would have them, given the unknowns (3,)."""
+    out = chart.copy()
+    out[:, :2] = np.exp(-unknowns[0]) * (chart[:, :2] - unknowns[1:])
+    out[:, [2, 4]] -= unknowns[0]
+    return out
+
+
 def _linearised(
     problem: ResectionProblem, gTb: FloatArray, unknowns: FloatArray, sigmas: FloatArray
 ) -> _Linearised:
@@ -202,9 +214,7 @@ def _linearised(
     rims, first = problem.rims, problem.first_free
     prior, weight = problem.prior_arrays()
     out, N, g = np.empty((7, 5 * len(rims))), np.empty((6, 6)), np.empty(6)
-    chart = rims.chart.copy()
-    chart[:, :2] = np.exp(-unknowns[0]) * (chart[:, :2] - unknowns[1:])
-    chart[:, [2, 4]] -= unknowns[0]
+    chart = _corrected(rims.chart, unknowns)
     data = packed.pack(problem.bTc, rims.centres, rims.axes, chart, rims.whitening, NONE, 1.0)
     cost = normal_equations(gTb, problem.bTc, data, prior, weight, problem.sun_array(), 1.0, out, N, g)
     change = np.zeros((3, len(rims), 5))
@@ -238,7 +248,7 @@ def with_unknown_intrinsics(
     Returns
     -------
     ResectionResult
-        With the fitted poses, if there are any.
+        With the fitted poses, if there are any, and residuals of rims as the fitted intrinsics show them.
     """
     if result.status not in (Status.SOLVED, Status.AMBIGUOUS) or not prior.sigmas.any():
         return result
@@ -248,8 +258,10 @@ def with_unknown_intrinsics(
     fits = [fit_intrinsics(part, pose.gTb, prior) for pose in result.poses]
     poses = tuple(
         replace(
-            pose, gTb=fit.gTb, covariance=fit.covariance,
-            residuals=scaled.rims.residuals(fit.gTb, problem.bTc),
+            pose, gTb=fit.gTb, covariance=fit.covariance, cost=fit.cost,
+            residuals=replace(scaled.rims, chart=_corrected(scaled.rims.chart, fit.unknowns)).residuals(
+                fit.gTb, problem.bTc
+            ),
         )
         for pose, fit in zip(result.poses, fits, strict=True)
     )  # fmt: skip

@@ -446,6 +446,7 @@ def test_a_scheduler_that_is_not_there_is_named_soon_and_leaves_nothing(
     [
         ({"trials": 0}, "trials: expected 1 or more, found 0"),
         ({"trials": 1, "workers": -2}, "workers: expected 1 or more, found -2"),
+        ({"trials": 1, "first": -1}, "first: expected 0 or more, found -1"),
         ({"trials": 1, "estimators": ("magic",)}, "unknown estimator 'magic'"),
     ],
 )

@@ -1,5 +1,7 @@
 """The pose from one rendered image at 50 km and a prior of 25 deg and 4 km."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -120,6 +122,22 @@ def test_found_craters_are_in_the_image(view):
     assert len(found.craters) >= 8
     assert len(set(found.craters)) == len(found.craters)
     assert np.isin(found.craters, seen).all()
+
+
+def test_rims_far_from_the_principal_point_count(view):
+    """Those of a cropped image all lie beyond three fifths of its width."""
+    left = 760
+    cropped = replace(CAMERA, width_px=CAMERA.width_px - left, cx_px=CAMERA.cx_px - left)
+    found = acquire(
+        np.ascontiguousarray(view.image[:, left:]),
+        cropped,
+        view.catalog,
+        *view.prior(5, 3.0, 500.0),
+        view.sun_g,
+    )
+    assert found is not None
+    assert len(found.craters) >= 4
+    assert view.image_error_px(found.gTb) < 6.0
 
 
 def test_half_a_catalogue_will_do(view):

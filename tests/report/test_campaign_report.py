@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -79,6 +80,27 @@ def test_an_anees_that_few_trials_explain_is_not_set_off(campaign: Path, trials:
     assert isinstance(table, Table)
     anees = next(k for k, heading in enumerate(table.headings) if heading.startswith("ANEES"))
     assert {cells[anees].concern for _, cells in table.rows} == {set_off}
+
+
+def test_an_estimator_with_a_singular_covariance_in_one_trial_stays_on_the_page(
+    campaign: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "c"
+    shutil.copytree(campaign, folder)
+    first = next(iter(read_campaign(campaign).summary["estimators"]))
+    path = sorted((folder / "trials").glob("*.parquet"))[1]
+    table = pq.read_table(path)
+    of_first = np.array(table["estimator"].to_pylist()) == first
+    nees = np.where(of_first, np.inf, table["nees"].to_numpy())
+    column = table.schema.get_field_index("nees")
+    pq.write_table(table.set_column(column, table.schema.field("nees"), pa.array(nees)), path)
+    (rows,) = (
+        block.rows for section in campaign_page(read_campaign(folder)).sections
+        for block in section.blocks if isinstance(block, Table) and "The same in numbers" in block.caption
+    )  # fmt: skip
+    cells = dict(rows)[first]
+    assert cells[0].text == f"{first} (2 of 3 trials)"
+    assert all(np.isfinite(cell.key) for cell in cells[1:])
 
 
 def test_the_worst_trial_is_picked_first(campaign: Path, tmp_path: Path) -> None:

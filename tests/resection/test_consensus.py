@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.resection.efficient import solve
@@ -223,6 +224,22 @@ def test_unknown_intrinsics_keep_the_covariance_consistent(catalog: Catalog) -> 
         screw_between(np.ascontiguousarray(result.poses[0].gTb), view.gTb, error)
         nees.append(error @ np.linalg.solve(result.poses[0].covariance, error))
     assert 4.8 < np.mean(nees) < 7.4
+
+
+def test_residuals_are_those_of_the_fitted_intrinsics(catalog: Catalog) -> None:
+    """A rim that a wrong focal length moves by many sigmas fits once it is found."""
+    rng = np.random.default_rng(13)
+    for k in range(10):
+        view = draw(catalog, rng, k)
+        problem = matched(catalog, view, rng, Faults(focal_scale=1.005))
+        prior = IntrinsicsPrior(view.camera.focal_px, 0.05)
+        found = solve_all(problem)
+        best = with_unknown_intrinsics(problem, found, prior).poses[0]
+        squares = float(np.sum(best.residuals**2))
+        assert squares < found.poses[0].cost
+        assert squares < chi2.ppf(0.9999, best.residuals.size)
+        # Beside the prior of the three intrinsics.
+        assert 0.0 < best.cost - squares < 30.0
 
 
 def test_the_principal_point_is_estimated_within_its_covariance(catalog: Catalog) -> None:

@@ -36,8 +36,8 @@ _POSITION_SIGMAS = 3.0
 # Minimum cosine of the angle between the line of sight and a crater's normal, and minimum slope contrast.
 _MIN_COS_SLANT = 0.15
 _MIN_CONTRAST = 0.1
-# Bounds on predicted craters over the image's width and height: a tenth beyond the border on each side.
-_REACH_SHARE = 0.6
+# Bounds on predicted craters, over the distance of the farthest border from the principal point.
+_REACH_FACTOR = 1.2
 # Places in the image, as shares of its width and height, at which the spread of a prediction is computed.
 _SPREAD_PLACES = np.array([0.1, 0.5, 0.9])
 
@@ -279,7 +279,8 @@ def _search(
         options.sunward_sigma_rad,
     )  # fmt: skip
     bTc = camera.bTc
-    reach = _REACH_SHARE * np.array([camera.width_px / camera.fx_px, camera.height_px / camera.fy_px])
+    corners = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
+    reach = _REACH_FACTOR * np.abs(camera.normalised(corners)).max(axis=0)
     found = poses_of_single_rims(prior, bTc, craters, rims, options.seeds, options.gate)
     explained = count_explained(found, bTc, craters, rims, reach)
     best = None
