@@ -8,9 +8,11 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators.intrinsics import intrinsic_slopes
 from craternav_fg.linalg import whitening
+from craternav_fg.mapping.apply_errors import apply_errors
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.trajectory import Trajectory
+from craternav_fg.trajectory import Calibrated, Trajectory
 from factors.kernels import conic
 
 FloatArray = npt.NDArray[np.float64]
@@ -27,7 +29,8 @@ def rim_residuals(
     Parameters
     ----------
     trajectory : Trajectory
-        At the frames' stamps. An estimated mounting and time offset of the camera are applied.
+        At the frames' stamps. What it estimated beside the states is applied: mounting, time offset and
+        intrinsics of the camera, errors of the map.
     measured : sequence of FrameMeasurement
         n rims in all.
     camera : Camera
@@ -39,11 +42,16 @@ def rim_residuals(
         In the order of the frames and of their rims; NaN where the pose cannot see the crater.
     """
     parts = [np.empty((0, 5))]
+    found = trajectory.calibrated or Calibrated()
+    if found.map_errors is not None:
+        catalog = apply_errors(catalog, found.map_errors).catalog
     for frame, gTb in zip(measured, poses_at_exposure(trajectory), strict=True):
         rims = frame.rims
         predicted, _ = conic.project_rims(
             gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]
         )
+        if found.intrinsics is not None:
+            predicted = predicted + intrinsic_slopes(predicted, camera) @ found.intrinsics[0]
         parts.append(np.einsum("nij,nj->ni", whitening(rims.covariance), rims.chart - predicted))
     return np.concatenate(parts)
 

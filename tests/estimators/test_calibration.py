@@ -1,5 +1,6 @@
 """Mounting and time offset as variables: found, consistent, and absent unless asked for."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.evaluation.residuals import rim_residuals
 from craternav_fg.simulation.scenario_tables import FaultsSection
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
@@ -118,6 +120,11 @@ def test_errors_of_the_map_are_found_and_the_pose_is_consistent_again(
             actual = p.catalog.gRl[crater].T @ off / radius_m
             believed.append(((error[:3] - actual) / sigma[:3]) ** 2)
             assert np.all(sigma <= 1.001 * share)
+        of_map, of_both = (
+            np.mean(rim_residuals(one, p.frames, p.camera, p.catalog) ** 2)
+            for one in (replace(t, calibrated=None), t)
+        )
+        assert of_both < 1.2 < of_map
     low, high = interval(6)
     assert low < np.mean(poses) < high
     assert np.mean(untold) > 2.0 * high

@@ -20,6 +20,7 @@ from craternav_fg.estimators.motion import longest_interval_s
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.evaluation.consistency import mean_interval
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.evaluation.residuals import rim_residuals
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.trajectory import Trajectory
@@ -102,6 +103,13 @@ def test_intrinsics_are_estimated_along_with_an_orbit(data):
     error = np.linalg.norm(found.gP - data.truth.gP, axis=1)
     without = BatchSmoother().estimate(problem)
     assert error.mean() < 0.5 * np.linalg.norm(without.gP - data.truth.gP, axis=1).mean()
+    # Its rims fit through the lens that it found, not through the stated one.
+    fitting, stated = (
+        np.mean(rim_residuals(one, frames, data.camera, data.catalog) ** 2)
+        for one in (found, replace(found, calibrated=None))
+    )
+    assert 0.9 < fitting < 1.1
+    assert stated > 10.0
 
 
 def test_one_of_them_alone(data):
