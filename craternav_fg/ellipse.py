@@ -334,26 +334,6 @@ def whitened_points(points: FloatArray, chart: FloatArray) -> FloatArray:
     return np.stack(_whiten(points[..., 0], points[..., 1], *chart), axis=-1)
 
 
-def unwhitened_points(points: FloatArray, chart: FloatArray) -> FloatArray:
-    """Map points by the affine map that makes the unit circle about the origin an ellipse.
-
-    Parameters
-    ----------
-    points : ndarray, shape (..., 2)
-        Dimensionless, as `whitened_points` gives them.
-    chart : ndarray, shape (5,)
-        Chart of the ellipse.
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
-        m + L p, in the chart's coordinates.
-    """
-    half_x, half_y = np.exp(chart[2]), np.exp(chart[4])
-    L = np.array([[half_x, 0.0], [chart[3] * half_x, half_y]])
-    return np.asarray(points @ L.T + chart[:2])
-
-
 def conics_of_charts(charts: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Compute the conics of ellipses, and their derivatives.
 

@@ -33,8 +33,6 @@ class Matches:
     ----------
     detected, true : ndarray of int, shape (n,)
         Rows that belong together.
-    distance2 : ndarray, shape (n,)
-        Squared Gaussian angles in units of sigma.
     recall : float
         Share of the wanted true rims that were detected; NaN when none is wanted.
     precision : float
@@ -49,7 +47,6 @@ class Matches:
 
     detected: IntArray
     true: IntArray
-    distance2: FloatArray
     recall: float
     precision: float
     false: IntArray
@@ -125,7 +122,6 @@ def match(
     return Matches(
         rows,
         columns,
-        distance2[rows, columns],
         _share(hits, len(missed)),
         _share(hits, len(false)),
         false,

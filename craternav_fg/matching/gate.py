@@ -48,15 +48,12 @@ class Matches:
     pose_covariance : ndarray, shape (6, 6)
         Covariance of the attitude error (rotation vector in b, rad) and the position error in g, m. It
         contains prior and rims: use it as a guide, and not together with measurements of the same image.
-    distance2 : float
-        Squared Mahalanobis norm of the matched rims' residuals and of the correction together.
     """
 
     craters: IntArray
     ambiguous: BoolArray
     gTb: FloatArray
     pose_covariance: FloatArray
-    distance2: float
 
 
 def match_rims(
@@ -91,9 +88,7 @@ def match_rims(
     Matches
         Without any crater when no pose is accepted.
     """
-    nothing = Matches(
-        np.full(len(charts), -1), np.zeros(len(charts), dtype=np.bool_), gTb, pose_covariance, 0.0
-    )
+    nothing = Matches(np.full(len(charts), -1), np.zeros(len(charts), dtype=np.bool_), gTb, pose_covariance)
     if not len(charts):
         return nothing
     search = GateSearch(charts, covariances, camera, catalog, gTb, pose_covariance, options)
@@ -107,7 +102,7 @@ def match_rims(
     if any(not _compatible(best, one) for one in rivals):
         ambiguous = nothing.ambiguous.copy()
         ambiguous[best.rims] = True
-        return Matches(nothing.craters, ambiguous, gTb, pose_covariance, 0.0)
+        return Matches(nothing.craters, ambiguous, gTb, pose_covariance)
     return _judge(search, best)
 
 
@@ -134,7 +129,7 @@ def _judge(search: GateSearch, best: ExpandedPose) -> Matches:
         else:
             rims.append(i)
             chosen.append(m)
-    gTb, covariance, cost = best.gTb, best.covariance, 0.0
+    gTb, covariance = best.gTb, best.covariance
     while rims:
         gTb, covariance, cost = search.solve_one(gTb, np.array(chosen), np.array(rims))
         limit = float(chdtri(COMPONENTS * len(rims), 1.0 - options.probability))
@@ -148,6 +143,6 @@ def _judge(search: GateSearch, best: ExpandedPose) -> Matches:
         worst = int(np.argmax(at_pose))
         del rims[worst], chosen[worst]
     if not rims:
-        return Matches(craters, ambiguous, search.prior, search.covariance, 0.0)
+        return Matches(craters, ambiguous, search.prior, search.covariance)
     craters[rims] = search.rows[chosen]
-    return Matches(craters, ambiguous, gTb, rotate_position_block(covariance, gTb[:3, :3]), cost)
+    return Matches(craters, ambiguous, gTb, rotate_position_block(covariance, gTb[:3, :3]))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.imu import ImuNoise
 from craternav_fg.motion.gravity import GravityField
@@ -147,57 +146,3 @@ class Motion:
         """
         rows = np.array([seconds]), np.array([self.rate_rad_s])
         return self.transition(body, state, rows, self.noise)
-
-    def interpolate(
-        self,
-        body: Body,
-        begin: tuple[FloatArray, FloatArray, FloatArray],
-        end: tuple[FloatArray, FloatArray, FloatArray],
-        duration_s: float,
-        at_s: float,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Interpolate between two states without a gyro: the mean of the Gaussian process given both.
-
-        Parameters
-        ----------
-        body : Body
-        begin, end : (ndarray, ndarray, ndarray)
-            States as in `transition`.
-        duration_s : float
-            Between them.
-        at_s : float
-            From the beginning, inside the interval.
-
-        Returns
-        -------
-        gTb : ndarray, shape (4, 4)
-            In g, m.
-        gV : ndarray, shape (3,)
-            In g, m/s.
-        bias : ndarray, shape (6,)
-            In b, rad/s and m/s^2.
-
-        References
-        ----------
-        Barfoot, T. D., Tong, C. H., Sarkka, S. (2014), Batch continuous-time trajectory estimation as exactly
-        sparse Gaussian process regression, Robotics: Science and Systems X.
-        """
-        there, there_gV, _, Q = self.free(body, begin, duration_s)
-        gTb, gV, _, q = self.free(body, begin, at_s)
-        bias = np.asarray(begin[2])
-        onward = self.free(body, (gTb, gV, bias), duration_s - at_s)[2]
-        r = np.concatenate(
-            [
-                frames.rotation_log(there[:3, :3].T @ end[0][:3, :3]),
-                end[0][:3, 3] - there[:3, 3],
-                end[1] - there_gV,
-                end[2] - bias,
-            ]
-        )
-        scale = np.sqrt(np.diag(Q))
-        solved = np.linalg.solve(Q / np.outer(scale, scale), r / scale) / scale
-        step = q @ onward.T @ solved
-        out = gTb.copy()
-        out[:3, :3] = gTb[:3, :3] @ frames.rotation_exp(step[:3])
-        out[:3, 3] += step[3:6]
-        return out, gV + step[6:9], bias + step[9:]

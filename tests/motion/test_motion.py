@@ -185,23 +185,6 @@ def test_factor_is_zero_at_a_propagated_state():
     assert factor.error(values) < 1e-6
 
 
-@pytest.mark.parametrize("model", _models(), ids=_NAMES)
-def test_interpolation_ends_at_the_states_and_follows_a_free_motion(model):
-    begin = _state(np.random.default_rng(8))
-    T, v, _, _ = model.free(MOON, begin, 25.0)
-    free = (T, v, begin[2])
-    half = model.free(MOON, begin, 12.5)
-    gTb, gV, _ = model.interpolate(MOON, begin, free, 25.0, 12.5)
-    np.testing.assert_allclose(gTb[:3, 3], half[0][:3, 3], atol=1e-3)
-    np.testing.assert_allclose(gV, half[1], atol=1e-5)
-    pushed = (T @ gtsam.Pose3.Expmap([0.001, 0.0, 0.0, 2.0, -3.0, 1.0]).matrix(), v + 0.1, begin[2] + 1e-5)
-    near_end = model.interpolate(MOON, begin, pushed, 25.0, 25.0 - 1e-3)
-    np.testing.assert_allclose(near_end[0][:3, 3] + 1e-3 * pushed[1], pushed[0][:3, 3], atol=0.05)
-    np.testing.assert_allclose(near_end[0][:3, :3], pushed[0][:3, :3], atol=1e-4)
-    near_begin = model.interpolate(MOON, begin, pushed, 25.0, 1e-3)
-    np.testing.assert_allclose(near_begin[0][:3, 3] - 1e-3 * begin[1], begin[0][:3, 3], atol=0.05)
-
-
 def test_gyro_rows_turn_the_attitude():
     begin = _state(np.random.default_rng(9))
     rates = np.random.default_rng(10).normal(scale=0.05, size=(50, 3))
