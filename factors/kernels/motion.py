@@ -296,8 +296,9 @@ def transition(
     a_b = -bias[3:].copy()
     for k in range(dt_s.shape[0]):
         w = gyro[k] - bias[:3]
-        turn = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) * dt_s[k]
-        steps = max(int(np.ceil(dt_s[k] / _LONGEST_STEP_S)), int(np.ceil(turn / _LARGEST_TURN_RAD)), 1)
+        length_s = abs(dt_s[k])
+        turn = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) * length_s
+        steps = max(int(np.ceil(length_s / _LONGEST_STEP_S)), int(np.ceil(turn / _LARGEST_TURN_RAD)), 1)
         if kind == WHITE_JERK and dt_s.shape[0] < _JERK_STEPS:
             steps = max(steps, _JERK_STEPS)
         h = dt_s[k] / steps

@@ -185,6 +185,19 @@ def test_factor_is_zero_at_a_propagated_state():
     assert factor.error(values) < 1e-6
 
 
+@pytest.mark.parametrize("model", _models(), ids=_NAMES)
+def test_there_and_back_is_the_start(model):
+    """Backwards over 20 minutes in one step, it used to be 40 km off."""
+    gTb, gV, bias = _state(np.random.default_rng(11))
+    T, v, F, _ = model.free(MOON, (gTb, gV, bias), 1200.0)
+    back, back_gV, back_F, _ = model.free(MOON, (T, v, bias), -1200.0)
+    np.testing.assert_allclose(back[:3, 3], gTb[:3, 3], atol=1e-2)
+    np.testing.assert_allclose(back[:3, :3], gTb[:3, :3], atol=1e-8)
+    np.testing.assert_allclose(back_gV, gV, atol=1e-5)
+    # Of slopes up to 1e4 m per radian.
+    np.testing.assert_allclose((back_F @ F)[:9, :9], np.eye(9), atol=0.03)
+
+
 def test_gyro_rows_turn_the_attitude():
     begin = _state(np.random.default_rng(9))
     rates = np.random.default_rng(10).normal(scale=0.05, size=(50, 3))
