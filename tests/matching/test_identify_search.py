@@ -139,7 +139,7 @@ def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatc
         args[-1][0] = right
 
     monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", low)
-    monkeypatch.setattr("craternav_fg.matching.identify.search._among_likeliest", lambda *_: [])
+    monkeypatch.setattr("craternav_fg.matching.identify.search._among_chosen", lambda *_: [])
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
     assert not identify(view.ellipses_px, view.camera, synthetic).identified
     found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(deep=True))
@@ -147,7 +147,7 @@ def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatc
     assert view.agrees(found.rows)
 
 
-def test_the_likeliest_rims_are_combined_wherever_they_are(synthetic, monkeypatch) -> None:
+def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeypatch) -> None:
     """Among many false rims, the neighbours of a crater's rim are no craters."""
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
     options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.9, missing=0.8, sigma_px=1.5)
@@ -160,7 +160,7 @@ def test_the_likeliest_rims_are_combined_wherever_they_are(synthetic, monkeypatc
         quality = np.where(true, 0.9, rng.uniform(0.02, 0.4, len(true)))
         found = identify(view.ellipses_px, view.camera, synthetic, options=few, quality=quality)
         with monkeypatch.context() as patch:
-            patch.setattr("craternav_fg.matching.identify.search._among_likeliest", lambda *_: [])
+            patch.setattr("craternav_fg.matching.identify.search._among_chosen", lambda *_: [])
             without = identify(view.ellipses_px, view.camera, synthetic, options=few, quality=quality)
         assert view.agrees(found.rows)
         answered.append((found.identified, without.identified))

@@ -12,7 +12,7 @@ The algorithm, in order, with the module of each step:
    rims are looked up in the index; each hit gives the altitude and a rotation, thus a pose (`hypothesis`).
    The pose is scored by how many further rims it puts on craters of their size, and how many craters there
    are around; the best poses are kept. Likely rims come first, and count more. A deep search begins with
-   all triples of the likeliest few, wherever they are.
+   triples of a few rims that are likely and large, wherever they are.
 5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when
    triples gave no answer.
 6. `expand`: the best poses are refined by Gauss-Newton (`pose_fit`) on all rims that they explain, and rims

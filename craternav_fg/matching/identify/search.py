@@ -22,8 +22,7 @@ from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.matching.identify.triple_search import (
     Projection,
     image_triples,
-    largest,
-    likeliest,
+    likely_and_large,
     project_all_to_sphere,
     search_triples,
 )
@@ -68,8 +67,11 @@ _DEEP_MIN_SCORE = 1.0
 # And the factor on the number of candidates of the first triples, which halves from expansion to expansion:
 # the most promising triples are right most often, but often not with their nearest candidates.
 _FIRST_FACTOR = 8
-# Likeliest rims all of whose triples are looked up there, and hypotheses that are expanded of each triple.
-_LIKELIEST, _EXPANDED_OF_LIKELIEST = 16, 16
+# And before that: rims that are likely and large, neighbours of each among them, and hypotheses that are
+# expanded of each triple. Of 133 sets of rims on real ground, these have 14.0 triples that the index holds
+# in the mean, fewer than three in 11 % of the sets; the 16 likeliest of any size, with all pairs, had 6.3,
+# fewer than three in 37 %, at half as much again of the cost.
+_CHOSEN_RIMS, _CHOSEN_NEIGHBOURS, _EXPANDED_OF_CHOSEN = 24, 10, 24
 # Triples of an index for which the options' number of candidates is meant.
 _TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
@@ -165,7 +167,7 @@ def _expanded(search: Search, depth: int, singles: bool) -> list[Expanded]:
     if depth > 1:
         plausible = search.plausible
         search.begin_with(search.largest)
-        found = _among_likeliest(search, depth)
+        found = _among_chosen(search, depth)
         search.begin_with(plausible)
     if not (found and found[0].log_ratio >= threshold):
         found = _best_first(found + _by_triples(search, depth))
@@ -203,20 +205,21 @@ def _by_triples(search: Search, depth: int) -> list[Expanded]:
     return _best_first(found)
 
 
-def _among_likeliest(search: Search, depth: int) -> list[Expanded]:
-    """Expand hypotheses from all triples of the few likeliest rims, wherever they are, one after the other.
+def _among_chosen(search: Search, depth: int) -> list[Expanded]:
+    """Expand hypotheses from triples of a few rims that are likely and large, one after the other.
 
-    Elsewhere a rim is paired with its neighbours, which among many false ones are rarely craters.
+    Elsewhere a rim is paired with its neighbours, which among many false ones are rarely craters. The index
+    has triples of craters that are large among their neighbours.
     """
     view = search.view
     model, _, noise, candidates = _stages(search, depth)[0]
     projection = _projected(search, model)
-    rims = largest(view, likeliest(view, search.largest, _LIKELIEST), _LIKELIEST)
+    rims = likely_and_large(view, search.largest, _CHOSEN_RIMS)
     found: list[Expanded] = []
-    for triple in image_triples(view, projection, rims, len(rims) - 1, noise):
+    for triple in image_triples(view, projection, rims, _CHOSEN_NEIGHBOURS, noise):
         best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
         _look_up(search, projection, triple[None], noise, candidates, best)
-        expanded, enough = search.expand_best(best, _EXPANDED_OF_LIKELIEST, -np.inf, noise)
+        expanded, enough = search.expand_best(best, _EXPANDED_OF_CHOSEN, -np.inf, noise)
         if enough:
             return expanded[-1:]
         found += expanded

@@ -161,6 +161,28 @@ def likeliest(view: View, rims: IntArray, count: int) -> IntArray:
     return rims[quality >= np.partition(quality, -count)[-count]]
 
 
+def likely_and_large(view: View, rims: IntArray, count: int) -> IntArray:
+    """Select the rims with the largest products of probability and root of the radius.
+
+    A larger power of the radius finds more craters of the map on real ground, and fewer among false rims that
+    are as large.
+
+    Parameters
+    ----------
+    view : View
+    rims : ndarray of int, shape (m,)
+    count : int
+        Largest number of them.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        In their order.
+    """
+    product = view.quality[rims] * np.sqrt(view.radius_px[rims])
+    return np.sort(rims[np.argsort(-product, kind="stable")[:count]])
+
+
 def image_order(view: View, rims: IntArray, count: int) -> Int32Array:
     """Order the rims around each rim by their distance in the image.
 
