@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -76,6 +76,27 @@ CHECKED_POSES = 8
 SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
 
 
+@dataclass(frozen=True)
+class _Optimum:
+    """An optimum, and what it is judged by.
+
+    Attributes
+    ----------
+    graph : FactorGraph
+    values : gtsam.Values
+    stated_error : float
+        Half the sum of squares where all covariances are as stated, at the optimum of these: in the graph,
+        craters that an optimum contradicts have larger ones, the larger the worse it is.
+    suspect : bool
+        Whether this error is so large that the optimum may be a local one.
+    """
+
+    graph: FactorGraph
+    values: gtsam.Values
+    stated_error: float
+    suspect: bool
+
+
 class BatchSmoother:
     """Levenberg-Marquardt over the whole descent, started from the EKF's result.
 
@@ -127,28 +148,28 @@ class BatchSmoother:
             longest_s = longest_interval_s(problem, self.options)
             guess, state_indices = initial_values(problem, problem.start, states, longest_s)
             found.append(self._optimum(problem, guess, state_indices))
-            if self.options.rims == "centre" or not _suspect(*found[0]):
-                return trajectory(problem, self.options, *found[0], state_indices)
+            if self.options.rims == "centre" or not found[0].suspect:
+                return trajectory(problem, self.options, found[0].graph, found[0].values, state_indices)
         session = OnlineSmoother(self.options).run(problem)
         try:
             found.append(self._optimum(problem, session.smoothed_values(), session.frame_state_indices))
         except EstimationError:
             if not found:
                 raise
-        best = min(found, key=lambda one: one[0].error(one[1]))
-        return trajectory(problem, self.options, *best, session.frame_state_indices)
+        best = min(found, key=lambda one: one.stated_error)
+        return trajectory(problem, self.options, best.graph, best.values, session.frame_state_indices)
 
-    def _optimum(
-        self, problem: Problem, values: gtsam.Values, state_indices: Sequence[int]
-    ) -> tuple[FactorGraph, gtsam.Values]:
+    def _optimum(self, problem: Problem, values: gtsam.Values, state_indices: Sequence[int]) -> _Optimum:
         """Optimise roughly, then with the covariances evaluated at the rims that the result predicts.
 
         Craters that the result contradicts get larger ones.
         """
         if self.options.rims == "centre":
-            return optimum(problem, self.options, values, own_factors=self.own_factors)
+            graph, values = optimum(problem, self.options, values, own_factors=self.own_factors)
+            return _Optimum(graph, values, graph.error(values), suspect=False)
         graph = build_graph(problem, self.options, values, own_factors=self.own_factors)
-        values = levenberg_marquardt(graph, values, _solved_for(ROUGH_LM, problem, self.options)).values
+        rough = levenberg_marquardt(graph, values, _solved_for(ROUGH_LM, problem, self.options))
+        values, suspect = rough.values, _suspect(graph, rough)
         letter = Y if self.options.calibration.of_exposure else X
         poses = [values.atPose3(letter(index)).matrix() for index in state_indices]
         frames = [
@@ -162,7 +183,8 @@ class BatchSmoother:
             factors = variance_factors(frames, poses, problem.camera, problem.catalog, rim_errors.freedom)
             frames = [with_variance_factors(frame, factors) for frame in frames]
         weighted = replace(problem, frames=frames)
-        return optimum(weighted, self.options, values, graph.intervals, self.own_factors)
+        best = optimum(weighted, self.options, values, graph.intervals, self.own_factors)
+        return _Optimum(*best, rough.error, suspect=suspect)
 
 
 def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOptions:
@@ -172,11 +194,11 @@ def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOpt
     return replace(lm, cholesky=True, relative_tolerance=max(lm.relative_tolerance, CHOLESKY_TOLERANCE))
 
 
-def _suspect(graph: FactorGraph, values: gtsam.Values) -> bool:
+def _suspect(graph: FactorGraph, found: LmResult) -> bool:
     """Whether an optimum's chi-square is so large that it may be a local one."""
     rows = graph.left_out + graph.rims.rows + sum(graph.at(i).dim() for i in range(graph.size()))
-    freedom = max(rows - values.dim(), 1)
-    return 2.0 * graph.error(values) > SUSPECT_CHI2_RATIO * freedom + SUSPECT_SIGMAS * np.sqrt(2.0 * freedom)
+    freedom = max(rows - found.values.dim(), 1)
+    return 2.0 * found.error > SUSPECT_CHI2_RATIO * freedom + SUSPECT_SIGMAS * np.sqrt(2.0 * freedom)
 
 
 def optimum(
