@@ -21,7 +21,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import (
     LinearMeasurement,
-    linearise_arcs,
+    arc_means,
     linearise_rims,
     linearise_sun,
 )
@@ -144,11 +144,7 @@ class Rims(Instrument):
         whole = [LinearMeasurement(a, r) for a, r in zip(A[usable], residual[usable], strict=True)]
         # The errors of one frame, time-correlated ones included: so large that their mean has the right one.
         arcs = frame.inflate_correlated(1.0).arcs
-        for row, sigmas in enumerate(arcs.sigmas):
-            mean = 1.0 / (sigmas * np.linalg.norm(1.0 / sigmas))
-            for points in linearise_arcs(gTb, arcs.take(np.array([row])), camera, catalog):
-                whole.append(LinearMeasurement(mean[None] @ points.A, mean[None] @ points.residual))
-        return whole
+        return whole + arc_means(gTb, arcs, camera, catalog)[1]
 
     def left_out(self, frame: FrameMeasurement) -> FrameMeasurement:
         """Take rims and arcs out of a frame."""

@@ -19,6 +19,7 @@ from factors.custom import Loss
 from factors.kernels import rim, robust, shape, sun
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 NoiseModel = Literal["measured", "fixed"]
@@ -178,6 +179,36 @@ def linearise_arcs(
             J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T
             updates.append(LinearMeasurement(J, -e))
     return updates
+
+
+def arc_means(
+    gTb: FloatArray, arcs: ArcSet, camera: Camera, catalog: Catalog
+) -> tuple[IntArray, list[LinearMeasurement]]:
+    """Linearise the mean distance of each arc's points: their errors are largely the same.
+
+    Parameters
+    ----------
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    arcs : ArcSet
+        With time-correlated errors as white ones, see `ArcSet.inflate_correlated`.
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    rows : ndarray of int, shape (k,)
+        The arcs whose craters the pose can see.
+    means : list of k LinearMeasurement
+        One row each, as `linearise_arcs` gives them.
+    """
+    rows, means = [], []
+    for row, sigmas in enumerate(arcs.sigmas):
+        share = 1.0 / (sigmas * np.linalg.norm(1.0 / sigmas))
+        for points in linearise_arcs(gTb, arcs.take(np.array([row])), camera, catalog):
+            rows.append(row)
+            means.append(LinearMeasurement(share[None] @ points.A, share[None] @ points.residual))
+    return np.array(rows, dtype=np.int64), means
 
 
 def linearise_sun(gTb: FloatArray, measured: SunTilt | None, camera: Camera) -> LinearMeasurement | None:

@@ -77,3 +77,25 @@ def test_an_arc_of_another_crater_is_left_out(
     assert robust.pose_covariance is not None
     np.testing.assert_allclose(robust.pose_covariance, bare.pose_covariance, rtol=0.01, atol=1e-6)
     assert nees(errors(robust, truth).pose, robust.pose_covariance).mean() < 12.0
+
+
+def test_an_arc_far_off_its_rim_does_not_move_the_filter(
+    trials: list[tuple[Problem, Problem, Trajectory]],
+) -> None:
+    """A quarter larger in one frame, at full weight it used to move the filter by ten standard deviations."""
+    _, with_arcs, truth = trials[0]
+    frames = list(with_arcs.frames)
+    k = len(frames) // 2
+    arcs = frames[k].arcs
+    rows = arcs.craters[:1]
+    charts, _ = project_rims(
+        truth.gTb[k], with_arcs.camera.bTc, with_arcs.catalog.centres[rows], with_arcs.catalog.axes[rows]
+    )
+    far = charts[0, :2] + 1.25 * (arcs.points[0] - charts[0, :2])
+    frames[k] = replace(frames[k], arcs=replace(arcs, points=(far, *arcs.points[1:])))
+    estimate, sound = (ekf().estimate(replace(with_arcs, frames=one)) for one in (frames, with_arcs.frames))
+    assert estimate.pose_covariance is not None
+    assert sound.pose_covariance is not None
+    assert nees(errors(estimate, truth).pose, estimate.pose_covariance)[k] < 20.0
+    sigma_m = np.sqrt(np.trace(sound.pose_covariance[k, 3:, 3:]))
+    assert np.linalg.norm(estimate.gP[k] - sound.gP[k]) < sigma_m

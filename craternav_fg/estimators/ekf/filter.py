@@ -16,6 +16,7 @@ from craternav_fg.estimators.filter_state import POSE, FilterState
 from craternav_fg.estimators.linearisation import (
     LinearMeasurement,
     NoiseModel,
+    arc_means,
     linearise_arcs,
     linearise_rims,
     linearise_sun,
@@ -24,7 +25,7 @@ from craternav_fg.estimators.measurement_weighting import noise_inflation, with_
 from craternav_fg.estimators.rim_models import RimModel
 from craternav_fg.estimators.sensor_bank import SensorBank, innovation_weight, linearise_sample
 from craternav_fg.frames import right_jacobian
-from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -53,7 +54,8 @@ class EkfOptions:
         A rim's noise is inflated until its normalised innovation (5 degrees of freedom) is at most this;
         None: never.
     gate_sigmas : float or None
-        A rim beyond this is dropped, unless every rim of the frame is; None: never.
+        A rim beyond this is dropped, unless every rim of the frame is; None: never. An arc has the same limit
+        and gate, with the mean of its points (1 degree of freedom).
     variance_inflation : float
         Factor on the variance of time-correlated errors, which the filter treats as white.
     """
@@ -222,6 +224,7 @@ class DistributedEkf:
         rims = frame.rims
         if options.noise == "measured":
             rims = with_predicted_covariances(frame, prior.gTb, problem.camera, problem.catalog).rims
+        frame = replace(frame, arcs=self._weighted_arcs(frame.arcs, prior, problem))
         factors: FloatArray | None = None
         weights: list[float] = []
         for iteration in range(options.iterations):
@@ -273,6 +276,21 @@ class DistributedEkf:
         if not keep.any():
             keep = usable.copy()
         return rims.take(keep), keep, factors[keep]
+
+    def _weighted_arcs(self, arcs: ArcSet, prior: FilterState, problem: Problem) -> ArcSet:
+        """Return the arcs that pass the gate, with larger noise beyond the limit; judged by their means."""
+        seen, means = arc_means(prior.gTb, arcs, problem.camera, problem.catalog)
+        if not means:
+            return arcs
+        options = self.options
+        limit = np.inf if options.limit_sigmas is None else options.limit_sigmas
+        gate = np.inf if options.gate_sigmas is None else options.gate_sigmas
+        A, residual = np.array([one.A for one in means]), np.array([one.residual for one in means])
+        innovations, factors = noise_inflation(A, residual, prior.covariance, limit)
+        keep, root = np.ones(len(arcs), dtype=np.bool_), np.ones(len(arcs))
+        keep[seen], root[seen] = innovations <= gate, np.sqrt(factors)
+        sigmas = tuple(scale * sigma for scale, sigma in zip(root.tolist(), arcs.sigmas, strict=True))
+        return replace(arcs, sigmas=sigmas).take(keep)
 
 
 def _pose_rows(
