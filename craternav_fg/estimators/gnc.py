@@ -182,6 +182,8 @@ class GncSmoother:
         others = build_graph(replace(problem, frames=blind), options, values)
         squared = rims.squared(values)
         trusted = np.concatenate([np.zeros(0, dtype=np.bool_), *track.kept])
+        # Infinite where the pose cannot see a rim.
+        trusted &= np.isfinite(squared[len(squared) - len(trusted) :])
         largest = float(squared[len(squared) - len(trusted) :][trusted].max(initial=limit2))
         # The surrogate is convex up to the largest residual of the rims that the start trusts.
         mu = limit2 / (2.0 * largest - limit2)

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -152,6 +153,26 @@ def test_without_wrong_matches_it_is_the_smoother(demo: Dataset) -> None:
         [frames.rotation_log(np.swapaxes(plain.gRb, 1, 2) @ robust.gRb), robust.gP - plain.gP], axis=1
     )
     assert (np.abs(step) < sigma).all()
+
+
+def test_a_trusted_rim_out_of_sight_at_first_does_not_reject_all(
+    demo: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p = problem(demo, list((demo.measurements or ())[:12]))
+    squared = gnc._Rims.squared
+    calls = []
+
+    def first_unseen(self: gnc._Rims, values: gtsam.Values) -> np.ndarray:
+        out = squared(self, values)
+        if not calls:
+            out[-1] = np.inf
+        calls.append(len(out))
+        return out
+
+    monkeypatch.setattr(gnc._Rims, "squared", first_unseen)
+    assert (~used(GncSmoother().estimate(p))).sum() <= 1
+    # The rounds end when the weights no longer change, not when all are zero.
+    assert len(calls) > 3
 
 
 def test_gnc_finds_the_way_from_dead_reckoning(demo: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
