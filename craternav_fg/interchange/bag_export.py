@@ -248,7 +248,9 @@ def _odometry(bag: _Bag, topic: str, track: Trajectory, k: int, stamp: int) -> N
         "geometry_msgs/msg/Twist",
         linear=bag.vector(track.gRb[k].T @ track.gV[k]), angular=bag.vector(np.zeros(3)),
     )  # fmt: skip
-    covariance = np.zeros(36) if track.pose_covariance is None else _position_first(track.pose_covariance[k])
+    covariance = np.zeros(36)
+    if track.pose_covariance is not None:
+        covariance = _ros_covariance(track.pose_covariance[k], track.gRb[k])
     message = bag.make(
         ODOMETRY,
         header=bag.header(stamp, MAP), child_frame_id=BODY,
@@ -258,7 +260,11 @@ def _odometry(bag: _Bag, topic: str, track: Trajectory, k: int, stamp: int) -> N
     bag.write(topic, ODOMETRY, stamp, message)
 
 
-def _position_first(covariance: FloatArray) -> FloatArray:
-    """Covariance of (position, attitude), as ROS orders them, row by row."""
-    order = [3, 4, 5, 0, 1, 2]
-    return np.asarray(covariance[np.ix_(order, order)].ravel())
+def _ros_covariance(covariance: FloatArray, gRb: FloatArray) -> FloatArray:
+    """Covariance of (position, rotation about the axes of g), as ROS has it, row by row.
+
+    Ours is of (rotation vector in b, position): R exp(phi) = exp(R phi) R turns the rotation into g.
+    """
+    J = np.zeros((6, 6))
+    J[:3, 3:], J[3:, :3] = np.eye(3), gRb
+    return np.asarray((J @ covariance @ J.T).ravel())

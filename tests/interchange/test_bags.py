@@ -192,20 +192,32 @@ def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
         import_bag(tmp_path / "none.bag", tmp_path / "again", options(data))
 
 
-def test_covariances_of_estimates_put_the_position_first(tmp_path: Path) -> None:
+def test_covariances_of_estimates_are_of_position_and_rotation_about_the_axes_of_g(tmp_path: Path) -> None:
     from craternav_fg.interchange.bag_reading import open_bag
 
     data = dataset(tmp_path / "data")
     assert data.truth is not None
-    root = np.random.default_rng(2).standard_normal((3, 6, 6))
-    covariance = root @ root.transpose(0, 2, 1)
-    estimate = replace(data.truth, pose_covariance=covariance)
+    # The x axis of b points along the y axis of g, and y along z: a roll is a rotation about y of g.
+    gTb = data.truth.gTb.copy()
+    gTb[:, :3, :3] = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    root = np.random.default_rng(2).standard_normal((3, 3))
+    position_m2 = root @ root.T
+    covariance = np.zeros((3, 6, 6))
+    covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 2, 2] = 0.04, 0.0009, 0.0001
+    covariance[:, 3:, 3:] = position_m2
+    # An error of the roll goes with one of the position along x of g.
+    covariance[:, 0, 3] = covariance[:, 3, 0] = 0.02
+    estimate = replace(data.truth, gTb=gTb, pose_covariance=covariance)
     export_bag(data, tmp_path / "flight", "mcap", estimates={"smoother": estimate})
     with open_bag(tmp_path / "flight") as bag:
         message = list(bag.messages("/smoother/odometry"))[1]
     found = message.pose.covariance.reshape(6, 6)
-    np.testing.assert_array_equal(found[:3, :3], covariance[1][3:, 3:])
-    np.testing.assert_array_equal(found[3:, :3], covariance[1][:3, 3:])
+    np.testing.assert_array_equal(found[:3, :3], position_m2)
+    np.testing.assert_array_equal(found[3:, 3:], np.diag([0.0001, 0.04, 0.0009]))
+    expected = np.zeros((3, 3))
+    expected[0, 1] = 0.02
+    np.testing.assert_array_equal(found[:3, 3:], expected)
+    np.testing.assert_array_equal(found[3:, :3], expected.T)
 
 
 def test_the_commands(tmp_path: Path) -> None:
