@@ -274,6 +274,8 @@ def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray
     for message in bag.messages(topic):
         found.append(stamp_ns(message))
         rows.append(vector(message.vector))
+    if not found:
+        raise InputError(bag.path, f"{topic}: expected directions towards the sun, found none")
     stamps_ns, vectors = _increasing(bag, topic, found), np.array(rows)
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     is_direction = np.isfinite(length[:, 0]) & (length[:, 0] > 0.0)

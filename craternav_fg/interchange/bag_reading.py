@@ -94,9 +94,15 @@ class Bag:
         connections = [c for c in self.reader.connections if c.topic == topic]
         if not connections:
             return
-        with _reading(self.path):
-            for connection, _, raw in self.reader.messages(connections=connections):
-                yield self.reader.deserialize(raw, connection.msgtype)
+        read = self.reader.messages(connections=connections)
+        while True:
+            with _reading(self.path):
+                found = next(read, None)
+                if found is None:
+                    return
+                connection, _, raw = found
+                message = self.reader.deserialize(raw, connection.msgtype)
+            yield message
 
 
 @contextmanager
@@ -130,9 +136,13 @@ def open_bag(path: Path) -> Iterator[Bag]:
     for one in entries(path) if path.is_dir() else [path]:
         check_input(one, SizeLimit.BAG)
     with _reading(path):
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        with AnyReader([path], default_typestore=store) as reader:
-            yield Bag(path, reader)
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    # What is done with the bag is outside of `_reading`: a defect there is no damage of the bag.
+    try:
+        yield Bag(path, reader)
+    finally:
+        reader.close()
 
 
 @contextmanager
@@ -183,8 +193,10 @@ def image_of(path: Path, message: Any) -> ImageArray:
     """
     where = f"image of stamp {stamp_ns(message)}"
     if hasattr(message, "format"):
-        image: Any = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None:
+        coded = np.asarray(message.data, dtype=np.uint8)
+        # OpenCV raises where there are no bytes, and reads pictures of other numbers than grey levels.
+        image: Any = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if len(coded) else None
+        if image is None or image.dtype not in (np.uint8, np.uint16):
             raise InputError(path, f"{where}: expected a PNG or JPEG, found {message.format!r}")
         if image.ndim == 3:
             image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
@@ -197,6 +209,8 @@ def image_of(path: Path, message: Any) -> ImageArray:
     kind = np.dtype(_GREY.get(encoding, np.uint8)).newbyteorder(">" if message.is_bigendian else "<")
     width = int(message.width) * channels
     data = np.asarray(message.data, dtype=np.uint8)
+    if not message.width or not message.height:
+        raise InputError(path, f"{where}: expected pixels, found {message.width} x {message.height}")
     if len(data) != message.step * message.height or message.step < width * kind.itemsize:
         raise InputError(
             path, f"{where}: expected {message.height} rows of {message.step} bytes, found {len(data)} bytes"

@@ -1,9 +1,9 @@
 """Data sets through ROS bags and back, and bags that are wrong."""
 
-import contextlib
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
 from craternav_fg.interchange.bag_export import FORMATS, export_bag
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
+from craternav_fg.interchange.bag_reading import Bag, image_of, open_bag
 from craternav_fg.interchange.kalibr import kalibr_imu_yaml
 from tests.cli.calls import call
 from tests.dataset.samples import FRAMES_NS, random_images, recording
@@ -114,8 +115,6 @@ def test_images_that_the_imu_does_not_cover_are_left_out(tmp_path: Path) -> None
 
 
 def test_colours_become_grey(tmp_path: Path) -> None:
-    from craternav_fg.interchange.bag_reading import image_of
-
     class Message:
         class header:  # noqa: N801
             class stamp:  # noqa: N801
@@ -161,19 +160,66 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: str, change:
     assert not (tmp_path / "again").exists()
 
 
-def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", FORMATS)
+def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path, kind: str) -> None:
     """Whatever is wrong is an `InputError`, or lies in pixels and numbers that no checksum guards."""
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight.bag", "rosbag1")
-    content = (tmp_path / "flight.bag").read_bytes()
+    bag = name_of(tmp_path, kind)
+    export_bag(data, bag, kind)
+    file = bag if bag.is_file() else next(file for file in bag.iterdir() if file.suffix != ".yaml")
+    content = file.read_bytes()
     rng = np.random.default_rng(1)
+    refused = 0
     for _ in range(40):
         broken = bytearray(content)
         for at in rng.integers(0, len(content), 6):
             broken[at] ^= int(rng.integers(1, 256))
-        (tmp_path / "broken.bag").write_bytes(broken)
-        with contextlib.suppress(InputError):
-            import_bag(tmp_path / "broken.bag", tmp_path / "again", options(data))
+        file.write_bytes(broken)
+        try:
+            import_bag(bag, tmp_path / "again", options(data))
+        except InputError:
+            refused += 1
+    # Both outcomes occur: otherwise the flips reach the container only, or nothing that is read.
+    assert 5 <= refused <= 35
+
+
+def test_only_what_reads_a_bag_may_call_it_damaged(tmp_path: Path) -> None:
+    """A defect in what is done with the messages must show itself."""
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "mcap")
+
+    def use() -> None:
+        with open_bag(tmp_path / "flight") as bag:
+            next(bag.messages("/imu0")).no_such_method()
+
+    with pytest.raises(AttributeError):
+        use()
+
+
+def test_a_topic_of_the_sun_without_messages_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "mcap")
+    read = Bag.messages
+    monkeypatch.setattr(Bag, "messages", lambda bag, topic: iter(()) if topic == "/sun" else read(bag, topic))
+    with pytest.raises(InputError, match="/sun: expected directions towards the sun, found none"):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"format": "png", "data": np.zeros(0, np.uint8)},
+        {"encoding": "rgb8", "is_bigendian": 0, "height": 0, "width": 4, "step": 12, "data": ()},
+        {"encoding": "rgb8", "is_bigendian": 0, "height": 2, "width": 0, "step": 0, "data": ()},
+    ],
+    ids=["no bytes", "no rows", "no columns"],
+)
+def test_an_image_without_pixels_is_refused(tmp_path: Path, message: dict[str, object]) -> None:
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=2))
+    with pytest.raises(InputError, match="image of stamp 1000000002: expected"):
+        image_of(tmp_path, SimpleNamespace(header=header, **message))
 
 
 def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
@@ -193,8 +239,6 @@ def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
 
 
 def test_covariances_of_estimates_are_of_position_and_rotation_about_the_axes_of_g(tmp_path: Path) -> None:
-    from craternav_fg.interchange.bag_reading import open_bag
-
     data = dataset(tmp_path / "data")
     assert data.truth is not None
     # The x axis of b points along the y axis of g, and y along z: a roll is a rotation about y of g.
