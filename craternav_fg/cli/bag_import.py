@@ -100,8 +100,9 @@ def bag(
         more = {"skipped": report.skipped, "imu_samples": report.samples, "truth": report.truth}
         out.print_json(json.dumps({**values, **more}))
         return
+    given = {"camera": camera, "sun": sun}
     for what, topic in report.topics.items():
-        say(f"{what}: {topic or 'none'}")
+        say(f"{what}: {topic or given.get(what) or 'none'}")
     say(f"{report.frames} images, {report.samples} IMU samples")
     say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 

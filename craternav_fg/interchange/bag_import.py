@@ -84,7 +84,7 @@ class BagReport:
     Attributes
     ----------
     topics : dict of str to str or None
-        By what they carry.
+        By what they carry: images, imu, truth, sun, camera. None where there is none, or the options give it.
     frames : int
         Images written.
     skipped : int
@@ -142,7 +142,9 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
                 f"expected an initial state at the first image's stamp, {stamps[0]},"
                 f" found {options.initial.stamp_ns}",
             )
-        camera = options.camera or _camera(bag, topics["images"], camera_frame, imu_frame, depth)
+        topics["camera"], camera = None, options.camera
+        if camera is None:
+            camera, topics["camera"] = _camera(bag, topics["images"], camera_frame, imu_frame, depth)
         # Kalibr does not say how many bits a pixel has.
         if (camera.bit_depth == 8) != (depth == 8):
             camera = replace(camera, bit_depth=depth)
@@ -236,16 +238,25 @@ def _images(
         yield image
 
 
-def _camera(bag: Bag, topic: str | None, camera_frame: str, imu_frame: str, depth: int) -> Camera:
-    """Camera of `CameraInfo` and of the static transforms."""
-    infos = sorted({c.topic for c in bag.reader.connections if c.msgtype == CAMERA_INFO})
-    beside = (topic or "").removesuffix("/compressed").rpartition("/")[0]
-    own = [name for name in infos if name.rpartition("/")[0] == beside] or infos
-    message = next(bag.messages(own[0]), None) if own else None
-    if message is None:
+def _camera(bag: Bag, images: str | None, frame: str, imu_frame: str, depth: int) -> tuple[Camera, str]:
+    """Camera of static transforms and of the `CameraInfo` beside the images or the only one; its topic."""
+    infos = bag.connected(CAMERA_INFO)
+    folder = (images or "").removesuffix("/compressed").rpartition("/")[0]
+    beside = [name for name in infos if name.rpartition("/")[0] == folder]
+    candidates = beside or infos
+    if len(candidates) > 1:
+        known = ", ".join(candidates)
+        raise InputError(bag.path, f"expected one CameraInfo beside {images}, found {known}: give --camera")
+    topic = candidates[0] if candidates else None
+    message = next(bag.messages(topic), None)
+    if topic is None or message is None:
         raise InputError(bag.path, "expected a topic of CameraInfo, found none: give --camera")
-    bTc = _mounting(bag, imu_frame, camera_frame)
-    return camera_of(bag.path, message, bTc, depth)
+    found = message.header.frame_id
+    if not beside and found and frame and found != frame:
+        problem = f"expected a CameraInfo of the images' frame, {frame}, found that of {found}"
+        raise InputError(bag.path, f"{topic}: {problem}: give --camera")
+    bTc = _mounting(bag, imu_frame, frame)
+    return camera_of(bag.path, message, bTc, depth), topic
 
 
 def _mounting(bag: Bag, parent: str, child: str) -> FloatArray:

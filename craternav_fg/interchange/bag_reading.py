@@ -48,6 +48,10 @@ class Bag:
     path: Path
     reader: Any
 
+    def connected(self, *types: str) -> list[str]:
+        """List the topics of some message types, by name."""
+        return sorted({c.topic for c in self.reader.connections if c.msgtype in types})
+
     def topic(self, types: Sequence[str], wanted: str | None, what: str, option: str) -> str | None:
         """Find the topic of some message types.
 
@@ -71,7 +75,7 @@ class Bag:
         InputError
             When the wanted one is not there, or several could be meant.
         """
-        found = sorted({c.topic for c in self.reader.connections if c.msgtype in types})
+        found = self.connected(*types)
         if wanted is not None:
             if wanted not in found:
                 known = ", ".join(found) or "none"

@@ -1,9 +1,11 @@
 """Data sets through ROS bags and back, and bags that are wrong."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,9 @@ from craternav_fg.dataset import Dataset, write_dataset
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
-from craternav_fg.interchange.bag_export import FORMATS, export_bag
+from craternav_fg.interchange.bag_export import FORMATS, INFO_TOPIC, export_bag
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
-from craternav_fg.interchange.bag_reading import Bag, image_of, open_bag
+from craternav_fg.interchange.bag_reading import CAMERA_INFO, Bag, image_of, open_bag
 from craternav_fg.interchange.kalibr import kalibr_imu_yaml
 from tests.cli.calls import call
 from tests.dataset.samples import FRAMES_NS, random_images, recording
@@ -236,6 +238,58 @@ def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
         import_bag(tmp_path / "flight", tmp_path / "again", late)
     with pytest.raises(InputError, match="bag is missing"):
         import_bag(tmp_path / "none.bag", tmp_path / "again", options(data))
+
+
+def with_camera_infos(monkeypatch: pytest.MonkeyPatch, *infos: str, frame_id: str = "") -> None:
+    """Rename the topics of CameraInfo: the others than the first are of another camera."""
+    read_topics, read_messages = Bag.connected, Bag.messages
+
+    def connected(bag: Bag, *types: str) -> list[str]:
+        return sorted(infos) if types == (CAMERA_INFO,) else read_topics(bag, *types)
+
+    def messages(bag: Bag, topic: str | None) -> Iterator[Any]:
+        for message in read_messages(bag, INFO_TOPIC if topic in infos else topic):
+            if topic in infos:
+                message.header.frame_id = frame_id or message.header.frame_id
+            yield message
+
+    monkeypatch.setattr(Bag, "connected", connected)
+    monkeypatch.setattr(Bag, "messages", messages)
+
+
+@pytest.mark.parametrize(
+    ("infos", "taken"),
+    [
+        (("/cam0/camera_info",), "/cam0/camera_info"),
+        (("/cam0/camera_info", "/a/camera_info"), "/cam0/camera_info"),
+        (("/other/camera_info",), "/other/camera_info"),
+    ],
+)
+def test_the_camera_is_that_beside_the_images_or_the_only_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, infos: tuple[str, ...], taken: str
+) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "mcap")
+    with_camera_infos(monkeypatch, *infos)
+    report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    assert report.topics["camera"] == taken
+    report = import_bag(tmp_path / "flight", tmp_path / "again", options(data, camera=data.camera))
+    assert report.topics["camera"] is None
+
+
+def test_no_other_camera_is_guessed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", "mcap")
+    with monkeypatch.context() as patched:
+        with_camera_infos(patched, "/a/camera_info", "/b/camera_info")
+        several = "one CameraInfo beside /cam0/image_raw, found /a/camera_info, /b/camera_info: give --camera"
+        with pytest.raises(InputError, match=several):
+            import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    with_camera_infos(monkeypatch, "/a/camera_info", frame_id="cam1")
+    with pytest.raises(
+        InputError, match=r"/a/camera_info: .* frame, cam0, found that of cam1: give --camera"
+    ):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
 
 
 def test_covariances_of_estimates_are_of_position_and_rotation_about_the_axes_of_g(tmp_path: Path) -> None:
