@@ -42,7 +42,8 @@ class _Topics:
         None
     )
     truth_topic: Annotated[
-        str | None, typer.Option(help="Topic of the true poses in g.", show_default="the only one")
+        str | None,
+        typer.Option(help="Topic of the true poses in g; none to take none.", show_default="the only one"),
     ] = None
     sun_topic: Annotated[
         str | None, typer.Option(help="Topic of the sun's direction.", show_default="the only one")

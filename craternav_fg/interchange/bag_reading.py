@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg import lens
+from craternav_fg import frames, lens
 from craternav_fg.camera import Camera
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.sensor_files import lens_of
@@ -174,6 +174,76 @@ def vector(message: Any) -> tuple[float, float, float]:
 def quaternion_wxyz(message: Any) -> tuple[float, float, float, float]:
     """Components of a `Quaternion`, scalar first."""
     return float(message.w), float(message.x), float(message.y), float(message.z)
+
+
+def increasing_stamps(bag: Bag, topic: str | None, stamps: Sequence[int]) -> IntArray:
+    """Check that the stamps of a topic's messages increase.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        The stamps, ns.
+
+    Raises
+    ------
+    InputError
+        When one does not.
+    """
+    found = np.array(stamps, dtype=np.int64)
+    back = np.flatnonzero(np.diff(found) <= 0)
+    if len(back):
+        k = int(back[0])
+        raise InputError(
+            bag.path, f"{topic}: expected stamps that increase, found {found[k + 1]} after {found[k]} ns"
+        )
+    return found
+
+
+def pose_of(bag: Bag, where: str, position: Any, orientation: Any) -> FloatArray:
+    """Make a pose of the vector and the quaternion of a message.
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        Translation in the vector's unit.
+
+    Raises
+    ------
+    InputError
+        When a number is not finite, or the quaternion is zero.
+    """
+    t, q = vector(position), quaternion_wxyz(orientation)
+    if not np.all(np.isfinite([*t, *q])) or not any(q):
+        raise InputError(
+            bag.path, f"{where}: expected a position and a quaternion, found {list(t)}, {list(q)} (wxyz)"
+        )
+    return frames.pose(frames.from_quaternion_wxyz(np.array(q)), np.array(t))
+
+
+def static_transform(bag: Bag, parent: str, child: str) -> FloatArray | None:
+    """Look up the pose of one frame in another, by a static transform between the two.
+
+    Returns
+    -------
+    ndarray, shape (4, 4), or None
+        Of the child in the parent, m; None when the bag holds no such transform.
+
+    Raises
+    ------
+    InputError
+        When it is no pose.
+    """
+    if parent == child:
+        return np.eye(4)
+    topic = "/tf_static"
+    for message in bag.messages(topic) if topic in bag.connected(TRANSFORMS) else ():
+        for one in message.transforms:
+            names = one.header.frame_id, one.child_frame_id
+            if names in ((parent, child), (child, parent)):
+                where = f"{topic}, {names[0]} to {names[1]}"
+                T = pose_of(bag, where, one.transform.translation, one.transform.rotation)
+                return T if names == (parent, child) else frames.inverse(T)
+    return None
 
 
 def image_of(path: Path, message: Any) -> ImageArray:
