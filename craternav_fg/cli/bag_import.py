@@ -16,6 +16,7 @@ from craternav_fg.cli.option_groups import never_replacing, with_option_groups
 from craternav_fg.cli.options import JsonOption, numbers_of
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
+from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, read_camera, read_imu_noise
 from craternav_fg.errors import InputError
@@ -94,6 +95,10 @@ def bag(
         image=topics.image_topic, imu=topics.imu_topic, truth=topics.truth_topic, sun_topic=topics.sun_topic,
     )  # fmt: skip
     report = import_bag(path, output, options)
+    # Opening checks what was written, as for every import.
+    Dataset.open(output)
+    if report.uncovered_truth is not None:
+        warn(f"{path}: no truth is kept: {report.uncovered_truth} does not cover the images")
     if report.skipped:
         warn(f"{path}: {report.skipped} images skipped: the IMU log does not cover them")
     if as_json:

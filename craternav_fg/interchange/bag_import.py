@@ -97,6 +97,8 @@ class BagReport:
         Number of samples of the IMU.
     truth : bool
         Whether there is a trajectory for comparison.
+    uncovered_truth : str or None
+        Topic of poses that were left out, because they do not cover the images.
     """
 
     topics: dict[str, str | None]
@@ -104,6 +106,7 @@ class BagReport:
     skipped: int
     samples: int
     truth: bool
+    uncovered_truth: str | None
 
 
 def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
@@ -167,7 +170,17 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
             truth=truth,
         )
         write_dataset(folder, recording, _images(bag, topics["images"], covered, camera))
-    return BagReport(topics, len(stamps), int((~covered).sum()), len(imu.stamps_ns), truth is not None)
+    dropped = None
+    if truth is None:
+        dropped, topics["truth"] = topics["truth"], None
+    return BagReport(
+        topics=topics,
+        frames=len(stamps),
+        skipped=int((~covered).sum()),
+        samples=len(imu.stamps_ns),
+        truth=truth is not None,
+        uncovered_truth=dropped,
+    )
 
 
 def _sun_topic(bag: Bag, wanted: str | None) -> str | None:

@@ -1,5 +1,6 @@
 """Data sets through ROS bags and back, and bags that are wrong."""
 
+import json
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,6 +20,7 @@ from craternav_fg.interchange.bag_export import FORMATS, INFO_TOPIC, export_bag
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
 from craternav_fg.interchange.bag_reading import CAMERA_INFO, Bag, image_of, open_bag
 from craternav_fg.interchange.kalibr import kalibr_imu_yaml
+from craternav_fg.trajectory import Trajectory
 from tests.cli.calls import call
 from tests.dataset.samples import FRAMES_NS, random_images, recording
 
@@ -318,19 +320,40 @@ def test_covariances_of_estimates_are_of_position_and_rotation_about_the_axes_of
     np.testing.assert_array_equal(found[3:, :3], expected.T)
 
 
+def command_line(folder: Path, data: Dataset) -> list[object]:
+    """Import flight.bag by the files that the command asks for."""
+    (folder / "dataset.toml").write_text(description_toml(data.body, data.initial))
+    assert data.imu_noise is not None
+    (folder / "imu.yaml").write_text(kalibr_imu_yaml(data.imu_noise, 100.0, "/imu0"))
+    (folder / "sensor.yaml").write_text(camera_yaml(data.camera, 5.0))
+    return [
+        "import", "bag", folder / "flight.bag", "-o", folder / "again",
+        "--description", folder / "dataset.toml", "--catalog", folder / "data/craters.csv",
+        "--imu", folder / "imu.yaml", "--camera", folder / "sensor.yaml",
+    ]  # fmt: skip
+
+
+def first_two(track: Trajectory) -> Trajectory:
+    return Trajectory(track.stamps_ns[:2], track.gTb[:2], track.gV[:2], track.bias[:2])
+
+
+def test_import_opens_what_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = dataset(tmp_path / "data")
+    # Rates that only the reader of data sets refuses.
+    assert data.imu is not None
+    export_bag(
+        replace(data, imu=replace(data.imu, gyro=data.imu.gyro + 1e4)), tmp_path / "flight.bag", "rosbag1"
+    )
+    done = call(*command_line(tmp_path, data))
+    assert (done.code, done.err.count("\n")) == (2, 1), done.err
+    assert str(tmp_path / "again") in done.err
+
+
 def test_the_commands(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
     done = call("export", "bag", tmp_path / "data", "-o", tmp_path / "flight.bag", "--format", "rosbag1")
     assert done.code == 0, done.err
-    (tmp_path / "dataset.toml").write_text(description_toml(data.body, data.initial))
-    assert data.imu_noise is not None
-    (tmp_path / "imu.yaml").write_text(kalibr_imu_yaml(data.imu_noise, 100.0, "/imu0"))
-    (tmp_path / "sensor.yaml").write_text(camera_yaml(data.camera, 5.0))
-    arguments = [
-        "import", "bag", tmp_path / "flight.bag", "-o", tmp_path / "again",
-        "--description", tmp_path / "dataset.toml", "--catalog", tmp_path / "data/craters.csv",
-        "--imu", tmp_path / "imu.yaml", "--camera", tmp_path / "sensor.yaml",
-    ]  # fmt: skip
+    arguments = command_line(tmp_path, data)
     done = call(*arguments)
     assert done.code == 0, done.err
     assert "3 images, 41 IMU samples" in done.out
@@ -339,6 +362,16 @@ def test_the_commands(tmp_path: Path) -> None:
     assert again.imu_noise == data.imu_noise
     np.testing.assert_array_equal(again.camera.bTc, data.camera.bTc)
     assert again.initial is not None
+    assert "truth: /ground_truth/odometry" in done.out
+    assert "camera: " + str(tmp_path / "sensor.yaml") in done.out.replace("\n", "")
+    # Truth that does not cover the images is not kept, and not claimed.
+    assert data.truth is not None
+    export_bag(replace(data, truth=first_two(data.truth)), tmp_path / "flight.bag", "rosbag1")
+    done = call(*arguments, "--force")
+    assert "no truth is kept: /ground_truth/odometry does not cover the images" in done.err.replace("\n", " ")
+    assert "truth: none" in done.out
+    found = json.loads(call(*arguments, "--force", "--json").out)
+    assert (found["truth"], found["topics"]["truth"]) == (False, None)
     # A direction of any length.
     assert call(*arguments, "--force", "--sun", "0,0,2").code == 0
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").sun.vectors, [[0.0, 0.0, 1.0]])
