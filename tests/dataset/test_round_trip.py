@@ -202,6 +202,17 @@ def test_charts_and_covariances_alone_are_enough(rims_folder):
         exact_all(found.arcs, whole.arcs)
 
 
+def test_how_well_the_intrinsics_are_known_survives(tmp_path):
+    rng = np.random.default_rng(7)
+    given = recording(rng)
+    for focal_percent, principal_px in ((0.3, None), (None, 0.0), (0.0, 2.5)):
+        sigmas = {"focal_sigma_percent": focal_percent, "principal_sigma_px": principal_px}
+        camera = replace(given.camera, **sigmas)
+        write_dataset(tmp_path / "data", replace(given, camera=camera), random_images(rng))
+        found = Dataset.open(tmp_path / "data").camera
+        assert (found.focal_sigma_percent, found.principal_sigma_px) == (focal_percent, principal_px)
+
+
 def test_truth_at_other_times_is_interpolated(folder):
     stamps = START_NS + np.arange(-1, 6) * 90_000_000
     t = (stamps - START_NS) * 1e-9
