@@ -243,6 +243,9 @@ def _state(label: CubeLabel, naif: Any, axes: FloatArray) -> tuple[Body, CameraS
     """Body and state of the camera at the image."""
     pointing = _rotation(label, "InstrumentPointing")
     fixed = _rotation(label, "BodyRotation")
+    if fixed[1] is None:
+        problem = "expected the body's angular velocity beside its attitude, found attitudes only"
+        raise InputError(label.path, problem, column="BodyRotation")
     position = _at_middle(label, "InstrumentPosition", 7)
     sun = _at_middle(label, "SunPosition", 4)
     # Body-fixed and camera axes from those of J2000.
@@ -250,7 +253,8 @@ def _state(label: CubeLabel, naif: Any, axes: FloatArray) -> tuple[Body, CameraS
     spin = gRj @ fixed[1]
     gP = 1e3 * gRj @ position[:3]
     gV = 1e3 * gRj @ position[3:6] - np.cross(spin, gP)
-    rate = cRj @ pointing[1]
+    # Few kernels of attitudes lack rates; a camera without is taken to keep its attitude among the stars.
+    rate = np.zeros(3) if pointing[1] is None else cRj @ pointing[1]
     name = str(label.group("IsisCube", "Instrument").get("TargetName", "")).strip().capitalize()
     radii = [key for key, _ in naif.items() if key.startswith("BODY") and key.endswith("_RADII")]
     if not radii:
@@ -270,8 +274,8 @@ def _at_middle(label: CubeLabel, name: str, columns: int) -> FloatArray:
     return np.array([np.interp(middle, rows[:, -1], rows[:, k]) for k in range(rows.shape[1])])
 
 
-def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) from J2000 amid a table's time, and angular velocity (3,) in J2000, rad/s."""
+def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray | None]:
+    """Rotation (3, 3) from J2000 amid a table's time; angular velocity (3,) in J2000, rad/s, if stated."""
     keywords, rows = label.table(name, 5)
     _require_short(label, name, rows)
     middle = 0.5 * (rows[0, -1] + rows[-1, -1])
@@ -282,7 +286,7 @@ def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray]:
     if not 0.49 < np.abs(q).max() < 1.01:
         raise InputError(label.path, f"expected unit quaternions, found {q.tolist()}", column=name)
     R = frames.from_quaternion_wxyz(q / np.linalg.norm(q))
-    rate = rows[k, 4:7] if rows.shape[1] >= 8 else np.zeros(3)
+    rate = rows[k, 4:7] if rows.shape[1] >= 8 else None
     constant = keywords.get("ConstantRotation")
     if constant is not None:
         R = np.array(constant, dtype=np.float64).reshape(3, 3) @ R

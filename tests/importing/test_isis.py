@@ -206,6 +206,22 @@ def test_wrong_cubes_are_refused_by_one_line(tmp_path):
     refused(no_focal, "INS-1_FOCAL_LENGTH: expected 1 numbers, found None")
 
 
+def test_a_body_without_its_rotation_rate_is_refused(tmp_path):
+    """Velocities relative to the body would be inertial ones: 4.6 m/s more on the Moon's equator."""
+    path = write_cube(tmp_path / "a.cub", without_rates=("BodyRotation",))
+    with pytest.raises(InputError, match=r"a.cub: BodyRotation: expected the body's angular velocity"):
+        read_cube(path)
+
+
+def test_a_camera_without_rates_keeps_its_attitude_among_the_stars(tmp_path):
+    whole, cube = (
+        read_cube(write_cube(tmp_path / "a.cub", without_rates=names))
+        for names in ((), ("InstrumentPointing",))
+    )
+    assert cube.state.rate.tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(cube.state.gV, whole.state.gV)
+
+
 def test_cubes_of_other_sizes_are_refused(tmp_path):
     one = write_cube(tmp_path / "a.cub")
     other = write_cube(tmp_path / "b.cub", size=(20, 20), start="2000-01-01T12:00:10")
