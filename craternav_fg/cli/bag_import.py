@@ -5,28 +5,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-import numpy.typing as npt
 import typer
 
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import warn_of
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import JsonOption, numbers_of
+from craternav_fg.cli.options import JsonOption, direction_of
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, read_camera, read_imu_noise
-from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.imu import ImuNoise
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
 from craternav_fg.interchange.kalibr import is_camchain, read_camchain, read_kalibr_imu
 from craternav_fg.sensors.yaml_files import parse_yaml
-
-FloatArray = npt.NDArray[np.float64]
 
 # Nominal rates in a sensor.yaml that is made of a calibration which does not say them.
 _CAMERA_RATE_HZ, _IMU_RATE_HZ = 1.0, 100.0
@@ -91,7 +86,7 @@ def bag(
         found, shift_s = read_camchain(camera) if is_camchain(camera) else (read_camera(camera), 0.0)
     options = BagOptions(
         body=body, catalog=craters, imu_noise=_noise(imu), initial=initial, camera=found,
-        time_shift_s=shift_s, sun=_direction(sun),
+        time_shift_s=shift_s, sun=direction_of("--sun", sun),
         image=topics.image_topic, imu=topics.imu_topic, truth=topics.truth_topic, sun_topic=topics.sun_topic,
     )  # fmt: skip
     report = import_bag(path, output, options)
@@ -140,13 +135,3 @@ def _noise(path: Path) -> ImuNoise:
     if "sensor_type" in parse_yaml(path, read_text(path)):
         return read_imu_noise(path)
     return read_kalibr_imu(path)
-
-
-def _direction(text: str | None) -> FloatArray | None:
-    """Direction of an option, any length; None without one."""
-    values = numbers_of("--sun", text, 3)
-    if values is None:
-        return None
-    if not any(values):
-        raise InputError("--sun", "expected a direction, found zeros")
-    return np.array(values)

@@ -161,7 +161,8 @@ def _detect_one(
     """Write table and overlay of one image."""
     overlay = output.with_name(f"{output.stem}_overlay.png")
     require_kept([image], [output, overlay])
-    require_free(output, force=force)
+    for path in (output, overlay):
+        require_free(path, force=force)
     try:
         pixels = read_foreign_image(image)
     except TooManyPixelsError as error:

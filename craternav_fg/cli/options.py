@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 from craternav_fg.errors import CraternavError, InputError
+
+FloatArray = npt.NDArray[np.float64]
 
 # Kinds of figures that commands write.
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -232,3 +235,31 @@ def require_kept(sources: Iterable[Path], outputs: Iterable[Path]) -> None:
     for path in sources:
         if os.path.realpath(path) in written:
             raise InputError(path, "would be overwritten by the result: choose another --output")
+
+
+def direction_of(option: str, text: str | None) -> FloatArray | None:
+    """Read the direction of an option.
+
+    Parameters
+    ----------
+    option : str
+        Its name.
+    text : str or None
+        Its value: x,y,z of any length.
+
+    Returns
+    -------
+    ndarray, shape (3,), or None
+        As given; None without a value.
+
+    Raises
+    ------
+    InputError
+        When the text is not three numbers, or all are zero.
+    """
+    values = numbers_of(option, text, 3)
+    if values is None:
+        return None
+    if not any(values):
+        raise InputError(option, "expected a direction, found zeros")
+    return np.array(values)

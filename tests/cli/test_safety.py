@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -60,6 +61,41 @@ def test_a_run_is_replaced_by_force_alone(data: Path, tmp_path: Path) -> None:
     assert list(json.loads((run / "metrics.json").read_text())["estimators"]) == ["smoother", "ekf"]
     assert call("reconstruct", data, "-o", run, "-e", "dead_reckoning", "--force").code == 0
     assert list(json.loads((run / "metrics.json").read_text())["estimators"]) == ["dead_reckoning"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "beside"),
+    [
+        (["export", "kitti", "run", "-o", "out/s.txt"], "s_times.txt"),
+        (["detect", "image.png", "-o", "out/rims.csv", "--method", "canny"], "rims_overlay.png"),
+        (
+            ["catalog", "merge", "a.csv", "b.csv", "-o", "out/c.csv", "--sources", "out/sources.csv"],
+            "sources.csv",
+        ),
+    ],
+    ids=["times", "overlay", "sources"],
+)
+def test_what_is_written_beside_a_result_is_replaced_by_force_alone(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], beside: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "run" in arguments:
+        assert call("reconstruct", data, "-o", "run", "-e", "ekf").code == 0
+    cv2.imwrite("image.png", np.zeros((64, 64), np.uint8))
+    for name in ("a.csv", "b.csv"):
+        shutil.copy(data / "craters.csv", name)
+    Path("out").mkdir()
+    kept = Path("out") / beside
+    kept.write_text("kept")
+    done = call(*arguments)
+    assert (done.code, done.err) == (
+        2,
+        f"craternav: {kept}: already exists: choose another name, or replace it with --force\n",
+    )
+    assert [path.name for path in Path("out").iterdir()] == [beside]
+    done = call(*arguments, "--force")
+    assert done.code == 0, done.err
+    assert kept.read_bytes() != b"kept"
 
 
 def test_every_command_that_writes_a_result_has_force() -> None:

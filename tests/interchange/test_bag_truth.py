@@ -16,7 +16,7 @@ from tests.dataset.samples import FRAMES_NS
 from tests.interchange.test_bags import dataset, options
 
 pytest.importorskip("rosbags")
-from craternav_fg.interchange.bag_export import STATIC_TOPIC, TRUTH_TOPIC, export_bag
+from craternav_fg.interchange.bag_export import STATIC_TOPIC, TRUTH_TOPIC, BagFormat, export_bag
 from craternav_fg.interchange.bag_reading import Bag
 
 SPIN_RAD_S = 0.7
@@ -25,7 +25,7 @@ Change = Callable[[int, Any], None]
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Path:
-    export_bag(dataset(tmp_path / "data"), tmp_path / "flight", "mcap")
+    export_bag(dataset(tmp_path / "data"), tmp_path / "flight", BagFormat.MCAP)
     return tmp_path / "flight"
 
 

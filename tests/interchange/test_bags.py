@@ -16,7 +16,7 @@ from craternav_fg.dataset import Dataset, write_dataset
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
-from craternav_fg.interchange.bag_export import FORMATS, INFO_TOPIC, export_bag
+from craternav_fg.interchange.bag_export import INFO_TOPIC, BagFormat, export_bag
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
 from craternav_fg.interchange.bag_reading import CAMERA_INFO, Bag, image_of, open_bag
 from craternav_fg.interchange.kalibr import kalibr_imu_yaml
@@ -44,13 +44,13 @@ def options(data: Dataset, **changes: object) -> BagOptions:
     return replace(chosen, **changes)
 
 
-def name_of(folder: Path, kind: str) -> Path:
-    return folder / ("flight.bag" if kind == "rosbag1" else "flight")
+def name_of(folder: Path, kind: BagFormat) -> Path:
+    return folder / ("flight.bag" if kind == BagFormat.ROSBAG1 else "flight")
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("kind", FORMATS)
-def test_stamps_pixels_and_numbers_survive(tmp_path: Path, kind: str, compressed: bool) -> None:
+@pytest.mark.parametrize("kind", BagFormat)
+def test_stamps_pixels_and_numbers_survive(tmp_path: Path, kind: BagFormat, compressed: bool) -> None:
     data = dataset(tmp_path / "data")
     bag = name_of(tmp_path, kind)
     export_bag(data, bag, kind, compressed=compressed)
@@ -82,7 +82,7 @@ def test_grey_levels_of_twelve_bits_and_other_lenses(
     tmp_path: Path, model: str, distortion: tuple[float, ...]
 ) -> None:
     data = dataset(tmp_path / "data", bits=12, distortion=distortion, lens_model=model)
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     again = Dataset.open(tmp_path / "again")
     assert (again.camera.lens_model, again.camera.bit_depth) == (model, 16)
@@ -99,7 +99,7 @@ def test_grey_levels_of_twelve_bits_and_other_lenses(
 
 def test_a_mcap_file_by_itself(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     file = next((tmp_path / "flight").glob("*.mcap"))
     import_bag(file, tmp_path / "again", options(data))
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").image(2), data.image(2))
@@ -112,7 +112,7 @@ def test_images_that_the_imu_does_not_cover_are_left_out(tmp_path: Path) -> None
         data.imu,
         stamps_ns=data.imu.stamps_ns[:25], gyro=data.imu.gyro[:25], accelerometer=data.imu.accelerometer[:25],
     )  # fmt: skip
-    export_bag(replace(data, imu=short), tmp_path / "flight", "rosbag2")
+    export_bag(replace(data, imu=short), tmp_path / "flight", BagFormat.ROSBAG2)
     report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     assert (report.frames, report.skipped) == (2, 1)
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").stamps_ns, data.stamps_ns[:2])
@@ -134,7 +134,7 @@ def test_colours_become_grey(tmp_path: Path) -> None:
     np.testing.assert_array_equal(image_of(tmp_path, Message), [[258, 3, 0, 65535]])
 
 
-def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
+def damaged(tmp_path: Path, kind: BagFormat, change: object) -> tuple[Dataset, Path]:
     data = dataset(tmp_path / "data")
     bag = name_of(tmp_path, kind)
     export_bag(data, bag, kind)
@@ -144,7 +144,7 @@ def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
     return data, bag
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", BagFormat)
 @pytest.mark.parametrize(
     "change",
     [
@@ -155,7 +155,7 @@ def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
     ],
     ids=["half", "empty", "text", "zeros"],
 )
-def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: str, change: object) -> None:
+def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: BagFormat, change: object) -> None:
     data, bag = damaged(tmp_path, kind, change)
     with pytest.raises(InputError) as caught:
         import_bag(bag, tmp_path / "again", options(data))
@@ -164,8 +164,8 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: str, change:
     assert not (tmp_path / "again").exists()
 
 
-@pytest.mark.parametrize("kind", FORMATS)
-def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("kind", BagFormat)
+def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path, kind: BagFormat) -> None:
     """Whatever is wrong is an `InputError`, or lies in pixels and numbers that no checksum guards."""
     data = dataset(tmp_path / "data")
     bag = name_of(tmp_path, kind)
@@ -190,7 +190,7 @@ def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path, kind: str) -> No
 def test_only_what_reads_a_bag_may_call_it_damaged(tmp_path: Path) -> None:
     """A defect in what is done with the messages must show itself."""
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
 
     def use() -> None:
         with open_bag(tmp_path / "flight") as bag:
@@ -204,7 +204,7 @@ def test_a_topic_of_the_sun_without_messages_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     read = Bag.messages
     monkeypatch.setattr(Bag, "messages", lambda bag, topic: iter(()) if topic == "/sun" else read(bag, topic))
     with pytest.raises(InputError, match="/sun: expected directions towards the sun, found none"):
@@ -228,7 +228,7 @@ def test_an_image_without_pixels_is_refused(tmp_path: Path, message: dict[str, o
 
 def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "rosbag2", estimates={"smoother": data.truth})
+    export_bag(data, tmp_path / "flight", BagFormat.ROSBAG2, estimates={"smoother": data.truth})
     with pytest.raises(InputError, match=r"one topic of poses, found /ground_truth/odometry, /smoother"):
         import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     other_imu = options(data, imu="/imu1", truth="/smoother/odometry")
@@ -271,7 +271,7 @@ def test_the_camera_is_that_beside_the_images_or_the_only_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, infos: tuple[str, ...], taken: str
 ) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     with_camera_infos(monkeypatch, *infos)
     report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     assert report.topics["camera"] == taken
@@ -281,7 +281,7 @@ def test_the_camera_is_that_beside_the_images_or_the_only_one(
 
 def test_no_other_camera_is_guessed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     with monkeypatch.context() as patched:
         with_camera_infos(patched, "/a/camera_info", "/b/camera_info")
         several = "one CameraInfo beside /cam0/image_raw, found /a/camera_info, /b/camera_info: give --camera"
@@ -308,7 +308,7 @@ def test_covariances_of_estimates_are_of_position_and_rotation_about_the_axes_of
     # An error of the roll goes with one of the position along x of g.
     covariance[:, 0, 3] = covariance[:, 3, 0] = 0.02
     estimate = replace(data.truth, gTb=gTb, pose_covariance=covariance)
-    export_bag(data, tmp_path / "flight", "mcap", estimates={"smoother": estimate})
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP, estimates={"smoother": estimate})
     with open_bag(tmp_path / "flight") as bag:
         message = list(bag.messages("/smoother/odometry"))[1]
     found = message.pose.covariance.reshape(6, 6)
@@ -337,12 +337,14 @@ def first_two(track: Trajectory) -> Trajectory:
     return Trajectory(track.stamps_ns[:2], track.gTb[:2], track.gV[:2], track.bias[:2])
 
 
-def test_import_opens_what_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_import_opens_what_it_wrote(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
     # Rates that only the reader of data sets refuses.
     assert data.imu is not None
     export_bag(
-        replace(data, imu=replace(data.imu, gyro=data.imu.gyro + 1e4)), tmp_path / "flight.bag", "rosbag1"
+        replace(data, imu=replace(data.imu, gyro=data.imu.gyro + 1e4)),
+        tmp_path / "flight.bag",
+        BagFormat.ROSBAG1,
     )
     done = call(*command_line(tmp_path, data))
     assert (done.code, done.err.count("\n")) == (2, 1), done.err
@@ -366,7 +368,7 @@ def test_the_commands(tmp_path: Path) -> None:
     assert "camera: " + str(tmp_path / "sensor.yaml") in done.out.replace("\n", "")
     # Truth that does not cover the images is not kept, and not claimed.
     assert data.truth is not None
-    export_bag(replace(data, truth=first_two(data.truth)), tmp_path / "flight.bag", "rosbag1")
+    export_bag(replace(data, truth=first_two(data.truth)), tmp_path / "flight.bag", BagFormat.ROSBAG1)
     done = call(*arguments, "--force")
     assert "no truth is kept: /ground_truth/odometry does not cover the images" in done.err.replace("\n", " ")
     assert "truth: none" in done.out
@@ -381,7 +383,7 @@ def test_the_commands(tmp_path: Path) -> None:
 
 def test_a_pipe_in_a_bag_is_refused(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "rosbag2")
+    export_bag(data, tmp_path / "flight", BagFormat.ROSBAG2)
     (file,) = (tmp_path / "flight").glob("*.db3")
     file.unlink()
     os.mkfifo(file)
@@ -393,7 +395,7 @@ def test_a_pipe_in_a_bag_is_refused(tmp_path: Path) -> None:
 def test_the_suns_vectors_may_have_any_length_but_zero(tmp_path: Path, length: float) -> None:
     data = dataset(tmp_path / "data")
     scaled = replace(data.sun, vectors=length * data.sun.vectors)
-    export_bag(replace(data, sun=scaled), tmp_path / "flight", "rosbag2")
+    export_bag(replace(data, sun=scaled), tmp_path / "flight", BagFormat.ROSBAG2)
     if length > 0.0:
         import_bag(tmp_path / "flight", tmp_path / "again", options(data))
         again = Dataset.open(tmp_path / "again")
