@@ -1,7 +1,7 @@
 """Options that several commands share, and checks of their values."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -177,6 +177,29 @@ def require_free(path: Path, *, force: bool) -> None:
     if len(parts) > 2 and not Path(*parts[:2]).exists():
         top = Path(*parts[:2])
         raise InputError(path, f"would make the folder {top} at the root of the file system: create it first")
+
+
+def require_unused(context: typer.Context, names: Collection[str], why: str) -> None:
+    """Refuse options that were given although they do nothing as the command was called.
+
+    Parameters
+    ----------
+    context : typer.Context
+        Of the command.
+    names : collection of str
+        Names of the options' parameters.
+    why : str
+        What they would do nothing for.
+
+    Raises
+    ------
+    InputError
+        Names the first of them.
+    """
+    for one in context.command.params:
+        source = context.get_parameter_source(one.name or "")
+        if one.name in names and source is not None and source.name == "COMMANDLINE":
+            raise InputError(one.opts[0], f"does nothing {why}: leave it out")
 
 
 def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:

@@ -98,6 +98,49 @@ def test_what_is_written_beside_a_result_is_replaced_by_force_alone(
     assert kept.read_bytes() != b"kept"
 
 
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        *(
+            (
+                ["detect", "image.png", *given],
+                f"{given[0]}: does nothing for one image that is not searched into a folder (-o FOLDER)",
+            )
+            for given in (
+                ["--body", "Moon"], ["--body-radius-m", "1e6"], ["--workers", "2"], ["--scheduler", "a:1"]
+            )
+        ),
+        (
+            ["detect", "image.png", "b.png", "--body", "Moon"],
+            "--body: does nothing for several images, only for one mosaic",
+        ),
+        *(
+            (["catalog", "refine", "a.csv", source, "x", *given], f"{given[0]}: does nothing without --dem")
+            for source in ("--images", "--posed-images")
+            for given in (
+                # Also the default, which would be as misleading.
+                ["--dem-unit-m", "1"], ["--min-diameter-steps", "9"], ["--resolution-steps", "2"],
+                ["--scheduler", "a:1"],
+            )
+        ),
+        *(
+            (["bench", subject, *given], f"{given[0]}: does nothing for bench {subject}")
+            for subject in ("detect-real", "identify-ground")
+            for given in (["--output", "a.png"], ["--compare", "a.json"], ["--full"], ["--force"])
+        ),
+        (["bench", "scaling", "--full"], "--full: does nothing for bench scaling"),
+        (["bench", "--data", "x"], "--data: does nothing for bench speed"),
+    ],
+)  # fmt: skip
+def test_an_option_that_would_do_nothing_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], problem: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call(*arguments)
+    assert (done.code, done.err) == (2, f"craternav: {problem}: leave it out\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_every_command_that_writes_a_result_has_force() -> None:
     # A campaign that is there is completed.
     without = {
