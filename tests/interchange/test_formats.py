@@ -150,6 +150,38 @@ def test_a_footprint_is_as_large_as_the_field_of_view_on_the_ground() -> None:
     np.testing.assert_array_equal(outline[0], outline[-1])
 
 
+def enclosed_deg2(ring: np.ndarray) -> float:
+    """Area of a closed ring on a map, positive counter-clockwise."""
+    (x, y), (u, v) = ring[:-1].T, ring[1:].T
+    return float(0.5 * np.sum(x * v - u * y))
+
+
+@pytest.mark.parametrize("longitude_deg", [30.0, 180.0])
+def test_footprints_are_counter_clockwise(longitude_deg: float) -> None:
+    outline = footprint(
+        level(10.0, longitude_deg, 1000.0), Camera(1000, 500, 1000.0, 1000.0, 499.5, 249.5), MOON
+    )
+    assert outline is not None
+    assert enclosed_deg2(outline) > 0.0
+    assert np.abs(np.diff(outline, axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("pole", [90.0, -90.0])
+def test_a_footprint_around_a_pole_is_closed_along_it(pole: float) -> None:
+    """From 10 km above a place 3 km from the pole, with a view of 10 x 5 km."""
+    camera = Camera(1000, 500, 1000.0, 1000.0, 499.5, 249.5)
+    outline = footprint(level(pole - np.copysign(0.03, pole), 50.0, 1e4), camera, MOON)
+    assert outline is not None
+    np.testing.assert_array_equal(outline[0], outline[-1])
+    along = outline[:-3, 0]
+    assert np.ptp(along) == pytest.approx(360.0)
+    assert np.abs(np.diff(along)).max() < 90.0
+    assert outline[-3:-1].tolist() == [[along[-1], pole], [along[0], pole]]
+    # Of the strip between pole and outline: what the image shows, on a map.
+    strip_deg2 = 360.0 * np.mean(np.abs(pole - outline[:-3, 1]))
+    assert 0.5 * strip_deg2 < enclosed_deg2(outline) < 1.5 * strip_deg2
+
+
 def test_there_is_no_footprint_with_the_horizon_in_the_image() -> None:
     tilted = level(0.0, 30.0, 1000.0)
     tilted[:3, :3] = tilted[:3, :3] @ frames.rotation_exp(np.array([0.0, 1.4, 0.0]))
