@@ -20,11 +20,16 @@ from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, read_camera
 from craternav_fg.files import replacing
 from craternav_fg.imu import ImuNoise
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
-from craternav_fg.interchange.kalibr import is_camchain, read_camchain, read_kalibr_imu
+from craternav_fg.interchange.kalibr import (
+    is_camchain,
+    read_camchain,
+    read_kalibr_imu,
+    read_kalibr_imu_rate_hz,
+)
 from craternav_fg.sensors.yaml_files import parse_yaml
 
-# Nominal rates in a sensor.yaml that is made of a calibration which does not say them.
-_CAMERA_RATE_HZ, _IMU_RATE_HZ = 1.0, 100.0
+# Nominal rate in a sensor.yaml that is made of a camera chain, which does not state it.
+_CAMERA_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True)
@@ -122,9 +127,7 @@ def kalibr(
             warn(f"{path}: timeshift_cam_imu {shift_s:g} s is not in {output}: add it to the images' stamps")
         text = camera_yaml(camera, _CAMERA_RATE_HZ)
     else:
-        text = imu_yaml(
-            read_kalibr_imu(path), float(parse_yaml(path, read_text(path)).get("update_rate", 100.0))
-        )
+        text = imu_yaml(read_kalibr_imu(path), read_kalibr_imu_rate_hz(path))
     with replacing(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
     say(f"{output}")

@@ -12,7 +12,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
+from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise, read_imu_rate_hz
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuNoise
 from craternav_fg.interchange.colmap import write_colmap
@@ -98,12 +98,31 @@ def test_a_chain_as_kalibr_writes_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(chain @ point_b, [0.0, 0.0, 2.0, 1.0], atol=1e-15)
 
 
+@pytest.mark.parametrize("nested", [True, False])
+def test_the_rate_of_an_imu_is_kept(tmp_path: Path, nested: bool) -> None:
+    text = kalibr_imu_yaml(NOISE, 400.0, "/imu0")
+    if nested:
+        lines = "".join(f"  {line}\n" for line in text.splitlines())
+        text = f"imu0:\n  model: calibrated\n{lines}"
+    (tmp_path / "imu.yaml").write_text(text)
+    done = call("import", "kalibr", tmp_path / "imu.yaml", "-o", tmp_path / "sensor.yaml")
+    assert done.code == 0, done.err
+    assert read_imu_rate_hz(tmp_path / "sensor.yaml") == 400.0
+    assert read_imu_noise(tmp_path / "sensor.yaml") == NOISE
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
         ("equidistant", "omni", "distortion_model"),
         ("[380, 380]", "[380]", "resolution"),
-        ("[0.0, 0.0, 1.0, 0.05]", "[0.0, 0.0, 2.0, 0.05]", "rotation"),
+        ("[0.0, 0.0, 1.0, 0.05]", "[0.0, 0.0, 2.0, 0.05]", "cam0.T_cam_imu: expected a rotation"),
+        (
+            ", 188.93170605935475",
+            ", 3200.0",
+            "cam0.intrinsics: expected the principal point inside the 380 x 380",
+        ),
+        ("[190.97847715128717", "[3.9e5", "cam0.intrinsics: expected focal lengths in px that fit"),
         ("camera_model: pinhole", "camera_model: ds", "pinhole"),
         ("[380, 380]", "[512, 512]", "90 deg from its axis"),
         ("cam0:", "cam7:", "expected a camera cam0"),
