@@ -221,9 +221,13 @@ def _read_frames(path: Path) -> tuple[IntArray, list[str]]:
         raise InputError(path, "expected at least one frame, found none")
     table.require_increasing(layout.STAMP)
     names: list[str] = table.columns["filename"]
+    seen: dict[str, int] = {}
     for row, name in enumerate(names):
         if Path(name).name != name:
             table.fail(row, "filename", f"expected a name without folders, found {name!r}")
+        if seen.setdefault(name, row) != row:
+            problem = f"expected each image once, found {name!r} of line {table.line(seen[name])} again"
+            table.fail(row, "filename", problem)
     return table.columns[layout.STAMP], names
 
 
