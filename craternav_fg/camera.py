@@ -41,6 +41,9 @@ class Camera:
         Bits of a grey level.
     lens_model : str
         "radial-tangential", "rational" or "fisheye".
+    focal_sigma_percent, principal_sigma_px : float or None
+        How well the intrinsics are known: standard deviations of the focal length and of each coordinate of
+        the principal point; None where nobody states them.
 
     Raises
     ------
@@ -59,6 +62,8 @@ class Camera:
     psf_sigma_px: float = 0.7
     bit_depth: int = 8
     lens_model: str = lens.RADIAL_TANGENTIAL
+    focal_sigma_percent: float | None = None
+    principal_sigma_px: float | None = None
 
     def __post_init__(self) -> None:
         # Computed here, so that a camera whose distortion folds is never made.

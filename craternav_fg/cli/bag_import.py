@@ -5,30 +5,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-import numpy.typing as npt
 import typer
 
 from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import warn_of
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import JsonOption, numbers_of
+from craternav_fg.cli.options import JsonOption, direction_of
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
+from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, read_camera, read_imu_noise
-from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.imu import ImuNoise
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
-from craternav_fg.interchange.kalibr import is_camchain, read_camchain, read_kalibr_imu
+from craternav_fg.interchange.kalibr import (
+    is_camchain,
+    read_camchain,
+    read_kalibr_imu,
+    read_kalibr_imu_rate_hz,
+)
 from craternav_fg.sensors.yaml_files import parse_yaml
 
-FloatArray = npt.NDArray[np.float64]
-
-# Nominal rates in a sensor.yaml that is made of a calibration which does not say them.
-_CAMERA_RATE_HZ, _IMU_RATE_HZ = 1.0, 100.0
+# Nominal rate in a sensor.yaml that is made of a camera chain, which does not state it.
+_CAMERA_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class _Topics:
         None
     )
     truth_topic: Annotated[
-        str | None, typer.Option(help="Topic of the true poses in g.", show_default="the only one")
+        str | None,
+        typer.Option(help="Topic of the true poses in g; none to take none.", show_default="the only one"),
     ] = None
     sun_topic: Annotated[
         str | None, typer.Option(help="Topic of the sun's direction.", show_default="the only one")
@@ -89,10 +91,14 @@ def bag(
         found, shift_s = read_camchain(camera) if is_camchain(camera) else (read_camera(camera), 0.0)
     options = BagOptions(
         body=body, catalog=craters, imu_noise=_noise(imu), initial=initial, camera=found,
-        time_shift_s=shift_s, sun=_direction(sun),
+        time_shift_s=shift_s, sun=direction_of("--sun", sun),
         image=topics.image_topic, imu=topics.imu_topic, truth=topics.truth_topic, sun_topic=topics.sun_topic,
     )  # fmt: skip
     report = import_bag(path, output, options)
+    # Opening checks what was written, as for every import.
+    Dataset.open(output)
+    if report.uncovered_truth is not None:
+        warn(f"{path}: no truth is kept: {report.uncovered_truth} does not cover the images")
     if report.skipped:
         warn(f"{path}: {report.skipped} images skipped: the IMU log does not cover them")
     if as_json:
@@ -100,8 +106,9 @@ def bag(
         more = {"skipped": report.skipped, "imu_samples": report.samples, "truth": report.truth}
         out.print_json(json.dumps({**values, **more}))
         return
+    given = {"camera": camera, "sun": sun}
     for what, topic in report.topics.items():
-        say(f"{what}: {topic or 'none'}")
+        say(f"{what}: {topic or given.get(what) or 'none'}")
     say(f"{report.frames} images, {report.samples} IMU samples")
     say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 
@@ -120,9 +127,7 @@ def kalibr(
             warn(f"{path}: timeshift_cam_imu {shift_s:g} s is not in {output}: add it to the images' stamps")
         text = camera_yaml(camera, _CAMERA_RATE_HZ)
     else:
-        text = imu_yaml(
-            read_kalibr_imu(path), float(parse_yaml(path, read_text(path)).get("update_rate", 100.0))
-        )
+        text = imu_yaml(read_kalibr_imu(path), read_kalibr_imu_rate_hz(path))
     with replacing(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
     say(f"{output}")
@@ -133,13 +138,3 @@ def _noise(path: Path) -> ImuNoise:
     if "sensor_type" in parse_yaml(path, read_text(path)):
         return read_imu_noise(path)
     return read_kalibr_imu(path)
-
-
-def _direction(text: str | None) -> FloatArray | None:
-    """Direction of an option, any length; None without one."""
-    values = numbers_of("--sun", text, 3)
-    if values is None:
-        return None
-    if not any(values):
-        raise InputError("--sun", "expected a direction, found zeros")
-    return np.array(values)

@@ -13,7 +13,14 @@ from craternav_fg.bench import detect_real, identify_ground, scaling
 from craternav_fg.bench import report as bench_report
 from craternav_fg.bench.compare import MOVED, Change, changes, read_benchmark
 from craternav_fg.cli.app import app, example
-from craternav_fg.cli.options import FIGURE_SUFFIXES, ForceOption, JsonOption, require_free, require_suffix
+from craternav_fg.cli.options import (
+    FIGURE_SUFFIXES,
+    ForceOption,
+    JsonOption,
+    require_free,
+    require_suffix,
+    require_unused,
+)
 from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits
 from craternav_fg.errors import InputError
 from craternav_fg.vision.detect import BlindOptions
@@ -28,8 +35,19 @@ class Subject(StrEnum):
     IDENTIFY_GROUND = "identify-ground"
 
 
+# Options that not all subjects use, and those that each does.
+_OPTIONS = {"data", "views", "output", "full", "compare", "force"}
+_USED = {
+    Subject.SPEED: {"output", "full", "compare", "force"},
+    Subject.SCALING: {"output", "force"},
+    Subject.DETECT_REAL: {"data"},
+    Subject.IDENTIFY_GROUND: {"data", "views"},
+}
+
+
 @app.command(epilog=example("bench detect-real --data FOLDER"))
 def bench(
+    context: typer.Context,
     subject: Annotated[
         Subject,
         typer.Argument(
@@ -63,6 +81,7 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Measure speed against GTSAM's own C++ factors, or detection against annotated images."""
+    require_unused(context, _OPTIONS - _USED[subject], f"for bench {subject.value}")
     if subject is Subject.DETECT_REAL:
         _detect_real(_given(data, "--data, the folder of the annotated images"), as_json)
         return

@@ -13,9 +13,7 @@ from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.catalogs.checks import overlaps
 from craternav_fg.catalogs.columns import ImportOptions
-from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog, write_catalog
-from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
@@ -26,6 +24,7 @@ from craternav_fg.cli.catalog_reading import (
     skipped_lines,
     warn_of_exact_rims,
     warn_of_lost_heights,
+    with_model_heights,
 )
 from craternav_fg.cli.catalog_summary import MAX_LISTED, show, summarise
 from craternav_fg.cli.option_groups import with_option_groups
@@ -135,7 +134,7 @@ def import_(
     parts = [_read(path, body, columns.options(), alone=len(tables) == 1) for path in tables]
     catalog = _joined(parts)
     if dem is not None:
-        catalog = _with_heights(catalog, dem, dem_unit_m)
+        catalog = with_model_heights(catalog, dem, dem_unit_m)
     warn_of_lost_heights(tables, [part.craters for part in parts], catalog)
     warn_of_exact_rims(tables, [part.craters for part in parts])
     write_catalog(output, catalog)
@@ -187,21 +186,6 @@ def _joined(parts: Sequence[_Table]) -> Catalog:
             )
         known.update(part.craters.identifiers)
     return Catalog.joined([part.craters for part in parts])
-
-
-def _with_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
-    """Take the heights of the rims from an elevation model.
-
-    Raises
-    ------
-    InputError
-        When the model cannot be read, or its heights are implausible for the body.
-    """
-    catalog = with_rim_heights(catalog, read_dem(dem, unit_m, catalog.body.radius_m))
-    problem = implausible_heights(catalog)
-    if problem is not None:
-        raise InputError(dem, problem)
-    return catalog
 
 
 def _file(part: _Table) -> dict[str, Any]:

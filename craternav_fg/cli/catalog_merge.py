@@ -7,15 +7,13 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import write_catalog
-from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
 from craternav_fg.catalogs.merge import MergeOptions, difference, merge, write_sources
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import SUFFIX
 from craternav_fg.cli.app import catalog_commands, example
-from craternav_fg.cli.catalog_reading import read_any_catalog, warn_of_lost_heights
-from craternav_fg.cli.option_groups import never_replacing
+from craternav_fg.cli.catalog_reading import read_any_catalog, warn_of_lost_heights, with_model_heights
+from craternav_fg.cli.option_groups import never_replacing_any
 from craternav_fg.cli.options import (
     CatalogBodyOption,
     DemUnitOption,
@@ -24,14 +22,13 @@ from craternav_fg.cli.options import (
     require_suffix,
 )
 from craternav_fg.cli.terminal import out, say
-from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 
 
 @catalog_commands.command(
     "merge", epilog=example("catalog merge robbins.csv head.csv -o craters.parquet --dem gld100.tif")
 )
-@never_replacing
+@never_replacing_any(lambda values: filter(None, [values["output"], values["sources"]]))
 def merge_(
     catalogs: Annotated[list[Path], typer.Argument(help="Catalogues of one body, the preferred one first.")],
     output: Annotated[
@@ -63,7 +60,7 @@ def merge_(
     names = [path.stem for path in catalogs]
     options = MergeOptions(place_share, size_factor)
     merged = merge(parts, names, options)
-    craters = merged.catalog if dem is None else _with_heights(merged.catalog, dem, dem_unit_m)
+    craters = merged.catalog if dem is None else with_model_heights(merged.catalog, dem, dem_unit_m)
     warn_of_lost_heights(catalogs, parts, craters)
     write_catalog(output, craters)
     if sources is not None:
@@ -131,12 +128,3 @@ def show_against(values: dict[str, Any] | None, name: str) -> None:
         f"{north:.0f} m north (single ones {e:.0f}, {n:.0f} m; {100.0 * share:.1f} % of the radius); "
         f"sizes x {values['scale']:.3f} (single ones {100.0 * values['log_scale_sigma']:.1f} %)"
     )
-
-
-def _with_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
-    """Take the heights of the rims from an elevation model."""
-    catalog = with_rim_heights(catalog, read_dem(dem, unit_m, catalog.body.radius_m))
-    problem = implausible_heights(catalog)
-    if problem is not None:
-        raise InputError(dem, problem)
-    return catalog

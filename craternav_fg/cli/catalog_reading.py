@@ -5,10 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from craternav_fg.body import Body
+from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
+from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.terminal import warn
+from craternav_fg.errors import InputError
 
 
 def body_of_radius(radius_m: float | None) -> Body | None:
@@ -33,6 +36,33 @@ def read_any_catalog(path: Path, body_radius_m: float | None) -> tuple[Catalog, 
     catalog, report = import_catalog(path, body_of_radius(body_radius_m))
     warn_of(path, report)
     return catalog, report
+
+
+def with_model_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
+    """Take the heights of the rims from an elevation model.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Path
+        GeoTIFF.
+    unit_m : float
+        Unit of its values.
+
+    Returns
+    -------
+    Catalog
+
+    Raises
+    ------
+    InputError
+        When the model cannot be read, or its heights are implausible for the body.
+    """
+    catalog = with_rim_heights(catalog, read_dem(dem, unit_m, catalog.body.radius_m))
+    problem = implausible_heights(catalog)
+    if problem is not None:
+        raise InputError(dem, problem)
+    return catalog
 
 
 def warn_of(path: Path, report: ImportReport) -> None:

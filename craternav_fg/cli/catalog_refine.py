@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +24,7 @@ from craternav_fg.cli.options import (
     require_free,
     require_kept,
     require_suffix,
+    require_unused,
 )
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset
@@ -59,6 +60,7 @@ class MeasureOptions:
 )
 @with_option_groups
 def refine(
+    context: typer.Context,
     catalog: Annotated[
         Path, typer.Argument(help="Crater catalogue (.parquet), or a table that `catalog import` reads.")
     ],
@@ -96,6 +98,10 @@ def refine(
     """Improve rims by an elevation model, a reconstructed descent, or images whose poses are known."""
     posed = posed_images or []
     _require_one(dem, images, posed)
+    if dem is None:
+        require_unused(
+            context, {*(field.name for field in fields(MeasureOptions)), "scheduler"}, "without --dem"
+        )
     require_suffix(output, (SUFFIX,))
     require_kept([catalog, *filter(None, [dem, images]), *posed], [output])
     require_free(output, force=force)

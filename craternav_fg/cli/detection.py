@@ -4,7 +4,7 @@ import json
 import math
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +16,14 @@ from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import named_body
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.option_groups import with_option_groups
-from craternav_fg.cli.options import ForceOption, JsonOption, WorkerOptions, require_free, require_kept
+from craternav_fg.cli.options import (
+    ForceOption,
+    JsonOption,
+    WorkerOptions,
+    require_free,
+    require_kept,
+    require_unused,
+)
 from craternav_fg.cli.terminal import out, progress_bars, say, warn
 from craternav_fg.dataset.ellipses import write_detected_ellipses
 from craternav_fg.dataset.foreign_images import TooManyPixelsError, read_foreign_image
@@ -112,6 +119,7 @@ class ShownBody:
 @app.command(epilog=example("detect frames/*.png -o runs/rims"))
 @with_option_groups
 def detect(
+    context: typer.Context,
     images: Annotated[list[Path], typer.Argument(help="Image files of any origin: PNG, TIFF, JPEG.")],
     search: Search,
     where: WorkerOptions,
@@ -131,9 +139,16 @@ def detect(
 ) -> None:
     """Detect crater rims in images without any prior."""
     settings = search.settings()
+    of_body = {field.name for field in fields(ShownBody)}
     if len(images) == 1 and not _is_folder(output):
+        of_workers = {field.name for field in fields(WorkerOptions)}
+        require_unused(
+            context, of_body | of_workers, "for one image that is not searched into a folder (-o FOLDER)"
+        )
         _detect_one(images[0], output or _TABLE, settings, force=force, as_json=as_json)
         return
+    if len(images) > 1:
+        require_unused(context, of_body, "for several images, only for one mosaic")
     folder = output or _FOLDER
     _require_folder(folder, len(images))
     require_kept(images, [folder])
@@ -161,7 +176,8 @@ def _detect_one(
     """Write table and overlay of one image."""
     overlay = output.with_name(f"{output.stem}_overlay.png")
     require_kept([image], [output, overlay])
-    require_free(output, force=force)
+    for path in (output, overlay):
+        require_free(path, force=force)
     try:
         pixels = read_foreign_image(image)
     except TooManyPixelsError as error:

@@ -1,6 +1,5 @@
 """Commands that export data sets and trajectories for other programs."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,31 +7,23 @@ import typer
 
 from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, export_commands
-from craternav_fg.cli.option_groups import never_replacing
+from craternav_fg.cli.option_groups import never_replacing, never_replacing_any
 from craternav_fg.cli.options import require_suffix
 from craternav_fg.cli.terminal import say
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing, replacing_folder
-from craternav_fg.interchange.bag_export import IMAGE_TOPIC, IMU_TOPIC, export_bag
+from craternav_fg.interchange.bag_export import IMAGE_TOPIC, IMU_TOPIC, BagFormat, export_bag
 from craternav_fg.interchange.colmap import write_colmap
 from craternav_fg.interchange.kalibr import camchain_yaml, kalibr_imu_yaml
 from craternav_fg.interchange.maps import write_geojson, write_kml
-from craternav_fg.interchange.trajectories import write_kitti
+from craternav_fg.interchange.trajectories import kitti_times, write_kitti
 from craternav_fg.runs.read import Run, read_run
 from craternav_fg.runs.store import MARKER
 from craternav_fg.runs.write import write_tum
 from craternav_fg.trajectory import Trajectory
 
 _CAMCHAIN, _IMU = "camchain.yaml", "imu.yaml"
-
-
-class BagFormat(StrEnum):
-    """Formats of bags."""
-
-    ROSBAG1 = "rosbag1"
-    ROSBAG2 = "rosbag2"
-    MCAP = "mcap"
 
 
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
@@ -58,7 +49,7 @@ def bag(
     run = read_run(folder) if (folder / MARKER).is_file() else None
     data = Dataset.open(folder if run is None else run.dataset)
     estimates = {} if run is None else run.trajectories
-    export_bag(data, output, kind.value, compressed=compressed, estimates=estimates)
+    export_bag(data, output, kind, compressed=compressed, estimates=estimates)
     say(f"{output}")
 
 
@@ -96,7 +87,7 @@ def tum(
 
 
 @export_commands.command("kitti", epilog=example("export kitti runs/demo -e smoother -o smoother.txt"))
-@never_replacing
+@never_replacing_any(lambda values: [values["output"], kitti_times(values["output"])])
 def kitti(
     run: RunArgument,
     output: Annotated[

@@ -91,13 +91,9 @@ def identify(
     if output is not None:
         require_kept([rims, camera, catalog, path], [output])
         require_free(output, force=written.force)
-    sensor = read_camera(camera)
+    sensor = intrinsics.of(read_camera(camera))
     known = _attitude(attitude)
-    prior = intrinsics.prior(camera, sensor)
-    options = IdentifyOptions(
-        altitudes_m=_altitudes(altitude_km), focal_sigma=prior.focal_sigma,
-        principal_sigma_px=prior.principal_sigma_px, focal_stated=prior.focal_stated,
-    )  # fmt: skip
+    options = IdentifyOptions.of(sensor, _altitudes(altitude_km))
     ellipses, traced, pixels = _read(rims, sensor)
     craters, _ = read_any_catalog(catalog, body_radius_m)
     ready, index_note = load_or_build(path, craters)

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-import numpy.typing as npt
 import typer
 
 from craternav_fg.body import Body
@@ -16,7 +14,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, numbers_of
+from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, direction_of
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
@@ -29,8 +27,6 @@ from craternav_fg.importing.images import grey_images, stamps_of
 from craternav_fg.importing.isis import Cube, read_cube
 from craternav_fg.importing.spice import SpiceQuery, camera_states
 from craternav_fg.motion.coast import coast
-
-FloatArray = npt.NDArray[np.float64]
 
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")]
 ImagesArgument = Annotated[
@@ -142,7 +138,7 @@ def images(
     """Import plain images with a table of their times, or images of PDS4 products."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
-    direction = _direction(sun)
+    direction = direction_of("--sun", sun)
     craters, _ = read_any_catalog(catalog, None)
     body = with_gravity(craters.body, mu_m3_s2)
     given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)
@@ -191,13 +187,6 @@ def _pixels(
     if images is None or times is None:
         raise InputError("--photographs, --times", "expected both, found one")
     return of_photographs(cubes, images, times)
-
-
-def _direction(sun: str) -> FloatArray:
-    direction = numbers_of("--sun", sun, 3)
-    if direction is None or not np.any(direction):
-        raise InputError("--sun", "expected a direction, found zero")
-    return np.array(direction)
 
 
 def _images(frames: list[ImportedFrame], camera: Camera) -> Iterator[ImageArray]:

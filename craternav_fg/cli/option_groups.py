@@ -5,8 +5,9 @@ A parameter that is a dataclass stands for the options of its fields; a result i
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from craternav_fg.cli.options import ForceOption, require_free
@@ -70,14 +71,39 @@ def never_replacing(command: Command) -> Command:
     -------
     callable
     """
-    signature = inspect.signature(command, eval_str=True)
-    force = inspect.Parameter("force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption)
-    given = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
+    return never_replacing_any(lambda values: [values["output"]])(command)
 
-    @functools.wraps(command)
-    def call(*, force: bool, **values: Any) -> None:
-        require_free(values["output"], force=force)
-        command(**values)
 
-    call.__signature__ = signature.replace(parameters=[*given, force])  # type: ignore[attr-defined]
-    return call  # type: ignore[return-value]
+def never_replacing_any(
+    outputs: Callable[[dict[str, Any]], Iterable[Path]],
+) -> Callable[[Command], Command]:
+    """Add the option --force to a command of several outputs, which otherwise replaces none of them.
+
+    Parameters
+    ----------
+    outputs : callable
+        Paths that the command will write, by the values of its parameters.
+
+    Returns
+    -------
+    callable
+        Decorator of the command.
+    """
+
+    def decorate(command: Command) -> Command:
+        signature = inspect.signature(command, eval_str=True)
+        force = inspect.Parameter(
+            "force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption
+        )
+        given = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
+
+        @functools.wraps(command)
+        def call(*, force: bool, **values: Any) -> None:
+            for path in outputs(values):
+                require_free(path, force=force)
+            command(**values)
+
+        call.__signature__ = signature.replace(parameters=[*given, force])  # type: ignore[attr-defined]
+        return call  # type: ignore[return-value]
+
+    return decorate

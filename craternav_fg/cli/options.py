@@ -1,15 +1,18 @@
 """Options that several commands share, and checks of their values."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 from craternav_fg.errors import CraternavError, InputError
+
+FloatArray = npt.NDArray[np.float64]
 
 # Kinds of figures that commands write.
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -176,6 +179,29 @@ def require_free(path: Path, *, force: bool) -> None:
         raise InputError(path, f"would make the folder {top} at the root of the file system: create it first")
 
 
+def require_unused(context: typer.Context, names: Collection[str], why: str) -> None:
+    """Refuse options that were given although they do nothing as the command was called.
+
+    Parameters
+    ----------
+    context : typer.Context
+        Of the command.
+    names : collection of str
+        Names of the options' parameters.
+    why : str
+        What they would do nothing for.
+
+    Raises
+    ------
+    InputError
+        Names the first of them.
+    """
+    for one in context.command.params:
+        source = context.get_parameter_source(one.name or "")
+        if one.name in names and source is not None and source.name == "COMMANDLINE":
+            raise InputError(one.opts[0], f"does nothing {why}: leave it out")
+
+
 def numbers_of(option: str, text: str | None, count: int) -> list[float] | None:
     """Read the numbers of an option, separated by commas.
 
@@ -232,3 +258,31 @@ def require_kept(sources: Iterable[Path], outputs: Iterable[Path]) -> None:
     for path in sources:
         if os.path.realpath(path) in written:
             raise InputError(path, "would be overwritten by the result: choose another --output")
+
+
+def direction_of(option: str, text: str | None) -> FloatArray | None:
+    """Read the direction of an option.
+
+    Parameters
+    ----------
+    option : str
+        Its name.
+    text : str or None
+        Its value: x,y,z of any length.
+
+    Returns
+    -------
+    ndarray, shape (3,), or None
+        As given; None without a value.
+
+    Raises
+    ------
+    InputError
+        When the text is not three numbers, or all are zero.
+    """
+    values = numbers_of(option, text, 3)
+    if values is None:
+        return None
+    if not any(values):
+        raise InputError(option, "expected a direction, found zeros")
+    return np.array(values)

@@ -27,7 +27,7 @@ from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
-from craternav_fg.resection.intrinsics import with_unknown_intrinsics
+from craternav_fg.resection.intrinsics import IntrinsicsPrior, with_unknown_intrinsics
 from craternav_fg.resection.problem import ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 
@@ -117,7 +117,7 @@ def pose(
         matched, craters, sensor, attitude_wxyz=wxyz, attitude_sigma_deg=sigma_deg, sun=light.values()
     )
     result = solve_robustly(problem) if robust else solve_all(problem)
-    result = with_unknown_intrinsics(problem, result, intrinsics.prior(camera, sensor))
+    result = with_unknown_intrinsics(problem, result, IntrinsicsPrior.of(intrinsics.of(sensor)))
     of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
     result = replace(result, warnings=(*result.warnings, *of_heights))
     values = as_plain_data(problem, result, craters)

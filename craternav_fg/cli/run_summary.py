@@ -5,10 +5,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.table import Table
 
 from craternav_fg.cli.terminal import note, out, say, table_of_numbers, three_digits, warn
+from craternav_fg.runs.compare import from_reference_m
 from craternav_fg.runs.read import Run, describe_frames
 from craternav_fg.runs.store import FIGURES, METRICS
 
@@ -76,14 +76,10 @@ def comparison(run: Run) -> dict[str, dict[str, Any]]:
         By estimator: its entry in metrics.json, and `from_smoother_rms_m`, RMS distance of the positions from
         those of the smoother, None without it. This distance needs no ground truth.
     """
-    smoother = run.trajectories.get("smoother")
-    compared = {}
-    for name, trajectory in run.trajectories.items():
-        rms_m = None
-        if smoother is not None:
-            rms_m = float(np.sqrt(np.mean(np.sum((trajectory.gP - smoother.gP) ** 2, axis=1))))
-        compared[name] = {**run.metrics["estimators"][name], "from_smoother_rms_m": rms_m}
-    return compared
+    return {
+        name: {**run.metrics["estimators"][name], "from_smoother_rms_m": from_reference_m(run, name)}
+        for name in run.trajectories
+    }
 
 
 def show_comparison(compared: Iterable[tuple[str, dict[str, dict[str, Any]]]]) -> None:

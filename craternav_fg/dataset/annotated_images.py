@@ -1,6 +1,5 @@
 """Images in which people marked craters: NAC mosaics with boxes, HRSC tiles with circles. Not shipped."""
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -8,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg.errors import InputError
+from craternav_fg.tables import Column, read_table
 
 FloatArray = npt.NDArray[np.float64]
 
+_BOX = tuple(Column(name) for name in "XYWH")
+_CIRCLE = tuple(Column(name) for name in ("x", "y", "diameter"))
 # Folders of the kinds of images.
 NAC, HRSC = "annotated/nac", "annotated/hrsc"
 
@@ -48,7 +49,7 @@ def annotated_images(data: Path) -> Iterator[Annotated]:
     Raises
     ------
     InputError
-        When a file of circles is missing or has other columns.
+        When a file of marks is missing, or is no table of finite numbers: names line and column.
     """
     for path in sorted((data / NAC).glob("*.png")):
         yield Annotated("nac", path, _boxes(path.with_suffix(".txt")))
@@ -58,25 +59,10 @@ def annotated_images(data: Path) -> Iterator[Annotated]:
 
 def _boxes(path: Path) -> FloatArray:
     """Read boxes: columns X, Y of the upper left corner, W, H, px from 0 at the image's edge."""
-    rows = _rows(path, header=True)
-    x, y, width, height = rows[:, 1:5].T
+    x, y, width, height = read_table(path, _BOX, others=True).numbers(*"XYWH").T
     return np.column_stack([x + 0.5 * width - 0.5, y + 0.5 * height - 0.5, 0.25 * (width + height)])
 
 
 def _circles(path: Path) -> FloatArray:
     """Read circles: x, y, diameter, px."""
-    return _rows(path, header=False)[:, :3] * (1.0, 1.0, 0.5)
-
-
-def _rows(path: Path, *, header: bool) -> FloatArray:
-    if not path.is_file():
-        raise InputError(path, "file is missing")
-    with path.open(newline="") as file:
-        rows = list(csv.reader(file))[int(header) :]
-    try:
-        values = np.array([[float(cell) for cell in row] for row in rows])
-    except ValueError as error:
-        raise InputError(path, f"expected numbers: {error}") from None
-    if values.ndim != 2 or values.shape[1] < (5 if header else 3):
-        raise InputError(path, "expected columns of places and sizes")
-    return values
+    return read_table(path, _CIRCLE, headed=False).numbers("x", "y", "diameter") * (1.0, 1.0, 0.5)

@@ -33,6 +33,9 @@ IntArray = npt.NDArray[np.int64]
 
 # Longest step of an IMU log: attitude and velocity are integrated with constant rates over a step.
 MAX_IMU_STEP_S = 0.1
+# Longest gap of known states in which a frame is interpolated: in low orbit a cubic errs by millimetres then.
+# A longer one may hide a whole burn or slew.
+MAX_STATE_GAP_S = 30.0
 # No lander turns or accelerates so fast; such values have a wrong unit or come from a broken row.
 MAX_RATE_RAD_S = 50.0
 MAX_SPECIFIC_FORCE_M_S2 = 1000.0
@@ -218,9 +221,13 @@ def _read_frames(path: Path) -> tuple[IntArray, list[str]]:
         raise InputError(path, "expected at least one frame, found none")
     table.require_increasing(layout.STAMP)
     names: list[str] = table.columns["filename"]
+    seen: dict[str, int] = {}
     for row, name in enumerate(names):
         if Path(name).name != name:
             table.fail(row, "filename", f"expected a name without folders, found {name!r}")
+        if seen.setdefault(name, row) != row:
+            problem = f"expected each image once, found {name!r} of line {table.line(seen[name])} again"
+            table.fail(row, "filename", problem)
     return table.columns[layout.STAMP], names
 
 
@@ -318,6 +325,7 @@ def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:
         rows = np.searchsorted(stamps, frames_ns)
         gTb[:, :3, :3], gTb[:, :3, 3] = from_quaternion_wxyz(q[rows]), P[rows]
         return Trajectory(frames_ns, gTb, V[rows], bias[rows])
+    _require_near(table, stamps, frames_ns)
     t, at = (stamps - stamps[0]) * 1e-9, (frames_ns - stamps[0]) * 1e-9
     # Imported here: a command that reads one image needs neither, and they take a quarter of a second.
     from scipy.interpolate import CubicHermiteSpline
@@ -327,6 +335,23 @@ def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:
     gTb[:, :3, :3], gTb[:, :3, 3] = attitude(at).as_matrix(), position(at)
     biases = np.stack([np.interp(at, t, column) for column in bias.T], axis=-1)
     return Trajectory(frames_ns, gTb, position(at, 1), biases)
+
+
+def _require_near(table: Table, stamps: IntArray, frames_ns: IntArray) -> None:
+    """Refuse states that are too far apart around a frame to interpolate between them."""
+    between = frames_ns[~np.isin(frames_ns, stamps)]
+    after = np.searchsorted(stamps, between)
+    gap_ns = stamps[after] - stamps[after - 1]
+    far = np.flatnonzero(gap_ns > 1e9 * MAX_STATE_GAP_S)
+    if len(far):
+        k = int(far[0])
+        row = int(after[k])
+        table.fail(
+            row,
+            layout.STAMP,
+            f"expected states at most {MAX_STATE_GAP_S:g} s apart around frame {between[k]},"
+            f" found a gap of {1e-9 * gap_ns[k]:.3f} s from {stamps[row - 1]} to {stamps[row]}",
+        )
 
 
 def _require_unit(table: Table, vectors: FloatArray, names: tuple[str, ...], what: str) -> None:

@@ -90,6 +90,7 @@ def read_camera(path: Path) -> Camera:
         return Camera(
             width, height, fx, fy, cx, cy, bTc,
             coefficients, model.psf_sigma_px, model.bit_depth, lens_model,
+            model.focal_sigma_percent, model.principal_sigma_px,
         )  # fmt: skip
     except ValueError as error:
         line = line_of(text, ["distortion_coefficients"])
@@ -118,32 +119,6 @@ def intrinsics_problem(width: int, height: int, intrinsics: tuple[float, float, 
     if not (least <= fx / width <= most and least <= fy / height <= most):
         return f"expected focal lengths in px that fit the {width} x {height} image, found {fx:g} and {fy:g}"
     return ""
-
-
-def read_intrinsics_sigmas(path: Path) -> tuple[float | None, float | None]:
-    """Read how well the intrinsics are known from the camera's sensor.yaml.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    focal_sigma : float or None
-        Relative standard deviation of the focal length, from `focal_sigma_percent`; None when the file does
-        not say.
-    principal_sigma_px : float or None
-        Standard deviation of each coordinate of the principal point; None when the file does not say.
-
-    Raises
-    ------
-    InputError
-        As `read_camera`.
-    """
-    text = read_text(path)
-    model = validate(path, parse_yaml(path, text), _CameraFile, text=text)
-    percent = model.focal_sigma_percent
-    return None if percent is None else 0.01 * percent, model.principal_sigma_px
 
 
 def read_imu_noise(path: Path) -> ImuNoise:
@@ -215,21 +190,23 @@ def camera_yaml(camera: Camera, rate_hz: float) -> str:
     coefficients = camera.distortion
     if camera.lens_model == lens.RADIAL_TANGENTIAL and not any(coefficients[4:]):
         coefficients = coefficients[:4]
-    return dump_yaml(
-        {
-            "sensor_type": "camera",
-            "comment": "pixel (0, 0) is the centre of the top-left pixel",
-            "T_BS": matrix(camera.bTc),
-            "rate_hz": rate_hz,
-            "resolution": [camera.width_px, camera.height_px],
-            "camera_model": "pinhole",
-            "intrinsics": [float(v) for v in (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)],
-            "distortion_model": LENS_NAMES[camera.lens_model][0],
-            "distortion_coefficients": [float(v) for v in coefficients],
-            "psf_sigma_px": float(camera.psf_sigma_px),
-            "bit_depth": camera.bit_depth,
-        }
-    )
+    values = {
+        "sensor_type": "camera",
+        "comment": "pixel (0, 0) is the centre of the top-left pixel",
+        "T_BS": matrix(camera.bTc),
+        "rate_hz": rate_hz,
+        "resolution": [camera.width_px, camera.height_px],
+        "camera_model": "pinhole",
+        "intrinsics": [float(v) for v in (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)],
+        "distortion_model": LENS_NAMES[camera.lens_model][0],
+        "distortion_coefficients": [float(v) for v in coefficients],
+        "psf_sigma_px": float(camera.psf_sigma_px),
+        "bit_depth": camera.bit_depth,
+    }
+    for name in ("focal_sigma_percent", "principal_sigma_px"):
+        if (sigma := getattr(camera, name)) is not None:
+            values[name] = float(sigma)
+    return dump_yaml(values)
 
 
 def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:

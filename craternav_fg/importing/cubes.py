@@ -40,7 +40,7 @@ def of_cubes(cubes: Sequence[Cube]) -> tuple[Camera, list[ImportedFrame], list[I
     Raises
     ------
     InputError
-        When the cubes differ in size, resolution or place.
+        When the cubes differ in size, resolution or place, or one has special pixels only.
     """
     cubes = sorted(cubes, key=lambda cube: cube.stamp_ns)
     first = cubes[0]
@@ -54,7 +54,7 @@ def of_cubes(cubes: Sequence[Cube]) -> tuple[Camera, list[ImportedFrame], list[I
             problem = f"shows another part of the photograph than {first.path} ({off:.0f} px apart)"
             raise InputError(cube.path, f"{problem}: give --photographs")
     frames = [ImportedFrame(cube.path, cube.stamp_ns, cube.state) for cube in cubes]
-    images = grey_levels([cube.pixels() for cube in cubes], BIT_DEPTH)
+    images = grey_levels([cube.path for cube in cubes], [cube.pixels() for cube in cubes], BIT_DEPTH)
     return replace(first.camera, bit_depth=BIT_DEPTH), frames, images
 
 

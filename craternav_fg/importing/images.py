@@ -1,6 +1,6 @@
 """Grey images, plain or of PDS4 products, and their times: of a table or of the labels."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -140,7 +140,7 @@ def grey_images(
             raise InputError(path, f"expected {first[1]} pixels as {first[0]}, found {image.dtype}")
         first = first or (path, image.dtype)
         if image.dtype == np.float64:
-            extent = extent or _extent(paths)
+            extent = extent or _extent((path, _read(path)) for path in paths)
             yield _scaled(image, extent, bit_depth or 16)
         else:
             yield _fitting(path, np.asarray(image), bit_depth)
@@ -159,14 +159,14 @@ def _fitting(path: Path, image: ImageArray, bit_depth: int | None) -> ImageArray
     return image
 
 
-def _extent(paths: Sequence[Path]) -> tuple[float, float]:
+def _extent(images: Iterable[tuple[Path, npt.NDArray[np.generic]]]) -> tuple[float, float]:
     """Smallest and largest value of all images."""
     ends = []
-    for path in paths:
-        image = np.asarray(_read(path), dtype=np.float64)
-        if np.isnan(image).all():
+    for path, image in images:
+        values = np.asarray(image, dtype=np.float64)
+        if np.isnan(values).all():
             raise InputError(path, "expected values, found none but special constants")
-        ends.append((float(np.nanmin(image)), float(np.nanmax(image))))
+        ends.append((float(np.nanmin(values)), float(np.nanmax(values))))
     return min(least for least, _ in ends), max(most for _, most in ends)
 
 
@@ -175,11 +175,13 @@ def _kind(image: npt.NDArray[np.generic]) -> str:
     return f"{channels} channels of {image.dtype}"
 
 
-def grey_levels(images: Sequence[FloatArray], bit_depth: int) -> list[ImageArray]:
+def grey_levels(paths: Sequence[Path], images: Sequence[FloatArray], bit_depth: int) -> list[ImageArray]:
     """Scale images of any values to grey levels, all by one line from the smallest to the largest value.
 
     Parameters
     ----------
+    paths : sequence of Path
+        Where they come from.
     images : sequence of ndarray, shape (height, width)
         In any one unit; NaN where there is no value: becomes 0.
     bit_depth : int
@@ -189,11 +191,13 @@ def grey_levels(images: Sequence[FloatArray], bit_depth: int) -> list[ImageArray
     -------
     list of ndarray of uint8 or uint16, shape (height, width)
         Grey levels.
+
+    Raises
+    ------
+    InputError
+        When an image has no value.
     """
-    extent = (
-        min(float(np.nanmin(image)) for image in images),
-        max(float(np.nanmax(image)) for image in images),
-    )
+    extent = _extent(zip(paths, images, strict=True))
     return [_scaled(image, extent, bit_depth) for image in images]
 
 

@@ -127,12 +127,13 @@ def read_cube(path: Path) -> Cube:
 def _size(label: CubeLabel) -> tuple[int, int]:
     """Read samples and lines; refuse a file that ends before its pixels do."""
     core = label.group("IsisCube", "Core")
-    dimensions, kind = label.group("IsisCube", "Core", "Dimensions"), core["Pixels"]["Type"]
+    dimensions = label.group("IsisCube", "Core", "Dimensions")
+    kind = label.group("IsisCube", "Core", "Pixels").get("Type")
     sizes = {"UnsignedByte": 1, "SignedWord": 2, "UnsignedWord": 2, "Real": 4}
     if kind not in sizes:
         raise InputError(label.path, f"expected pixels of {', '.join(sizes)}, found {kind}", column="Type")
-    width, height = int(dimensions["Samples"]), int(dimensions["Lines"])
-    end = int(core["StartByte"]) - 1 + sizes[kind] * width * height
+    width, height = int(label.number(dimensions, "Samples")), int(label.number(dimensions, "Lines"))
+    end = int(label.number(core, "StartByte")) - 1 + sizes[kind] * width * height
     if end > len(label.data):
         problem = f"is truncated: expected {end} bytes or more, found {len(label.data)}"
         raise InputError(label.path, problem, column="Core")
@@ -177,9 +178,9 @@ def _parent_camera(
     label: CubeLabel, naif: Any, code: Any, width: int, height: int
 ) -> tuple[Camera, FloatArray]:
     """Camera of the whole image, and its axes (3, 3) in ISIS's camera frame, one per row."""
-    alpha = label.label["IsisCube"].get("AlphaCube")
-    if alpha is not None:
-        width, height = int(alpha["AlphaSamples"]), int(alpha["AlphaLines"])
+    if "AlphaCube" in label.label["IsisCube"]:
+        alpha = label.group("IsisCube", "AlphaCube")
+        width, height = (int(label.number(alpha, name)) for name in ("AlphaSamples", "AlphaLines"))
     focal_mm = float(_numbers(label, naif, f"INS{code}_FOCAL_LENGTH", 1)[0])
     sample = _numbers(label, naif, f"INS{code}_ITRANSS", 3)
     line = _numbers(label, naif, f"INS{code}_ITRANSL", 3)
@@ -213,7 +214,7 @@ def _require_pinhole(label: CubeLabel, naif: Any, code: Any, camera: Camera, foc
     # What is proportional to the radius is a focal length.
     shift_mm -= radius * (radius @ shift_mm) / (radius @ radius)
     largest_px = float(np.abs(shift_mm).max()) * camera.fx_px / focal_mm
-    width_px = float(label.group("IsisCube", "Core", "Dimensions")["Samples"])
+    width_px = label.number(label.group("IsisCube", "Core", "Dimensions"), "Samples")
     if largest_px * width_px / camera.width_px > _MAX_DISTORTION_PX:
         raise InputError(
             label.path,
@@ -224,12 +225,14 @@ def _require_pinhole(label: CubeLabel, naif: Any, code: Any, camera: Camera, foc
 
 def _cropped(label: CubeLabel, parent: Camera, width: int, height: int) -> Camera:
     """Camera of the cube's pixels, which may be a crop of the whole image at a lower resolution."""
-    alpha = label.label["IsisCube"].get("AlphaCube")
-    if alpha is None:
+    if "AlphaCube" not in label.label["IsisCube"]:
         return parent
-    first = np.array([alpha["AlphaStartingSample"], alpha["AlphaStartingLine"]], dtype=np.float64)
-    last = np.array([alpha["AlphaEndingSample"], alpha["AlphaEndingLine"]], dtype=np.float64)
-    step = (last - first) / [alpha["BetaSamples"], alpha["BetaLines"]]
+    alpha = label.group("IsisCube", "AlphaCube")
+    first, last, cropped = (
+        np.array([label.number(alpha, before + name + after) for name in ("Sample", "Line")])
+        for before, after in (("AlphaStarting", ""), ("AlphaEnding", ""), ("Beta", "s"))
+    )
+    step = (last - first) / cropped
     # Both ends are outer edges of pixels, in ISIS's count: the first pixel's centre is half a step inside.
     centre = (np.array([parent.cx_px, parent.cy_px]) + 1.0 - first) / step - 0.5
     return replace(
@@ -243,6 +246,9 @@ def _state(label: CubeLabel, naif: Any, axes: FloatArray) -> tuple[Body, CameraS
     """Body and state of the camera at the image."""
     pointing = _rotation(label, "InstrumentPointing")
     fixed = _rotation(label, "BodyRotation")
+    if fixed[1] is None:
+        problem = "expected the body's angular velocity beside its attitude, found attitudes only"
+        raise InputError(label.path, problem, column="BodyRotation")
     position = _at_middle(label, "InstrumentPosition", 7)
     sun = _at_middle(label, "SunPosition", 4)
     # Body-fixed and camera axes from those of J2000.
@@ -250,7 +256,8 @@ def _state(label: CubeLabel, naif: Any, axes: FloatArray) -> tuple[Body, CameraS
     spin = gRj @ fixed[1]
     gP = 1e3 * gRj @ position[:3]
     gV = 1e3 * gRj @ position[3:6] - np.cross(spin, gP)
-    rate = cRj @ pointing[1]
+    # Few kernels of attitudes lack rates; a camera without is taken to keep its attitude among the stars.
+    rate = np.zeros(3) if pointing[1] is None else cRj @ pointing[1]
     name = str(label.group("IsisCube", "Instrument").get("TargetName", "")).strip().capitalize()
     radii = [key for key, _ in naif.items() if key.startswith("BODY") and key.endswith("_RADII")]
     if not radii:
@@ -270,8 +277,8 @@ def _at_middle(label: CubeLabel, name: str, columns: int) -> FloatArray:
     return np.array([np.interp(middle, rows[:, -1], rows[:, k]) for k in range(rows.shape[1])])
 
 
-def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) from J2000 amid a table's time, and angular velocity (3,) in J2000, rad/s."""
+def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray | None]:
+    """Rotation (3, 3) from J2000 amid a table's time; angular velocity (3,) in J2000, rad/s, if stated."""
     keywords, rows = label.table(name, 5)
     _require_short(label, name, rows)
     middle = 0.5 * (rows[0, -1] + rows[-1, -1])
@@ -282,7 +289,7 @@ def _rotation(label: CubeLabel, name: str) -> tuple[FloatArray, FloatArray]:
     if not 0.49 < np.abs(q).max() < 1.01:
         raise InputError(label.path, f"expected unit quaternions, found {q.tolist()}", column=name)
     R = frames.from_quaternion_wxyz(q / np.linalg.norm(q))
-    rate = rows[k, 4:7] if rows.shape[1] >= 8 else np.zeros(3)
+    rate = rows[k, 4:7] if rows.shape[1] >= 8 else None
     constant = keywords.get("ConstantRotation")
     if constant is not None:
         R = np.array(constant, dtype=np.float64).reshape(3, 3) @ R

@@ -1,5 +1,6 @@
 """Labels of ISIS cubes and their binary tables."""
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +59,37 @@ class CubeLabel:
             if not hasattr(found, "keys") or name not in found:
                 raise InputError(self.path, f"expected {'/'.join(names)} in the label, found none")
             found = found[name]
+        if not hasattr(found, "keys"):
+            raise InputError(self.path, f"expected a group {'/'.join(names)} in the label, found {found}")
         return found
+
+    def number(self, group: Any, name: str) -> float:
+        """Read a keyword that is a number.
+
+        Parameters
+        ----------
+        group : dict
+            Where it stands.
+        name : str
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        InputError
+            When it is missing or no finite number.
+        """
+        value = group.get(name)
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not math.isfinite(number):
+            found = "none" if value is None else f"{value!r}"
+            raise InputError(self.path, f"expected a number in the label, found {found}", column=name)
+        return number
 
     def table(self, name: str, least: int) -> tuple[Any, FloatArray]:
         """Read a table of numbers.
@@ -88,11 +119,11 @@ class CubeLabel:
             problem = f"expected a table {name} of SPICE data (ISIS: spiceinit), found {has}"
             raise InputError(self.path, problem)
         fields = found.getall("Field") if "Field" in found else []
-        if any(field["Type"] != "Double" for field in fields):
+        if any(field.get("Type") != "Double" for field in fields):
             raise InputError(self.path, "expected fields of type Double", column=name)
-        columns = sum(int(field["Size"]) for field in fields)
-        begin, count = int(found["StartByte"]) - 1, int(found["Bytes"])
-        if columns < least or count != 8 * columns * int(found["Records"]):
+        columns = sum(int(self.number(field, "Size")) for field in fields)
+        begin, count = int(self.number(found, "StartByte")) - 1, int(self.number(found, "Bytes"))
+        if columns < least or count != 8 * columns * int(self.number(found, "Records")):
             problem = f"expected {least} or more columns of 8 bytes, found {columns} in {count} bytes"
             raise InputError(self.path, problem, column=name)
         if begin + count > len(self.data):
@@ -134,7 +165,7 @@ def read_label(path: Path) -> CubeLabel:
     if b"IsisCube" not in head[:200_000] or end is None:
         raise InputError(path, "expected an ISIS cube with an attached label")
     try:
-        label = pvl.loads(head[: end.end()].decode("latin-1"))
+        label = pvl.loads(head[: end.end()].decode("latin-1"), parser=_parser())
     except Exception as error:  # pvl raises errors of many classes, ValueError and its own among them
         raise InputError(path, f"expected an ISIS label: {' '.join(str(error).split())}") from None
     if "IsisCube" not in label or "Core" not in label["IsisCube"]:
@@ -144,3 +175,24 @@ def read_label(path: Path) -> CubeLabel:
         problem = f"expected the pixels in this file, found a detached label of {core['^Core']}"
         raise InputError(path, problem)
     return CubeLabel(path, data, label)
+
+
+def _parser() -> Any:
+    """Make a parser of `pvl` that gives up where it does not move on: `a = b = c` would keep it for ever."""
+    from pvl.parser import OmniParser
+
+    class Parser(OmniParser):  # type: ignore[misc]
+        """Notices a token at which it has stopped before."""
+
+        stopped_at = -1
+
+        def parse_module_post_hook(self, module: Any, tokens: Any) -> Any:
+            token = next(tokens, None)
+            if token is not None:
+                tokens.send(token)
+                if token.pos <= self.stopped_at:
+                    raise ValueError(f"expected a keyword, found {token}")
+                self.stopped_at = token.pos
+            return super().parse_module_post_hook(module, tokens)
+
+    return Parser()

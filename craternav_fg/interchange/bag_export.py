@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,6 @@ from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
-FORMATS = ("rosbag1", "rosbag2", "mcap")
 # Names of frames and topics.
 MAP, BODY, CAMERA = "body_fixed", "imu0", "cam0"
 IMAGE_TOPIC, INFO_TOPIC, IMU_TOPIC = "/cam0/image_raw", "/cam0/camera_info", "/imu0"
@@ -42,10 +42,18 @@ _LENS_NAMES = {
 }
 
 
+class BagFormat(StrEnum):
+    """Formats of bags."""
+
+    ROSBAG1 = "rosbag1"
+    ROSBAG2 = "rosbag2"
+    MCAP = "mcap"
+
+
 def export_bag(
     data: Dataset,
     path: Path,
-    kind: str,
+    kind: BagFormat,
     *,
     compressed: bool = False,
     estimates: Mapping[str, Trajectory] | None = None,
@@ -56,9 +64,8 @@ def export_bag(
     ----------
     data : Dataset
     path : Path
-        A file for "rosbag1", else a folder.
-    kind : str
-        One of `FORMATS`.
+        A file for rosbag1, else a folder.
+    kind : BagFormat
     compressed : bool
         Whether to write the images as PNG (`CompressedImage`).
     estimates : mapping of str to Trajectory, optional
@@ -121,14 +128,14 @@ class _Bag:
 
 
 @contextmanager
-def _writer(path: Path, kind: str) -> Iterator[_Bag]:
+def _writer(path: Path, kind: BagFormat) -> Iterator[_Bag]:
     """Open a bag to write, whole or not at all."""
     try:
         from rosbags import rosbag1, rosbag2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise CraternavError("bags need rosbags: pip install 'craternav_fg[ros]'") from None
-    if kind == "rosbag1":
+    if kind == BagFormat.ROSBAG1:
         with replacing(path) as temporary:
             # The writer wants to make its file itself.
             temporary.unlink()
@@ -138,7 +145,7 @@ def _writer(path: Path, kind: str) -> Iterator[_Bag]:
                 store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
                 yield _Bag(store, writer, ros1=True)
         return
-    plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    plugin = rosbag2.StoragePlugin.MCAP if kind == BagFormat.MCAP else rosbag2.StoragePlugin.SQLITE3
     with replacing_folder(path, marker="metadata.yaml", ours=("metadata.yaml", "*.db3", "*.mcap")) as folder:
         inner = folder / path.resolve().name
         with rosbag2.Writer(inner, version=8, storage_plugin=plugin) as writer:
@@ -248,7 +255,9 @@ def _odometry(bag: _Bag, topic: str, track: Trajectory, k: int, stamp: int) -> N
         "geometry_msgs/msg/Twist",
         linear=bag.vector(track.gRb[k].T @ track.gV[k]), angular=bag.vector(np.zeros(3)),
     )  # fmt: skip
-    covariance = np.zeros(36) if track.pose_covariance is None else _position_first(track.pose_covariance[k])
+    covariance = np.zeros(36)
+    if track.pose_covariance is not None:
+        covariance = _ros_covariance(track.pose_covariance[k], track.gRb[k])
     message = bag.make(
         ODOMETRY,
         header=bag.header(stamp, MAP), child_frame_id=BODY,
@@ -258,7 +267,11 @@ def _odometry(bag: _Bag, topic: str, track: Trajectory, k: int, stamp: int) -> N
     bag.write(topic, ODOMETRY, stamp, message)
 
 
-def _position_first(covariance: FloatArray) -> FloatArray:
-    """Covariance of (position, attitude), as ROS orders them, row by row."""
-    order = [3, 4, 5, 0, 1, 2]
-    return np.asarray(covariance[np.ix_(order, order)].ravel())
+def _ros_covariance(covariance: FloatArray, gRb: FloatArray) -> FloatArray:
+    """Covariance of (position, rotation about the axes of g), as ROS has it, row by row.
+
+    Ours is of (rotation vector in b, position): R exp(phi) = exp(R phi) R turns the rotation into g.
+    """
+    J = np.zeros((6, 6))
+    J[:3, 3:], J[3:, :3] = np.eye(3), gRb
+    return np.asarray((J @ covariance @ J.T).ravel())

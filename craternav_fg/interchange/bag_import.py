@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
-from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -24,20 +22,26 @@ from craternav_fg.interchange.bag_reading import (
     IMU,
     ODOMETRY,
     POSE,
-    TRANSFORMS,
     VECTOR,
     Bag,
     camera_of,
     image_of,
+    increasing_stamps,
     open_bag,
-    quaternion_wxyz,
     stamp_ns,
+    static_transform,
     vector,
 )
-from craternav_fg.trajectory import InitialState, Trajectory
+from craternav_fg.interchange.bag_truth import read_truth
+from craternav_fg.trajectory import InitialState
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+
+
+POSES = (ODOMETRY, POSE)
+# In place of a topic's name, which begins with a slash.
+NO_TRUTH = "none"
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class BagOptions:
     sun : ndarray, shape (3,), or None
         Unit vector towards the sun, in g. Without it, a topic of `Vector3Stamped` gives it.
     image, imu, truth, sun_topic : str or None
-        Topics, needed where several carry messages of a type.
+        Topics, needed where several carry messages of a type. `truth` is "none" to take no poses.
     """
 
     body: Body
@@ -84,7 +88,7 @@ class BagReport:
     Attributes
     ----------
     topics : dict of str to str or None
-        By what they carry.
+        By what they carry: images, imu, truth, sun, camera. None where there is none, or the options give it.
     frames : int
         Images written.
     skipped : int
@@ -93,6 +97,8 @@ class BagReport:
         Number of samples of the IMU.
     truth : bool
         Whether there is a trajectory for comparison.
+    uncovered_truth : str or None
+        Topic of poses that were left out, because they do not cover the images.
     """
 
     topics: dict[str, str | None]
@@ -100,6 +106,7 @@ class BagReport:
     skipped: int
     samples: int
     truth: bool
+    uncovered_truth: str | None
 
 
 def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
@@ -128,7 +135,9 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
         topics = {
             "images": bag.topic((IMAGE, COMPRESSED), options.image, "images", "--image-topic"),
             "imu": bag.topic((IMU,), options.imu, "an IMU", "--imu-topic"),
-            "truth": bag.topic((ODOMETRY, POSE), options.truth, "poses", "--truth-topic"),
+            "truth": None
+            if options.truth == NO_TRUTH
+            else bag.topic(POSES, options.truth, "poses", "--truth-topic"),
             "sun": None if options.sun is not None else _sun_topic(bag, options.sun_topic),
         }
         for what in ("images", "imu"):
@@ -142,11 +151,13 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
                 f"expected an initial state at the first image's stamp, {stamps[0]},"
                 f" found {options.initial.stamp_ns}",
             )
-        camera = options.camera or _camera(bag, topics["images"], camera_frame, imu_frame, depth)
+        topics["camera"], camera = None, options.camera
+        if camera is None:
+            camera, topics["camera"] = _camera(bag, topics["images"], camera_frame, imu_frame, depth)
         # Kalibr does not say how many bits a pixel has.
         if (camera.bit_depth == 8) != (depth == 8):
             camera = replace(camera, bit_depth=depth)
-        truth = _truth(bag, topics["truth"], stamps)
+        truth = read_truth(bag, topics["truth"], stamps, imu_frame)
         recording = Recording(
             body=options.body,
             camera=camera,
@@ -159,7 +170,17 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
             truth=truth,
         )
         write_dataset(folder, recording, _images(bag, topics["images"], covered, camera))
-    return BagReport(topics, len(stamps), int((~covered).sum()), len(imu.stamps_ns), truth is not None)
+    dropped = None
+    if truth is None:
+        dropped, topics["truth"] = topics["truth"], None
+    return BagReport(
+        topics=topics,
+        frames=len(stamps),
+        skipped=int((~covered).sum()),
+        samples=len(imu.stamps_ns),
+        truth=truth is not None,
+        uncovered_truth=dropped,
+    )
 
 
 def _sun_topic(bag: Bag, wanted: str | None) -> str | None:
@@ -179,21 +200,10 @@ def _imu(bag: Bag, topic: str | None) -> tuple[ImuLog, str]:
     if len(stamps) < 2:
         raise InputError(bag.path, f"expected at least two messages of {topic}, found {len(stamps)}")
     values = np.array(rows)
-    stamps_ns = _increasing(bag, topic, stamps)
+    stamps_ns = increasing_stamps(bag, topic, stamps)
     if not np.all(np.isfinite(values)):
         raise InputError(bag.path, f"{topic}: expected finite numbers")
     return ImuLog(stamps_ns, values[:, :3], values[:, 3:]), frame
-
-
-def _increasing(bag: Bag, topic: str | None, stamps: list[int]) -> IntArray:
-    found = np.array(stamps, dtype=np.int64)
-    back = np.flatnonzero(np.diff(found) <= 0)
-    if len(back):
-        k = int(back[0])
-        raise InputError(
-            bag.path, f"{topic}: expected stamps that increase, found {found[k + 1]} after {found[k]} ns"
-        )
-    return found
 
 
 def _frames(
@@ -206,7 +216,7 @@ def _frames(
         frame = message.header.frame_id
         if len(stamps) == 1:
             depth = 8 * image_of(bag.path, message).itemsize
-    all_ns = _increasing(bag, topic, stamps)
+    all_ns = increasing_stamps(bag, topic, stamps)
     begin = imu.stamps_ns[0] - (imu.stamps_ns[1] - imu.stamps_ns[0])
     covered = (all_ns >= begin) & (all_ns <= imu.stamps_ns[-1])
     if not covered.any():
@@ -236,35 +246,30 @@ def _images(
         yield image
 
 
-def _camera(bag: Bag, topic: str | None, camera_frame: str, imu_frame: str, depth: int) -> Camera:
-    """Camera of `CameraInfo` and of the static transforms."""
-    infos = sorted({c.topic for c in bag.reader.connections if c.msgtype == CAMERA_INFO})
-    beside = (topic or "").removesuffix("/compressed").rpartition("/")[0]
-    own = [name for name in infos if name.rpartition("/")[0] == beside] or infos
-    message = next(bag.messages(own[0]), None) if own else None
-    if message is None:
+def _camera(bag: Bag, images: str | None, frame: str, imu_frame: str, depth: int) -> tuple[Camera, str]:
+    """Camera of static transforms and of the `CameraInfo` beside the images or the only one; its topic."""
+    infos = bag.connected(CAMERA_INFO)
+    folder = (images or "").removesuffix("/compressed").rpartition("/")[0]
+    beside = [name for name in infos if name.rpartition("/")[0] == folder]
+    candidates = beside or infos
+    if len(candidates) > 1:
+        known = ", ".join(candidates)
+        raise InputError(bag.path, f"expected one CameraInfo beside {images}, found {known}: give --camera")
+    topic = candidates[0] if candidates else None
+    message = next(bag.messages(topic), None)
+    if topic is None or message is None:
         raise InputError(bag.path, "expected a topic of CameraInfo, found none: give --camera")
-    bTc = _mounting(bag, imu_frame, camera_frame)
-    return camera_of(bag.path, message, bTc, depth)
-
-
-def _mounting(bag: Bag, parent: str, child: str) -> FloatArray:
-    """Pose of one frame in another, by a static transform between the two."""
-    if parent == child:
-        return np.eye(4)
-    topic = "/tf_static"
-    if any(c.topic == topic and c.msgtype == TRANSFORMS for c in bag.reader.connections):
-        for message in bag.messages(topic):
-            for one in message.transforms:
-                R = frames.from_quaternion_wxyz(np.array(quaternion_wxyz(one.transform.rotation)))
-                T = frames.pose(R, np.array(vector(one.transform.translation)))
-                if (one.header.frame_id, one.child_frame_id) == (parent, child):
-                    return T
-                if (one.header.frame_id, one.child_frame_id) == (child, parent):
-                    return frames.inverse(T)
-    raise InputError(
-        bag.path, f"expected a static transform between {parent} and {child}, found none: give --camera"
-    )
+    found = message.header.frame_id
+    if not beside and found and frame and found != frame:
+        problem = f"expected a CameraInfo of the images' frame, {frame}, found that of {found}"
+        raise InputError(bag.path, f"{topic}: {problem}: give --camera")
+    bTc = static_transform(bag, imu_frame, frame)
+    if bTc is None:
+        raise InputError(
+            bag.path,
+            f"expected a static transform between {imu_frame} and {frame}, found none: give --camera",
+        )
+    return camera_of(bag.path, message, bTc, depth), topic
 
 
 def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray) -> SunVectors:
@@ -274,7 +279,9 @@ def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray
     for message in bag.messages(topic):
         found.append(stamp_ns(message))
         rows.append(vector(message.vector))
-    stamps_ns, vectors = _increasing(bag, topic, found), np.array(rows)
+    if not found:
+        raise InputError(bag.path, f"{topic}: expected directions towards the sun, found none")
+    stamps_ns, vectors = increasing_stamps(bag, topic, found), np.array(rows)
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     is_direction = np.isfinite(length[:, 0]) & (length[:, 0] > 0.0)
     if not is_direction.all():
@@ -283,25 +290,3 @@ def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray
         )
     # A unit vector keeps its bits.
     return SunVectors(stamps_ns, np.where(np.abs(length - 1.0) < 1e-9, vectors, vectors / length))
-
-
-def _truth(bag: Bag, topic: str | None, stamps: IntArray) -> Trajectory | None:
-    """Trajectory for comparison; None without a topic, or when it does not cover the images."""
-    found, poses, velocities = [], [], []
-    for message in bag.messages(topic):
-        odometry = hasattr(message, "twist")
-        pose = message.pose.pose if odometry else message.pose
-        R = frames.from_quaternion_wxyz(np.array(quaternion_wxyz(pose.orientation)))
-        found.append(stamp_ns(message))
-        poses.append(frames.pose(R, np.array(vector(pose.position))))
-        if odometry:
-            velocities.append(R @ np.array(vector(message.twist.twist.linear)))
-    if len(found) < 2:
-        return None
-    stamps_ns = _increasing(bag, topic, found)
-    if stamps_ns[0] > stamps[0] or stamps_ns[-1] < stamps[-1]:
-        return None
-    gTb = np.array(poses)
-    seconds = 1e-9 * (stamps_ns - stamps_ns[0])
-    gV = np.array(velocities) if velocities else CubicSpline(seconds, gTb[:, :3, 3])(seconds, 1)
-    return Trajectory(stamps_ns, gTb, gV, np.zeros((len(gTb), 6)))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from craternav_fg import lens
+from craternav_fg import frames, lens
 from craternav_fg.camera import Camera
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.sensor_files import lens_of
@@ -48,6 +48,10 @@ class Bag:
     path: Path
     reader: Any
 
+    def connected(self, *types: str) -> list[str]:
+        """List the topics of some message types, by name."""
+        return sorted({c.topic for c in self.reader.connections if c.msgtype in types})
+
     def topic(self, types: Sequence[str], wanted: str | None, what: str, option: str) -> str | None:
         """Find the topic of some message types.
 
@@ -71,7 +75,7 @@ class Bag:
         InputError
             When the wanted one is not there, or several could be meant.
         """
-        found = sorted({c.topic for c in self.reader.connections if c.msgtype in types})
+        found = self.connected(*types)
         if wanted is not None:
             if wanted not in found:
                 known = ", ".join(found) or "none"
@@ -94,9 +98,15 @@ class Bag:
         connections = [c for c in self.reader.connections if c.topic == topic]
         if not connections:
             return
-        with _reading(self.path):
-            for connection, _, raw in self.reader.messages(connections=connections):
-                yield self.reader.deserialize(raw, connection.msgtype)
+        read = self.reader.messages(connections=connections)
+        while True:
+            with _reading(self.path):
+                found = next(read, None)
+                if found is None:
+                    return
+                connection, _, raw = found
+                message = self.reader.deserialize(raw, connection.msgtype)
+            yield message
 
 
 @contextmanager
@@ -130,9 +140,13 @@ def open_bag(path: Path) -> Iterator[Bag]:
     for one in entries(path) if path.is_dir() else [path]:
         check_input(one, SizeLimit.BAG)
     with _reading(path):
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        with AnyReader([path], default_typestore=store) as reader:
-            yield Bag(path, reader)
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    # What is done with the bag is outside of `_reading`: a defect there is no damage of the bag.
+    try:
+        yield Bag(path, reader)
+    finally:
+        reader.close()
 
 
 @contextmanager
@@ -162,6 +176,76 @@ def quaternion_wxyz(message: Any) -> tuple[float, float, float, float]:
     return float(message.w), float(message.x), float(message.y), float(message.z)
 
 
+def increasing_stamps(bag: Bag, topic: str | None, stamps: Sequence[int]) -> IntArray:
+    """Check that the stamps of a topic's messages increase.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        The stamps, ns.
+
+    Raises
+    ------
+    InputError
+        When one does not.
+    """
+    found = np.array(stamps, dtype=np.int64)
+    back = np.flatnonzero(np.diff(found) <= 0)
+    if len(back):
+        k = int(back[0])
+        raise InputError(
+            bag.path, f"{topic}: expected stamps that increase, found {found[k + 1]} after {found[k]} ns"
+        )
+    return found
+
+
+def pose_of(bag: Bag, where: str, position: Any, orientation: Any) -> FloatArray:
+    """Make a pose of the vector and the quaternion of a message.
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        Translation in the vector's unit.
+
+    Raises
+    ------
+    InputError
+        When a number is not finite, or the quaternion is zero.
+    """
+    t, q = vector(position), quaternion_wxyz(orientation)
+    if not np.all(np.isfinite([*t, *q])) or not any(q):
+        raise InputError(
+            bag.path, f"{where}: expected a position and a quaternion, found {list(t)}, {list(q)} (wxyz)"
+        )
+    return frames.pose(frames.from_quaternion_wxyz(np.array(q)), np.array(t))
+
+
+def static_transform(bag: Bag, parent: str, child: str) -> FloatArray | None:
+    """Look up the pose of one frame in another, by a static transform between the two.
+
+    Returns
+    -------
+    ndarray, shape (4, 4), or None
+        Of the child in the parent, m; None when the bag holds no such transform.
+
+    Raises
+    ------
+    InputError
+        When it is no pose.
+    """
+    if parent == child:
+        return np.eye(4)
+    topic = "/tf_static"
+    for message in bag.messages(topic) if topic in bag.connected(TRANSFORMS) else ():
+        for one in message.transforms:
+            names = one.header.frame_id, one.child_frame_id
+            if names in ((parent, child), (child, parent)):
+                where = f"{topic}, {names[0]} to {names[1]}"
+                T = pose_of(bag, where, one.transform.translation, one.transform.rotation)
+                return T if names == (parent, child) else frames.inverse(T)
+    return None
+
+
 def image_of(path: Path, message: Any) -> ImageArray:
     """Decode the pixels of an `Image` or a `CompressedImage`.
 
@@ -183,8 +267,10 @@ def image_of(path: Path, message: Any) -> ImageArray:
     """
     where = f"image of stamp {stamp_ns(message)}"
     if hasattr(message, "format"):
-        image: Any = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None:
+        coded = np.asarray(message.data, dtype=np.uint8)
+        # OpenCV raises where there are no bytes, and reads pictures of other numbers than grey levels.
+        image: Any = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if len(coded) else None
+        if image is None or image.dtype not in (np.uint8, np.uint16):
             raise InputError(path, f"{where}: expected a PNG or JPEG, found {message.format!r}")
         if image.ndim == 3:
             image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
@@ -197,6 +283,8 @@ def image_of(path: Path, message: Any) -> ImageArray:
     kind = np.dtype(_GREY.get(encoding, np.uint8)).newbyteorder(">" if message.is_bigendian else "<")
     width = int(message.width) * channels
     data = np.asarray(message.data, dtype=np.uint8)
+    if not message.width or not message.height:
+        raise InputError(path, f"{where}: expected pixels, found {message.width} x {message.height}")
     if len(data) != message.step * message.height or message.step < width * kind.itemsize:
         raise InputError(
             path, f"{where}: expected {message.height} rows of {message.step} bytes, found {len(data)} bytes"

@@ -10,7 +10,7 @@ from pydantic import Field
 from craternav_fg import frames, lens
 from craternav_fg.camera import Camera
 from craternav_fg.config import Positive, Section, line_of, read_text, validate
-from craternav_fg.dataset.sensor_files import LENS_NAMES, lens_of
+from craternav_fg.dataset.sensor_files import LENS_NAMES, intrinsics_problem, lens_of
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuNoise
 from craternav_fg.sensors.yaml_files import mounting, parse_yaml
@@ -81,7 +81,8 @@ def read_camchain(path: Path, name: str = "cam0") -> tuple[Camera, float]:
     Raises
     ------
     InputError
-        When the file is wrong, has no such camera, or a lens model that is not known here.
+        When the file is wrong, has no such camera, a lens model that is not known here, or intrinsics that do
+        not fit the resolution.
     """
     text = read_text(path)
     chain = parse_yaml(path, text)
@@ -97,8 +98,10 @@ def read_camchain(path: Path, name: str = "cam0") -> tuple[Camera, float]:
     coefficients = file.distortion_coeffs or (0.0,) * 4
     if model == lens.RADIAL_TANGENTIAL and len(coefficients) == 4:
         coefficients = (*coefficients, 0.0)
-    cTb = mounting(path, text, tuple(np.array(file.T_cam_imu).ravel().tolist()))
+    cTb = mounting(path, text, tuple(np.array(file.T_cam_imu).ravel().tolist()), (name, "T_cam_imu"))
     (width, height), (fx, fy, cx, cy) = file.resolution, file.intrinsics
+    if wrong := intrinsics_problem(width, height, file.intrinsics):
+        raise InputError(path, wrong, line=line_of(text, [name, "intrinsics"]), column=f"{name}.intrinsics")
     try:
         camera = Camera(
             width, height, fx, fy, cx, cy, frames.inverse(cTb), coefficients, lens_model=model
@@ -125,17 +128,43 @@ def read_kalibr_imu(path: Path) -> ImuNoise:
     InputError
         When the file is wrong.
     """
-    text = read_text(path)
-    data = parse_yaml(path, text)
-    if isinstance(data.get("imu0"), dict):
-        data = {key: value for key, value in data["imu0"].items() if key in _Imu.model_fields}
-    file = validate(path, data, _Imu, text=text)
+    file = _imu_file(path)
     return ImuNoise(
         gyro_density=file.gyroscope_noise_density,
         accelerometer_density=file.accelerometer_noise_density,
         gyro_walk=file.gyroscope_random_walk,
         accelerometer_walk=file.accelerometer_random_walk,
     )
+
+
+def read_kalibr_imu_rate_hz(path: Path) -> float:
+    """Read the nominal rate of an IMU.
+
+    Parameters
+    ----------
+    path : Path
+        As for `read_kalibr_imu`.
+
+    Returns
+    -------
+    float
+        100 where the file does not state it.
+
+    Raises
+    ------
+    InputError
+        When the file is wrong.
+    """
+    return _imu_file(path).update_rate
+
+
+def _imu_file(path: Path) -> _Imu:
+    """Read what `imu.yaml` says of the IMU, or of the first one."""
+    text = read_text(path)
+    data = parse_yaml(path, text)
+    if isinstance(data.get("imu0"), dict):
+        data = {key: value for key, value in data["imu0"].items() if key in _Imu.model_fields}
+    return validate(path, data, _Imu, text=text)
 
 
 def camchain_yaml(camera: Camera, topic: str) -> str:

@@ -52,11 +52,13 @@ def footprint(gTb: FloatArray, camera: Camera, body: Body) -> FloatArray | None:
     Returns
     -------
     ndarray, shape (n, 2), or None
-        Longitude and latitude, deg, closed, without jumps at 180 deg. None when the horizon is in the image
-        or the body is not.
+        Longitude and latitude, deg, closed, counter-clockwise, without jumps at 180 deg. Around a pole the
+        outline runs through all longitudes, and is closed along the edge of the map that is the pole. None
+        when the horizon is in the image or the body is not.
     """
     upper, lower, left, right = np.split(camera.border_px(_SIDE_POINTS), 4)
-    around_px = np.concatenate([upper[:-1], right[:-1], lower[:0:-1], left[:0:-1]])
+    # Counter-clockwise as seen from above: RFC 7946 and KML have outer rings so.
+    around_px = np.concatenate([left[:-1], lower[:-1], right[:0:-1], upper[:0:-1]])
     rays = np.column_stack([camera.normalised(around_px), np.ones(len(around_px))])
     gTc = camera.gTc(gTb)
     directions = rays @ gTc[:3, :3].T
@@ -68,8 +70,15 @@ def footprint(gTb: FloatArray, camera: Camera, body: Body) -> FloatArray | None:
         return None
     points = P + (-along - np.sqrt(root))[:, None] * directions
     latitude, longitude = frames.latitude_longitude(points)
-    outline = np.degrees(np.stack([np.unwrap(longitude), latitude], axis=-1))
-    return np.concatenate([outline, outline[:1]])
+    # The first point once more, at the longitude that the last one leads to.
+    closed = np.append(longitude, longitude[0]), np.append(latitude, latitude[0])
+    outline = np.degrees(np.stack([np.unwrap(closed[0]), closed[1]], axis=-1))
+    begin, end = outline[0, 0], outline[-1, 0]
+    if abs(end - begin) < 180.0:
+        outline[-1] = outline[0]
+        return outline
+    pole = np.copysign(90.0, P[2])
+    return np.concatenate([outline, [[end, pole], [begin, pole]], outline[:1]])
 
 
 def write_geojson(path: Path, trajectory: Trajectory, camera: Camera, body: Body, every: int = 1) -> None:

@@ -13,6 +13,7 @@ from craternav_fg.dataset import Dataset, layout
 from craternav_fg.ellipse import normalised_chart
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.matching.gate import match_rims
+from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex, load_or_build
 from craternav_fg.measurements import RimSet
@@ -126,7 +127,9 @@ class Relocaliser:
     def _identified(self, found: FoundRims) -> PoseFix | None:
         """Pose of the image whose rims were detected; None when their craters are not identified."""
         data = self._dataset
-        answer = identify(found.ellipses_px, data.camera.pinhole, self._triples)
+        answer = identify(
+            found.ellipses_px, data.camera.pinhole, self._triples, options=IdentifyOptions.of(data.camera)
+        )
         if not answer.identified:
             return None
         charts, covariances = self._normalised(found)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.camera import Camera
 from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.solve_kernel import normal_equations
 from factors.kernels import packed
@@ -63,6 +64,26 @@ class IntrinsicsPrior:
     focal_sigma: float = FOCAL_SIGMA
     principal_sigma_px: float = PRINCIPAL_SIGMA_PX
     focal_stated: bool = False
+
+    @classmethod
+    def of(cls, camera: Camera) -> "IntrinsicsPrior":
+        """Take what a camera states, else the usual sigmas.
+
+        Parameters
+        ----------
+        camera : Camera
+
+        Returns
+        -------
+        IntrinsicsPrior
+        """
+        percent, principal_px = camera.focal_sigma_percent, camera.principal_sigma_px
+        return cls(
+            camera.focal_px,
+            FOCAL_SIGMA if percent is None else 0.01 * percent,
+            PRINCIPAL_SIGMA_PX if principal_px is None else principal_px,
+            focal_stated=percent is not None,
+        )
 
     @property
     def sigmas(self) -> FloatArray:

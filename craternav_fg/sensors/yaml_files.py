@@ -103,8 +103,8 @@ def _numbers(value: Any) -> Any:
     return value
 
 
-def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
-    """Read the pose of a sensor from the sixteen numbers of T_BS.
+def mounting(path: Path, text: str, data: tuple[float, ...], keys: tuple[str, ...] = ("T_BS",)) -> FloatArray:
+    """Read a pose from sixteen numbers, as those of T_BS.
 
     Parameters
     ----------
@@ -114,11 +114,13 @@ def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
         Text of the file, to find the line.
     data : tuple of float
         Row by row.
+    keys : tuple of str
+        Where they stand in the file.
 
     Returns
     -------
     ndarray, shape (4, 4)
-        Pose of the sensor in b, m.
+        Pose of the sensor in b, for T_BS; translation in m.
 
     Raises
     ------
@@ -132,8 +134,8 @@ def mounting(path: Path, text: str, data: tuple[float, ...]) -> FloatArray:
         raise InputError(
             path,
             "expected a rotation and a translation, last row 0 0 0 1",
-            line=line_of(text, ["T_BS"]),
-            column="T_BS",
+            line=line_of(text, list(keys)),
+            column=".".join(keys),
         )
     return T
 

@@ -16,7 +16,7 @@ import pyarrow.compute as pa_compute
 import pyarrow.csv as pa_csv
 
 from craternav_fg.errors import InputError
-from craternav_fg.files import SizeLimit, open_input
+from craternav_fg.files import SizeLimit, check_input, open_input
 from craternav_fg.tables.arrow import numbers
 from craternav_fg.tables.sizes import LARGEST
 
@@ -68,10 +68,13 @@ class Table:
     path : Path
     columns : dict of str to ndarray or list of str
         Float64 for numbers, int64 for integers; optional columns only when they are there.
+    headed : bool
+        Whether the file begins with a header.
     """
 
     path: Path
     columns: Mapping[str, Any]
+    headed: bool = True
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -104,7 +107,8 @@ class Table:
             1-based.
         """
         with _csv_reader(self.path) as reader:
-            _first_cells(reader)
+            if self.headed:
+                _first_cells(reader)
             count = -1
             for cells in reader:
                 count += not _is_blank(cells)
@@ -155,9 +159,14 @@ class Table:
 
 
 def read_table(
-    path: Path, columns: Sequence[Column], *, ignored: Sequence[str] = (), others: bool = False
+    path: Path,
+    columns: Sequence[Column],
+    *,
+    ignored: Sequence[str] = (),
+    others: bool = False,
+    headed: bool = True,
 ) -> Table:
-    """Read a CSV file with a header. Blank lines and spaces around cells are ignored.
+    """Read a CSV file. Blank lines and spaces around cells are ignored.
 
     Parameters
     ----------
@@ -169,6 +178,8 @@ def read_table(
     others : bool
         Accept columns of any other name as well, unless they begin like an optional one: `sigma` is more
         likely a misspelt `sigma_px` than a column that need not be read.
+    headed : bool
+        Whether the file begins with a header; without one, it has all columns, in their order.
 
     Returns
     -------
@@ -181,7 +192,11 @@ def read_table(
         When the file cannot be opened, see `craternav_fg.files.open_input`; when a column is missing or
         unknown, or a cell is not of its kind.
     """
-    names, found, header_line = _read_header(path, columns, ignored, others)
+    if headed:
+        names, found, header_line = _read_header(path, columns, ignored, others)
+    else:
+        check_input(path, SizeLimit.TABLE)
+        names, found, header_line = [column.name for column in columns], list(columns), 0
     by_name = {column.name: column for column in found}
     try:
         table = pa_csv.read_csv(
@@ -198,8 +213,8 @@ def read_table(
         data = {name: _from_arrow(table[name], column) for name, column in by_name.items()}
     except (pa.ArrowInvalid, _EmptyCellError):
         # Read again cell by cell, which is slow, to find the one at fault.
-        data = _read_slowly(path, names, by_name)
-    result = Table(path, data)
+        data = _read_slowly(path, names, by_name, headed)
+    result = Table(path, data, headed)
     for column in found:
         if column.kind == "number":
             cells = data[column.name]
@@ -302,13 +317,14 @@ def _first_cells(reader: Iterable[list[str]]) -> list[str]:
     return next((cells for cells in reader if not _is_blank(cells)), [])
 
 
-def _read_slowly(path: Path, names: list[str], by_name: Mapping[str, Column]) -> dict[str, Any]:
+def _read_slowly(path: Path, names: list[str], by_name: Mapping[str, Column], headed: bool) -> dict[str, Any]:
     data: dict[str, Any] = {
         name: [] if column.kind == "text" else array("q" if column.kind == "integer" else "d")
         for name, column in by_name.items()
     }
     with _csv_reader(path) as reader:
-        _first_cells(reader)
+        if headed:
+            _first_cells(reader)
         for cells in reader:
             if _is_blank(cells):
                 continue

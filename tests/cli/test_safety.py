@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -60,6 +61,84 @@ def test_a_run_is_replaced_by_force_alone(data: Path, tmp_path: Path) -> None:
     assert list(json.loads((run / "metrics.json").read_text())["estimators"]) == ["smoother", "ekf"]
     assert call("reconstruct", data, "-o", run, "-e", "dead_reckoning", "--force").code == 0
     assert list(json.loads((run / "metrics.json").read_text())["estimators"]) == ["dead_reckoning"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "beside"),
+    [
+        (["export", "kitti", "run", "-o", "out/s.txt"], "s_times.txt"),
+        (["detect", "image.png", "-o", "out/rims.csv", "--method", "canny"], "rims_overlay.png"),
+        (
+            ["catalog", "merge", "a.csv", "b.csv", "-o", "out/c.csv", "--sources", "out/sources.csv"],
+            "sources.csv",
+        ),
+    ],
+    ids=["times", "overlay", "sources"],
+)
+def test_what_is_written_beside_a_result_is_replaced_by_force_alone(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], beside: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "run" in arguments:
+        assert call("reconstruct", data, "-o", "run", "-e", "ekf").code == 0
+    cv2.imwrite("image.png", np.zeros((64, 64), np.uint8))
+    for name in ("a.csv", "b.csv"):
+        shutil.copy(data / "craters.csv", name)
+    Path("out").mkdir()
+    kept = Path("out") / beside
+    kept.write_text("kept")
+    done = call(*arguments)
+    assert (done.code, done.err) == (
+        2,
+        f"craternav: {kept}: already exists: choose another name, or replace it with --force\n",
+    )
+    assert [path.name for path in Path("out").iterdir()] == [beside]
+    done = call(*arguments, "--force")
+    assert done.code == 0, done.err
+    assert kept.read_bytes() != b"kept"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        *(
+            (
+                ["detect", "image.png", *given],
+                f"{given[0]}: does nothing for one image that is not searched into a folder (-o FOLDER)",
+            )
+            for given in (
+                ["--body", "Moon"], ["--body-radius-m", "1e6"], ["--workers", "2"], ["--scheduler", "a:1"]
+            )
+        ),
+        (
+            ["detect", "image.png", "b.png", "--body", "Moon"],
+            "--body: does nothing for several images, only for one mosaic",
+        ),
+        *(
+            (["catalog", "refine", "a.csv", source, "x", *given], f"{given[0]}: does nothing without --dem")
+            for source in ("--images", "--posed-images")
+            for given in (
+                # Also the default, which would be as misleading.
+                ["--dem-unit-m", "1"], ["--min-diameter-steps", "9"], ["--resolution-steps", "2"],
+                ["--scheduler", "a:1"],
+            )
+        ),
+        *(
+            (["bench", subject, *given], f"{given[0]}: does nothing for bench {subject}")
+            for subject in ("detect-real", "identify-ground")
+            for given in (["--output", "a.png"], ["--compare", "a.json"], ["--full"], ["--force"])
+        ),
+        (["bench", "scaling", "--full"], "--full: does nothing for bench scaling"),
+        (["bench", "--data", "x"], "--data: does nothing for bench speed"),
+    ],
+)  # fmt: skip
+def test_an_option_that_would_do_nothing_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], problem: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call(*arguments)
+    assert (done.code, done.err) == (2, f"craternav: {problem}: leave it out\n")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_command_that_writes_a_result_has_force() -> None:

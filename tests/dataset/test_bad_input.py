@@ -95,6 +95,10 @@ CASES = {
     "IMU log ends early": (drop_lines(IMU, 39, 42), [IMU, "over the frames", str(FRAMES_NS[2])]),
     "IMU log of one row": (drop_lines(IMU, 3, 42), [IMU, "two rows", "1"]),
     "no frames": (drop_lines(CAM, 2, 4), [CAM, "one frame"]),
+    "one image twice": (
+        cell(CAM, 4, 1, f"{FRAMES_NS[0]}.png"),
+        [f"{CAM}:4: filename", "each image once", f"'{FRAMES_NS[0]}.png' of line 2 again"],
+    ),
     "image in another folder": (cell(CAM, 3, 1, "../x.png"), [f"{CAM}:3", "filename", "../x.png"]),
     "image missing": (remove(f"{layout.IMAGES}/{SECOND}.png"), [f"{SECOND}.png", "missing"]),
     "image truncated": (image(SECOND, lambda data: data[:-100]), [f"{SECOND}.png", "truncated"]),

@@ -202,6 +202,17 @@ def test_charts_and_covariances_alone_are_enough(rims_folder):
         exact_all(found.arcs, whole.arcs)
 
 
+def test_how_well_the_intrinsics_are_known_survives(tmp_path):
+    rng = np.random.default_rng(7)
+    given = recording(rng)
+    for focal_percent, principal_px in ((0.3, None), (None, 0.0), (0.0, 2.5)):
+        sigmas = {"focal_sigma_percent": focal_percent, "principal_sigma_px": principal_px}
+        camera = replace(given.camera, **sigmas)
+        write_dataset(tmp_path / "data", replace(given, camera=camera), random_images(rng))
+        found = Dataset.open(tmp_path / "data").camera
+        assert (found.focal_sigma_percent, found.principal_sigma_px) == (focal_percent, principal_px)
+
+
 def test_truth_at_other_times_is_interpolated(folder):
     stamps = START_NS + np.arange(-1, 6) * 90_000_000
     t = (stamps - START_NS) * 1e-9
@@ -217,6 +228,23 @@ def test_truth_at_other_times_is_interpolated(folder):
     np.testing.assert_allclose(truth.gV[:, 0], 20.0 * at, atol=1e-6)
     np.testing.assert_allclose(truth.gRb[:, 2, 1], np.sin(0.3 * at), atol=1e-12)
     np.testing.assert_allclose(truth.bias[:, 5], 0.01 * at, atol=1e-12)
+
+
+@pytest.mark.parametrize(("last_s", "accepted"), [(30.1, True), (30.2, False)])
+def test_states_are_not_interpolated_over_long_gaps(folder, last_s, accepted):
+    """The second frame, 0.2 s after the first, lies in a gap from 0.1 s after it."""
+    seconds = np.array([0.0, 0.1, last_s])
+    zero = 0 * seconds
+    columns = [START_NS + np.round(1e9 * seconds).astype(np.int64), 2e6 + zero, zero, zero, 1 + zero]
+    write_table(folder.path / layout.TRUTH, layout.TRUTH_COLUMNS, columns + 12 * [zero])
+    if accepted:
+        assert Dataset.open(folder.path).truth is not None
+        return
+    with pytest.raises(InputError) as caught:
+        Dataset.open(folder.path)
+    begin, end = columns[0][1:]
+    assert f"{layout.TRUTH}:4: timestamp: " in str(caught.value)
+    assert f"around frame {FRAMES_NS[1]}, found a gap of 30.100 s from {begin} to {end}" in str(caught.value)
 
 
 def test_truth_is_optional(folder):

@@ -9,7 +9,7 @@ import rasterio
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.dataset import Dataset, write_dataset
 from craternav_fg.dataset.sensor_files import camera_yaml
-from craternav_fg.interchange.bag_export import FORMATS, export_bag
+from craternav_fg.interchange.bag_export import BagFormat, export_bag
 from craternav_fg.interchange.kalibr import camchain_yaml, kalibr_imu_yaml
 from tests.dataset.samples import random_images, recording
 from tests.fuzz.target import Target
@@ -134,7 +134,7 @@ def _bags(folder: Path) -> Target:
     write_dataset(folder / "data", recording(rng), random_images(rng))
     data = Dataset.open(folder / "data")
     assert data.imu_noise is not None
-    for kind in FORMATS:
+    for kind in BagFormat:
         (folder / kind).mkdir()
         export_bag(data, name_of(folder / kind, kind), kind, compressed=kind == "rosbag2")
     (folder / "camchain.yaml").write_text(camchain_yaml(data.camera, "/cam0/image_raw"))
@@ -145,7 +145,7 @@ def _bags(folder: Path) -> Target:
             "--description", f"{here}/data/dataset.toml", "--catalog", f"{here}/data/craters.csv", "--imu",
             f"{here}/imu.yaml", "-o", f"{here}/out",
         ]  # fmt: skip
-        bags = [["import", "bag", str(name_of(here / kind, kind)), *more] for kind in FORMATS]
+        bags = [["import", "bag", str(name_of(here / kind, kind)), *more] for kind in BagFormat]
         yamls = [f"{here}/camchain.yaml", f"{here}/imu.yaml"]
         return [
             *([*bag, *camera] for bag in bags for camera in ([], ["--camera", yamls[0]])),

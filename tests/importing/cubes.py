@@ -61,13 +61,15 @@ def write_cube(
     exposure="",
     rows=1,
     focal_mm=100.0,
+    without_rates=(),
 ) -> Path:
     """Write a cube of a few pixels with its tables."""
     width, height = size
     pixels = (np.arange(width * height).reshape(height, width) % 200).astype(TYPES[kind])
     begin, text, data = 8192 + pixels.nbytes, "", b""
     for name in tables:
-        values = np.array([[*ROWS[name][:-1], ROWS[name][-1] + 10.0 * k] for k in range(rows)])
+        row = [*ROWS[name][:4], ROWS[name][-1]] if name in without_rates else ROWS[name]
+        values = np.array([[*row[:-1], row[-1] + 10.0 * k] for k in range(rows)])
         fields = "".join(
             f"  Group = Field\n    Name = F{k}\n    Type = Double\n    Size = 1\n  End_Group\n"
             for k in range(values.shape[1])

@@ -1,5 +1,7 @@
 """Plain images with a table of times."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -83,9 +85,20 @@ def test_wrong_images_and_times_are_refused(tmp_path):
 
 
 def test_grey_levels_share_one_scale():
-    one, other = grey_levels([np.array([[0.0, 1.0]]), np.array([[np.nan, 4.0]])], 8)
+    one, other = grey_levels([Path("a"), Path("b")], [np.array([[0.0, 1.0]]), np.array([[np.nan, 4.0]])], 8)
     assert one.tolist() == [[0, 64]]
     assert other.tolist() == [[0, 255]]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("empty", [0, 1])
+def test_an_image_without_values_is_named_wherever_it_stands(empty):
+    images = [np.array([[0.0, 1.0]]), np.array([[2.0, 4.0]])]
+    images[empty] = np.full((1, 2), np.nan)
+    with pytest.raises(
+        InputError, match=rf"^{empty}\.cub: expected values, found none but special constants"
+    ):
+        grey_levels([Path("0.cub"), Path("1.cub")], images, 8)
 
 
 def test_gravity_is_known_of_the_moon_only():

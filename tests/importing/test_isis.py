@@ -206,6 +206,55 @@ def test_wrong_cubes_are_refused_by_one_line(tmp_path):
     refused(no_focal, "INS-1_FOCAL_LENGTH: expected 1 numbers, found None")
 
 
+def test_a_body_without_its_rotation_rate_is_refused(tmp_path):
+    """Velocities relative to the body would be inertial ones: 4.6 m/s more on the Moon's equator."""
+    path = write_cube(tmp_path / "a.cub", without_rates=("BodyRotation",))
+    with pytest.raises(InputError, match=r"a.cub: BodyRotation: expected the body's angular velocity"):
+        read_cube(path)
+
+
+def test_a_camera_without_rates_keeps_its_attitude_among_the_stars(tmp_path):
+    whole, cube = (
+        read_cube(write_cube(tmp_path / "a.cub", without_rates=names))
+        for names in ((), ("InstrumentPointing",))
+    )
+    assert cube.state.rate.tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(cube.state.gV, whole.state.gV)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("Type = Real", "Kind = Real", "Type: expected pixels of .*, found None"),
+        ("Samples = 24", "Samples = many", "Samples: expected a number in the label, found 'many'"),
+        ("Lines = 20", "", "Lines: expected a number in the label, found none"),
+        (
+            "    StartByte = 8193",
+            "    Offset = 8193",
+            "StartByte: expected a number in the label, found none",
+        ),
+        ("  Records = 1\n", "", "Records: expected a number in the label, found none"),
+        ("Group = Pixels\n", "Pixels = 3\n", "expected"),
+        # pvl by itself never ends here.
+        ("StartByte = 8193\n    Format = BandSequential\n    Group =", "StartByte = 81 =", "an ISIS label"),
+    ],
+)
+def test_a_damaged_label_is_refused_in_one_line(tmp_path, old, new, problem):
+    path = write_cube(tmp_path / "a.cub")
+    content = path.read_bytes()
+    assert old.encode() in content
+    changed = content.replace(old.encode(), new.encode(), 1)
+    # Bytes keep their places.
+    end = changed.index(b"End\n\0") + 4
+    pad = len(content) - len(changed)
+    path.write_bytes(
+        changed[:end] + b"\0" * pad + changed[end:] if pad >= 0 else changed[:end] + changed[end - pad :]
+    )
+    with pytest.raises(InputError, match=problem) as caught:
+        read_cube(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_cubes_of_other_sizes_are_refused(tmp_path):
     one = write_cube(tmp_path / "a.cub")
     other = write_cube(tmp_path / "b.cub", size=(20, 20), start="2000-01-01T12:00:10")

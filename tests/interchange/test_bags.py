@@ -1,9 +1,12 @@
 """Data sets through ROS bags and back, and bags that are wrong."""
 
-import contextlib
+import json
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +16,11 @@ from craternav_fg.dataset import Dataset, write_dataset
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
-from craternav_fg.interchange.bag_export import FORMATS, export_bag
+from craternav_fg.interchange.bag_export import INFO_TOPIC, BagFormat, export_bag
 from craternav_fg.interchange.bag_import import BagOptions, import_bag
+from craternav_fg.interchange.bag_reading import CAMERA_INFO, Bag, image_of, open_bag
 from craternav_fg.interchange.kalibr import kalibr_imu_yaml
+from craternav_fg.trajectory import Trajectory
 from tests.cli.calls import call
 from tests.dataset.samples import FRAMES_NS, random_images, recording
 
@@ -39,13 +44,13 @@ def options(data: Dataset, **changes: object) -> BagOptions:
     return replace(chosen, **changes)
 
 
-def name_of(folder: Path, kind: str) -> Path:
-    return folder / ("flight.bag" if kind == "rosbag1" else "flight")
+def name_of(folder: Path, kind: BagFormat) -> Path:
+    return folder / ("flight.bag" if kind == BagFormat.ROSBAG1 else "flight")
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("kind", FORMATS)
-def test_stamps_pixels_and_numbers_survive(tmp_path: Path, kind: str, compressed: bool) -> None:
+@pytest.mark.parametrize("kind", BagFormat)
+def test_stamps_pixels_and_numbers_survive(tmp_path: Path, kind: BagFormat, compressed: bool) -> None:
     data = dataset(tmp_path / "data")
     bag = name_of(tmp_path, kind)
     export_bag(data, bag, kind, compressed=compressed)
@@ -77,7 +82,7 @@ def test_grey_levels_of_twelve_bits_and_other_lenses(
     tmp_path: Path, model: str, distortion: tuple[float, ...]
 ) -> None:
     data = dataset(tmp_path / "data", bits=12, distortion=distortion, lens_model=model)
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     again = Dataset.open(tmp_path / "again")
     assert (again.camera.lens_model, again.camera.bit_depth) == (model, 16)
@@ -94,7 +99,7 @@ def test_grey_levels_of_twelve_bits_and_other_lenses(
 
 def test_a_mcap_file_by_itself(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "mcap")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
     file = next((tmp_path / "flight").glob("*.mcap"))
     import_bag(file, tmp_path / "again", options(data))
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").image(2), data.image(2))
@@ -107,15 +112,13 @@ def test_images_that_the_imu_does_not_cover_are_left_out(tmp_path: Path) -> None
         data.imu,
         stamps_ns=data.imu.stamps_ns[:25], gyro=data.imu.gyro[:25], accelerometer=data.imu.accelerometer[:25],
     )  # fmt: skip
-    export_bag(replace(data, imu=short), tmp_path / "flight", "rosbag2")
+    export_bag(replace(data, imu=short), tmp_path / "flight", BagFormat.ROSBAG2)
     report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     assert (report.frames, report.skipped) == (2, 1)
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").stamps_ns, data.stamps_ns[:2])
 
 
 def test_colours_become_grey(tmp_path: Path) -> None:
-    from craternav_fg.interchange.bag_reading import image_of
-
     class Message:
         class header:  # noqa: N801
             class stamp:  # noqa: N801
@@ -131,7 +134,7 @@ def test_colours_become_grey(tmp_path: Path) -> None:
     np.testing.assert_array_equal(image_of(tmp_path, Message), [[258, 3, 0, 65535]])
 
 
-def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
+def damaged(tmp_path: Path, kind: BagFormat, change: object) -> tuple[Dataset, Path]:
     data = dataset(tmp_path / "data")
     bag = name_of(tmp_path, kind)
     export_bag(data, bag, kind)
@@ -141,7 +144,7 @@ def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
     return data, bag
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", BagFormat)
 @pytest.mark.parametrize(
     "change",
     [
@@ -152,7 +155,7 @@ def damaged(tmp_path: Path, kind: str, change: object) -> tuple[Dataset, Path]:
     ],
     ids=["half", "empty", "text", "zeros"],
 )
-def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: str, change: object) -> None:
+def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: BagFormat, change: object) -> None:
     data, bag = damaged(tmp_path, kind, change)
     with pytest.raises(InputError) as caught:
         import_bag(bag, tmp_path / "again", options(data))
@@ -161,24 +164,71 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path, kind: str, change:
     assert not (tmp_path / "again").exists()
 
 
-def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", BagFormat)
+def test_flipped_bytes_never_end_in_a_traceback(tmp_path: Path, kind: BagFormat) -> None:
     """Whatever is wrong is an `InputError`, or lies in pixels and numbers that no checksum guards."""
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight.bag", "rosbag1")
-    content = (tmp_path / "flight.bag").read_bytes()
+    bag = name_of(tmp_path, kind)
+    export_bag(data, bag, kind)
+    file = bag if bag.is_file() else next(file for file in bag.iterdir() if file.suffix != ".yaml")
+    content = file.read_bytes()
     rng = np.random.default_rng(1)
+    refused = 0
     for _ in range(40):
         broken = bytearray(content)
         for at in rng.integers(0, len(content), 6):
             broken[at] ^= int(rng.integers(1, 256))
-        (tmp_path / "broken.bag").write_bytes(broken)
-        with contextlib.suppress(InputError):
-            import_bag(tmp_path / "broken.bag", tmp_path / "again", options(data))
+        file.write_bytes(broken)
+        try:
+            import_bag(bag, tmp_path / "again", options(data))
+        except InputError:
+            refused += 1
+    # Both outcomes occur: otherwise the flips reach the container only, or nothing that is read.
+    assert 5 <= refused <= 35
+
+
+def test_only_what_reads_a_bag_may_call_it_damaged(tmp_path: Path) -> None:
+    """A defect in what is done with the messages must show itself."""
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
+
+    def use() -> None:
+        with open_bag(tmp_path / "flight") as bag:
+            next(bag.messages("/imu0")).no_such_method()
+
+    with pytest.raises(AttributeError):
+        use()
+
+
+def test_a_topic_of_the_sun_without_messages_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
+    read = Bag.messages
+    monkeypatch.setattr(Bag, "messages", lambda bag, topic: iter(()) if topic == "/sun" else read(bag, topic))
+    with pytest.raises(InputError, match="/sun: expected directions towards the sun, found none"):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"format": "png", "data": np.zeros(0, np.uint8)},
+        {"encoding": "rgb8", "is_bigendian": 0, "height": 0, "width": 4, "step": 12, "data": ()},
+        {"encoding": "rgb8", "is_bigendian": 0, "height": 2, "width": 0, "step": 0, "data": ()},
+    ],
+    ids=["no bytes", "no rows", "no columns"],
+)
+def test_an_image_without_pixels_is_refused(tmp_path: Path, message: dict[str, object]) -> None:
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=2))
+    with pytest.raises(InputError, match="image of stamp 1000000002: expected"):
+        image_of(tmp_path, SimpleNamespace(header=header, **message))
 
 
 def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "rosbag2", estimates={"smoother": data.truth})
+    export_bag(data, tmp_path / "flight", BagFormat.ROSBAG2, estimates={"smoother": data.truth})
     with pytest.raises(InputError, match=r"one topic of poses, found /ground_truth/odometry, /smoother"):
         import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     other_imu = options(data, imu="/imu1", truth="/smoother/odometry")
@@ -192,35 +242,120 @@ def test_what_a_bag_lacks_is_named(tmp_path: Path) -> None:
         import_bag(tmp_path / "none.bag", tmp_path / "again", options(data))
 
 
-def test_covariances_of_estimates_put_the_position_first(tmp_path: Path) -> None:
-    from craternav_fg.interchange.bag_reading import open_bag
+def with_camera_infos(monkeypatch: pytest.MonkeyPatch, *infos: str, frame_id: str = "") -> None:
+    """Rename the topics of CameraInfo: the others than the first are of another camera."""
+    read_topics, read_messages = Bag.connected, Bag.messages
 
+    def connected(bag: Bag, *types: str) -> list[str]:
+        return sorted(infos) if types == (CAMERA_INFO,) else read_topics(bag, *types)
+
+    def messages(bag: Bag, topic: str | None) -> Iterator[Any]:
+        for message in read_messages(bag, INFO_TOPIC if topic in infos else topic):
+            if topic in infos:
+                message.header.frame_id = frame_id or message.header.frame_id
+            yield message
+
+    monkeypatch.setattr(Bag, "connected", connected)
+    monkeypatch.setattr(Bag, "messages", messages)
+
+
+@pytest.mark.parametrize(
+    ("infos", "taken"),
+    [
+        (("/cam0/camera_info",), "/cam0/camera_info"),
+        (("/cam0/camera_info", "/a/camera_info"), "/cam0/camera_info"),
+        (("/other/camera_info",), "/other/camera_info"),
+    ],
+)
+def test_the_camera_is_that_beside_the_images_or_the_only_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, infos: tuple[str, ...], taken: str
+) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
+    with_camera_infos(monkeypatch, *infos)
+    report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    assert report.topics["camera"] == taken
+    report = import_bag(tmp_path / "flight", tmp_path / "again", options(data, camera=data.camera))
+    assert report.topics["camera"] is None
+
+
+def test_no_other_camera_is_guessed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP)
+    with monkeypatch.context() as patched:
+        with_camera_infos(patched, "/a/camera_info", "/b/camera_info")
+        several = "one CameraInfo beside /cam0/image_raw, found /a/camera_info, /b/camera_info: give --camera"
+        with pytest.raises(InputError, match=several):
+            import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+    with_camera_infos(monkeypatch, "/a/camera_info", frame_id="cam1")
+    with pytest.raises(
+        InputError, match=r"/a/camera_info: .* frame, cam0, found that of cam1: give --camera"
+    ):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+
+
+def test_covariances_of_estimates_are_of_position_and_rotation_about_the_axes_of_g(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
     assert data.truth is not None
-    root = np.random.default_rng(2).standard_normal((3, 6, 6))
-    covariance = root @ root.transpose(0, 2, 1)
-    estimate = replace(data.truth, pose_covariance=covariance)
-    export_bag(data, tmp_path / "flight", "mcap", estimates={"smoother": estimate})
+    # The x axis of b points along the y axis of g, and y along z: a roll is a rotation about y of g.
+    gTb = data.truth.gTb.copy()
+    gTb[:, :3, :3] = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    root = np.random.default_rng(2).standard_normal((3, 3))
+    position_m2 = root @ root.T
+    covariance = np.zeros((3, 6, 6))
+    covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 2, 2] = 0.04, 0.0009, 0.0001
+    covariance[:, 3:, 3:] = position_m2
+    # An error of the roll goes with one of the position along x of g.
+    covariance[:, 0, 3] = covariance[:, 3, 0] = 0.02
+    estimate = replace(data.truth, gTb=gTb, pose_covariance=covariance)
+    export_bag(data, tmp_path / "flight", BagFormat.MCAP, estimates={"smoother": estimate})
     with open_bag(tmp_path / "flight") as bag:
         message = list(bag.messages("/smoother/odometry"))[1]
     found = message.pose.covariance.reshape(6, 6)
-    np.testing.assert_array_equal(found[:3, :3], covariance[1][3:, 3:])
-    np.testing.assert_array_equal(found[3:, :3], covariance[1][:3, 3:])
+    np.testing.assert_array_equal(found[:3, :3], position_m2)
+    np.testing.assert_array_equal(found[3:, 3:], np.diag([0.0001, 0.04, 0.0009]))
+    expected = np.zeros((3, 3))
+    expected[0, 1] = 0.02
+    np.testing.assert_array_equal(found[:3, 3:], expected)
+    np.testing.assert_array_equal(found[3:, :3], expected.T)
+
+
+def command_line(folder: Path, data: Dataset) -> list[object]:
+    """Import flight.bag by the files that the command asks for."""
+    (folder / "dataset.toml").write_text(description_toml(data.body, data.initial))
+    assert data.imu_noise is not None
+    (folder / "imu.yaml").write_text(kalibr_imu_yaml(data.imu_noise, 100.0, "/imu0"))
+    (folder / "sensor.yaml").write_text(camera_yaml(data.camera, 5.0))
+    return [
+        "import", "bag", folder / "flight.bag", "-o", folder / "again",
+        "--description", folder / "dataset.toml", "--catalog", folder / "data/craters.csv",
+        "--imu", folder / "imu.yaml", "--camera", folder / "sensor.yaml",
+    ]  # fmt: skip
+
+
+def first_two(track: Trajectory) -> Trajectory:
+    return Trajectory(track.stamps_ns[:2], track.gTb[:2], track.gV[:2], track.bias[:2])
+
+
+def test_import_opens_what_it_wrote(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    # Rates that only the reader of data sets refuses.
+    assert data.imu is not None
+    export_bag(
+        replace(data, imu=replace(data.imu, gyro=data.imu.gyro + 1e4)),
+        tmp_path / "flight.bag",
+        BagFormat.ROSBAG1,
+    )
+    done = call(*command_line(tmp_path, data))
+    assert (done.code, done.err.count("\n")) == (2, 1), done.err
+    assert str(tmp_path / "again") in done.err
 
 
 def test_the_commands(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
     done = call("export", "bag", tmp_path / "data", "-o", tmp_path / "flight.bag", "--format", "rosbag1")
     assert done.code == 0, done.err
-    (tmp_path / "dataset.toml").write_text(description_toml(data.body, data.initial))
-    assert data.imu_noise is not None
-    (tmp_path / "imu.yaml").write_text(kalibr_imu_yaml(data.imu_noise, 100.0, "/imu0"))
-    (tmp_path / "sensor.yaml").write_text(camera_yaml(data.camera, 5.0))
-    arguments = [
-        "import", "bag", tmp_path / "flight.bag", "-o", tmp_path / "again",
-        "--description", tmp_path / "dataset.toml", "--catalog", tmp_path / "data/craters.csv",
-        "--imu", tmp_path / "imu.yaml", "--camera", tmp_path / "sensor.yaml",
-    ]  # fmt: skip
+    arguments = command_line(tmp_path, data)
     done = call(*arguments)
     assert done.code == 0, done.err
     assert "3 images, 41 IMU samples" in done.out
@@ -229,6 +364,16 @@ def test_the_commands(tmp_path: Path) -> None:
     assert again.imu_noise == data.imu_noise
     np.testing.assert_array_equal(again.camera.bTc, data.camera.bTc)
     assert again.initial is not None
+    assert "truth: /ground_truth/odometry" in done.out
+    assert "camera: " + str(tmp_path / "sensor.yaml") in done.out.replace("\n", "")
+    # Truth that does not cover the images is not kept, and not claimed.
+    assert data.truth is not None
+    export_bag(replace(data, truth=first_two(data.truth)), tmp_path / "flight.bag", BagFormat.ROSBAG1)
+    done = call(*arguments, "--force")
+    assert "no truth is kept: /ground_truth/odometry does not cover the images" in done.err.replace("\n", " ")
+    assert "truth: none" in done.out
+    found = json.loads(call(*arguments, "--force", "--json").out)
+    assert (found["truth"], found["topics"]["truth"]) == (False, None)
     # A direction of any length.
     assert call(*arguments, "--force", "--sun", "0,0,2").code == 0
     np.testing.assert_array_equal(Dataset.open(tmp_path / "again").sun.vectors, [[0.0, 0.0, 1.0]])
@@ -238,7 +383,7 @@ def test_the_commands(tmp_path: Path) -> None:
 
 def test_a_pipe_in_a_bag_is_refused(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
-    export_bag(data, tmp_path / "flight", "rosbag2")
+    export_bag(data, tmp_path / "flight", BagFormat.ROSBAG2)
     (file,) = (tmp_path / "flight").glob("*.db3")
     file.unlink()
     os.mkfifo(file)
@@ -250,7 +395,7 @@ def test_a_pipe_in_a_bag_is_refused(tmp_path: Path) -> None:
 def test_the_suns_vectors_may_have_any_length_but_zero(tmp_path: Path, length: float) -> None:
     data = dataset(tmp_path / "data")
     scaled = replace(data.sun, vectors=length * data.sun.vectors)
-    export_bag(replace(data, sun=scaled), tmp_path / "flight", "rosbag2")
+    export_bag(replace(data, sun=scaled), tmp_path / "flight", BagFormat.ROSBAG2)
     if length > 0.0:
         import_bag(tmp_path / "flight", tmp_path / "again", options(data))
         again = Dataset.open(tmp_path / "again")

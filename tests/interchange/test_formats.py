@@ -12,7 +12,7 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
-from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise
+from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise, read_imu_rate_hz
 from craternav_fg.errors import InputError
 from craternav_fg.imu import ImuNoise
 from craternav_fg.interchange.colmap import write_colmap
@@ -98,12 +98,31 @@ def test_a_chain_as_kalibr_writes_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(chain @ point_b, [0.0, 0.0, 2.0, 1.0], atol=1e-15)
 
 
+@pytest.mark.parametrize("nested", [True, False])
+def test_the_rate_of_an_imu_is_kept(tmp_path: Path, nested: bool) -> None:
+    text = kalibr_imu_yaml(NOISE, 400.0, "/imu0")
+    if nested:
+        lines = "".join(f"  {line}\n" for line in text.splitlines())
+        text = f"imu0:\n  model: calibrated\n{lines}"
+    (tmp_path / "imu.yaml").write_text(text)
+    done = call("import", "kalibr", tmp_path / "imu.yaml", "-o", tmp_path / "sensor.yaml")
+    assert done.code == 0, done.err
+    assert read_imu_rate_hz(tmp_path / "sensor.yaml") == 400.0
+    assert read_imu_noise(tmp_path / "sensor.yaml") == NOISE
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
         ("equidistant", "omni", "distortion_model"),
         ("[380, 380]", "[380]", "resolution"),
-        ("[0.0, 0.0, 1.0, 0.05]", "[0.0, 0.0, 2.0, 0.05]", "rotation"),
+        ("[0.0, 0.0, 1.0, 0.05]", "[0.0, 0.0, 2.0, 0.05]", "cam0.T_cam_imu: expected a rotation"),
+        (
+            ", 188.93170605935475",
+            ", 3200.0",
+            "cam0.intrinsics: expected the principal point inside the 380 x 380",
+        ),
+        ("[190.97847715128717", "[3.9e5", "cam0.intrinsics: expected focal lengths in px that fit"),
         ("camera_model: pinhole", "camera_model: ds", "pinhole"),
         ("[380, 380]", "[512, 512]", "90 deg from its axis"),
         ("cam0:", "cam7:", "expected a camera cam0"),
@@ -148,6 +167,38 @@ def test_a_footprint_is_as_large_as_the_field_of_view_on_the_ground() -> None:
     np.testing.assert_allclose(half_m, [249.5, 499.5], rtol=1e-3)
     np.testing.assert_allclose(outline[:-1].mean(axis=0), [30.0, 0.0], atol=1e-3)
     np.testing.assert_array_equal(outline[0], outline[-1])
+
+
+def enclosed_deg2(ring: np.ndarray) -> float:
+    """Area of a closed ring on a map, positive counter-clockwise."""
+    (x, y), (u, v) = ring[:-1].T, ring[1:].T
+    return float(0.5 * np.sum(x * v - u * y))
+
+
+@pytest.mark.parametrize("longitude_deg", [30.0, 180.0])
+def test_footprints_are_counter_clockwise(longitude_deg: float) -> None:
+    outline = footprint(
+        level(10.0, longitude_deg, 1000.0), Camera(1000, 500, 1000.0, 1000.0, 499.5, 249.5), MOON
+    )
+    assert outline is not None
+    assert enclosed_deg2(outline) > 0.0
+    assert np.abs(np.diff(outline, axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("pole", [90.0, -90.0])
+def test_a_footprint_around_a_pole_is_closed_along_it(pole: float) -> None:
+    """From 10 km above a place 3 km from the pole, with a view of 10 x 5 km."""
+    camera = Camera(1000, 500, 1000.0, 1000.0, 499.5, 249.5)
+    outline = footprint(level(pole - np.copysign(0.03, pole), 50.0, 1e4), camera, MOON)
+    assert outline is not None
+    np.testing.assert_array_equal(outline[0], outline[-1])
+    along = outline[:-3, 0]
+    assert np.ptp(along) == pytest.approx(360.0)
+    assert np.abs(np.diff(along)).max() < 90.0
+    assert outline[-3:-1].tolist() == [[along[-1], pole], [along[0], pole]]
+    # Of the strip between pole and outline: what the image shows, on a map.
+    strip_deg2 = 360.0 * np.mean(np.abs(pole - outline[:-3, 1]))
+    assert 0.5 * strip_deg2 < enclosed_deg2(outline) < 1.5 * strip_deg2
 
 
 def test_there_is_no_footprint_with_the_horizon_in_the_image() -> None:

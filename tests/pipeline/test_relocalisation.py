@@ -16,6 +16,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.measurements import RimSet
+from craternav_fg.pipeline import relocalisation
 from craternav_fg.pipeline.initial_state import find_initial, propagated_back
 from craternav_fg.pipeline.reconstruct import _joined, reconstruct
 from craternav_fg.pipeline.relocalisation import Relocaliser, index_path
@@ -81,6 +82,23 @@ def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, 
     assert relocaliser.index_note == f"{kept}: file is missing; built anew"
     monkeypatch.setattr(TripleIndex, "build", lambda catalog: pytest.fail("built again"))
     np.testing.assert_array_equal(Relocaliser(data).locate(0).gTb, first.gTb)
+
+
+def test_identification_knows_how_well_the_camera_is(folders, monkeypatch):
+    lost = Dataset.open(folders[1])
+    camera = dataclasses.replace(lost.camera, focal_sigma_percent=2.0, principal_sigma_px=7.0)
+    asked = []
+
+    def spy(ellipses_px, camera, index, *, options):
+        asked.append(options)
+        return SimpleNamespace(identified=False)
+
+    monkeypatch.setattr(relocalisation, "identify", spy)
+    none = SimpleNamespace(ellipses_px=np.empty((0, 5)))
+    for data in (lost, dataclasses.replace(lost, camera=camera)):
+        assert Relocaliser(data)._identified(none) is None
+    assert (asked[0].focal_sigma, asked[0].principal_sigma_px, asked[0].focal_stated) == (0.003, 0.5, False)
+    assert (asked[1].focal_sigma, asked[1].principal_sigma_px, asked[1].focal_stated) == (0.02, 7.0, True)
 
 
 def test_too_few_frames_with_craters(folders):

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craternav_fg.camera import Camera
 from craternav_fg.matching.identify.view import CENTRE_SHARE, SIZE_SHARE
-from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX
+from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX, IntrinsicsPrior
 
 
 @dataclass(frozen=True)
@@ -70,3 +71,25 @@ class IdentifyOptions:
     focal_sigma: float = FOCAL_SIGMA
     principal_sigma_px: float = PRINCIPAL_SIGMA_PX
     focal_stated: bool = False
+
+    @classmethod
+    def of(cls, camera: Camera, altitudes_m: tuple[float, float] = (1e3, 2e6)) -> "IdentifyOptions":
+        """Make options with what a camera states of its intrinsics.
+
+        Parameters
+        ----------
+        camera : Camera
+        altitudes_m : (float, float)
+            As the attribute.
+
+        Returns
+        -------
+        IdentifyOptions
+        """
+        prior = IntrinsicsPrior.of(camera)
+        return cls(
+            altitudes_m,
+            focal_sigma=prior.focal_sigma,
+            principal_sigma_px=prior.principal_sigma_px,
+            focal_stated=prior.focal_stated,
+        )
