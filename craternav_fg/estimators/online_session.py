@@ -309,8 +309,7 @@ class OnlineSession:
             return
         tree = self._solver.tree
 
-        def pose(n: int) -> FloatArray | None:
-            key = int(X(n))
+        def pose(key: int) -> FloatArray | None:
             if values.exists(key):
                 return np.asarray(values.atPose3(key).matrix())
             return np.asarray(tree.calculateEstimatePose3(key).matrix()) if tree.valueExists(key) else None
@@ -318,7 +317,7 @@ class OnlineSession:
         def point(key: int) -> FloatArray | None:
             return np.asarray(tree.calculateEstimatePoint3(key)) if tree.valueExists(key) else None
 
-        self._features.enter(graph, values, index, stamp_ns, pose, point)
+        self._features.enter(graph, values, int(X(index)), stamp_ns, pose, point)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
         predicted = position = values.atPose3(X(last)).translation()
