@@ -262,9 +262,15 @@ class OnlineSession:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = FactorGraph()
         values = gtsam.Values()
-        last = self._extend(graph, values, self.state, self._last, begin_ns, frame)
-        self._add_features(graph, values, last, frame.stamp_ns)
-        self._update(graph, values, last, frame.stamp_ns)
+        # The next frame takes the index of one that fails: no variable or observation of it may be left.
+        before = self._errors and self._errors.copy(), self._features and self._features.copy()
+        try:
+            last = self._extend(graph, values, self.state, self._last, begin_ns, frame)
+            self._add_features(graph, values, last, frame.stamp_ns)
+            self._update(graph, values, last, frame.stamp_ns)
+        except Exception:
+            self._errors, self._features = before
+            raise
 
     def _extend(
         self, graph: FactorGraph, values: gtsam.Values, state: FilterState, last: int, begin_ns: int,

@@ -5,6 +5,7 @@ far above their noise. The reprojection factor is GTSAM's own; zero when the poi
 observed.
 """
 
+import copy
 from collections.abc import Callable
 
 import gtsam
@@ -139,6 +140,13 @@ class FeatureStates:
         self._waiting: dict[int, list[tuple[int, FloatArray]]] = {}
         self._variables: set[int] = set()
         self._last_ns = dict(zip(tracks.tracks.tolist(), tracks.stamps_ns.tolist(), strict=True))
+
+    def copy(self) -> "FeatureStates":
+        """Return a copy, which stays as it is when further frames enter."""
+        out = copy.copy(self)
+        out._waiting = {track: list(seen) for track, seen in self._waiting.items()}
+        out._variables = set(self._variables)
+        return out
 
     def enter(
         self,
