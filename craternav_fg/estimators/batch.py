@@ -47,7 +47,7 @@ from craternav_fg.estimators.optimise import (
 from craternav_fg.estimators.point_features import FeatureStates
 from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors
 from craternav_fg.frames import rotate_position_block
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import ArcSet, FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
@@ -176,10 +176,9 @@ class BatchSmoother:
             with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
         ]
-        rim_errors, calibration = self.options.rim_errors, self.options.calibration
+        rim_errors = self.options.rim_errors
         # Variables of the map and of the lens take up what craters seem to err by.
-        taken_up = calibration.map_sigmas.any() or calibration.intrinsic_sigmas.any()
-        if rim_errors is not None and not taken_up:
+        if rim_errors is not None and not self.options.calibration.of_charts:
             factors = variance_factors(frames, poses, problem.camera, problem.catalog, rim_errors.freedom)
             frames = [with_variance_factors(frame, factors) for frame in frames]
         weighted = replace(problem, frames=frames)
@@ -327,7 +326,9 @@ def build_graph(
     states = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
     added = gtsam.Values()
     bank = SensorBank(problem.sensors)
-    tracks = problem.features
+    # Points of arcs and tracks are normalised by the stated intrinsics; only rims have a variable for others.
+    lens_known = not options.calibration.intrinsic_sigmas.any()
+    tracks = problem.features if lens_known else None
     features = None if tracks is None else FeatureStates(tracks, problem.camera)
     known: set[int] = set()
     add_calibration(graph, values, options.calibration)
@@ -342,15 +343,16 @@ def build_graph(
             exposed = values.atPose3(key).matrix()
             errors = map_errors(graph, values, problem, options.calibration, frame.rims, exposed, known)
             intrinsic_sigmas = options.calibration.intrinsic_sigmas
-            if intrinsic_sigmas.any() and len(frame.rims):
+            if not lens_known and len(frame.rims):
                 errors.append(intrinsic_error(frame.rims, problem.camera, intrinsic_sigmas))
+        frame = frame if lens_known else replace(frame, arcs=ArcSet.empty())
         variables = RimVariables(added, states, map_errors=errors, together=True)
         near = values.atPose3(key).matrix()
         graph.left_out += add_frame(graph, problem, options, key, frame, variables=variables, near=near)
         add_sensors(graph, added, problem, bank.at(frame.stamp_ns), index, frame.stamp_ns)
         if features is not None:
             features.enter(
-                graph, added, index, frame.stamp_ns, lambda n: values.atPose3(X(n)).matrix(),
+                graph, added, key, frame.stamp_ns, lambda key: values.atPose3(key).matrix(),
                 lambda key: values.atPoint3(key) if values.exists(key) else None,
             )  # fmt: skip
 

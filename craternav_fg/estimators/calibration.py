@@ -49,7 +49,9 @@ class Calibration:
     map_size_sigma : float
         Standard deviation of its semi-axes, each as a share of itself.
     focal_sigma : float
-        Standard deviation of the focal length, as a share of it.
+        Standard deviation of the focal length, as a share of it. If this one or one of the next two is above
+        0, arcs and tracked points are not used: only rims are measured by the estimated intrinsics, and the
+        sun's tilt, a fraction of a degree at best, by the stated ones.
     principal_point_sigma_px : float
         Standard deviation of the principal point, per coordinate.
     radial_sigma : float
@@ -81,6 +83,11 @@ class Calibration:
         """Standard deviations (4,): share of the focal length, principal point x and y in px, k1."""
         point_px = self.principal_point_sigma_px
         return np.array([self.focal_sigma, point_px, point_px, self.radial_sigma])
+
+    @property
+    def of_charts(self) -> bool:
+        """Whether variables that only ellipse charts have are estimated: errors of map or intrinsics."""
+        return bool(self.intrinsic_sigmas.any() or self.map_sigmas.any())
 
     @property
     def map_sigmas(self) -> FloatArray:

@@ -13,6 +13,7 @@ independent, and the smoother would take it for motion. The other errors follow 
 derivatives of them, too, are likelier, but double the unknowns and hardly change poses.
 """
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -177,6 +178,12 @@ class RimErrorStates:
         self._count = 0
         # Variables of the shared error so far, and the frames that involve the last one.
         self._shared = self._frames = 0
+
+    def copy(self) -> "RimErrorStates":
+        """Return a copy, which stays as it is when further frames enter."""
+        out = copy.copy(self)
+        out._rims = dict(self._rims)
+        return out
 
     def enter(
         self,

@@ -68,6 +68,10 @@ class GraphOptions:
     def __post_init__(self) -> None:
         if self.rims not in RIM_MODELS:
             raise EstimationError(f"rims: expected one of {', '.join(RIM_MODELS)}, found {self.rims!r}")
+        if self.rims != "chart" and self.calibration.of_charts:
+            raise EstimationError(
+                f"calibration: errors of the map and of the intrinsics need rims='chart', found {self.rims!r}"
+            )
         if not 0.0 < self.keyframe_s < np.inf:
             raise EstimationError(f"keyframe_s: expected a positive number, found {self.keyframe_s}")
 

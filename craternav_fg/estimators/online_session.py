@@ -262,9 +262,15 @@ class OnlineSession:
             raise EstimationError(f"frame at {frame.stamp_ns} ns is not later than {begin_ns} ns")
         graph = FactorGraph()
         values = gtsam.Values()
-        last = self._extend(graph, values, self.state, self._last, begin_ns, frame)
-        self._add_features(graph, values, last, frame.stamp_ns)
-        self._update(graph, values, last, frame.stamp_ns)
+        # The next frame takes the index of one that fails: no variable or observation of it may be left.
+        before = self._errors and self._errors.copy(), self._features and self._features.copy()
+        try:
+            last = self._extend(graph, values, self.state, self._last, begin_ns, frame)
+            self._add_features(graph, values, last, frame.stamp_ns)
+            self._update(graph, values, last, frame.stamp_ns)
+        except Exception:
+            self._errors, self._features = before
+            raise
 
     def _extend(
         self, graph: FactorGraph, values: gtsam.Values, state: FilterState, last: int, begin_ns: int,
@@ -309,8 +315,7 @@ class OnlineSession:
             return
         tree = self._solver.tree
 
-        def pose(n: int) -> FloatArray | None:
-            key = int(X(n))
+        def pose(key: int) -> FloatArray | None:
             if values.exists(key):
                 return np.asarray(values.atPose3(key).matrix())
             return np.asarray(tree.calculateEstimatePose3(key).matrix()) if tree.valueExists(key) else None
@@ -318,7 +323,7 @@ class OnlineSession:
         def point(key: int) -> FloatArray | None:
             return np.asarray(tree.calculateEstimatePoint3(key)) if tree.valueExists(key) else None
 
-        self._features.enter(graph, values, index, stamp_ns, pose, point)
+        self._features.enter(graph, values, int(X(index)), stamp_ns, pose, point)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
         predicted = position = values.atPose3(X(last)).translation()

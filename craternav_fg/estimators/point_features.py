@@ -5,12 +5,12 @@ far above their noise. The reprojection factor is GTSAM's own; zero when the poi
 observed.
 """
 
+import copy
 from collections.abc import Callable
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from gtsam.symbol_shorthand import X
 
 from craternav_fg.camera import Camera
 from craternav_fg.sensors.point_features import FeatureTracks
@@ -136,16 +136,23 @@ class FeatureStates:
         self._bTc = gtsam.Pose3(camera.bTc)
         huber = gtsam.noiseModel.mEstimator.Huber.Create(tracks.settings.loss_sigmas)
         self._noise = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(2, self._sigma))
-        # By track: observations (index of the state, image point) that wait for parallax.
+        # By track: observations (key of the pose, image point) that wait for parallax.
         self._waiting: dict[int, list[tuple[int, FloatArray]]] = {}
         self._variables: set[int] = set()
         self._last_ns = dict(zip(tracks.tracks.tolist(), tracks.stamps_ns.tolist(), strict=True))
+
+    def copy(self) -> "FeatureStates":
+        """Return a copy, which stays as it is when further frames enter."""
+        out = copy.copy(self)
+        out._waiting = {track: list(seen) for track, seen in self._waiting.items()}
+        out._variables = set(self._variables)
+        return out
 
     def enter(
         self,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
-        index: int,
+        pose_key: int,
         stamp_ns: int,
         pose: Callable[[int], FloatArray | None],
         point: Callable[[int], FloatArray | None],
@@ -157,11 +164,11 @@ class FeatureStates:
         graph : gtsam.NonlinearFactorGraph
         values : gtsam.Values
             Gets the points that are new.
-        index : int
-            Index of the frame's state.
+        pose_key : int
+            Key of the pose gTb at the frame's exposure.
         stamp_ns : int
         pose : callable
-            Estimate of a state's pose gTb (4, 4) by its index; None when it is no variable any more.
+            Estimate of a pose gTb (4, 4), m, by its key; None when it is no variable any more.
         point : callable
             Estimate of a ground point (3,) in g, m, by its key; None when it is no variable.
         """
@@ -170,11 +177,11 @@ class FeatureStates:
             key = int(gtsam.symbol(LETTER, track))
             known = values.atPoint3(key) if values.exists(key) else point(key)
             if track in self._variables and known is not None:
-                graph.push_back(self._factor(index, key, u))
+                graph.push_back(self._factor(pose_key, key, u))
             else:
                 # A point that the solver gave up starts again.
                 self._variables.discard(track)
-                self._waiting.setdefault(track, []).append((index, u))
+                self._waiting.setdefault(track, []).append((pose_key, u))
                 self._begin(graph, values, track, key, pose, known)
             if self._last_ns[track] == stamp_ns:
                 self._variables.discard(track)
@@ -190,7 +197,7 @@ class FeatureStates:
         known: FloatArray | None,
     ) -> None:
         """Make a variable of a track as soon as its observations allow it, or as soon as it is one."""
-        seen = [(n, u, gTb) for n, u in self._waiting[track] if (gTb := pose(n)) is not None]
+        seen = [(at, u, gTb) for at, u in self._waiting[track] if (gTb := pose(at)) is not None]
         gTc = self._camera.gTc(np.array([gTb for _, _, gTb in seen]))
         place = known
         if place is None:
@@ -206,10 +213,10 @@ class FeatureStates:
         range_m = float(np.linalg.norm(place - gTc[-1, :3, 3]))
         prior = gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SHARE * range_m)
         graph.push_back(gtsam.PriorFactorPoint3(key, place, prior))
-        for n, u, _ in seen:
-            graph.push_back(self._factor(n, key, u))
+        for at, u, _ in seen:
+            graph.push_back(self._factor(at, key, u))
 
-    def _factor(self, index: int, key: int, u: FloatArray) -> gtsam.NonlinearFactor:
+    def _factor(self, pose_key: int, key: int, u: FloatArray) -> gtsam.NonlinearFactor:
         return gtsam.GenericProjectionFactorCal3_S2(
-            u, self._noise, X(index), key, UNIT_CALIBRATION, False, False, self._bTc
+            u, self._noise, pose_key, key, UNIT_CALIBRATION, False, False, self._bTc
         )

@@ -97,6 +97,20 @@ def test_a_time_offset_is_found_and_the_pose_is_consistent_again(
     assert max(rms) < 0.9 * DELAY_S
 
 
+def test_tracked_points_are_seen_from_the_exposure(tmp_path: Path) -> None:
+    """Seen with the stated mounting, they would hold its error at zero against the rims."""
+    faults = FaultsSection(mounting_deg=MOUNTING_DEG, time_offset_s=DELAY_S)
+    tracks = {"features": {"sigma_px": 0.3, "simulation": {"count": 40}}}
+    case = scenario(duration_s=40.0, faults=faults, sensors=tracks)
+    poses = []
+    for trial in range(TRIALS):
+        p, truth = problem(tmp_path, case, trial)
+        assert p.features is not None
+        poses.append(pose_nees(smooth(p, Calibration(MOUNTING_SIGMA_RAD, DELAY_S)), truth))
+    low, high = interval(6)
+    assert low < np.mean(poses) < high
+
+
 def test_errors_of_the_map_are_found_and_the_pose_is_consistent_again(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
@@ -143,3 +157,9 @@ def test_what_is_not_asked_for_is_not_estimated(mounted: list[tuple[Problem, Tra
 def test_refusals_name_the_field(field: str, value: float) -> None:
     with pytest.raises(EstimationError, match=field):
         Calibration(**{field: value})
+
+
+@pytest.mark.parametrize("field", ["map_place_sigma", "focal_sigma"])
+def test_only_charts_have_errors_of_map_and_intrinsics(field: str) -> None:
+    with pytest.raises(EstimationError, match="need rims='chart', found 'eq19'"):
+        GraphOptions(rims="eq19", calibration=Calibration(**{field: 0.01}))

@@ -16,7 +16,9 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import batch
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
-from craternav_fg.estimators.graph import ImuInterval
+from craternav_fg.estimators.correlated_errors import RimErrorOptions
+from craternav_fg.estimators.filter_state import POSE
+from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
@@ -93,14 +95,21 @@ def test_first_update_that_fails_leaves_an_empty_solver(make: Callable[[], Isam]
     assert_allclose(solver.tree.calculateEstimatePose3(X(0)).translation(), 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["rims", "tracked points", "errors of rims"])
 def test_session_goes_on_after_a_frame_that_failed(
-    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The frame is lost, nothing else: the end is that of a session that never saw it."""
-    p, _ = trials[0]
+    tracks = {"features": {"simulation": {"count": 30}}} if kind == "tracked points" else {}
+    p = with_other_sensors(tmp_path, tracks)
+    if kind == "errors of rims":
+        roots = [0.9 * np.linalg.cholesky(frame.rims.covariance) for frame in p.frames]
+        rims = [replace(frame.rims, correlated=A) for frame, A in zip(p.frames, roots, strict=True)]
+        p = replace(p, frames=[replace(frame, rims=r) for frame, r in zip(p.frames, rims, strict=True)])
 
     def run(lost: int | None) -> OnlineSession:
-        session = OnlineSession(p)
+        # In so small steps each frame begins variables of errors.
+        session = OnlineSession(p, GraphOptions(rim_errors=RimErrorOptions(step=1e-3)))
         session.begin(p.frames[0], p.start)
         for k, frame in enumerate(p.frames[1:8], 1):
             if k == lost:
@@ -112,13 +121,16 @@ def test_session_goes_on_after_a_frame_that_failed(
                 session.update(frame)
         return session
 
-    def spoilt(graph: gtsam.NonlinearFactorGraph, *arguments: Any, **_: Any) -> None:
+    def spoilt(graph: FactorGraph, *arguments: Any, **named: Any) -> None:
+        add_frame(graph, *arguments, **named)
         graph.push_back(spoilt_factor(arguments[2]))
 
     lost, never = run(4), run(None)
     assert lost.frame_state_indices == never.frame_state_indices
     sigma = np.sqrt(np.diag(never.state.covariance)[3:6])
     assert (np.abs(lost.state.gTb[:3, 3] - never.state.gTb[:3, 3]) < 0.05 * sigma).all()
+    W = np.linalg.inv(np.linalg.cholesky(never.state.covariance[POSE, POSE]))
+    assert_allclose(W @ lost.state.covariance[POSE, POSE] @ W.T, np.eye(6), atol=1e-3)
 
 
 def test_a_variable_given_twice_is_refused_and_nothing_lost() -> None:

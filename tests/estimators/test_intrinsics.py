@@ -7,7 +7,7 @@ import pytest
 
 from craternav_fg.camera import Camera
 from craternav_fg.dataset import Dataset
-from craternav_fg.ellipse import points_on
+from craternav_fg.ellipse import pixel_chart, points_and_normals, points_on
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem
@@ -21,8 +21,9 @@ from craternav_fg.estimators.start import make_problem
 from craternav_fg.evaluation.consistency import mean_interval
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.evaluation.residuals import rim_residuals
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import ArcSet, FrameMeasurement
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.trajectory import Trajectory
 
 STATED = Camera(1012, 1012, 672.0, 672.0, 505.0, 506.0)
@@ -72,20 +73,25 @@ def data(tmp_path_factory):
     return Dataset.open(simulate("orbit_coast", tmp_path_factory.mktemp("orbit") / "data", trial=2))
 
 
+def _with(camera: Camera, true: np.ndarray) -> Camera:
+    """Camera whose intrinsics are off by a share of the focal length, px of the principal point, and k1."""
+    return replace(
+        camera,
+        fx_px=camera.fx_px * (1.0 + true[0]), fy_px=camera.fy_px * (1.0 + true[0]),
+        cx_px=camera.cx_px + true[1], cy_px=camera.cy_px + true[2],
+        distortion=(true[3], 0.0, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+
+
 def _through(data: Dataset, true: np.ndarray) -> list[FrameMeasurement]:
     """Measurements through a camera whose intrinsics are off: focal length, principal point, distortion."""
     frames = []
     assert data.measurements is not None
     for frame in data.measurements:
         rims = frame.rims
-        moved = replace(
-            data.camera,
-            fx_px=data.camera.fx_px * (1.0 + true[0]), fy_px=data.camera.fy_px * (1.0 + true[0]),
-            cx_px=data.camera.cx_px + true[1], cy_px=data.camera.cy_px + true[2],
-            distortion=(true[3], 0.0, 0.0, 0.0, 0.0),
-        )  # fmt: skip
         points = points_on(rims.chart)
-        shift = _fitted(data.camera.normalised(moved.pixels(points))) - _fitted(points)
+        seen = data.camera.normalised(_with(data.camera, true).pixels(points))
+        shift = _fitted(seen) - _fitted(points)
         frames.append(replace(frame, rims=replace(rims, chart=rims.chart + shift)))
     return frames
 
@@ -110,6 +116,44 @@ def test_intrinsics_are_estimated_along_with_an_orbit(data):
     )
     assert 0.9 < fitting < 1.1
     assert stated > 10.0
+
+
+@pytest.mark.parametrize("kind", ["arcs", "tracked points"])
+def test_arcs_and_tracked_points_of_another_lens_do_no_harm(kind, tmp_path):
+    """They are normalised by the stated intrinsics; taken as right, they would contradict the rims."""
+    rng, trials = np.random.default_rng(1), 4
+    sigmas = np.array([1e-2, 5.0, 5.0, 0.0])
+    options = Calibration(focal_sigma=sigmas[0], principal_point_sigma_px=sigmas[1])
+    case = load_scenario("orbit_coast")
+    tracks = {"features": {"sigma_px": 0.2, "simulation": {"count": 80}}}
+    case = case.model_copy(update={"sensors": tracks if kind == "tracked points" else {}})
+    consistency = []
+    for trial in range(trials):
+        data = Dataset.open(simulate(case, tmp_path / f"data{trial}", trial=trial))
+        true, camera = sigmas * rng.normal(size=4), data.camera
+        problem = make_problem(Descent.of(data), _through(data, true))
+        if kind == "arcs":
+            problem = replace(problem, frames=[_with_arcs(one, camera, rng) for one in problem.frames])
+        else:
+            seen = _with(camera, true).pixels(camera.normalised(data.features.points_px))
+            problem = replace(problem, features=replace(data.features, points_px=seen))
+        found = BatchSmoother(GraphOptions(calibration=options)).estimate(problem)
+        consistency.append(np.mean(nees(errors(found, data.truth).pose, found.pose_covariance)))
+    low, high = mean_interval(6, trials)
+    assert low < np.mean(consistency) < high
+
+
+def _with_arcs(frame: FrameMeasurement, camera: Camera, rng: np.random.Generator) -> FrameMeasurement:
+    """Every third rim as edge points on a quarter of it, 0.3 px each."""
+    cut = np.arange(len(frame.rims)) % 3 == 2
+    points = []
+    for chart in frame.rims.chart[cut]:
+        angles = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 0.5 * np.pi, 15)
+        on_rim, normal = points_and_normals(pixel_chart(chart, camera), angles)
+        points.append(camera.normalised(on_rim + 0.3 * rng.normal(size=(15, 1)) * normal))
+    sigmas = tuple(np.full(15, 0.3 / camera.focal_px) for _ in points)
+    arcs = ArcSet(frame.rims.craters[cut], tuple(points), sigmas)
+    return replace(frame, rims=frame.rims.take(~cut), arcs=arcs)
 
 
 def test_one_of_them_alone(data):

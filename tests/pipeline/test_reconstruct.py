@@ -1,6 +1,7 @@
 """What reconstruction makes of failures and of errors that repeat."""
 
 import dataclasses
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -10,7 +11,7 @@ import craternav_fg.pipeline.reconstruct as module
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.measurements import SunTilt
+from craternav_fg.measurements import RimSet, SunTilt
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.pipeline.tracking import shared_error
 from craternav_fg.simulation.scenario import simulate
@@ -116,3 +117,19 @@ def test_tilts_that_share_an_error_weigh_together_as_one() -> None:
     assert np.abs(information(sun, 1)).max() > 10.0
     np.testing.assert_allclose(information(each, 75), information(sun, 1), rtol=1e-9, atol=1e-9)
     assert shared_error(None, 75) is None
+
+
+def test_tracked_points_and_frames_without_rims_suit_every_filter(tmp_path: Path) -> None:
+    """The paper's sub-filters have no past poses beside their states, also where the fused one has some."""
+    case = scenario(duration_s=8.0, sensors={"features": {"simulation": {"count": 20}}})
+    data = Dataset.open(simulate(case, tmp_path / "d"))
+    assert data.measurements is not None
+    frames = list(data.measurements)
+    # One without rims, then a crater that is new.
+    frames[1] = dataclasses.replace(frames[1], rims=RimSet.empty())
+    for k in (0, 2):
+        frames[k] = dataclasses.replace(frames[k], rims=frames[k].rims.take(frames[k].rims.craters > 0))
+    result = reconstruct(dataclasses.replace(data, measurements=tuple(frames)), ["ekf", "ekf_paper"])
+    assert result.problems[0].features is not None
+    assert set(result.trajectories) == {"ekf", "ekf_paper"}
+    assert np.all(np.isfinite(result.trajectories["ekf_paper"].gTb))

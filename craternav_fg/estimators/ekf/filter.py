@@ -44,9 +44,9 @@ class EkfOptions:
         Each rim's own covariance, evaluated at the predicted measurement, or the paper's Qn for all of them;
         with "eq19" the latter is the paper's implicit measurement, eq. (25).
     fusion : {"exact", "paper", "paper-fed-back", "covariance-intersection"}
-        "exact" counts the shared prior of the sub-filters once. "paper" runs the sub-filters independently
-        and publishes eq. (29). "paper-fed-back" feeds eq. (29) back into them in every frame, which makes
-        them overconfident. "covariance-intersection" (weights 1/n) is conservative.
+        "exact" counts the shared prior of the sub-filters once. "paper" runs the sub-filters independently,
+        without tracked points, and publishes eq. (29). "paper-fed-back" feeds eq. (29) back into them in
+        every frame, which makes them overconfident. "covariance-intersection" (weights 1/n) is conservative.
     iterations : int
         Linearisations per update; the second makes the first updates consistent if the start is wrong by a
         degree or a kilometre.
@@ -166,7 +166,8 @@ class DistributedEkf:
             base = self._update(base, FrameMeasurement(here_ns, RimSet.empty(), None), problem, "exact", bank)
             states[-1] = base
         window = None
-        if problem.features is not None:
+        # Sub-filters that run independently have no past pose in common, from which a point could be seen.
+        if problem.features is not None and fusion != "paper":
             window = FeatureWindow(problem.features, problem.camera, len(base.covariance))
             base = window.update(base, here_ns)
         for last, frame in itertools.pairwise(problem.frames[first:]):
