@@ -11,7 +11,7 @@ from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import warn_of
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import JsonOption, direction_of
+from craternav_fg.cli.options import JsonOption, direction_of, require_unused
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
 from craternav_fg.dataset import Dataset
@@ -116,6 +116,7 @@ def bag(
 @import_commands.command("kalibr", epilog=example("import kalibr camchain-imucam.yaml -o sensor.yaml"))
 @never_replacing
 def kalibr(
+    context: typer.Context,
     path: Annotated[Path, typer.Argument(metavar="YAML", help="camchain.yaml or imu.yaml of Kalibr.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="sensor.yaml to write.")],
     name: Annotated[str, typer.Option("--camera-name", help="Camera of the chain.")] = "cam0",
@@ -127,6 +128,7 @@ def kalibr(
             warn(f"{path}: timeshift_cam_imu {shift_s:g} s is not in {output}: add it to the images' stamps")
         text = camera_yaml(camera, _CAMERA_RATE_HZ)
     else:
+        require_unused(context, {"name"}, "for the calibration of an IMU")
         text = imu_yaml(read_kalibr_imu(path), read_kalibr_imu_rate_hz(path))
     with replacing(output) as temporary:
         temporary.write_text(text, encoding="utf-8")

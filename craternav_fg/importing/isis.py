@@ -90,7 +90,8 @@ class Cube:
                 with rasterio.open(self.path) as raster:
                     values = raster.read(1, masked=True).astype(np.float64)
                     values = values.filled(np.nan) * raster.scales[0] + raster.offsets[0]
-        except rasterio.errors.RasterioError as error:
+        # rasterio decodes what GDAL says of a damaged label, byte by byte.
+        except (rasterio.errors.RasterioError, UnicodeDecodeError) as error:
             raise InputError(self.path, f"pixels cannot be read: {' '.join(str(error).split())}") from None
         return np.where(values > _LEAST_VALID, values, np.nan)
 

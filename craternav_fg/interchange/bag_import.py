@@ -38,10 +38,8 @@ from craternav_fg.trajectory import InitialState
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-
-POSES = (ODOMETRY, POSE)
-# In place of a topic's name, which begins with a slash.
-NO_TRUTH = "none"
+# In place of the name of the truth's topic: names begin with a slash.
+_NO_TOPIC = "none"
 
 
 @dataclass(frozen=True)
@@ -135,9 +133,7 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
         topics = {
             "images": bag.topic((IMAGE, COMPRESSED), options.image, "images", "--image-topic"),
             "imu": bag.topic((IMU,), options.imu, "an IMU", "--imu-topic"),
-            "truth": None
-            if options.truth == NO_TRUTH
-            else bag.topic(POSES, options.truth, "poses", "--truth-topic"),
+            "truth": _truth_topic(bag, options.truth),
             "sun": None if options.sun is not None else _sun_topic(bag, options.sun_topic),
         }
         for what in ("images", "imu"):
@@ -181,6 +177,10 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
         truth=truth is not None,
         uncovered_truth=dropped,
     )
+
+
+def _truth_topic(bag: Bag, wanted: str | None) -> str | None:
+    return None if wanted == _NO_TOPIC else bag.topic((ODOMETRY, POSE), wanted, "poses", "--truth-topic")
 
 
 def _sun_topic(bag: Bag, wanted: str | None) -> str | None:

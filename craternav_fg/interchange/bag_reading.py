@@ -138,7 +138,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise InputError(path, "bag is missing")
     # A pipe in place of one of its files would block.
     for one in entries(path) if path.is_dir() else [path]:
-        check_input(one, SizeLimit.BAG)
+        # rosbags reads its description whole.
+        check_input(one, SizeLimit.SETTINGS if one.suffix == ".yaml" else SizeLimit.BAG)
     with _reading(path):
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()

@@ -255,6 +255,16 @@ def test_a_damaged_label_is_refused_in_one_line(tmp_path, old, new, problem):
     assert "\n" not in str(caught.value)
 
 
+# rasterio's own log of it fails, too.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_pixels_behind_a_label_of_odd_bytes_are_refused_in_one_line(tmp_path):
+    path = write_cube(tmp_path / "a.cub")
+    path.write_bytes(path.read_bytes().replace(b"Format = Band", b"Format = B\xa5nd", 1))
+    with pytest.raises(InputError, match="pixels cannot be read") as caught:
+        read_cube(path).pixels()
+    assert "\n" not in str(caught.value)
+
+
 def test_cubes_of_other_sizes_are_refused(tmp_path):
     one = write_cube(tmp_path / "a.cub")
     other = write_cube(tmp_path / "b.cub", size=(20, 20), start="2000-01-01T12:00:10")

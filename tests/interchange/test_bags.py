@@ -391,6 +391,14 @@ def test_a_pipe_in_a_bag_is_refused(tmp_path: Path) -> None:
         import_bag(tmp_path / "flight", tmp_path / "again", options(data))
 
 
+def test_a_bags_description_of_any_size_is_not_read(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    export_bag(data, tmp_path / "flight", BagFormat.ROSBAG2)
+    os.truncate(tmp_path / "flight" / "metadata.yaml", 2 << 20)
+    with pytest.raises(InputError, match=r"metadata.yaml: expected at most 1 MiB, found 2"):
+        import_bag(tmp_path / "flight", tmp_path / "again", options(data))
+
+
 @pytest.mark.parametrize("length", [1.5e8, 0.0, np.nan])
 def test_the_suns_vectors_may_have_any_length_but_zero(tmp_path: Path, length: float) -> None:
     data = dataset(tmp_path / "data")

@@ -108,6 +108,9 @@ def test_the_rate_of_an_imu_is_kept(tmp_path: Path, nested: bool) -> None:
     done = call("import", "kalibr", tmp_path / "imu.yaml", "-o", tmp_path / "sensor.yaml")
     assert done.code == 0, done.err
     assert read_imu_rate_hz(tmp_path / "sensor.yaml") == 400.0
+    # An IMU is of no camera.
+    done = call("import", "kalibr", tmp_path / "imu.yaml", "-o", tmp_path / "s.yaml", "--camera-name", "cam0")
+    assert (done.code, "--camera-name: does nothing" in done.err) == (2, True)
     assert read_imu_noise(tmp_path / "sensor.yaml") == NOISE
 
 
