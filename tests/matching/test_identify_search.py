@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from craternav_fg import frames
+from craternav_fg.matching.identify import search
 from craternav_fg.matching.identify.expansion import Search
 from craternav_fg.matching.identify.nadir import nadirs
 from craternav_fg.matching.identify.search import IdentifyOptions, Status, identify
@@ -184,3 +185,13 @@ def test_the_optical_axis_meets_the_ground_in_nine_of_ten_images(synthetic) -> N
     assert density[meets].sum() / density.sum() == pytest.approx(0.9, abs=0.01)
     place = 4.0 * np.pi * (MOON.radius_m + 2e5) ** 2 * 2e5 * np.log(2000.0)
     assert density.mean() * place * 8.0 * np.pi**2 == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_pose_found_twice_is_not_ambiguous(synthetic, monkeypatch) -> None:
+    """Several triples may lead to it: it was taken for its own rival."""
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    once = search._expanded
+    monkeypatch.setattr(search, "_expanded", lambda *how: 2 * once(*how)[:1])
+    found = identify(view.ellipses_px, view.camera, synthetic)
+    assert found.status is Status.IDENTIFIED
+    assert view.agrees(found.rows)

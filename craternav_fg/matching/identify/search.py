@@ -140,8 +140,9 @@ def identify(
     else:
         reason = "no pose puts more rims on craters of their size than chance does"
         return no_answer(n, Status.NO_ANSWER, reason, -best if np.isfinite(best) else 0.0, began)
-    if len(found) > 1 and found[1].log_ratio - found[0].log_ratio > options.log_ambiguity:
-        reason = f"a second pose is {np.exp(found[1].log_ratio - found[0].log_ratio):.2g} times as probable"
+    second = max((one.log_ratio for one in found[1:] if not _same(one, found[0])), default=-np.inf)
+    if second - found[0].log_ratio > options.log_ambiguity:
+        reason = f"a second pose is {np.exp(second - found[0].log_ratio):.2g} times as probable"
         return no_answer(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
     return answer(search.best_variation(found[0]), search, once, n, camera, began)
 
@@ -302,6 +303,12 @@ def _by_single_rims(search: Search, found: list[Expanded]) -> list[Expanded]:
         if answered or left < len(index.catalog):
             break
     return found
+
+
+def _same(one: Expanded, other: Expanded) -> bool:
+    """Whether poses share most of their pairs: several triples may lead to one."""
+    shared = np.count_nonzero((one.match == other.match) & (one.match >= 0))
+    return bool(2 * shared > min(np.count_nonzero(one.match >= 0), np.count_nonzero(other.match >= 0)))
 
 
 def _distinct(found: Sequence[Expanded]) -> list[Expanded]:
