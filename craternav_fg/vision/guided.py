@@ -174,8 +174,11 @@ class GuidedFrontEnd:
         reach_px = np.minimum(own_px + _MIN_SEARCHED_SHIFT_PX, opt.max_shift_px)
         shift = common_shift(frame.pixels, rims, self.camera.lens, radius_px)
         shifts = own_shifts(frame.pixels, rims, self.camera.lens, shift, reach_px)
-        covariance = np.tile(_SHIFT_SIGMA_PX**2 * np.eye(2), (len(shifts), 1, 1))
-        return corrected_pose(frame.gTb, frame.prior, frame.gTb, motion, shifts, covariance)[0]
+        seen = np.isfinite(shifts).all(axis=1)
+        if not seen.any():
+            return frame.gTb
+        covariance = np.tile(_SHIFT_SIGMA_PX**2 * np.eye(2), (np.count_nonzero(seen), 1, 1))
+        return corrected_pose(frame.gTb, frame.prior, frame.gTb, motion[seen], shifts[seen], covariance)[0]
 
     def _judged(self, frame: _Frame, pose: FloatArray, fitted: FittedRims, expected: int) -> _Result:
         """Gate fitted rims against the prediction and against the pose that they support together."""

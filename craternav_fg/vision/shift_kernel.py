@@ -41,7 +41,8 @@ def shift_score(
     Returns
     -------
     float
-        Mean relative brightness step across the rims, signed and weighted by the slope contrast across them.
+        Mean relative brightness step across the rims, signed and weighted by the slope contrast across them;
+        NaN where no point of them is in the image.
     """
     total, mass = 0.0, 0.0
     q = np.empty(6)
@@ -62,7 +63,7 @@ def shift_score(
             if step == step:
                 total += sign * min(max(step, -_MAX_STEP), _MAX_STEP)
                 mass += np.abs(sign)
-    return total / mass if mass > 0.0 else 0.0
+    return total / mass if mass > 0.0 else np.nan
 
 
 @njit(cache=True, error_model="numpy")
@@ -98,7 +99,7 @@ def search_shift(
     shift : ndarray, shape (2,)
         px.
     score : float
-        See `shift_score`.
+        See `shift_score`; -inf where no shift brings the rims into the image.
     """
     points = rim_points(charts_px, angles)
     best = start.copy()

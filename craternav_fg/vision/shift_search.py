@@ -98,15 +98,17 @@ def own_shifts(
     Returns
     -------
     ndarray, shape (n, 2)
-        Pixels of the camera without distortion.
+        Pixels of the camera without distortion; NaN for a rim that no such shift brings into the image.
     """
     out = np.empty((len(rims), 2))
     for i in range(len(out)):
         one = slice(i, i + 1)
         reach = min(reach_px[i], _MAX_OWN_SHIFT_SHARE * rims.smallest_radius_px(i))
         step = max(_MIN_OWN_STEP_PX, reach / _OWN_STEPS)
-        out[i], _ = shift_kernel.search_shift(
+        out[i], score = shift_kernel.search_shift(
             image, rims.charts_px[one], rims.contrast_px[one], rims.reference[one], _ANGLES_RAD, common,
             reach, step, _STEP_REACH_SHARE, _STEP_REACH_PX, lens,
         )  # fmt: skip
+        if np.isneginf(score):
+            out[i] = np.nan
     return out

@@ -134,6 +134,18 @@ def test_common_shift(shift):
     assert score > 0.1
 
 
+def test_a_rim_that_no_shift_brings_into_the_image_has_none():
+    """The corner of the searched square it used to be, as sure as any other."""
+    chart = CHART.copy()
+    chart[0] = -40.0
+    best, score = shift_kernel.search_shift(
+        rim_image(), chart[None], CONTRAST_PX[None], np.array([REFERENCE]), ANGLES, np.ones(2), 8.0, 1.0,
+        0.12, 1.0, PLAIN,
+    )  # fmt: skip
+    np.testing.assert_array_equal(best, np.ones(2))
+    assert score == -np.inf
+
+
 @pytest.mark.parametrize("contrast", [-2.0, 1.5])
 @pytest.mark.parametrize("blur", [0.05, 0.1])
 def test_crossing_table_against_a_rendered_crater(contrast, blur):
