@@ -294,6 +294,8 @@ class Tracker:
             # No earlier frame supports the initial state, and this one contradicts it.
             self._segments = [Segment(0, propagated_back(descent, state, int(stamps[0])))]
             self._measured = [FrameMeasurement(one.stamp_ns, RimSet.empty(), None) for one in self._measured]
+        # What rims near a wrong pose have shown of their craters' errors goes with it.
+        self._pooled = PooledErrors(self.dataset.camera, self.dataset.catalog)
         self._session = OnlineSession(descent)
         self._session.begin(frame, Start(fix.gTb, fix.pose_covariance, 0))
 

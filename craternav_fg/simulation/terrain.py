@@ -68,7 +68,7 @@ _MIN_SHARE = 0.3
 # The shortest octave and the smallest craters fade out over this share of a grid from its border; further
 # inside by `_BORDER` cells, heights do not depend on where the border is.
 _FADES, _BORDER = 16, 16
-# Parts into which a whole grid is divided among threads.
+# Parts into which a whole grid, or the rays of an image, are divided among threads.
 _PARTS = 8
 # Craters beyond 60 deg from the site are left out: the plane stretches them too much.
 _SITE_COSINE = 0.5
@@ -181,8 +181,7 @@ class Terrain:
         self._heights = np.empty((slots, options.cells, options.cells), np.float32)
         self._grids: list[_Grid | None] = [None] * slots
         self._oldest = list(range(slots))
-        self._workers = os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._workers)
+        self._pool = ThreadPoolExecutor(os.cpu_count() or 1)
 
     def _rows(self, catalog: Catalog) -> FloatArray:
         """Craters (n, 34) for `stamping.stamp`, largest first."""
@@ -255,9 +254,13 @@ class Terrain:
             )  # fmt: skip
         return float(height[0, 0])
 
-    def run(self, work: Callable[[int, int], object], n: int, chunks: int = 4) -> list[object]:
-        """Run `work(first, last)` on parts of range(n) in threads; the kernels release the lock."""
-        edges = np.linspace(0, n, chunks * self._workers + 1).astype(int)
+    def run(self, work: Callable[[int, int], object], n: int) -> list[object]:
+        """Run `work(first, last)` on parts of range(n) in threads; the kernels release the lock.
+
+        Rays begin at the intersections of their neighbours in the same part: the same parts on all machines
+        make the same image.
+        """
+        edges = np.linspace(0, n, _PARTS + 1).astype(int)
         return list(self._pool.map(work, edges[:-1], edges[1:]))
 
     def levels(self, low: FloatArray, high: FloatArray, nearest: FloatArray, pixel_m: float) -> Levels:

@@ -260,3 +260,15 @@ def test_more_samples_average_over_the_pixel(terrain):
     four = Renderer(scene.CAMERA, terrain, replace(CLEAN, samples=2)).radiance(gTb, toward)
     assert np.corrcoef(one.ravel(), four.ravel())[0, 1] > 0.99
     assert not np.array_equal(one, four)
+
+
+def test_an_image_does_not_depend_on_the_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays begin where those beside them ended: with other parts, light changed by up to 2e-5."""
+    parts = []
+    for cores in (1, 7):
+        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
+        ground = Terrain(scene.craters([]), scene.relief(), TerrainOptions(cells=1024))
+        seen: list[tuple[int, int]] = []
+        ground.run(lambda low, high, seen=seen: seen.append((low, high)), 1000)
+        parts.append(sorted(seen))
+    assert parts[0] == parts[1]
