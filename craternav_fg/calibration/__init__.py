@@ -8,53 +8,55 @@ alone. A family is the function of that name, in the module of that name or, of 
 The data that the values were once fitted to are not kept; those of the scripts were chosen later, from what
 the sources and the history say of the first.
 
-Standard errors follow from the scatter between independent images, descents or trials. A value is
-reproduced ("fitted") within three of them. What follows from Gaussian errors alone is "exact" up to its
-rounding. "At least" is a bound on the safe side. "Kept" are values that the rendered data do not give: the
-module says what they give, and what gets worse with that.
+Standard errors follow from the scatter between independent images, descents or trials. A fitted value holds
+within three of them. It is "confirmed" if three are at most the shipped value and the regenerated one. Else
+the data hardly determine it, and zero might pass as well: the value is a choice, which is "not contradicted".
+What follows from Gaussian errors alone is "exact" up to its rounding. "At least" is a bound, on the safe
+side. "Kept" are values that the rendered data do not give: the module says what they give, and what gets
+worse with that.
 
-==================== ============================================= ======= ======================
+==================== ============================================= ======= ================================
 family               constant                                      shipped regenerated
-==================== ============================================= ======= ======================
+==================== ============================================= ======= ================================
 blind_quality        detect.QUALITY_WEIGHTS: correlation           32      22 ± 3, kept
-..                   agreeing share of the normals                 6.5     6.0 ± 2.7
-..                   scatter, radii                                -50     -112 ± 27
-..                   covered share of the rim                      6.9     8.6 ± 2.8
-..                   detect.QUALITY_OFFSET                         -30.4   -22.9 ± 3.0
-candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.035 ± 0.004, kept
+..                   agreeing share of the normals                 6.5     6.0 ± 2.7, not contradicted
+..                   scatter, radii                                -50     -111 ± 26, not contradicted
+..                   covered share of the rim                      6.9     8.7 ± 2.8, not contradicted
+..                   detect.QUALITY_OFFSET                         -30.4   -23.0 ± 3.0, confirmed
+candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036 ± 0.004, kept
 ..                   detect.CONTRAST_FACTOR                        1.3     1.58 ± 0.07, kept
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
 reference_brightness GuidedOptions.brightness_sigma                0.02    at least 0.011 ± 0.001
-..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008
-rim_floor            FitOptions.floor_px, px                       0.025   0.021 ± 0.009
-..                   FitOptions.floor_share, radii                 0.001   0.0013 ± 0.0005
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 ± 0.03
-..                   brightness_share                              0.4     0.2 ± 0.5
-..                   camera_shift_px, px                           0.1     0.10 ± 0.03
-..                   sun_shift_px, px                              0.03    0.05 ± 0.04
-..                   stretch_px, px                                0.1     0.04 ± 0.09
-..                   stretch_share, radii                          0.004   0.0041 ± 0.0018
-..                   size_px, px                                   0.05    0.08 ± 0.02
-..                   size_share, radii                             0.002   0.0021 ± 0.0003
-..                   RimErrorOptions.decay                         0.8     1.1 ± 0.2
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.54 ± 0.13
-arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.07
-..                   arc_share, radii                              0.004   0.0053 ± 0.0010
-pooling              PoolingOptions.memory                         1.0     1.6 ± 0.5
-..                   pooling.PRIOR_FRAMES                          2       0.09 ± 0.04, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.5 ± 0.8
-sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.03 ± 0.36
-..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63
-..                   floor_rad, squared, deg2                      4       5.7 ± 1.1
-..                   floor_oblique_rad, squared, deg2              64      116 ± 45
+..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
+rim_floor            FitOptions.floor_px, px                       0.025   0.030 ± 0.007, confirmed
+..                   FitOptions.floor_share, radii                 0.001   0.0010 ± 0.0002, confirmed
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 ± 0.03, confirmed
+..                   brightness_share                              0.4     0.2 ± 0.5, not contradicted
+..                   camera_shift_px, px                           0.1     0.11 ± 0.03, confirmed
+..                   sun_shift_px, px                              0.03    0.05 ± 0.03, not contradicted
+..                   stretch_px, px                                0.1     0.02 ± 0.09, not contradicted
+..                   stretch_share, radii                          0.004   0.0043 ± 0.0018, not contradicted
+..                   size_px, px                                   0.05    0.069 ± 0.014, confirmed
+..                   size_share, radii                             0.002   0.0020 ± 0.0003, confirmed
+..                   RimErrorOptions.decay                         0.8     1.1 ± 0.2, confirmed
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.52 ± 0.13, confirmed
+arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.06, not contradicted
+..                   arc_share, radii                              0.004   0.0053 ± 0.0010, confirmed
+pooling              PoolingOptions.memory                         1.0     1.2 ± 0.4, not contradicted
+..                   pooling.PRIOR_FRAMES                          2       0.06 ± 0.03, kept
+variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.5 ± 0.8, confirmed
+sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
+..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63, not contradicted
+..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
+..                   floor_oblique_rad, squared, deg2              64      118 ± 45, not contradicted
 crest_blur           crest_blur.LOG_FOUND, CREST_SPREAD            tables  exact
 robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 ..                   ellipse_bias.PSI_CURVATURE                    0.4428  exact
 ..                   ellipse_bias.PSI_MIXED                        0.5720  exact
 ..                   ellipse_kernel.PSI_SLOPE_VARIANCE             0.1597  exact
-..                   ellipse_kernel.SCALE_VARIANCE                 2.33    2.31 ± 0.02
-..                   ellipse_kernel.OUTLINE_VARIANCE_FACTOR        1.4     1.43 ± 0.03
-==================== ============================================= ======= ======================
+..                   ellipse_kernel.SCALE_VARIANCE                 2.33    2.31 ± 0.02, confirmed
+..                   ellipse_kernel.OUTLINE_VARIANCE_FACTOR        1.4     1.43 ± 0.03, confirmed
+==================== ============================================= ======= ================================
 
 `GuidedOptions.brightness_slope_per_px` is not regenerated: it was set by the chi-square of single rims above
 100 px, whose median is right with it (0.99 over 25 rims) and hardly changes with three times of it (1.00).

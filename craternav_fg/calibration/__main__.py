@@ -44,7 +44,7 @@ def _table(name: str, found: list[Regenerated]) -> Table:
     table.add_column("")
     for one in found:
         numbers = (f"{one.shipped:.4g}", f"{one.value:.4g}", f"{one.error:.2g}")
-        table.add_row(one.name, *numbers, one.relation.value if one.holds else f"not {one.relation.value}")
+        table.add_row(one.name, *numbers, one.verdict)
     return table
 
 

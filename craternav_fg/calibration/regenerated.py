@@ -11,7 +11,7 @@ class Relation(Enum):
     """What the calibration says of a shipped value."""
 
     FITTED = "fitted"
-    """Shipped is the regenerated value, within its statistical error."""
+    """Shipped is the regenerated value, within its statistical error; see `Regenerated.verdict`."""
     EXACT = "exact"
     """Shipped is the regenerated value, rounded: nothing is random."""
     AT_LEAST = "at least"
@@ -62,3 +62,17 @@ class Regenerated:
                 return abs(self.known - self.value) <= MAX_SIGMAS * self.error
             case Relation.FITTED:
                 return abs(self.sigmas) <= MAX_SIGMAS
+
+    @property
+    def verdict(self) -> str:
+        """What the calibration says, in words.
+
+        A fitted value is "confirmed" where the errors within which it passes are smaller than itself and than
+        the regenerated one. Else it is "not contradicted": zero, or twice of it, might pass as well.
+        """
+        if self.relation is not Relation.FITTED:
+            return self.relation.value if self.holds else f"not {self.relation.value}"
+        if not self.holds:
+            return "contradicted"
+        least = min(abs(self.shipped), abs(self.value))
+        return "confirmed" if MAX_SIGMAS * self.error <= least else "not contradicted"

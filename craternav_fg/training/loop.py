@@ -8,6 +8,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,7 +70,7 @@ def train(
     Raises
     ------
     InputError
-        When the checkpoint cannot be read, or is of another seed or rate.
+        When the checkpoint cannot be read, or is of another network, seed or rate.
     """
     torch.manual_seed(options.seed)
     network = CraterNetwork().to(memory_format=torch.channels_last)
@@ -109,14 +110,22 @@ def _restored(path: Path, kept: dict[str, Any], options: TrainingOptions) -> int
         stored = torch.load(path)
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
         raise InputError(path, "cannot be read as a checkpoint") from error
+    try:
+        steps, given = int(stored["steps"]), dict(stored["options"])
+        states = {name: stored[name] for name in kept}
+    except (LookupError, TypeError, ValueError) as error:
+        found = ", ".join(map(str, stored)) if isinstance(stored, dict) else type(stored).__name__
+        names = ", ".join(("steps", "options", *kept))
+        raise InputError(path, f"expected {names}, found {shorten(found, 80)}") from error
     for name in ("seed", "rate", "weight_decay"):
-        if stored["options"][name] != getattr(options, name):
-            raise InputError(
-                path, f"expected {name} {getattr(options, name)}, found {stored['options'][name]}"
-            )
+        if given.get(name) != getattr(options, name):
+            raise InputError(path, f"expected {name} {getattr(options, name)}, found {given.get(name)}")
     for name, part in kept.items():
-        part.load_state_dict(stored[name])
-    return int(stored["steps"])
+        try:
+            part.load_state_dict(states[name])
+        except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+            raise InputError(path, f"expected the {name} of this training, found another one") from error
+    return steps
 
 
 def _keep(path: Path, steps: int, kept: dict[str, Any], options: TrainingOptions) -> None:

@@ -48,6 +48,10 @@ _MAX_EXPANDED_VARIANCE = 0.06
 FIRST_HARMONIC, LAST_HARMONIC = 3, 8
 _HARMONIC_ORDERS = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
 HARMONIC_VARIANCE_SHARE = (1.0 / _HARMONIC_ORDERS**2) / np.sum(0.5 / _HARMONIC_ORDERS**2)
+# Least degrees of freedom that are left to the points' errors: by a fit, and by harmonics, of which few
+# points get fewer (27 have all). Else the unknowns take up the errors, and the covariance falls to the least
+# that a fit can state.
+_MIN_FREEDOM, _MIN_FREEDOM_BESIDE_OUTLINE = 2.0, 6.0
 # Factor on the prior variance of the harmonics in the covariance: the variance is estimated from few, partly
 # seen harmonics, so the mean of its inverse is larger than the inverse of its mean. By
 # `craternav_fg.calibration.robust_moments`.
@@ -181,13 +185,21 @@ def _correlation_factor(r: FloatArray, weight: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _outline_variance(rows: FloatArray, r: FloatArray, base: FloatArray, sigma: float) -> float:
+def _harmonic_count(kept: int) -> int:
+    """Return how many components of the harmonics are estimated from a number of points."""
+    # Beside an ellipse and a slope of the brightness.
+    spare = kept - 6.0 - SCALE_VARIANCE - _MIN_FREEDOM_BESIDE_OUTLINE
+    return min(2 * max(int(0.5 * spare), 0), len(HARMONIC_VARIANCE_SHARE))
+
+
+@njit(cache=True, error_model="numpy")
+def _outline_variance(rows: FloatArray, m: int, r: FloatArray, base: FloatArray, sigma: float) -> float:
     """Variance of the outline's deviation from the ellipse, radii^2, that explains residuals r (n,).
 
     The mean square of the residuals is that of the points' own errors, estimated from the differences of
-    neighbours, plus what a fit of the ellipse alone leaves of the harmonics.
+    neighbours, plus what a fit of the ellipse alone leaves of the harmonics, whose unknowns end before m.
     """
-    count, m = rows.shape
+    count = rows.shape[0]
     jump, power = np.empty(count - 1), 0.0
     for i in range(count):
         power += min(abs(r[i]), TUKEY_SIGMAS * sigma) ** 2
@@ -278,7 +290,6 @@ def fit(
     prior[_SLOPE_ACROSS] = max(slope_sigma * slope_sigma, _HELD_VARIANCE)
     outline2 = outline_share * outline_share
     L = np.zeros((size_all, size_all))
-    unit = np.zeros(size_all)
     sigma, length = 1.0, np.inf
     for iteration in range(_MAX_ITERATIONS):
         ea, es = np.exp(y[2]), np.exp(y[4])
@@ -299,7 +310,9 @@ def fit(
             elif iteration < _WEIGHT_ITERATIONS:
                 weight[i] = (1.0 - t * t) ** 2 if np.abs(t) < 1.0 else 0.0
         if size_all > _OUTLINE and iteration == _CAUCHY_ITERATIONS:
-            outline2 += _outline_variance(rows, r, base, sigma)
+            size_all = _OUTLINE + _harmonic_count(np.count_nonzero(weight))
+            if size_all > _OUTLINE:
+                outline2 += _outline_variance(rows, size_all, r, base, sigma)
             for j in range(_OUTLINE, size_all):
                 prior[j] = outline2 * HARMONIC_VARIANCE_SHARE[j - _OUTLINE]
         # The harmonics are unknowns once their variance is known.
@@ -355,10 +368,13 @@ def fit(
     # Covariance of an M-estimate: the mean square of psi over the square of its mean slope.
     sigma2 = psi2 * count / (slope * slope)
     fitted = 5.0
+    unit = np.zeros(size_all)
     for j in range(_SLOPE_ACROSS, size_all):
         unit[:] = 0.0
         unit[j] = 1.0
         fitted += max(0.0, 1.0 - sigma2 * solved(L, unit)[j] / prior[j])
+    if kept - fitted - SCALE_VARIANCE < _MIN_FREEDOM:
+        return False, y, cov, cov, cov[0], 0.0, kept, 0.0, 0.0
     white2 = sigma2 * count / (count - fitted) / PSI_VARIANCE
     # Huber's correction for few points; unbiased in its inverse, as the variance is itself an estimate.
     sigma2 *= count / (count - fitted - SCALE_VARIANCE) * (1.0 + fitted * PSI_SLOPE_VARIANCE / count) ** 2

@@ -70,7 +70,8 @@ class SunOptions:
         proportion to the sine of the emission angle, added in quadrature.
     crater_floor_rad, crater_floor_oblique_rad : float
         The same of the direction from craters: seen obliquely, it depends on the ground's reflectance law.
-        All four are fitted by `craternav_fg.calibration.sun_tilt`.
+        Rendered ground determines `floor_rad` and does not contradict the other three, see
+        `craternav_fg.calibration`.
     max_sigma_rad : float
         Largest standard deviation of a measurement.
     """

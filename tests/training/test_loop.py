@@ -33,6 +33,22 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights(tmp_path):
         train(tmp_path / "parts", TrainingOptions(steps=4, seed=8))
 
 
+def test_a_checkpoint_of_another_program_is_one_line(tmp_path):
+    train(tmp_path, TrainingOptions(steps=1))
+    own = torch.load(tmp_path / "checkpoint.pt")
+    others = {
+        "expected steps, options, network, average, adam, found epoch, model": {"epoch": 3, "model": {}},
+        "found steps, options, network, average$": {name: own[name] for name in own if name != "adam"},
+        "found list": [1, 2],
+        "expected seed 7, found None": {**own, "options": {}},
+        "expected the network of this training": {**own, "network": {"weight": torch.zeros(2)}},
+    }
+    for message, stored in others.items():
+        torch.save(stored, tmp_path / "checkpoint.pt")
+        with pytest.raises(InputError, match=message):
+            train(tmp_path, TrainingOptions(steps=2))
+
+
 def test_the_exported_network_gives_the_same_in_opencv(tmp_path):
     torch.manual_seed(0)
     network = CraterNetwork().eval()

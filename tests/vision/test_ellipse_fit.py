@@ -229,15 +229,15 @@ def test_a_slope_of_that_motion_is_in_the_covariance():
     assert np.std(knowing, axis=0)[3] < 0.7 * np.std(blind, axis=0)[3]
 
 
-def outlined(rng, rms, arc, last=20, fall=1.5):
+def outlined(rng, rms, arc, last=20, fall=1.5, count=90):
     """Points of an ellipse whose radius has harmonics from 3 on; the fit expects another spectrum."""
-    points, normals = rim(30.0, 24.0, 0.4, 90, arc)
-    t, k = np.linspace(*arc, 90, endpoint=False), np.arange(3, last + 1)
+    points, normals = rim(30.0, 24.0, 0.4, count, arc)
+    t, k = np.linspace(*arc, count, endpoint=False), np.arange(3, last + 1)
     scale = rms * k**-fall / np.linalg.norm(k**-fall)
     share = np.cos(np.outer(t, k)) @ (scale * rng.normal(size=len(k)))
     share += np.sin(np.outer(t, k)) @ (scale * rng.normal(size=len(k)))
     centre = [300.0, 420.0]
-    return (points - centre) * (1.0 + share[:, None]) + centre + normals * rng.normal(0.0, 0.1, (90, 1))
+    return (points - centre) * (1.0 + share[:, None]) + centre + normals * rng.normal(0.0, 0.1, (count, 1))
 
 
 def outline_fits(rms, share, arc):
@@ -273,6 +273,27 @@ def test_outlines_that_are_no_ellipses(arc):
         assert np.mean(too_sure) > np.mean(distance2)
 
 
+@pytest.mark.parametrize(("count", "outliers"), [(18, 0), (20, 0), (22, 0), (28, 6)])
+def test_an_outline_through_few_points_is_not_taken_for_exact(count, outliers):
+    """As many harmonics as points leave no scatter, of which the covariance would be made."""
+    truth = chart_of(30.0, 24.0, 0.4, CAMERA)
+    options = FitOptions(floor_px=0.0, floor_share=0.0, outline_share=0.0003)
+    rng = np.random.default_rng(14)
+    distance2, views = [], 200
+    for _ in range(views):
+        points = outlined(rng, 0.03, FULL, count=count)
+        wrong = rng.choice(count, outliers, replace=False)
+        off = rng.uniform(10.0, 15.0, (outliers, 1)) * rng.choice([-1.0, 1.0], (outliers, 1))
+        points[wrong] += off * rim(30.0, 24.0, 0.4, count)[1][wrong]
+        fit = refine_rim(points, pixel_chart(truth, CAMERA), CAMERA, options, np.ones(count))
+        if isinstance(fit, RimFit):
+            error = fit.chart - truth
+            distance2.append(error @ np.linalg.solve(fit.covariance, error) / 5.0)
+    assert len(distance2) > 0.8 * views
+    assert np.mean(distance2) < 3.0
+    assert np.mean(np.array(distance2) > 10.0) < 0.06
+
+
 def test_rims_that_are_ellipses_lose_little_by_an_outline():
     (plain, _, _), (free, distance2, shares) = (outline_fits(0.0, share, FULL) for share in (0.0, 0.003))
     assert np.all(np.std(free, axis=0) < 1.1 * np.std(plain, axis=0))
@@ -284,6 +305,8 @@ def test_what_does_not_determine_an_ellipse_is_refused():
     rng = np.random.default_rng(11)
     points, normals = rim(30.0, 25.0, 0.2, 60)
     assert fit_rim(points[:8], CAMERA) is FitFailure.TOO_FEW_POINTS
+    few, lax = points[::7] + normals[::7] * rng.normal(0.0, 0.1, (9, 1)), FitOptions(8, max_gap_rad=1.0)
+    assert fit_rim(few, CAMERA, lax) is FitFailure.NO_ELLIPSE
     short, _ = rim(30.0, 25.0, 0.2, 60, arc=(0.0, 1.9))
     assert fit_rim(short, CAMERA) in (FitFailure.SHORT_ARC, FitFailure.NO_ELLIPSE)
     line = np.column_stack([np.linspace(0.0, 100.0, 40), np.linspace(3.0, 60.0, 40)])

@@ -37,8 +37,10 @@ class CorrelatedErrorOptions:
     """Size of the errors of rims that are correlated over frames or over rims.
 
     All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
-    unless they are shares of a variance. Fitted by `craternav_fg.calibration.correlated_errors`, the last two
-    by `craternav_fg.calibration.arcs`; `excess_white_share` is chosen.
+    unless they are shares of a variance. Compared with rendered images by
+    `craternav_fg.calibration.correlated_errors`, the last two by `craternav_fg.calibration.arcs`, which
+    determine some of them and hardly the others, see `craternav_fg.calibration`; `excess_white_share` is
+    chosen.
 
     Attributes
     ----------
