@@ -177,7 +177,7 @@ class GuidedFrontEnd:
         seen = np.isfinite(shifts).all(axis=1)
         if not seen.any():
             return frame.gTb
-        covariance = np.tile(_SHIFT_SIGMA_PX**2 * np.eye(2), (np.count_nonzero(seen), 1, 1))
+        covariance = np.tile(_SHIFT_SIGMA_PX**2 * np.eye(2), (int(np.count_nonzero(seen)), 1, 1))
         return corrected_pose(frame.gTb, frame.prior, frame.gTb, motion[seen], shifts[seen], covariance)[0]
 
     def _judged(self, frame: _Frame, pose: FloatArray, fitted: FittedRims, expected: int) -> _Result:
