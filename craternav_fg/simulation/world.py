@@ -248,9 +248,10 @@ def _craters(
             return import_catalog(Path(file.path), body)[0], None
         case PublishedCraters() as published:
             assert relief is not None
+            assert scenario.terrain is not None
             focal_px = scenario.camera.camera().focal_px
             return (
-                published_craters(published, body, track),
+                published_craters(published, body, track, scenario.terrain.dem_unit_m),
                 unresolved_craters(rng, published, body, track, focal_px, relief),
             )
         case CraterList() as named:

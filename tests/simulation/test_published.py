@@ -12,8 +12,10 @@ from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.nested_dem import NestedDem
 from craternav_fg.cli.app import app
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.simulation.published import published_craters
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from craternav_fg.simulation.scenario_tables import PublishedCraters
 from craternav_fg.simulation.world import World, make_world
 from tests.catalogs.test_dem import hills, write
 from tests.shared_data import shared
@@ -136,6 +138,47 @@ def test_the_map_has_errors_and_heights_of_the_coarse_model(world: World) -> Non
     assert np.all(catalog.common_shift.place_m > 20.0)
     # Bowls drawn below the model's resolution are no craters of the map.
     assert world.clutter is not None
+
+
+def test_heights_of_rims_are_in_the_unit_of_the_terrain(case: Scenario, folder: Path, tmp_path: Path) -> None:
+    import rasterio
+
+    terrain, craters = case.terrain, case.craters
+    assert terrain is not None
+    assert isinstance(craters, PublishedCraters)
+    assert craters.heights is not None
+    halves, models = [], [*terrain.models(), craters.heights]
+    for k, path in enumerate(models):
+        with rasterio.open(path) as raster:
+            corner = (raster.transform.c, raster.transform.f, raster.transform.a, -raster.transform.e)
+            halves.append(str(write(tmp_path / f"{k}.tif", 2.0 * raster.read(1), corner)))
+    tables = {
+        "terrain": terrain.model_copy(update={"dem": tuple(halves[:-1]), "dem_unit_m": 0.5}),
+        "craters": craters.model_copy(update={"heights": halves[-1]}),
+    }
+    one, other = (
+        make_world(scenario, np.random.default_rng(1), trial=False).catalog
+        for scenario in (case, case.model_copy(update=tables))
+    )
+    np.testing.assert_allclose(other.height_m, one.height_m, atol=0.1)
+
+
+def test_heights_of_rims_must_cover_the_map_and_be_plausible(case: Scenario, tmp_path: Path) -> None:
+    craters, track = case.craters, frames.up(np.radians([-41.0]), np.radians([-17.0])) * 1.8e6
+    assert isinstance(craters, PublishedCraters)
+    body = case.body.body()
+    # The bowls lie from 40.4 to 41.6 deg S.
+    part = write(tmp_path / "part.tif", np.zeros((40, 40), np.float32), (-20.0, -39.5, 0.2, 0.04))
+    craters = craters.model_copy(update={"heights": str(part)})
+    with pytest.raises(
+        InputError, match=r"part\.tif: expected heights of all 12 craters .*, 4 lie beyond it"
+    ):
+        published_craters(craters, body, track)
+    high = write(tmp_path / "high.tif", np.full((360, 720), 1500.0, np.float32), (-180.0, 90.0, 0.5, 0.5))
+    craters = craters.model_copy(update={"heights": str(high)})
+    assert np.all(published_craters(craters, body, track).height_m > 1400.0)
+    with pytest.raises(InputError, match=r"high\.tif: expected heights above a sphere .*wrong unit"):
+        published_craters(craters, body, track, 1000.0)
 
 
 def test_it_is_simulated_and_the_data_set_has_the_map(case: Scenario, tmp_path: Path) -> None:
