@@ -12,7 +12,9 @@ from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.nested_dem import NestedDem
 from craternav_fg.cli.app import app
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.simulation.ground_views import RealGround
 from craternav_fg.simulation.published import published_craters
+from craternav_fg.simulation.render import Renderer
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.scenario_tables import PublishedCraters
@@ -188,6 +190,30 @@ def test_it_is_simulated_and_the_data_set_has_the_map(case: Scenario, tmp_path: 
     assert len(data.catalog) == len(BOWLS)
     assert data.catalog.errors is not None
     assert data.image(1).std() > 2.0
+
+
+def test_single_views_have_the_light_and_the_craters_of_the_scenario(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = folder / "worn.toml"
+    worn = "[terrain]\nirregularity = 0.05\ndegradation = 0.8\npeaks_from_m = 900.0\n"
+    law = "single_scattering_albedo = 0.3\nasymmetry = -0.2\n"
+    law += "opposition_amplitude = 1.0\nopposition_width = 0.05\n"
+    path.write_text(CASE + worn + "[render.hapke]\n" + law + '[craters]\npath = "lu1319381.csv"\n')
+    made: list[Renderer] = []
+
+    def kept(self: Renderer, *_: object) -> npt.NDArray[np.uint8]:
+        made.append(self)
+        return np.zeros((2, 2), dtype=np.uint8)
+
+    monkeypatch.setattr(Renderer, "render", kept)
+    RealGround(path, folder).view(np.random.default_rng(1))
+    world = make_world(load_scenario(path).with_data(folder), np.random.default_rng(1), trial=False)
+    expected = world.renderer()
+    assert made[0].options == expected.options
+    assert made[0].options.hapke is not None
+    assert made[0].terrain.options == expected.terrain.options
+    assert made[0].terrain.options.degradation == 0.8
 
 
 def test_missing_public_files_are_named(
