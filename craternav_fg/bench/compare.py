@@ -62,7 +62,9 @@ def read_benchmark(path: Path) -> dict[str, Any]:
     values.pop(MOVED, None)
     for name, value in values.items():
         numbers = value if isinstance(value, list) else [value]
-        if len(numbers) != 1 + str(name).endswith(SPREAD) or not all(_is_number(one) for one in numbers):
+        spread = str(name).endswith(SPREAD)
+        fits = isinstance(value, list) == spread and len(numbers) == 1 + spread
+        if not fits or not all(_is_number(one) for one in numbers):
             raise InputError(path, f"{name}: expected a number, or two of a spread, found {value!r}")
     return values
 

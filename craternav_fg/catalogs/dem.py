@@ -36,6 +36,8 @@ MAX_POINTS = 100_000_000
 _EARTH_M = 6378137.0
 # Heights next to a gap, up to so many steps from it, are interpolated with points that have none.
 _GAP_STEPS = 1.5
+# A raster ends at a pole if its outermost points' cells end within this share of a step from it.
+_POLE_STEPS = 0.01
 # Heights above the sphere beyond this share of its radius are radii, or in another unit.
 _MAX_HEIGHT_RADII = 0.4
 # Units that rasters state for their heights, m.
@@ -117,7 +119,8 @@ class Dem:
         Returns
         -------
         ndarray, shape (n,)
-            Distance from the nearest border or gap, rad along rows and columns; negative outside.
+            Distance from the nearest border or gap, rad along rows and columns; negative outside. A border
+            at a pole does not count, and where there is none, the distance is infinite.
         """
         rows, columns = self.coefficients.shape
         places = np.empty((len(directions), 2))
@@ -125,7 +128,10 @@ class Dem:
         column, row = places.T
         scale = 1.0 / stretch(self.frame, directions)
         step = abs(self.frame[3]) * scale
-        inside = np.minimum(row, rows - 1 - row) * step
+        inside = np.full(len(row), np.inf)
+        for ends, steps in zip(self._rows_end(), (row, rows - 1 - row), strict=True):
+            if ends:
+                inside = np.minimum(inside, steps * step)
         if self.gap_steps is not None:
             # Beyond the raster, the border decides.
             near = map_coordinates(self.gap_steps, [row, column], order=1, mode="nearest")
@@ -137,6 +143,15 @@ class Dem:
         return np.asarray(
             np.minimum(inside, np.minimum(column, columns - 1 - column) * abs(self.frame[2]) * along)
         )
+
+    def _rows_end(self) -> tuple[bool, bool]:
+        """Whether there is ground beyond the first row and beyond the last: there is none beyond a pole."""
+        if self.frame[5] != 0.0:
+            return True, True
+        first, step = self.frame[1], self.frame[3]
+        edges = np.abs([first - 0.5 * step, first + (len(self.coefficients) - 0.5) * step])
+        ends = edges < 0.5 * np.pi - _POLE_STEPS * abs(step)
+        return bool(ends[0]), bool(ends[1])
 
     def gaps(self) -> FloatArray:
         """Return the places that have no height.
@@ -253,20 +268,28 @@ def _plane(path: Path, crs: Any, radius_m: float | None) -> Plane:
     """Interpret the raster's coordinates, and refuse those of another body."""
     found = re.search(r'(?:SPHEROID|ELLIPSOID)\["([^"]*)",\s*([\d.]+),\s*([\d.]+)', crs.to_wkt())
     sphere_m = 0.0 if found is None else float(found[2])
-    # Longitude and latitude of the Earth are taken for those of the body.
-    earth = crs.is_geographic and abs(sphere_m - _EARTH_M) < SAME_BODY * _EARTH_M
+    # WGS 84 stands on many rasters of other bodies: its longitude and latitude are taken for the body's.
+    earth = crs.is_geographic and _is_earth(sphere_m) and not (radius_m and _is_earth(radius_m))
     if found and radius_m is not None and not earth and abs(sphere_m - radius_m) > SAME_BODY * radius_m:
         problem = f"expected an elevation model of a body of {radius_m:.9g} m, found one of {sphere_m:.9g} m"
         raise InputError(path, f"{problem} ({found[1]})")
-    if crs.is_geographic:
+    if earth:
         return GEOGRAPHIC
     projection = crs.to_dict()
-    plane = plane_of(projection, sphere_m, crs.linear_units_factor[1]) if sphere_m > 0.0 else None
-    if plane is None or found is None or float(found[3]) != 0.0:
-        expected = "longitude and latitude, or equirectangular or polar stereographic coordinates of a sphere"
-        kind = f"projection '{projection.get('proj', 'unknown')}'"
-        raise InputError(path, f"expected {expected}, found {kind if plane is None else 'an ellipsoid'}")
+    plane = GEOGRAPHIC if crs.is_geographic else None
+    if crs.is_projected and sphere_m > 0.0:
+        plane = plane_of(projection, sphere_m, crs.linear_units_factor[1])
+    expected = "longitude and latitude, or equirectangular or polar stereographic coordinates, of a sphere"
+    if plane is None:
+        raise InputError(path, f"expected {expected}, found projection '{projection.get('proj', 'unknown')}'")
+    if found is not None and float(found[3]) != 0.0:
+        ellipsoid = f"an ellipsoid ({found[1]}, 1/f = {float(found[3]):g})"
+        raise InputError(path, f"expected {expected}, found {ellipsoid}")
     return plane
+
+
+def _is_earth(radius_m: float) -> bool:
+    return abs(radius_m - _EARTH_M) < SAME_BODY * _EARTH_M
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

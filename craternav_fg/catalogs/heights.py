@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII, CommonShift
 from craternav_fg.catalogs.dem import Dem
 from craternav_fg.catalogs.model import Catalog
 
@@ -73,7 +74,7 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     ----------
     catalog : Catalog
     dem : Dem
-        Elevation model of the catalogue's body.
+        Elevation model of the catalogue's body, which must cover all rims: see `with_covered_heights`.
 
     Returns
     -------
@@ -103,3 +104,52 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
         errors = replace(errors, height_m=np.hypot(scatter_m, _CREST_SIGMA_SHARE * smoothed_m))
     height_m = mean_m + _CREST_SHARE * smoothed_m - chord_depths_m(catalog)
     return replace(catalog, height_m=height_m, errors=errors, has_heights=True)
+
+
+def with_covered_heights(catalog: Catalog, dem: Dem) -> Catalog:
+    """Read the heights of the rims within an elevation model from it; the others keep theirs.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Dem
+
+    Returns
+    -------
+    Catalog
+        The same one when the model covers none of its craters.
+    """
+    inside = dem.covers(catalog.normals)
+    if not inside.any():
+        return catalog
+    found = with_rim_heights(catalog, dem)
+    errors = found.errors
+    if errors is not None and catalog.errors is not None:
+        errors = replace(errors, height_m=np.where(inside, errors.height_m, catalog.errors.height_m))
+    return replace(found, height_m=np.where(inside, found.height_m, catalog.height_m), errors=errors)
+
+
+def unknown_beyond(catalog: Catalog, dem: Dem) -> Catalog:
+    """State how unknown the heights beyond an elevation model are: the rims there lie on the sphere.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        With heights from `with_covered_heights`, and none before.
+    dem : Dem
+
+    Returns
+    -------
+    Catalog
+        With a common shift of the rims beyond the model.
+    """
+    inside = dem.covers(catalog.normals)
+    if inside.all():
+        return catalog
+    # The model may cover a plain only.
+    unknown_m = max(
+        float(np.sqrt(np.mean(catalog.height_m[inside] ** 2))),
+        UNKNOWN_HEIGHT_SIGMA_RADII * catalog.body.radius_m,
+    )
+    shift = catalog.common_shift or CommonShift.unknown(len(catalog))
+    return replace(catalog, common_shift=replace(shift, height_m=np.where(inside, shift.height_m, unknown_m)))

@@ -4,10 +4,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from craternav_fg.body import Body
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
-from craternav_fg.catalogs.heights import implausible_heights, with_rim_heights
+from craternav_fg.catalogs.heights import implausible_heights, unknown_beyond, with_covered_heights
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.terminal import warn
@@ -39,7 +41,9 @@ def read_any_catalog(path: Path, body_radius_m: float | None) -> tuple[Catalog, 
 
 
 def with_model_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
-    """Take the heights of the rims from an elevation model.
+    """Take the heights of the rims from an elevation model, and warn of rims beyond it.
+
+    Beyond the model, a catalogue's own heights stay; where it has none, they are stated to be unknown.
 
     Parameters
     ----------
@@ -56,13 +60,21 @@ def with_model_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
     Raises
     ------
     InputError
-        When the model cannot be read, or its heights are implausible for the body.
+        When the model cannot be read or covers no crater, or its heights are implausible for the body.
     """
-    catalog = with_rim_heights(catalog, read_dem(dem, unit_m, catalog.body.radius_m))
-    problem = implausible_heights(catalog)
+    model = read_dem(dem, unit_m, catalog.body.radius_m)
+    beyond = int(np.count_nonzero(~model.covers(catalog.normals)))
+    if beyond == len(catalog):
+        raise InputError(dem, f"expected ground of the {beyond:,} craters, found that of none")
+    found = with_covered_heights(catalog, model)
+    problem = implausible_heights(found)
     if problem is not None:
         raise InputError(dem, problem)
-    return catalog
+    if not beyond:
+        return found
+    kept = "keep the catalogue's heights" if catalog.has_heights else "are put on the sphere, heights unknown"
+    warn(f"{dem}: {beyond:,} of {len(catalog):,} craters lie beyond it, and {kept}")
+    return found if catalog.has_heights else unknown_beyond(found, model)
 
 
 def warn_of(path: Path, report: ImportReport) -> None:

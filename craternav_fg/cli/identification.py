@@ -73,7 +73,11 @@ def identify(
     intrinsics: IntrinsicsOptions,
     written: WrittenRims,
     altitude_km: Annotated[
-        str | None, typer.Option(help="Lowest and highest altitude to search.", show_default="1,2000")
+        str | None,
+        typer.Option(
+            help="Lowest and highest altitude to search.",
+            show_default="1,2000; as low as the craters are small",
+        ),
     ] = None,
     index: Annotated[
         Path | None,
@@ -133,10 +137,10 @@ def _attitude(given: AttitudeOptions) -> KnownAttitude | None:
     return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
 
 
-def _altitudes(text: str | None) -> tuple[float, float]:
+def _altitudes(text: str | None) -> tuple[float, float] | None:
     values = numbers_of("--altitude-km", text, 2)
     if values is None:
-        return IdentifyOptions.altitudes_m
+        return None
     if not 0.0 < values[0] < values[1]:
         raise InputError("--altitude-km", f"expected 0 < MIN < MAX, found {text}")
     return 1e3 * values[0], 1e3 * values[1]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
+from craternav_fg.vision.brightness import MAX_VALUE
 from craternav_fg.vision.mosaic import Window
 
 BoolArray = npt.NDArray[np.bool_]
@@ -29,7 +30,8 @@ class Pixels(NamedTuple):
     values : ndarray, shape (h, w, 2 or 4)
         Grey levels or colours, and an opacity that is 0 where there are no data.
     known : ndarray of bool, shape (h, w)
-        Where there are data.
+        Where there are data: all pixels of the file that one stands for, if the file does not declare which
+        of its floats are none (1e38 and more, as ISIS writes them).
     """
 
     values: npt.NDArray[np.generic]
@@ -123,6 +125,9 @@ def read_window(path: Path, window: Window) -> Pixels:
         place = f"columns {step * left} to {step * right}, rows {step * top} to {step * bottom}"
         raise InputError(path, f"cannot be read, {place}: {' '.join(str(error).split())}") from None
     known = known & np.isfinite(values).all(axis=0)
+    if values.dtype.kind == "f":
+        # A special pixel that the file does not declare spoils the average of all pixels that one stands for.
+        known &= (np.abs(values) < MAX_VALUE / step**2).all(axis=0)
     opacity = known.astype(values.dtype)
     return Pixels(np.moveaxis(np.concatenate([values, opacity[None]]), 0, -1), known)
 

@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import frames
-from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII, CommonShift
+from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.dem import Dem
-from craternav_fg.catalogs.heights import chord_depths_m, with_rim_heights
+from craternav_fg.catalogs.heights import chord_depths_m, unknown_beyond, with_covered_heights
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import (
@@ -238,7 +238,7 @@ def collect(catalog: Catalog, dem: Dem, found: list[Found]) -> RefinedRims:
     rims = _collected(known, enu, found)
     if known is catalog:
         return rims
-    return replace(rims, catalog=_unknown_beyond(rims.catalog, dem))
+    return replace(rims, catalog=unknown_beyond(rims.catalog, dem))
 
 
 def with_model_heights(catalog: Catalog, dem: Dem) -> Catalog:
@@ -254,30 +254,7 @@ def with_model_heights(catalog: Catalog, dem: Dem) -> Catalog:
     Catalog
         The same one when it has heights.
     """
-    if catalog.has_heights:
-        return catalog
-    inside = dem.covers(catalog.normals)
-    if not inside.any():
-        return catalog
-    found = with_rim_heights(catalog, dem)
-    errors = found.errors
-    if errors is not None:
-        errors = replace(errors, height_m=np.where(inside, errors.height_m, 0.0))
-    return replace(found, height_m=np.where(inside, found.height_m, catalog.height_m), errors=errors)
-
-
-def _unknown_beyond(catalog: Catalog, dem: Dem) -> Catalog:
-    """State how unknown the heights beyond the model are: the rims there lie on the sphere."""
-    inside = dem.covers(catalog.normals)
-    if inside.all():
-        return catalog
-    # The model may cover a plain only.
-    unknown_m = max(
-        float(np.sqrt(np.mean(catalog.height_m[inside] ** 2))),
-        UNKNOWN_HEIGHT_SIGMA_RADII * catalog.body.radius_m,
-    )
-    shift = catalog.common_shift or CommonShift.unknown(len(catalog))
-    return replace(catalog, common_shift=replace(shift, height_m=np.where(inside, shift.height_m, unknown_m)))
+    return catalog if catalog.has_heights else with_covered_heights(catalog, dem)
 
 
 def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray, row: int) -> Found:

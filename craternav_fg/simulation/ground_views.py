@@ -14,11 +14,12 @@ from craternav_fg.catalogs.nested_dem import read_nested_dem
 from craternav_fg.errors import CraternavError
 from craternav_fg.simulation.published import unresolved_craters
 from craternav_fg.simulation.relief import Relief, ReliefOptions
-from craternav_fg.simulation.render import Renderer, RenderOptions
+from craternav_fg.simulation.render import Renderer
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.scenario_tables import PublishedCraters, RenderSection, TerrainSection
 from craternav_fg.simulation.scenes import sun_direction
-from craternav_fg.simulation.terrain import Terrain, TerrainOptions
+from craternav_fg.simulation.terrain import Terrain
+from craternav_fg.simulation.world import render_options, terrain_options
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -135,8 +136,5 @@ class RealGround:
         track = gTb[None, :3, 3]
         small = unresolved_craters(rng, self._craters, self.body, track, self.camera.focal_px, relief)
         none = small.take(np.empty(0, dtype=np.int64))
-        ground = Terrain(none, relief, TerrainOptions(depth_scatter=rough.depth_scatter), small)
-        same = light.model_dump(exclude={"sun_radius_deg", "bit_depth", "exposure_s", "hapke"})
-        return Renderer(
-            self.camera, ground, RenderOptions(sun_radius_rad=np.radians(light.sun_radius_deg), **same)
-        )
+        ground = Terrain(none, relief, terrain_options(rough), small)
+        return Renderer(self.camera, ground, render_options(light))

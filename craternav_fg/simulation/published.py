@@ -27,7 +27,9 @@ _UNRESOLVED_STEPS = 1.5
 _TRACK_POINTS = 200
 
 
-def published_craters(section: PublishedCraters, body: Body, track: FloatArray) -> Catalog:
+def published_craters(
+    section: PublishedCraters, body: Body, track: FloatArray, heights_unit_m: float = 1.0
+) -> Catalog:
     """Read the map of a descent.
 
     Parameters
@@ -36,6 +38,8 @@ def published_craters(section: PublishedCraters, body: Body, track: FloatArray) 
     body : Body
     track : ndarray, shape (k, 3)
         Positions of the lander in g, m.
+    heights_unit_m : float
+        Unit of the elevation model of the rims' heights, m.
 
     Returns
     -------
@@ -45,7 +49,7 @@ def published_craters(section: PublishedCraters, body: Body, track: FloatArray) 
     Raises
     ------
     InputError
-        When a file is wrong, or the catalogue has no crater there.
+        When a file is wrong, the catalogue has no crater there, or the heights' model does not cover all.
     """
     path = Path(section.path)
     catalog, _ = import_catalog(path, body)
@@ -64,8 +68,18 @@ def published_craters(section: PublishedCraters, body: Body, track: FloatArray) 
         errors = MapErrors(place_m, size, np.zeros(len(catalog)))
         catalog = replace(catalog, errors=errors, common_shift=shift)
     if not catalog.has_heights and section.heights is not None:
-        catalog = with_rim_heights(catalog, read_dem(Path(section.heights), 1.0, body.radius_m))
+        catalog = _with_heights(catalog, Path(section.heights), heights_unit_m)
     return catalog
+
+
+def _with_heights(catalog: Catalog, path: Path, unit_m: float) -> Catalog:
+    """Read the heights of the rims from an elevation model that must cover all of them."""
+    dem = read_dem(path, unit_m, catalog.body.radius_m)
+    beyond = int(np.count_nonzero(~dem.covers(catalog.normals)))
+    if beyond:
+        problem = f"expected heights of all {len(catalog)} craters along the descent, {beyond} lie beyond it"
+        raise InputError(path, problem)
+    return with_rim_heights(catalog, dem)
 
 
 def unresolved_craters(

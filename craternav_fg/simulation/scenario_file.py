@@ -32,6 +32,8 @@ from craternav_fg.simulation.sensor_tables import check_sensor
 
 # Environment variable with the folder of public files.
 DATA_VARIABLE = "CRATERNAV_DATA"
+# Tables and keys that name files: one, or a list.
+_FILES = (("craters", "path"), ("craters", "heights"), ("terrain", "dem"))
 
 
 class Scenario(Section):
@@ -110,16 +112,13 @@ class Scenario(Section):
         -------
         Scenario
         """
-        craters, terrain = self.craters, self.terrain
-        if isinstance(craters, CraterFile):
-            craters = craters.model_copy(update={"path": place(craters.path)})
-        elif isinstance(craters, PublishedCraters):
-            path = place(craters.path)
-            heights = None if craters.heights is None else place(craters.heights)
-            craters = craters.model_copy(update={"path": path, "heights": heights})
-        if terrain is not None and terrain.dem is not None:
-            terrain = terrain.model_copy(update={"dem": tuple(map(place, terrain.models()))})
-        return self.model_copy(update={"craters": craters, "terrain": terrain})
+        changed: dict[str, Any] = {}
+        for table, key in _FILES:
+            section = changed.get(table, getattr(self, table))
+            if getattr(section, key, None) is not None:
+                value = _placed(getattr(section, key), place)
+                changed[table] = section.model_copy(update={key: value})
+        return self.model_copy(update=changed)
 
     def with_data(self, folder: Path | None = None) -> "Scenario":
         """Find the public files that the scenario needs.
@@ -175,13 +174,10 @@ def load_scenario(name: str | Path) -> Scenario:
     Notes
     -----
     A file with `base = "NAME"` holds the differences from that scenario: a built-in one, or a file beside it.
-    A table [measurements] replaces a base's [render] and vice versa.
+    A table [measurements] replaces a base's [render] and vice versa. Paths are relative to the file that
+    has them.
     """
-    path = _find(name)
-    scenario = _with_base(path)
-    return scenario.located(
-        lambda file: file if file in scenario.data else str((path.parent / file).resolve())
-    )
+    return _with_base(_find(name))
 
 
 def _find(name: str | Path) -> Path:
@@ -199,16 +195,20 @@ def _find(name: str | Path) -> Path:
 def _with_base(path: Path) -> Scenario:
     """Read a scenario that may hold only its differences from another."""
     text, data = read_toml(path)
-    seen = [path]
-    while "base" in data:
-        base = data.pop("base")
+    files = [(path, data)]
+    while "base" in files[-1][1]:
+        base = files[-1][1].pop("base")
         if not isinstance(base, str):
             raise InputError(path, f"expected the name of a scenario, found {base!r}", column="base")
-        beside = seen[-1].parent / base
-        seen.append(beside if beside.suffix == ".toml" else _find(base))
-        if seen[-1] in seen[:-1]:
-            raise InputError(path, f"is its own base, by way of {seen[-1]}", column="base")
-        _, under = read_toml(seen[-1])
+        beside = files[-1][0].parent / base
+        found = beside if beside.suffix == ".toml" else _find(base)
+        if any(found.resolve() == file.resolve() for file, _ in files):
+            raise InputError(path, f"is its own base, by way of {found}", column="base")
+        files.append((found, read_toml(found)[1]))
+    public = {name for _, tables in files if isinstance(tables.get("data"), dict) for name in tables["data"]}
+    for file, tables in files:
+        _locate(tables, file.parent, public)
+    for _, under in files[1:]:
         # A scenario that differs from its base has other figures.
         under.pop("expected", None)
         for given, other in (("measurements", "render"), ("render", "measurements")):
@@ -216,6 +216,25 @@ def _with_base(path: Path) -> Scenario:
                 under.pop(other, None)
         data = _merged(under, data)
     return validate(path, data, Scenario, text=text)
+
+
+def _locate(tables: dict[str, Any], folder: Path, public: set[str]) -> None:
+    """Replace the paths in the tables of a file, but for those of public files."""
+    for table, key in _FILES:
+        section = tables.get(table)
+        if isinstance(section, dict) and section.get(key):
+            section[key] = _placed(
+                section[key], lambda file: file if file in public else str((folder / file).resolve())
+            )
+
+
+def _placed(files: Any, place: Callable[[str], str]) -> Any:
+    """Replace a path or a list of paths; what is neither stays, and is refused where the file is checked."""
+    if isinstance(files, str):
+        return place(files)
+    if isinstance(files, list | tuple):
+        return type(files)(place(file) if isinstance(file, str) else file for file in files)
+    return files
 
 
 def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -214,7 +214,8 @@ class PublishedCraters(Section):
     path: FilePath
     """Table that `catalog import` reads, or a catalogue that `craternav` wrote."""
     heights: FilePath | None = None
-    """Elevation model for the heights of the rims, where the catalogue has none."""
+    """Elevation model for the heights of the rims, where the catalogue has none; in the unit `dem_unit_m` of
+    [terrain]."""
     min_diameter_m: Positive
     """Smaller craters are excluded from the map."""
     reach: Positive
@@ -297,7 +298,7 @@ class TerrainSection(Section):
     dem: FilePath | tuple[FilePath, ...] | None = None
     """Elevation model, a GeoTIFF with heights above the reference sphere; or several, the finest first."""
     dem_unit_m: Positive = 1.0
-    """Metres per unit of its values."""
+    """Metres per unit of its values, and of those of [craters] `heights`."""
     peaks_from_m: Positive | None = None
     """Diameter from which craters have a central peak."""
 

@@ -28,6 +28,8 @@ from craternav_fg.simulation.scenario_tables import (
     CraterList,
     PublishedCraters,
     RandomCraters,
+    RenderSection,
+    TerrainSection,
     TrajectorySection,
 )
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
@@ -76,25 +78,48 @@ class World:
         assert self.relief is not None
         assert terrain is not None
         assert light is not None
-        options = TerrainOptions(
-            depth_scatter=terrain.depth_scatter,
-            irregularity=terrain.irregularity,
-            degradation=terrain.degradation,
-            peaks_from_m=math.inf if terrain.peaks_from_m is None else terrain.peaks_from_m,
-        )
-        same = light.model_dump(exclude={"sun_radius_deg", "bit_depth", "exposure_s", "hapke"})
-        hapke = None if light.hapke is None else Hapke(**light.hapke.model_dump())
-        sun_radius_rad = math.radians(light.sun_radius_deg)
-        return Renderer(
-            self.camera,
-            Terrain(self._standing(), self.relief, options, self.clutter),
-            RenderOptions(sun_radius_rad=sun_radius_rad, hapke=hapke, **same),
-        )
+        ground = Terrain(self._standing(), self.relief, terrain_options(terrain), self.clutter)
+        return Renderer(self.camera, ground, render_options(light))
 
     def _standing(self) -> Catalog:
         """Craters that the terrain gets beside those of its elevation model."""
         published = isinstance(self.scenario.craters, PublishedCraters)
         return self.catalog.take(np.empty(0, dtype=np.int64)) if published else self.catalog
+
+
+def terrain_options(section: TerrainSection) -> TerrainOptions:
+    """Read how a scenario's craters are worn and shaped.
+
+    Parameters
+    ----------
+    section : TerrainSection
+
+    Returns
+    -------
+    TerrainOptions
+    """
+    return TerrainOptions(
+        depth_scatter=section.depth_scatter,
+        irregularity=section.irregularity,
+        degradation=section.degradation,
+        peaks_from_m=math.inf if section.peaks_from_m is None else section.peaks_from_m,
+    )
+
+
+def render_options(section: RenderSection) -> RenderOptions:
+    """Read how a scenario's images are rendered.
+
+    Parameters
+    ----------
+    section : RenderSection
+
+    Returns
+    -------
+    RenderOptions
+    """
+    same = section.model_dump(exclude={"sun_radius_deg", "bit_depth", "exposure_s", "hapke"})
+    hapke = None if section.hapke is None else Hapke(**section.hapke.model_dump())
+    return RenderOptions(sun_radius_rad=math.radians(section.sun_radius_deg), hapke=hapke, **same)
 
 
 def make_world(scenario: Scenario, rng: np.random.Generator, *, trial: bool) -> World:
@@ -248,9 +273,10 @@ def _craters(
             return import_catalog(Path(file.path), body)[0], None
         case PublishedCraters() as published:
             assert relief is not None
+            assert scenario.terrain is not None
             focal_px = scenario.camera.camera().focal_px
             return (
-                published_craters(published, body, track),
+                published_craters(published, body, track, scenario.terrain.dem_unit_m),
                 unresolved_craters(rng, published, body, track, focal_px, relief),
             )
         case CraterList() as named:

@@ -19,7 +19,7 @@ _RGB_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 _DIM_BRIGHTNESS, _STRETCHED_BRIGHTNESS = 100.0, 200.0
 _DARK_PERCENTILE, _BRIGHT_PERCENTILE = 0.5, 99.5
 # Magnitude of a float from which it is no brightness: ISIS writes missing and saturated pixels as -3.4e38.
-_MAX_VALUE = 1e38
+MAX_VALUE = 1e38
 # Pixels sampled for the percentiles.
 _MAX_SAMPLED_PIXELS = 40_000
 # Pixels at the maximum, as a number and as a share of the image, above which they count as saturated.
@@ -57,7 +57,7 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     with np.errstate(over="ignore"):
         values = raw.reshape(*raw.shape[:2], channels).astype(np.float32)
     # NaN compares as false.
-    holes = ~(np.abs(values) < _MAX_VALUE).all(axis=2)
+    holes = ~(np.abs(values) < MAX_VALUE).all(axis=2)
     if channels in (2, 4):
         holes |= values[..., -1] == 0.0
     out = values[..., :3] @ _RGB_WEIGHTS if channels >= 3 else values[..., 0]

@@ -51,6 +51,8 @@ def test_what_a_comparison_printed_can_be_compared_again(tmp_path: Path) -> None
         ("[1.0]", "found something else"),
         (json.dumps({"a": "fast", "a_spread": [1.0, 2.0]}), "a: expected a number"),
         (json.dumps({"a": 1.0, "a_spread": 2.0}), "a_spread: expected a number, or two"),
+        (json.dumps({"a": [1.0], "a_spread": [1.0, 2.0]}), r"a: expected a number, .* found \[1.0\]"),
+        (json.dumps({"a": 1.0, "a_spread": [2.0]}), "a_spread: expected a number, or two"),
     ],
 )
 def test_another_file_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:

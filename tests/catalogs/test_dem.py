@@ -70,6 +70,17 @@ def test_a_part_of_the_body_with_longitudes_to_the_east(tmp_path):
     np.testing.assert_allclose(read_dem(path).heights_m(frames.up(lat, lon)), hills(lat, lon), atol=0.5)
 
 
+def test_a_model_that_ends_at_a_pole_covers_it(globe, tmp_path):
+    dem = read_dem(globe)
+    degrees = np.array([90.0, 89.99, -89.9, -90.0])
+    places = frames.up(np.radians(degrees), np.radians([0.0, 100.0, 20.0, 0.0]))
+    assert dem.covers(places).all()
+    np.testing.assert_allclose(dem.heights_m(places), hills(*frames.latitude_longitude(places)), atol=15.0)
+    # Half a step short of the poles, there is ground beyond.
+    short = write(tmp_path / "short.tif", np.zeros((359, 720), np.float32), (-180.0, 89.75, 0.5, 0.5))
+    assert not read_dem(short).covers(places).any()
+
+
 def write_with_unit(path, unit):
     write(path, np.full((8, 8), 2.0, np.float32))
     with rasterio.open(path, "r+") as raster:
@@ -171,6 +182,10 @@ BAD = {
         lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=eqc +a=1737400 +b=1730000"),
         "found an ellipsoid",
     ),
+    "latitudes on an ellipsoid": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=longlat +a=1737400 +rf=169.9"),
+        r"expected longitude and latitude.* of a sphere, found an ellipsoid \(.*1/f = 169\.9",
+    ),
     "not about a pole": (
         lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=stere +lat_0=60 +R=1737400"),
         "found projection 'stere'",
@@ -198,6 +213,13 @@ BAD = {
     "no raster": (lambda p: p.write_text("x"), "expected a GeoTIFF"),
     "missing": (lambda p: None, "file is missing"),
 }
+
+
+def test_latitudes_of_the_earth_are_those_of_other_bodies_only(tmp_path):
+    path = write(tmp_path / "dem.tif", np.zeros((8, 8), np.float32), crs="EPSG:4326")
+    assert read_dem(path, radius_m=1737400.0).heights_m(np.eye(3)) == pytest.approx(0.0)
+    with pytest.raises(InputError, match=r"found an ellipsoid \(WGS 84, 1/f = 298\.257"):
+        read_dem(path, radius_m=6371e3)
 
 
 @pytest.mark.parametrize("case", BAD)

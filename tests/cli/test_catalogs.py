@@ -7,6 +7,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII
+from craternav_fg.catalogs.files import import_catalog
+from tests.catalogs.test_dem import write
 from tests.cli.calls import call
 
 ROWS = "LAT_DEG,LON_DEG,DIAM_KM\n" + "\n".join(
@@ -177,3 +180,44 @@ def test_a_unit_of_heights_that_is_no_length_is_refused(command, unit):
     done = call(*command, "--dem", "model.tif", "--dem-unit-m", unit)
     assert done.code == 2
     assert done.err.startswith("craternav: --dem-unit-m: expected metres, more than 0, found")
+
+
+@pytest.fixture
+def north(tmp_path):
+    """Two craters, and an elevation model of the north alone, 2 km high."""
+    (tmp_path / "two.csv").write_text("ID,LAT_DEG,LON_DEG,DIAM_KM,TARGET\nA,40,10,8,Moon\nB,-40,10,8,Moon\n")
+    write(tmp_path / "north.tif", np.full((90, 360), 2000.0, np.float32), (-180.0, 90.0, 1.0, 1.0))
+    return tmp_path
+
+
+def test_craters_beyond_an_elevation_model_get_no_heights_from_it(north):
+    done = call("catalog", "import", north / "two.csv", "-o", north / "o.csv", "--dem", north / "north.tif")
+    assert done.code == 0, done.err
+    assert done.err.count("1 of 2 craters lie beyond it, and are put on the sphere, heights unknown") == 1
+    found, _ = import_catalog(north / "o.csv")
+    a, b = found.identifiers.index("A"), found.identifiers.index("B")
+    assert found.height_m[a] > 1900.0
+    assert found.height_m[b] == 0.0
+    # The model shows that heights are as large as 2 km.
+    assert found.common_shift.height_m[b] == pytest.approx(found.height_m[a], rel=1e-6)
+    assert found.common_shift.height_m[b] > UNKNOWN_HEIGHT_SIGMA_RADII * found.body.radius_m
+    assert not found.common_shift.height_m[a] > 0.0
+
+
+def test_a_catalogue_keeps_its_own_heights_beyond_an_elevation_model(north):
+    call("catalog", "import", north / "two.csv", "-o", north / "o.csv", "--dem", north / "north.tif")
+    high = write(north / "high.tif", np.full((90, 360), 3000.0, np.float32), (-180.0, 0.0, 1.0, 1.0))
+    done = call("catalog", "import", north / "o.csv", "-o", north / "p.csv", "--dem", high)
+    assert "1 of 2 craters lie beyond it, and keep the catalogue's heights" in done.err
+    before, after = (import_catalog(north / name)[0] for name in ("o.csv", "p.csv"))
+    a, b = after.identifiers.index("A"), after.identifiers.index("B")
+    assert after.height_m[a] == before.height_m[before.identifiers.index("A")]
+    assert after.height_m[b] > 2900.0
+
+
+def test_an_elevation_model_of_other_ground_is_refused(north):
+    far = write(north / "far.tif", np.full((8, 8), 1.0, np.float32), (100.0, 8.0, 1.0, 1.0))
+    done = call("catalog", "import", north / "two.csv", "-o", north / "o.csv", "--dem", far)
+    assert done.code == 2
+    assert "far.tif: expected ground of the 2 craters, found that of none" in done.err
+    assert not (north / "o.csv").exists()

@@ -17,8 +17,11 @@ from craternav_fg.catalogs.store import read_parquet
 from craternav_fg.detection import mosaics
 from craternav_fg.detection.images import Where
 from craternav_fg.detection.mosaics import detect_mosaic
+from craternav_fg.detection.raster import read_window
 from craternav_fg.detection.settings import DetectionSettings
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.vision.brightness import brightness
+from craternav_fg.vision.mosaic import Window
 from tests.campaign import inline
 from tests.cli.calls import call
 from tests.detection.mosaic_scene import CORNERS, EQUIRECTANGULAR, POLAR, RADIUS_M, STEP_M, shaded_map
@@ -125,6 +128,26 @@ def test_rims_on_missing_data_are_dropped_and_others_stay(polar, tmp_path):
     path = polar.write(tmp_path / "none.tif", grey)
     assert len(detect_mosaic(path, tmp_path / "none", SETTINGS, HERE).rims) == 0
     assert not (tmp_path / "none" / "catalog.parquet").exists()
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_special_pixels_that_the_file_does_not_declare_are_missing_at_each_level(level, polar, tmp_path):
+    """ISIS writes missing pixels as -3.4e38; averaged with others they are no longer as large."""
+    rows, columns = polar.image.shape
+    step = 2**level
+    image, mosaic = polar.image.astype(np.float32), tmp_path / "map.tif"
+    image[100:140, 203:300] = image[301, 77] = np.float32(-3.4028227e38)
+    polar.write(mosaic, image)
+    whole = (0, 0, columns // step, rows // step)
+    pixels = read_window(mosaic, Window(level, 0, 0, whole, whole, (1.0, 2.0)))
+    cells = image[: whole[3] * step, : whole[2] * step].astype(np.float64)
+    cells = cells.reshape(whole[3], step, whole[2], step).swapaxes(1, 2).reshape(*whole[:1:-1], -1)
+    expected = (cells > -1.0).all(axis=2)
+    np.testing.assert_array_equal(pixels.known, expected)
+    np.testing.assert_allclose(pixels.values[..., 0][expected], cells.mean(axis=2)[expected], rtol=1e-5)
+    seen = brightness(pixels.values)
+    np.testing.assert_array_equal(np.isfinite(seen), expected)
+    assert np.nanstd(seen) > 5.0
 
 
 def test_parts_that_are_lit_from_other_sides_keep_their_light(tmp_path):

@@ -5,11 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from craternav_fg import frames
+from craternav_fg.body import Body
 from craternav_fg.matching.identify import search
 from craternav_fg.matching.identify.expansion import Search
 from craternav_fg.matching.identify.nadir import nadirs
 from craternav_fg.matching.identify.search import IdentifyOptions, Status, identify
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
+from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.matching.identify.triple_search import (
     image_order,
     image_triples,
@@ -17,8 +19,9 @@ from craternav_fg.matching.identify.triple_search import (
     search_triples,
 )
 from craternav_fg.matching.identify.view import view_of
-from craternav_fg.simulation.catalog_views import ViewOptions, random_view
+from craternav_fg.simulation.catalog_views import ViewOptions, random_view, square_camera
 from craternav_fg.simulation.scenes import MOON
+from tests.catalogs.population import power_law_population
 from tests.matching.test_identify import tracker
 
 
@@ -195,3 +198,27 @@ def test_a_pose_found_twice_is_not_ambiguous(synthetic, monkeypatch) -> None:
     found = identify(view.ellipses_px, view.camera, synthetic)
     assert found.status is Status.IDENTIFIED
     assert view.agrees(found.rows)
+
+
+def test_a_small_body_is_identified_from_as_low_as_its_craters_are_small() -> None:
+    """Bennu from 125 m, seventeen perfect rims or more; the search used to begin at 1 km."""
+    body, rng = Body("Bennu", 245.03, 4.892, (0.0, 0.0, 0.0)), np.random.default_rng(5)
+    index = TripleIndex.build(power_law_population(rng, body, 1300, (4.0, 40.0)))
+    options = ViewOptions(altitudes_m=(125.0, 125.0), field_deg=44.0, sigma_px=0.0, missing=0.0, false=0.0)
+    for _ in range(3):
+        view = random_view(index.catalog, options, rng, true_rims=(17, 10_000))
+        found = identify(view.ellipses_px, view.camera, index)
+        assert found.identified
+        np.testing.assert_array_equal(found.rows, view.craters)
+        np.testing.assert_allclose(found.gTb[:3, 3], view.gTb[:3, 3], atol=0.05)
+
+
+def test_altitudes_follow_the_sizes_of_the_craters() -> None:
+    camera = square_camera(60.0)
+    # Craters of kilometres: 1 km to 2000 km, however large the largest is.
+    assert IdentifyOptions().searched_m(camera, np.array([500.0, 50e3])) == (1e3, 2e6)
+    low_m, high_m = IdentifyOptions().searched_m(camera, np.array([2.0, 20.0]))
+    # Eight radii of the smallest fill the side; the largest has two pixels.
+    assert low_m == pytest.approx(8.0 * 2.0 / (2.0 * np.tan(np.radians(30.0))))
+    assert high_m == pytest.approx(20.0 * camera.focal_px / 2.0)
+    assert IdentifyOptions(altitudes_m=(3.0, 4.0)).searched_m(camera, np.array([500.0])) == (3.0, 4.0)

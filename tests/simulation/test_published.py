@@ -12,8 +12,12 @@ from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.nested_dem import NestedDem
 from craternav_fg.cli.app import app
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.simulation.ground_views import RealGround
+from craternav_fg.simulation.published import published_craters
+from craternav_fg.simulation.render import Renderer
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from craternav_fg.simulation.scenario_tables import PublishedCraters
 from craternav_fg.simulation.world import World, make_world
 from tests.catalogs.test_dem import hills, write
 from tests.shared_data import shared
@@ -138,6 +142,47 @@ def test_the_map_has_errors_and_heights_of_the_coarse_model(world: World) -> Non
     assert world.clutter is not None
 
 
+def test_heights_of_rims_are_in_the_unit_of_the_terrain(case: Scenario, folder: Path, tmp_path: Path) -> None:
+    import rasterio
+
+    terrain, craters = case.terrain, case.craters
+    assert terrain is not None
+    assert isinstance(craters, PublishedCraters)
+    assert craters.heights is not None
+    halves, models = [], [*terrain.models(), craters.heights]
+    for k, path in enumerate(models):
+        with rasterio.open(path) as raster:
+            corner = (raster.transform.c, raster.transform.f, raster.transform.a, -raster.transform.e)
+            halves.append(str(write(tmp_path / f"{k}.tif", 2.0 * raster.read(1), corner)))
+    tables = {
+        "terrain": terrain.model_copy(update={"dem": tuple(halves[:-1]), "dem_unit_m": 0.5}),
+        "craters": craters.model_copy(update={"heights": halves[-1]}),
+    }
+    one, other = (
+        make_world(scenario, np.random.default_rng(1), trial=False).catalog
+        for scenario in (case, case.model_copy(update=tables))
+    )
+    np.testing.assert_allclose(other.height_m, one.height_m, atol=0.1)
+
+
+def test_heights_of_rims_must_cover_the_map_and_be_plausible(case: Scenario, tmp_path: Path) -> None:
+    craters, track = case.craters, frames.up(np.radians([-41.0]), np.radians([-17.0])) * 1.8e6
+    assert isinstance(craters, PublishedCraters)
+    body = case.body.body()
+    # The bowls lie from 40.4 to 41.6 deg S.
+    part = write(tmp_path / "part.tif", np.zeros((40, 40), np.float32), (-20.0, -39.5, 0.2, 0.04))
+    craters = craters.model_copy(update={"heights": str(part)})
+    with pytest.raises(
+        InputError, match=r"part\.tif: expected heights of all 12 craters .*, 4 lie beyond it"
+    ):
+        published_craters(craters, body, track)
+    high = write(tmp_path / "high.tif", np.full((360, 720), 1500.0, np.float32), (-180.0, 90.0, 0.5, 0.5))
+    craters = craters.model_copy(update={"heights": str(high)})
+    assert np.all(published_craters(craters, body, track).height_m > 1400.0)
+    with pytest.raises(InputError, match=r"high\.tif: expected heights above a sphere .*wrong unit"):
+        published_craters(craters, body, track, 1000.0)
+
+
 def test_it_is_simulated_and_the_data_set_has_the_map(case: Scenario, tmp_path: Path) -> None:
     from craternav_fg.dataset import Dataset
 
@@ -145,6 +190,30 @@ def test_it_is_simulated_and_the_data_set_has_the_map(case: Scenario, tmp_path: 
     assert len(data.catalog) == len(BOWLS)
     assert data.catalog.errors is not None
     assert data.image(1).std() > 2.0
+
+
+def test_single_views_have_the_light_and_the_craters_of_the_scenario(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = folder / "worn.toml"
+    worn = "[terrain]\nirregularity = 0.05\ndegradation = 0.8\npeaks_from_m = 900.0\n"
+    law = "single_scattering_albedo = 0.3\nasymmetry = -0.2\n"
+    law += "opposition_amplitude = 1.0\nopposition_width = 0.05\n"
+    path.write_text(CASE + worn + "[render.hapke]\n" + law + '[craters]\npath = "lu1319381.csv"\n')
+    made: list[Renderer] = []
+
+    def kept(self: Renderer, *_: object) -> npt.NDArray[np.uint8]:
+        made.append(self)
+        return np.zeros((2, 2), dtype=np.uint8)
+
+    monkeypatch.setattr(Renderer, "render", kept)
+    RealGround(path, folder).view(np.random.default_rng(1))
+    world = make_world(load_scenario(path).with_data(folder), np.random.default_rng(1), trial=False)
+    expected = world.renderer()
+    assert made[0].options == expected.options
+    assert made[0].options.hapke is not None
+    assert made[0].terrain.options == expected.terrain.options
+    assert made[0].terrain.options.degradation == 0.8
 
 
 def test_missing_public_files_are_named(

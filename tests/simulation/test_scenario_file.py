@@ -189,6 +189,28 @@ def test_an_error_names_the_key_of_the_file(tmp_path):
         load_scenario(write(tmp_path, "b.toml", both))
 
 
+def test_paths_are_relative_to_the_file_that_has_them(tmp_path):
+    (tmp_path / "below").mkdir()
+    craters = '[craters]\nsource = "file"\npath = "map.csv"\n'
+    base = f'base = "lunar_descent"\n{craters}[terrain]\ndem = ["a.tif", "public.tif"]\n'
+    write(tmp_path, "base.toml", base)
+    # The derived file's table [data] holds for a path of its base, too.
+    text = 'base = "../base.toml"\nseed = 9\n[data]\n"public.tif" = "a product"\n'
+    case = load_scenario(write(tmp_path / "below", "a.toml", text))
+    assert case.craters.path == str(tmp_path / "map.csv")
+    assert case.terrain.models() == (str(tmp_path / "a.tif"), "public.tif")
+    text = 'base = "../base.toml"\n[terrain]\ndem = "b.tif"\n'
+    case = load_scenario(write(tmp_path / "below", "b.toml", text))
+    assert case.craters.path == str(tmp_path / "map.csv")
+    assert case.terrain.models() == (str(tmp_path / "below" / "b.tif"),)
+
+
+def test_a_scenario_that_is_its_own_base_by_another_path_is_refused(tmp_path):
+    path = write(tmp_path, "a.toml", f'base = "../{tmp_path.name}/a.toml"\n')
+    with pytest.raises(InputError, match="is its own base"):
+        load_scenario(path)
+
+
 def test_craters_of_another_source_replace_the_base_s(tmp_path):
     text = 'base = "lunar_descent"\n[craters]\nsource = "file"\npath = "map.csv"\n'
     craters = load_scenario(write(tmp_path, "a.toml", text)).craters

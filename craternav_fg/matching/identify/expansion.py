@@ -118,7 +118,8 @@ class Search:
             self.prior[:3, :3] = gRc
             self.weight[:3, :3] = np.eye(3) / self.sigma_rad**2
             min_cos_turn = float(np.cos(_MAX_TURN_RAD + _ATTITUDE_SIGMAS * self.sigma_rad))
-        self.limits = PoseLimits(attitude, min_cos_turn, *options.altitudes_m)
+        altitudes_m = options.searched_m(camera, np.exp(index.craters.log_size))
+        self.limits = PoseLimits(attitude, min_cos_turn, *altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
         self.largest = largest(view, np.arange(self.n), _MAX_RIMS)
         self.begin_with(largest(view, plausible_rims(view), _MAX_RIMS))
@@ -276,7 +277,7 @@ class Search:
 
     def _log_prior(self, gTc: FloatArray) -> float:
         """Natural logarithm of the density of a pose before the image was seen, per rad^3 m^3."""
-        least, most = self.options.altitudes_m
+        least, most = self.limits.min_altitude_m, self.limits.max_altitude_m
         range_m = float(np.linalg.norm(gTc[:3, 3]))
         altitude = range_m - self.index.catalog.body.radius_m
         if not least < altitude < most:

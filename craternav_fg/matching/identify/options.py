@@ -3,10 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.matching.identify.view import CENTRE_SHARE, SIZE_SHARE
 from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX, IntrinsicsPrior
+
+FloatArray = npt.NDArray[np.float64]
+
+# Altitudes that are searched for craters of kilometres. Smaller ones are seen from lower: the smallest crater
+# of the catalogue must fit so many times into the image's shorter side, as several must be seen; and the
+# largest must have this radius, px, to be found.
+_ALTITUDES_M = (1e3, 2e6)
+_RADII_ACROSS, _LEAST_RADIUS_PX = 8.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -15,8 +24,9 @@ class IdentifyOptions:
 
     Attributes
     ----------
-    altitudes_m : tuple of float
-        Lowest and highest altitude above the reference sphere that are searched.
+    altitudes_m : tuple of float or None
+        Lowest and highest altitude above the reference sphere that are searched; None for those from which
+        the catalogue's craters can be identified.
     noise_levels_px : tuple of float
         Standard deviations of the rims' centres that are assumed, one after the other, until one gives an
         answer.
@@ -56,7 +66,7 @@ class IdentifyOptions:
         Whether the user has stated `focal_sigma`: then no warning says that the rims cannot check it.
     """
 
-    altitudes_m: tuple[float, float] = (1e3, 2e6)
+    altitudes_m: tuple[float, float] | None = None
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
     size_factors: tuple[float, ...] = (1.0,)
@@ -73,13 +83,13 @@ class IdentifyOptions:
     focal_stated: bool = False
 
     @classmethod
-    def of(cls, camera: Camera, altitudes_m: tuple[float, float] = (1e3, 2e6)) -> "IdentifyOptions":
+    def of(cls, camera: Camera, altitudes_m: tuple[float, float] | None = None) -> "IdentifyOptions":
         """Make options with what a camera states of its intrinsics.
 
         Parameters
         ----------
         camera : Camera
-        altitudes_m : (float, float)
+        altitudes_m : (float, float), optional
             As the attribute.
 
         Returns
@@ -93,3 +103,25 @@ class IdentifyOptions:
             principal_sigma_px=prior.principal_sigma_px,
             focal_stated=prior.focal_stated,
         )
+
+    def searched_m(self, camera: Camera, radius_m: FloatArray) -> tuple[float, float]:
+        """Compute the altitudes that are searched.
+
+        Parameters
+        ----------
+        camera : Camera
+        radius_m : ndarray, shape (n,)
+            Mean radii of the catalogue's craters, m.
+
+        Returns
+        -------
+        tuple of float
+            Lowest and highest, m: `altitudes_m`, or from 1 km or the lowest from which the smallest crater
+            fits well into the image, to 2000 km or the highest from which the largest is seen.
+        """
+        if self.altitudes_m is not None:
+            return self.altitudes_m
+        side_px = min(camera.width_px, camera.height_px)
+        low_m = float(radius_m.min()) * camera.focal_px * _RADII_ACROSS / side_px
+        high_m = float(radius_m.max()) * camera.focal_px / _LEAST_RADIUS_PX
+        return min(low_m, _ALTITUDES_M[0]), min(high_m, _ALTITUDES_M[1])
