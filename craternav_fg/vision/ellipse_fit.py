@@ -58,7 +58,7 @@ class FitOptions:
         Fitted by `craternav_fg.calibration.rim_floor`.
     outline_share : float
         Expected root mean square deviation of a rim from an ellipse, in radii. How much the rim deviates is
-        then estimated, and is uncertainty of its unseen parts; fewer than 27 points give fewer harmonics of
+        then estimated, and is uncertainty of its unseen parts; fewer than 25 points give fewer harmonics of
         it. 0: rims are ellipses.
     """
 

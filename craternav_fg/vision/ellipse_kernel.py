@@ -49,9 +49,9 @@ FIRST_HARMONIC, LAST_HARMONIC = 3, 8
 _HARMONIC_ORDERS = np.repeat(np.arange(FIRST_HARMONIC, LAST_HARMONIC + 1), 2)
 HARMONIC_VARIANCE_SHARE = (1.0 / _HARMONIC_ORDERS**2) / np.sum(0.5 / _HARMONIC_ORDERS**2)
 # Least degrees of freedom that are left to the points' errors: by a fit, and by harmonics, of which few
-# points get fewer (27 have all). Else the unknowns take up the errors, and the covariance falls to the least
+# points get fewer (25 have all). Else the unknowns take up the errors, and the covariance falls to the least
 # that a fit can state.
-_MIN_FREEDOM, _MIN_FREEDOM_BESIDE_OUTLINE = 2.0, 6.0
+_MIN_FREEDOM, _MIN_FREEDOM_BESIDE_OUTLINE = 2.0, 4.0
 # Factor on the prior variance of the harmonics in the covariance: the variance is estimated from few, partly
 # seen harmonics, so the mean of its inverse is larger than the inverse of its mean. By
 # `craternav_fg.calibration.robust_moments`.
