@@ -118,7 +118,8 @@ class Search:
             self.prior[:3, :3] = gRc
             self.weight[:3, :3] = np.eye(3) / self.sigma_rad**2
             min_cos_turn = float(np.cos(_MAX_TURN_RAD + _ATTITUDE_SIGMAS * self.sigma_rad))
-        altitudes_m = options.searched_m(camera, np.exp(index.craters.log_size))
+        sizes = index.craters.log_size
+        altitudes_m = options.searched_m(camera, np.exp([sizes.min(), sizes.max()]))
         self.limits = PoseLimits(attitude, min_cos_turn, *altitudes_m)
         self.chance, self.shape_chance = log_by_chance(view)
         self.largest = largest(view, np.arange(self.n), _MAX_RIMS)

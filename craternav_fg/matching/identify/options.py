@@ -111,7 +111,7 @@ class IdentifyOptions:
         ----------
         camera : Camera
         radius_m : ndarray, shape (n,)
-            Mean radii of the catalogue's craters, m.
+            Mean radii of the catalogue's craters, or of the smallest and the largest, m.
 
         Returns
         -------
