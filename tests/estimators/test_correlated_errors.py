@@ -103,56 +103,6 @@ def test_consistent_with_errors_that_last(
     assert low < mean_nees(estimator, trials) < high
 
 
-def test_craters_far_off_make_an_optimum_suspect(
-    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Although their variances grow until they fit: the more they are off, the better they used to fit."""
-    p, _ = trials[0]
-    rng = np.random.default_rng(5)
-    away = {row: 15.0 * rng.standard_normal(STATE_SIZE)[:5] for row in range(len(p.catalog))}
-    frames = []
-    for frame in p.frames:
-        rims = frame.rims
-        assert rims.correlated is not None
-        shift = [A @ away[row] for A, row in zip(rims.correlated, rims.craters.tolist(), strict=True)]
-        frames.append(replace(frame, rims=replace(rims, chart=rims.chart + np.array(shift))))
-    runs = []
-    run = OnlineSmoother.run
-
-    def counted(self: OnlineSmoother, problem: Problem) -> Any:
-        runs.append(problem)
-        return run(self, problem)
-
-    monkeypatch.setattr(OnlineSmoother, "run", counted)
-    BatchSmoother(KNOWING).estimate(p)
-    assert not runs
-    BatchSmoother(KNOWING).estimate(replace(p, frames=frames))
-    assert len(runs) == 1
-
-
-def test_of_two_optima_the_one_is_taken_that_fits_what_is_stated(
-    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In its own graph, the other's error is smaller: there the craters that it contradicts hardly count."""
-    p, _ = trials[0]
-    expected = BatchSmoother(KNOWING).estimate(p)
-    found = BatchSmoother._optimum
-    starts = []
-
-    def second_is_right(self: BatchSmoother, *of: Any) -> Any:
-        one = found(self, *of)
-        starts.append(one)
-        if len(starts) == 2:
-            return replace(one, suspect=False)
-        values = gtsam.Values(one.values)
-        values.update(X(0), values.atPose3(X(0)).retract(np.array([0.0, 0.0, 0.0, 1e3, 0.0, 0.0])))
-        return replace(one, graph=FactorGraph(), values=values, stated_error=1e6, suspect=True)
-
-    monkeypatch.setattr(BatchSmoother, "_optimum", second_is_right)
-    assert_allclose(BatchSmoother(KNOWING).estimate(p).gP, expected.gP, atol=1.0)
-    assert len(starts) == 2
-
-
 @pytest.mark.parametrize("spoilt_by", [1.0, 0.999, 1e-10])
 def test_cholesky_factorisation_leads_to_the_same_optimum(
     trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch, spoilt_by: float
