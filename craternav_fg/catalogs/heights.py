@@ -10,9 +10,12 @@ from craternav_fg.catalogs.dem import Dem
 from craternav_fg.catalogs.model import Catalog
 
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 # Points of a rim at which the elevation model is read.
 _RIM_POINTS = 24
+# And those at which it is asked whether it covers the rim.
+_COVERED_POINTS = 8
 # Of these, so many count as independent: neighbours on a rim are high or low together.
 _INDEPENDENT_POINTS = 4.0
 # A coarse model smooths a rim crest away. The crest stands this share of the radius above what the model
@@ -63,6 +66,34 @@ def chord_depths_m(catalog: Catalog) -> FloatArray:
     return np.asarray(radius_m - np.sqrt(np.maximum(radius_m**2 - mean2, 0.0)))
 
 
+def rims_within(catalog: Catalog, dem: Dem) -> BoolArray:
+    """Tell which rims lie on an elevation model as a whole: beyond it, it would be continued.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Dem
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    inside = dem.covers(catalog.normals)
+    for turn in np.linspace(0.0, 2.0 * np.pi, _COVERED_POINTS, endpoint=False):
+        inside &= dem.covers(_rim_directions(catalog, turn))
+    return inside
+
+
+def _rim_directions(catalog: Catalog, turn: float) -> FloatArray:
+    """Directions of a point of each rim from the body's centre, shape (n, 3)."""
+    gRl, radius_m = catalog.gRl, catalog.body.radius_m
+    # The rim's plane is level at its own centre.
+    x = np.cos(turn) * catalog.semi_major_m / radius_m
+    y = np.sin(turn) * catalog.semi_minor_m / radius_m
+    point = gRl[:, :, 2] + x[:, None] * gRl[:, :, 0] + y[:, None] * gRl[:, :, 1]
+    return np.asarray(point / np.linalg.norm(point, axis=1, keepdims=True))
+
+
 def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     """Set the heights of rims' planes from the mean of an elevation model along the rims.
 
@@ -74,21 +105,16 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     ----------
     catalog : Catalog
     dem : Dem
-        Elevation model of the catalogue's body, which must cover all rims: see `with_covered_heights`.
+        Elevation model of the catalogue's body, which must cover all rims: see `rims_within`.
 
     Returns
     -------
     Catalog
     """
-    gRl = catalog.gRl
     radius_m = catalog.body.radius_m
     total, squares, tilt = np.zeros(len(catalog)), np.zeros(len(catalog)), np.zeros((len(catalog), 2))
     for turn in np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False):
-        # Direction of a rim point from the body's centre: the rim's plane is level at its own centre.
-        x = np.cos(turn) * catalog.semi_major_m / radius_m
-        y = np.sin(turn) * catalog.semi_minor_m / radius_m
-        point = gRl[:, :, 2] + x[:, None] * gRl[:, :, 0] + y[:, None] * gRl[:, :, 1]
-        heights = dem.heights_m(point / np.linalg.norm(point, axis=1, keepdims=True))
+        heights = dem.heights_m(_rim_directions(catalog, turn))
         total += heights
         squares += heights**2
         tilt += heights[:, None] * (np.cos(turn), np.sin(turn))
@@ -117,9 +143,9 @@ def with_covered_heights(catalog: Catalog, dem: Dem) -> Catalog:
     Returns
     -------
     Catalog
-        The same one when the model covers none of its craters.
+        The same one when the model covers none of its rims as a whole.
     """
-    inside = dem.covers(catalog.normals)
+    inside = rims_within(catalog, dem)
     if not inside.any():
         return catalog
     found = with_rim_heights(catalog, dem)
@@ -143,7 +169,7 @@ def unknown_beyond(catalog: Catalog, dem: Dem) -> Catalog:
     Catalog
         With a common shift of the rims beyond the model.
     """
-    inside = dem.covers(catalog.normals)
+    inside = rims_within(catalog, dem)
     if inside.all():
         return catalog
     # The model may cover a plain only.

@@ -9,7 +9,12 @@ import numpy as np
 from craternav_fg.body import Body
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
-from craternav_fg.catalogs.heights import implausible_heights, unknown_beyond, with_covered_heights
+from craternav_fg.catalogs.heights import (
+    implausible_heights,
+    rims_within,
+    unknown_beyond,
+    with_covered_heights,
+)
 from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.cli.terminal import warn
@@ -63,7 +68,7 @@ def with_model_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
         When the model cannot be read or covers no crater, or its heights are implausible for the body.
     """
     model = read_dem(dem, unit_m, catalog.body.radius_m)
-    beyond = int(np.count_nonzero(~model.covers(catalog.normals)))
+    beyond = int(np.count_nonzero(~rims_within(catalog, model)))
     if beyond == len(catalog):
         raise InputError(dem, f"expected ground of the {beyond:,} craters, found that of none")
     found = with_covered_heights(catalog, model)
@@ -73,7 +78,7 @@ def with_model_heights(catalog: Catalog, dem: Path, unit_m: float) -> Catalog:
     if not beyond:
         return found
     kept = "keep the catalogue's heights" if catalog.has_heights else "are put on the sphere, heights unknown"
-    warn(f"{dem}: {beyond:,} of {len(catalog):,} craters lie beyond it, and {kept}")
+    warn(f"{dem}: {beyond:,} of {len(catalog):,} craters reach beyond it, and {kept}")
     return found if catalog.has_heights else unknown_beyond(found, model)
 
 

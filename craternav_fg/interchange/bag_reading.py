@@ -222,29 +222,41 @@ def pose_of(bag: Bag, where: str, position: Any, orientation: Any) -> FloatArray
 
 
 def static_transform(bag: Bag, parent: str, child: str) -> FloatArray | None:
-    """Look up the pose of one frame in another, by a static transform between the two.
+    """Look up the pose of one frame in another, by the static transforms between the two.
 
     Returns
     -------
     ndarray, shape (4, 4), or None
-        Of the child in the parent, m; None when the bag holds no such transform.
+        Of the child in the parent, m; None when no static transforms lead from one to the other.
 
     Raises
     ------
     InputError
-        When it is no pose.
+        When one is no pose.
     """
-    if parent == child:
-        return np.eye(4)
+    steps: dict[str, dict[str, FloatArray]] = {}
     topic = "/tf_static"
     for message in bag.messages(topic) if topic in bag.connected(TRANSFORMS) else ():
         for one in message.transforms:
-            names = one.header.frame_id, one.child_frame_id
-            if names in ((parent, child), (child, parent)):
-                where = f"{topic}, {names[0]} to {names[1]}"
-                T = pose_of(bag, where, one.transform.translation, one.transform.rotation)
-                return T if names == (parent, child) else frames.inverse(T)
-    return None
+            first, second = _frame(one.header.frame_id), _frame(one.child_frame_id)
+            where = f"{topic}, {first} to {second}"
+            T = pose_of(bag, where, one.transform.translation, one.transform.rotation)
+            steps.setdefault(first, {})[second] = T
+            steps.setdefault(second, {})[first] = frames.inverse(T)
+    # Frames are the nodes of a tree: there is one way, whatever the order of the search.
+    poses, left = {_frame(parent): np.eye(4)}, [_frame(parent)]
+    while left:
+        first = left.pop()
+        for second, T in steps.get(first, {}).items():
+            if second not in poses:
+                poses[second] = poses[first] @ T
+                left.append(second)
+    return poses.get(_frame(child))
+
+
+def _frame(name: str) -> str:
+    """Name of a frame; older writers begin it with a slash."""
+    return str(name).removeprefix("/")
 
 
 def image_of(path: Path, message: Any) -> ImageArray:

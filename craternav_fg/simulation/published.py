@@ -11,7 +11,7 @@ from craternav_fg.body import Body
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.dem import read_dem
 from craternav_fg.catalogs.files import import_catalog
-from craternav_fg.catalogs.heights import with_rim_heights
+from craternav_fg.catalogs.heights import rims_within, with_rim_heights
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
@@ -75,9 +75,9 @@ def published_craters(
 def _with_heights(catalog: Catalog, path: Path, unit_m: float) -> Catalog:
     """Read the heights of the rims from an elevation model that must cover all of them."""
     dem = read_dem(path, unit_m, catalog.body.radius_m)
-    beyond = int(np.count_nonzero(~dem.covers(catalog.normals)))
+    beyond = int(np.count_nonzero(~rims_within(catalog, dem)))
     if beyond:
-        problem = f"expected heights of all {len(catalog)} craters along the descent, {beyond} lie beyond it"
+        problem = f"expected heights of all {len(catalog)} craters along the descent, {beyond} reach beyond it"
         raise InputError(path, problem)
     return with_rim_heights(catalog, dem)
 

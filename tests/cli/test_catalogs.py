@@ -193,7 +193,7 @@ def north(tmp_path):
 def test_craters_beyond_an_elevation_model_get_no_heights_from_it(north):
     done = call("catalog", "import", north / "two.csv", "-o", north / "o.csv", "--dem", north / "north.tif")
     assert done.code == 0, done.err
-    assert done.err.count("1 of 2 craters lie beyond it, and are put on the sphere, heights unknown") == 1
+    assert done.err.count("1 of 2 craters reach beyond it, and are put on the sphere, heights unknown") == 1
     found, _ = import_catalog(north / "o.csv")
     a, b = found.identifiers.index("A"), found.identifiers.index("B")
     assert found.height_m[a] > 1900.0
@@ -204,11 +204,19 @@ def test_craters_beyond_an_elevation_model_get_no_heights_from_it(north):
     assert not found.common_shift.height_m[a] > 0.0
 
 
+def test_a_rim_that_reaches_beyond_an_elevation_model_gets_no_height_from_it(north):
+    (north / "two.csv").write_text("ID,LAT_DEG,LON_DEG,DIAM_KM,TARGET\nA,40,10,8,Moon\nB,0.05,10,8,Moon\n")
+    done = call("catalog", "import", north / "two.csv", "-o", north / "o.csv", "--dem", north / "north.tif")
+    assert "1 of 2 craters reach beyond it" in done.err
+    found, _ = import_catalog(north / "o.csv")
+    assert found.height_m[found.identifiers.index("B")] == 0.0
+
+
 def test_a_catalogue_keeps_its_own_heights_beyond_an_elevation_model(north):
     call("catalog", "import", north / "two.csv", "-o", north / "o.csv", "--dem", north / "north.tif")
     high = write(north / "high.tif", np.full((90, 360), 3000.0, np.float32), (-180.0, 0.0, 1.0, 1.0))
     done = call("catalog", "import", north / "o.csv", "-o", north / "p.csv", "--dem", high)
-    assert "1 of 2 craters lie beyond it, and keep the catalogue's heights" in done.err
+    assert "1 of 2 craters reach beyond it, and keep the catalogue's heights" in done.err
     before, after = (import_catalog(north / name)[0] for name in ("o.csv", "p.csv"))
     a, b = after.identifiers.index("A"), after.identifiers.index("B")
     assert after.height_m[a] == before.height_m[before.identifiers.index("A")]

@@ -67,17 +67,28 @@ def of_base(k: int, message: Any) -> None:
 
 def with_base(_: int, message: Any) -> None:
     """Mount the IMU 2 m along y of the base, turned by 90 deg about z: x of b is y of the base."""
+    add_transform(message, "base_link", "imu0", [0.0, 2.0, 0.0], [0.0, 0.0, np.sqrt(0.5)])
+
+
+def with_plate(_: int, message: Any) -> None:
+    """Mount it as `with_base` does, by way of a plate whose pose is given in the IMU's frame."""
+    add_transform(message, "/imu0", "/plate", [-2.0, 1.0, 0.0], [0.0, 0.0, 0.0])
+    add_transform(message, "/base_link", "/plate", [-1.0, 0.0, 0.0], [0.0, 0.0, np.sqrt(0.5)])
+
+
+def add_transform(message: Any, parent: str, child: str, place_m: list[float], xyz: list[float]) -> None:
     one = deepcopy(message.transforms[0])
-    one.header.frame_id, one.child_frame_id = "base_link", "imu0"
-    put(one.transform.translation, [0.0, 2.0, 0.0])
-    put(one.transform.rotation, [0.0, 0.0, np.sqrt(0.5)])
-    one.transform.rotation.w = float(np.sqrt(0.5))
+    one.header.frame_id, one.child_frame_id = parent, child
+    put(one.transform.translation, place_m)
+    put(one.transform.rotation, xyz)
+    one.transform.rotation.w = float(np.sqrt(1.0 - np.dot(xyz, xyz)))
     message.transforms.append(one)
 
 
+@pytest.mark.parametrize("mounting", [with_base, with_plate])
 @pytest.mark.parametrize("rates", [True, False])
 def test_poses_of_another_frame_become_those_of_the_imu(
-    flight: Path, monkeypatch: pytest.MonkeyPatch, rates: bool
+    flight: Path, monkeypatch: pytest.MonkeyPatch, rates: bool, mounting: Callable[[int, Any], None]
 ) -> None:
     def change(k: int, message: Any) -> None:
         of_base(k, message)
@@ -85,7 +96,7 @@ def test_poses_of_another_frame_become_those_of_the_imu(
             put(message.twist.twist.angular, [0.0, 0.0, 0.0])
 
     changing(monkeypatch, TRUTH_TOPIC, change)
-    changing(monkeypatch, STATIC_TOPIC, with_base)
+    changing(monkeypatch, STATIC_TOPIC, mounting)
     truth = imported(flight, initial=None).truth
     assert truth is not None
     seconds = 1e-9 * (FRAMES_NS - FRAMES_NS[0])

@@ -173,7 +173,7 @@ def test_heights_of_rims_must_cover_the_map_and_be_plausible(case: Scenario, tmp
     part = write(tmp_path / "part.tif", np.zeros((40, 40), np.float32), (-20.0, -39.5, 0.2, 0.04))
     craters = craters.model_copy(update={"heights": str(part)})
     with pytest.raises(
-        InputError, match=r"part\.tif: expected heights of all 12 craters .*, 4 lie beyond it"
+        InputError, match=r"part\.tif: expected heights of all 12 craters .*, 4 reach beyond it"
     ):
         published_craters(craters, body, track)
     high = write(tmp_path / "high.tif", np.full((360, 720), 1500.0, np.float32), (-180.0, 90.0, 0.5, 0.5))
