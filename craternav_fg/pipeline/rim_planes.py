@@ -16,10 +16,14 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.evaluation.innovations import innovations
+from craternav_fg.estimators.instruments import RIMS
+from craternav_fg.evaluation.innovations import Innovations, innovations
 
 # Logarithm of the likelihood ratio at which the heights are taken for those of the points: 3000 to 1.
 _MIN_LOG_RATIO = 8.0
+# Upper quartile of the NIS per dimension up to which rims tell so: where rims contradict one meaning and the
+# other, something else is wrong. Errors of twice the stated size give about 5.
+_MAX_QUARTILE_NIS = 6.0
 # Planes of rims that differ less in depth are lowered alike, which rims do not show.
 _MIN_DEPTH_RANGE_M = 10.0
 
@@ -43,7 +47,7 @@ def heights_of_points(problems: Sequence[Problem]) -> bool:
     """Decide whether the catalogue's heights are those of the rims' points instead of their planes.
 
     The filter runs with either meaning, and the likelihoods of its innovations are compared under a loss that
-    bounds wrong matches.
+    bounds wrong matches. They decide only if most rims are within their stated errors with one meaning.
 
     Parameters
     ----------
@@ -60,20 +64,29 @@ def heights_of_points(problems: Sequence[Problem]) -> bool:
     if not len(rows) or np.ptp(chord_depths_m(catalog)[rows]) < _MIN_DEPTH_RANGE_M:
         return False
     lowered = lowered_to_planes(catalog)
-    given, points = (
-        sum(_log_likelihood(replace(problem, catalog=one)) for problem in problems)
-        for one in (catalog, lowered)
-    )
+    given, points = (_innovations(problems, one) for one in (catalog, lowered))
     # A filter that fails says nothing of the heights.
-    return bool(np.isfinite(given)) and points - given > _MIN_LOG_RATIO
+    if given is None or points is None:
+        return False
+    rims = points.of(RIMS)
+    agree = len(rims.nis) and np.quantile(rims.nis / np.maximum(rims.dimension, 1), 0.75) <= _MAX_QUARTILE_NIS
+    return bool(agree) and _log_likelihood(points) - _log_likelihood(given) > _MIN_LOG_RATIO
 
 
-def _log_likelihood(problem: Problem) -> float:
-    """Log-likelihood of a filter's innovations, but for a constant, with errors of Student's kind."""
-    try:
-        run = ekf().run(problem)
-        found = innovations(problem, run.states, run.predictions)
-    except (EstimationError, np.linalg.LinAlgError):
-        return -np.inf
+def _innovations(problems: Sequence[Problem], catalog: Catalog) -> Innovations | None:
+    """Innovations of a filter with a catalogue, None if it fails."""
+    parts = []
+    for problem in problems:
+        one = replace(problem, catalog=catalog)
+        try:
+            run = ekf().run(one)
+            parts.append(innovations(one, run.states, run.predictions))
+        except (EstimationError, np.linalg.LinAlgError):
+            return None
+    return Innovations.joined(parts)
+
+
+def _log_likelihood(found: Innovations) -> float:
+    """Log-likelihood of innovations, but for a constant, with errors of Student's kind."""
     size = np.maximum(found.dimension, 1)
     return -float(np.sum(size * np.log1p(found.nis / size)))

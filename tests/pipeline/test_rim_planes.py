@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.pipeline import rim_planes
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -66,11 +67,20 @@ def test_mean_heights_along_rims_are_recognised_and_lowered(high: Dataset) -> No
 def test_a_filter_that_fails_does_not_decide(high: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = reconstruct(high, ["ekf"]).problems
 
-    def fails(problem: Problem) -> float:
-        return -np.inf if problem.catalog is high.catalog else 0.0
+    class Fails:
+        def run(self, problem: Problem) -> None:
+            raise EstimationError("no pose")
 
-    monkeypatch.setattr(rim_planes, "_log_likelihood", fails)
+    monkeypatch.setattr(rim_planes, "ekf", Fails)
     assert not rim_planes.heights_of_points(frames)
+
+
+def test_rims_that_contradict_either_meaning_do_not_decide(high: Dataset) -> None:
+    catalog = high.catalog
+    wrong = {"semi_major_m": catalog.semi_major_m * 1.05, "semi_minor_m": catalog.semi_minor_m * 1.05}
+    for sizes in (wrong, {"angle_rad": -catalog.angle_rad}):
+        result = reconstruct(replace(high, catalog=replace(catalog, **sizes)), ["ekf"])
+        assert not result.lowered
 
 
 def test_small_rims_keep_their_heights(tmp_path: Path) -> None:
