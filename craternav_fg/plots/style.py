@@ -1,5 +1,7 @@
 """What all figures share: the look of each estimator's line, and how a figure is saved."""
 
+import itertools
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,9 @@ COLOURS = {
 }
 # For lines of anything but our estimators.
 OTHER_COLOUR = "#8C510A"
+# For several of them in a figure; Tol's.
+_MORE_COLOURS = ("#117733", "#999933", "#44AA99", "#AA4499", "#661100")
+_DASHES = ("-", "--", "-.", ":")
 # These lines often coincide with that of the EKF or the smoother: dashed and on top, both remain visible.
 _DASHED = frozenset({"online", "gnc_smoother"})
 # Ends of the names of estimators with another measurement: the colour of the one without, in another dash.
@@ -45,6 +50,27 @@ def line_style(name: str) -> dict[str, Any]:
     """Colour, dash and drawing order of an estimator's line, the same in all figures."""
     _, dash = _base_and_dash(name)
     return {"color": colour(name), "ls": dash, "zorder": 2 if dash == "-" else 3}
+
+
+def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the lines of the estimators of one figure: as `line_style`, but those of others differ too.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of estimators; one may occur several times.
+
+    Returns
+    -------
+    dict of str to dict
+        Keyword arguments of matplotlib's `plot`, by name.
+    """
+    styles = {name: line_style(name) for name in names}
+    others = [name for name, style in styles.items() if style["color"] == OTHER_COLOUR]
+    looks = itertools.cycle(itertools.product(_DASHES, (OTHER_COLOUR, *_MORE_COLOURS)))
+    for name, (dash, hue) in zip(others, looks, strict=False):
+        styles[name] |= {"color": hue, "ls": dash}
+    return styles
 
 
 def _base_and_dash(name: str) -> tuple[str, str]:

@@ -30,7 +30,8 @@ TRUTH = "truth"
 _MAX_CRATERS, _RIM_POINTS = 400, 24
 # Craters within this multiple of the first altitude are in a map.
 _REACH_ALTITUDES = 2.0
-_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
+# Plotly's, by matplotlib's.
+DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
 _GAP = 0.04
 
 
@@ -68,7 +69,7 @@ def line(x: Iterable[Any], y: Iterable[Any], name: str, axis: int = 1, **more: A
     dict
     """
     known = {TRUTH: (INK, "dot")}
-    hue, dash = known.get(name, (colour(name), _DASHES[line_style(name)["ls"]]))
+    hue, dash = known.get(name, (colour(name), DASHES[line_style(name)["ls"]]))
     return {
         "type": "scatter",
         "mode": "lines",
