@@ -10,6 +10,8 @@ from craternav_fg.trajectory import Trajectory
 
 # Markers on each line.
 _MARKERS = 8
+# White around the digits, so that they stand out from the lines.
+_NUMBER = {"ms": 11.0, "mec": "w", "mew": 0.5}
 
 
 def draw_comparison(
@@ -40,7 +42,7 @@ def draw_comparison(
                 continue
             off_m = np.linalg.norm(one.gP - true.gP, axis=1)
             step = max(len(one) // _MARKERS, 1)
-            number = {"marker": f"${k + 1}$", "markevery": (k * step // len(runs), step)}
+            number = {"marker": f"${k + 1}$", "markevery": (k * step // len(runs), step), **_NUMBER}
             axes.semilogy(
                 seconds_since_first(one.stamps_ns), off_m, label=f"{run}: {name}",
                 **styles[name], **(number if len(runs) > 1 else {}),

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from craternav_fg.files import replacing
+
 FloatArray = npt.NDArray[np.float64]
 
 # Colours of Okabe and Ito, then three of Tol's, which most readers can tell apart. An estimator has the same
@@ -103,12 +105,26 @@ def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write a figure in the format that its name ends in; its folder is made when missing."""
+    """Write a figure in the format that its name ends in, whole or not at all.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path
+        Its folder is made when missing.
+    dpi : int
+        Pixels per inch.
+
+    Raises
+    ------
+    InputError
+        When `path` is a folder or cannot be written.
+    """
     canvas = FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".png":
-        # `savefig` would draw it twice, first for its layout only, and give the same pixels.
-        figure.set_dpi(dpi)
-        canvas.print_png(path, pil_kwargs={"compress_level": _COMPRESSION})  # type: ignore[no-untyped-call]
-    else:
-        figure.savefig(path, dpi=dpi)
+    with replacing(path) as temporary:
+        if path.suffix == ".png":
+            # `savefig` would draw it twice, first for its layout only, and give the same pixels.
+            figure.set_dpi(dpi)
+            canvas.print_png(temporary, pil_kwargs={"compress_level": _COMPRESSION})  # type: ignore[no-untyped-call]
+        else:
+            figure.savefig(temporary, dpi=dpi)

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -87,3 +88,17 @@ def test_negative_correlations_of_bad_poses_are_drawn() -> None:
     axes = dem_check.draw_dem_check(checks, np.ones(2)).axes[0]
     assert axes.get_ylim() == pytest.approx((-0.45, 1.0))
     assert dem_check.draw_dem_check(checks[:1], np.ones(1)).axes[0].get_ylim() == (0.0, 1.0)
+
+
+def test_a_figure_is_saved_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "figure.png"
+    path.write_bytes(b"former")
+
+    def stopped(self: object, file: Path, **_: object) -> None:
+        Path(file).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(style.FigureCanvasAgg, "print_png", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        style.save(Figure(), path)
+    assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("figure.png", b"former")]

@@ -1,8 +1,12 @@
 """Craters in the maps of a run: those along the whole track."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 
 from craternav_fg.reports.crater_map import near_track, outlines
+from craternav_fg.reports.recording import catalogue_rims
 from tests.plots.test_ground_track import craters, orbit
 from tests.plots.test_trajectories import MOON
 
@@ -23,3 +27,9 @@ def test_outlines_are_closed_and_as_large_as_the_rims() -> None:
     np.testing.assert_allclose(rims[:, 0], rims[:, -1], atol=1e-6)
     away_m = np.linalg.norm(rims - catalog.centres[[1], None], axis=-1)
     np.testing.assert_allclose([away_m.max(), away_m.min()], [9e3, 7e3])
+
+
+def test_a_recording_holds_the_craters_of_the_whole_track() -> None:
+    run: Any = SimpleNamespace(trajectories={"smoother": orbit(0.25)})
+    dataset: Any = SimpleNamespace(catalog=craters([-14.0, 2.0, 45.0, 88.0]), body=MOON)
+    assert len(catalogue_rims(run, dataset)) == 3
