@@ -59,6 +59,7 @@ class _Figures(ResultSection):
     attitude_final_mean_deg: float | None
     rms_over_pcrb: float | None
     anees: float | None
+    anees_trials: int | None = None
     time_per_trial_s: float | None
 
 

@@ -22,6 +22,9 @@ FloatArray = npt.NDArray[np.float64]
 # 1 deg, and 200 m at 10 km, which is taken as a share of the altitude.
 CONVERGED_SHARE_OF_ALTITUDE = 0.02
 CONVERGED_DEG = 1.0
+# Altitudes are above the mean sphere, and low ground is below it: a final altitude counts as this share of
+# the largest one at least.
+LEAST_SHARE_OF_LARGEST_ALTITUDE = 0.01
 
 
 def summarise(campaign: Campaign) -> dict[str, Any]:
@@ -37,15 +40,18 @@ def summarise(campaign: Campaign) -> dict[str, Any]:
         Contents of summary.json. For each estimator:
 
         trajectories : trials in which it produced a trajectory
-        converged : trials whose final errors are below 2 % of the altitude and 1 deg
+        converged : trials whose final errors are below 2 % of the altitude (of a hundredth of the largest
+            altitude at least, as ground may be below the mean sphere) and 1 deg
         position_final_mean_m, position_final_rms_m : of the final position error
         attitude_final_mean_deg : of the final attitude error
         rms_over_pcrb : RMS position error over the trials divided by the posterior Cramér-Rao bound, averaged
-            over the altitude; the bound is the smoothing one for estimators that use later data
-        anees : of the pose, 6 when the covariances are consistent
+            over the altitude, or over the frames where that neither only falls nor only rises; the bound is
+            the smoothing one for estimators that use later data
+        anees : of the pose, 6 when the covariances are consistent, over the trials in which none is singular
+        anees_trials : the number of these
         time_per_trial_s : median wall time
 
-        All but the two counts are over the trials with a trajectory; null without any. Estimators that fail
+        All but the counts are over the trials with a trajectory; null without any. Estimators that fail
         on hard trials look better on the remaining ones.
     """
     sums = {name: _Sums(name) for name in campaign.identity["estimators"]}
@@ -90,6 +96,21 @@ def summarise_folder(folder: Path) -> dict[str, Any]:
     times_s, wall_s = read_wall_times(folder)
     figures = {name: one.figures(times_s) for name, one in sums.items()}
     return {"trials": trials, "failed": failed, "wall_s": wall_s, "estimators": figures}
+
+
+def with_nees(nees: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which trials count for the ANEES: those in which every frame has a regular covariance.
+
+    Parameters
+    ----------
+    nees : ndarray, shape (trials, k)
+        NaN without a covariance, inf where it is singular.
+
+    Returns
+    -------
+    ndarray of bool, shape (trials,)
+    """
+    return np.asarray(np.isfinite(nees).all(axis=1))
 
 
 def of_estimator(table: pa.Table, name: str, column: str) -> FloatArray:
@@ -180,8 +201,10 @@ class _Sums:
         self._variances += np.sum(sigma**2, axis=-1)
         self._final_m.append(float(np.sqrt(squares[-1])))
         self._final_deg.append(float(np.degrees(np.linalg.norm(attitude))))
-        self._nees.append(float(of_estimator(table, self._name, "nees").mean()))
-        near = self._final_m[-1] <= CONVERGED_SHARE_OF_ALTITUDE * altitude_m[-1]
+        nees = of_estimator(table, self._name, "nees")
+        self._nees.extend(nees[with_nees(nees)].mean(axis=1).tolist())
+        least_m = LEAST_SHARE_OF_LARGEST_ALTITUDE * np.abs(altitude_m).max()
+        near = self._final_m[-1] <= CONVERGED_SHARE_OF_ALTITUDE * max(altitude_m[-1], least_m)
         self._converged += bool(near and self._final_deg[-1] <= CONVERGED_DEG)
 
     def figures(self, times_s: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
@@ -194,7 +217,8 @@ class _Sums:
             "position_final_rms_m": None,
             "attitude_final_mean_deg": None,
             "rms_over_pcrb": None,
-            "anees": None,
+            "anees": float(np.mean(self._nees)) if self._nees else None,
+            "anees_trials": len(self._nees),
             "time_per_trial_s": float(np.median(times)) if times else None,
         }
         if not self._final_m:
@@ -203,13 +227,5 @@ class _Sums:
         out["position_final_mean_m"] = float(final_m.mean())
         out["position_final_rms_m"] = float(np.sqrt(np.mean(final_m**2)))
         out["attitude_final_mean_deg"] = float(np.mean(self._final_deg))
-        out["rms_over_pcrb"] = _over_altitude(np.sqrt(self._squares / self._variances), self._altitude_m)
-        anees = float(np.mean(self._nees))
-        out["anees"] = anees if np.isfinite(anees) else None
+        out["rms_over_pcrb"] = over_altitude(np.sqrt(self._squares / self._variances), self._altitude_m)
         return out
-
-
-def _over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:
-    """Average values (frames,) over the altitude, or over the frames of a level flight."""
-    level = len(values) == 1 or np.ptp(altitude_m) == 0.0
-    return float(values.mean()) if level else over_altitude(values, altitude_m)

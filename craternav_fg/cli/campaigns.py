@@ -32,9 +32,10 @@ _COLUMNS = {
     "time_per_trial_s": "time\ns",
 }
 _LEGEND = (
-    "conv.: trials with final errors below 2 % of the altitude and 1 deg; pos., att.: mean and RMS of the\n"
-    "final errors of position and attitude; RMS/PCRB: RMS position error over its posterior Cramér-Rao\n"
-    "bound, averaged over the altitude; ANEES of the pose: 6 expected; time: per trial"
+    "conv.: trials with final errors below 2 % of the altitude (of 1 % of the largest altitude at least)\n"
+    "and 1 deg; pos., att.: mean and RMS of the final errors of position and attitude; RMS/PCRB: RMS\n"
+    "position error over its posterior Cramér-Rao bound, averaged over the altitude (over the frames\n"
+    "where that falls and rises); ANEES of the pose: 6 expected; time: per trial"
 )
 
 
@@ -113,5 +114,7 @@ def _show(folder: Path, summary: dict[str, Any]) -> None:
         count = values["trajectories"]
         if count != trials:
             say(f"{name}: statistics of the {count} of {trials} trials that produced a trajectory")
+        if 0 < values["anees_trials"] < count:
+            say(f"{name}: ANEES of the {values['anees_trials']} trials without a singular covariance")
     say(_LEGEND)
     say(f"{trials} trials, {summary['wall_s']:.0f} s: {folder}")

@@ -46,13 +46,28 @@ def compare(
 
 
 def _draw(runs: Sequence[Run], output: Path) -> None:
-    stamps_ns = [next(iter(run.trajectories.values())).stamps_ns for run in runs]
-    for run, stamps in zip(runs, stamps_ns, strict=True):
-        if not np.array_equal(stamps, stamps_ns[0]):
-            raise InputError(run.path, f"expected the frames of {runs[0].path} for --output, found others")
+    truths = {str(run.path): run.truth for run in runs if run.truth is not None}
+    known = all(run.truth is not None for run in runs)
+    if not known:
+        _require_same_descent(runs)
 
     # matplotlib takes half a second to import: what draws nothing does not wait for it.
     from craternav_fg.plots.comparison import draw_comparison
     from craternav_fg.plots.style import save
 
-    save(draw_comparison({str(run.path): run.trajectories for run in runs}, runs[0].truth), output)
+    save(
+        draw_comparison({str(run.path): run.trajectories for run in runs}, truths if known else None), output
+    )
+
+
+def _require_same_descent(runs: Sequence[Run]) -> None:
+    """Refuse distances between trajectories of different descents."""
+    stamps_ns = [next(iter(run.trajectories.values())).stamps_ns for run in runs]
+    for run, stamps in zip(runs, stamps_ns, strict=True):
+        for same, what in (
+            (run.dataset.resolve() == runs[0].dataset.resolve(), "data set"),
+            (np.array_equal(stamps, stamps_ns[0]), "frames"),
+        ):
+            if not same:
+                problem = f"expected the {what} of {runs[0].path} for --output without ground truth"
+                raise InputError(run.path, f"{problem}, found others")

@@ -119,16 +119,22 @@ def rms(errors: FloatArray) -> FloatArray:
 def over_altitude(values: FloatArray, altitude_m: FloatArray) -> float:
     """Average values over the altitude, each frame weighted by the altitude interval it stands for.
 
+    Where the altitude neither only falls nor only rises, or does not change, over the frames: intervals that
+    are passed twice say nothing of the time spent there.
+
     Parameters
     ----------
     values : ndarray, shape (k,)
         In any unit.
     altitude_m : ndarray, shape (k,)
-        Monotonic.
 
     Returns
     -------
     float
         In the same unit.
     """
+    steps_m = np.diff(altitude_m)
+    monotonic = bool(np.all(steps_m <= 0.0) or np.all(steps_m >= 0.0))
+    if not monotonic or not steps_m.any():
+        return float(np.mean(values))
     return float(np.average(values, weights=np.abs(np.gradient(altitude_m))))

@@ -155,6 +155,9 @@ class Reconstruction:
         return (
             *warnings.failed_estimators(self.failures),
             *warnings.contradicted_without_rims(FILTER, self._without_rims()),
+            *warnings.singular_covariances(
+                {name: t.pose_covariance for name, t in self.trajectories.items()}
+            ),
             *warnings.inconsistent_trajectories(self.outlier_shares),
             *warnings.contradicted_prior(*self._prior()),
             *warnings.inconsistent_sensors(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary, improbable
+from craternav_fg.linalg import squared_distance
 
 BoolArray = npt.NDArray[np.bool_]
 FloatArray = npt.NDArray[np.float64]
@@ -56,6 +57,32 @@ _NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"
 _MAX_MISSED_SHARE = 0.8
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 _OTHERS_ALONE = "there the trajectory rests on the IMU and {}"
+
+
+def singular_covariances(pose_covariances: Mapping[str, FloatArray | None]) -> list[str]:
+    """Warn of estimators with a singular covariance, whose consistency cannot be judged.
+
+    Parameters
+    ----------
+    pose_covariances : mapping of str to ndarray, shape (k, 6, 6), or None
+        By estimator, rad and m.
+
+    Returns
+    -------
+    list of str
+    """
+    problems = []
+    for name, covariances in pose_covariances.items():
+        if covariances is None:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            regular = np.isfinite(squared_distance(np.ones(covariances.shape[:2]), covariances))
+        if not regular.all():
+            problems.append(
+                f"{name}: the covariance of its pose is singular in {np.count_nonzero(~regular)} of "
+                f"{len(regular)} frames, so it has no ANEES"
+            )
+    return problems
 
 
 def failed_estimators(failures: Mapping[str, str]) -> list[str]:

@@ -15,8 +15,10 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.catalogs.checks import overlaps
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.errors import CraternavError
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
 
 # Okabe and Ito's colours.
 _INK, _CROSSING, _DUPLICATE = "#0072B2", "#E69F00", "#D55E00"
@@ -46,14 +48,20 @@ def draw_globe(catalog: Catalog) -> Figure:
     Returns
     -------
     Figure
+
+    Raises
+    ------
+    CraternavError
+        When the catalogue is empty.
     """
+    if not len(catalog):
+        raise CraternavError("expected craters to draw, found an empty catalogue")
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     ground, sizes = figure.subplots(1, 2, width_ratios=[2.4, 1.0])
-    area_km2 = 4e-6 * np.pi * catalog.body.radius_m**2
     if len(catalog) < _MAX_RIMS_ON_GLOBE:
         _draw_rims(ground, catalog)
     else:
-        _draw_density(figure, ground, catalog, area_km2)
+        _draw_density(figure, ground, catalog)
     latitudes = np.array([-90, -60, -30, 0, 30, 60, 90])
     ground.set_yticks(np.sin(np.radians(latitudes)), [f"{value:d}" for value in latitudes])
     ground.set_xticks(np.arange(-180, 181, 60))
@@ -62,7 +70,7 @@ def draw_globe(catalog: Catalog) -> Figure:
     ground.set_xlabel("longitude (east), deg")
     ground.set_ylabel("latitude, deg (equal areas)")
     ground.set_title(f"{len(catalog):,} craters of {_named(catalog.body)}")
-    _draw_sizes(sizes, catalog, area_km2)
+    _draw_sizes(sizes, catalog)
     return figure
 
 
@@ -81,16 +89,18 @@ def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, rad
     -------
     Figure
     """
-    rows, _ = catalog.near(latitude_rad, longitude_rad, 1.5 * radius_m)
-    rows = rows[np.argsort(-catalog.semi_major_m[rows], kind="stable")][:_MAX_RIMS_IN_REGION]
+    reach_km = 1e-3 * radius_m
     enu = frames.east_north_up(np.array(latitude_rad), np.array(longitude_rad))
-    part = catalog.take(rows)
-    # Azimuthal equidistant: the angle from the place, in the direction in which a crater lies.
-    local = part.normals @ enu
-    flat = np.hypot(local[:, 0], local[:, 1])
-    angle = np.arctan2(flat, local[:, 2])
-    scale = 1e-3 * catalog.body.radius_m * np.divide(angle, flat, out=np.ones_like(flat), where=flat > 0.0)
-    centres_km = scale[:, None] * local[:, :2]
+    # The corners are within 1.5 times the distance of the border.
+    largest_m = float(catalog.semi_major_m.max(initial=0.0))
+    rows, _ = catalog.near(latitude_rad, longitude_rad, 1.5 * radius_m + largest_m)
+    centres_km = _from_place_km(catalog, rows, enu)
+    beyond_km = np.linalg.norm(np.maximum(np.abs(centres_km) - reach_km, 0.0), axis=1)
+    reaching = beyond_km < 1e-3 * catalog.semi_major_m[rows]
+    rows, centres_km = rows[reaching], centres_km[reaching]
+    count = len(rows)
+    order = np.argsort(-catalog.semi_major_m[rows], kind="stable")[:_MAX_RIMS_IN_REGION]
+    part, centres_km = catalog.take(rows[order]), centres_km[order]
     major = part.gRl[:, :, 0] @ enu
     colours, key = _colours(part)
     figure = Figure(figsize=(7.5, 7.8), layout="constrained")
@@ -102,7 +112,6 @@ def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, rad
             offset_transform=axes.transData, facecolors="none", edgecolors=colours, linewidths=0.8,
         )
     )  # fmt: skip
-    reach_km = 1e-3 * radius_m
     inside = np.flatnonzero(np.all(np.abs(centres_km) < reach_km, axis=1))
     _name_rims(axes, part, centres_km, inside, reach_km)
     axes.plot(0.0, 0.0, "+", color="k", ms=9)
@@ -114,16 +123,26 @@ def draw_region(catalog: Catalog, latitude_rad: float, longitude_rad: float, rad
     axes.grid(alpha=0.3)
     if key:
         axes.legend(handles=key, loc="upper right", fontsize=8, framealpha=0.9)
-    if not len(inside):
+    if not count:
         axes.text(0.0, 0.1 * reach_km, "the catalogue has no crater here", ha="center", color="0.4")
     latitude, longitude = np.degrees([latitude_rad, longitude_rad])
-    shown = f", the largest {_MAX_RIMS_IN_REGION:,} drawn" if len(rows) == _MAX_RIMS_IN_REGION else ""
+    shown = f", the largest {len(part):,} drawn" if len(part) < count else ""
+    craters = "crater" if count == 1 else "craters"
     axes.set_title(
-        f"{len(inside):,} craters around latitude {latitude:.3f}, longitude {longitude:.3f} deg{shown}\n"
+        f"{count:,} {craters} around latitude {latitude:.3f}, longitude {longitude:.3f} deg{shown}\n"
         f"{_named(catalog.body)}",
         fontsize=11,
     )
     return figure
+
+
+def _from_place_km(catalog: Catalog, rows: IntArray, enu: FloatArray) -> FloatArray:
+    """Project centres (n, 2) azimuthally equidistant: the angle from the place, in a crater's direction."""
+    local = frames.up(catalog.latitude_rad[rows], catalog.longitude_rad[rows]) @ enu
+    flat = np.hypot(local[:, 0], local[:, 1])
+    angle = np.arctan2(flat, local[:, 2])
+    scale = 1e-3 * catalog.body.radius_m * np.divide(angle, flat, out=np.ones_like(flat), where=flat > 0.0)
+    return np.asarray(scale[:, None] * local[:, :2])
 
 
 def _named(body: Body) -> str:
@@ -131,8 +150,9 @@ def _named(body: Body) -> str:
     return f"{name}, sphere of {1e-3 * body.radius_m:,.6g} km"
 
 
-def _draw_density(figure: Figure, axes: Axes, catalog: Catalog, area_km2: float) -> None:
+def _draw_density(figure: Figure, axes: Axes, catalog: Catalog) -> None:
     """Draw the number of craters per area."""
+    area_km2 = 4e-6 * np.pi * catalog.body.radius_m**2
     longitude = np.degrees(np.angle(np.exp(1j * catalog.longitude_rad)))
     counts, y, x = np.histogram2d(
         np.sin(catalog.latitude_rad), longitude, bins=_DENSITY_CELLS, range=[[-1.0, 1.0], [-180.0, 180.0]]
@@ -204,21 +224,24 @@ def _name_rims(
         )  # fmt: skip
 
 
-def _draw_sizes(axes: Axes, catalog: Catalog, area_km2: float) -> None:
-    """Draw how many craters are larger than a diameter, per area, beside the power law of slope -2."""
+def _draw_sizes(axes: Axes, catalog: Catalog) -> None:
+    """Draw how many craters are larger than a diameter, beside the power law of slope -2.
+
+    Not per area: a catalogue does not say which ground was searched.
+    """
     diameter_km = np.sort(2e-3 * np.sqrt(catalog.semi_major_m * catalog.semi_minor_m))
     number = np.arange(len(diameter_km), 0, -1)
     keep = np.unique(np.linspace(0, len(diameter_km) - 1, _CURVE_POINTS).astype(int))
-    x, n, per = diameter_km[keep], number[keep], 1e6 / area_km2
+    x, n = diameter_km[keep], number[keep]
     root = np.sqrt(n)
-    axes.fill_between(x, np.maximum(n - root, 0.3) * per, (n + root) * per, color=_INK, alpha=0.25, lw=0.0)
-    axes.loglog(x, n * per, color=_INK, lw=1.5, label="catalogue, ±√n")
+    axes.fill_between(x, np.maximum(n - root, 0.3), n + root, color=_INK, alpha=0.25, lw=0.0)
+    axes.loglog(x, n, color=_INK, lw=1.5, label="catalogue, ±√n")
     middle = len(diameter_km) // 2
     line = np.array([diameter_km[0], diameter_km[-1]])
-    power = number[middle] * per * (line / diameter_km[middle]) ** -2.0
+    power = number[middle] * (line / diameter_km[middle]) ** -2.0
     axes.loglog(line, power, "--", color="0.6", label="slope -2")
     axes.set_xlabel("diameter, km")
-    axes.set_ylabel("larger craters per million km²")
+    axes.set_ylabel("larger craters")
     axes.set_title("cumulative sizes")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)

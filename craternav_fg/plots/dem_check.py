@@ -29,7 +29,9 @@ def draw_dem_check(checks: Sequence[DemCheck], altitude_sigma_m: FloatArray) -> 
     frames = np.arange(len(checks))
     left.plot(frames, [one.correlation for one in checks], "o", label="at the estimated pose")
     left.plot(frames, [one.best for one in checks], "s", mfc="none", label="at the best pose nearby")
-    left.set(xlabel="frame", ylabel="correlation with the photograph", ylim=(0.0, 1.0), xticks=frames)
+    # A wrong pose may correlate negatively.
+    least = min([0.0, *(one.correlation - 0.05 for one in checks), *(one.best - 0.05 for one in checks)])
+    left.set(xlabel="frame", ylabel="correlation with the photograph", ylim=(least, 1.0), xticks=frames)
     left.legend(loc="lower right")
     right.errorbar(frames, [-one.altitude_m for one in checks], altitude_sigma_m, fmt="o", capsize=3)
     right.axhline(0.0, color="0.6", lw=0.8)

@@ -1,5 +1,7 @@
 """What all figures share: the look of each estimator's line, and how a figure is saved."""
 
+import itertools
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from craternav_fg.files import replacing
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,6 +31,9 @@ COLOURS = {
 }
 # For lines of anything but our estimators.
 OTHER_COLOUR = "#8C510A"
+# For several of them in a figure; Tol's.
+_MORE_COLOURS = ("#117733", "#999933", "#44AA99", "#AA4499", "#661100")
+_DASHES = ("-", "--", "-.", ":")
 # These lines often coincide with that of the EKF or the smoother: dashed and on top, both remain visible.
 _DASHED = frozenset({"online", "gnc_smoother"})
 # Ends of the names of estimators with another measurement: the colour of the one without, in another dash.
@@ -45,6 +52,27 @@ def line_style(name: str) -> dict[str, Any]:
     """Colour, dash and drawing order of an estimator's line, the same in all figures."""
     _, dash = _base_and_dash(name)
     return {"color": colour(name), "ls": dash, "zorder": 2 if dash == "-" else 3}
+
+
+def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the lines of the estimators of one figure: as `line_style`, but those of others differ too.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of estimators; one may occur several times.
+
+    Returns
+    -------
+    dict of str to dict
+        Keyword arguments of matplotlib's `plot`, by name.
+    """
+    styles = {name: line_style(name) for name in names}
+    others = [name for name, style in styles.items() if style["color"] == OTHER_COLOUR]
+    looks = itertools.cycle(itertools.product(_DASHES, (OTHER_COLOUR, *_MORE_COLOURS)))
+    for name, (dash, hue) in zip(others, looks, strict=False):
+        styles[name] |= {"color": hue, "ls": dash}
+    return styles
 
 
 def _base_and_dash(name: str) -> tuple[str, str]:
@@ -77,12 +105,26 @@ def seconds_since_first(stamps_ns: npt.NDArray[np.int64]) -> FloatArray:
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write a figure in the format that its name ends in; its folder is made when missing."""
+    """Write a figure in the format that its name ends in, whole or not at all.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : Path
+        Its folder is made when missing.
+    dpi : int
+        Pixels per inch.
+
+    Raises
+    ------
+    InputError
+        When `path` is a folder or cannot be written.
+    """
     canvas = FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".png":
-        # `savefig` would draw it twice, first for its layout only, and give the same pixels.
-        figure.set_dpi(dpi)
-        canvas.print_png(path, pil_kwargs={"compress_level": _COMPRESSION})  # type: ignore[no-untyped-call]
-    else:
-        figure.savefig(path, dpi=dpi)
+    with replacing(path) as temporary:
+        if path.suffix == ".png":
+            # `savefig` would draw it twice, first for its layout only, and give the same pixels.
+            figure.set_dpi(dpi)
+            canvas.print_png(temporary, pil_kwargs={"compress_level": _COMPRESSION})  # type: ignore[no-untyped-call]
+        else:
+            figure.savefig(temporary, dpi=dpi)

@@ -1,7 +1,6 @@
 """Figures of a run: errors and standard deviations over time, consistency, ground track, overview."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.plots.ground_track import GroundTrack
 from craternav_fg.plots.overlays import draw_rims
 from craternav_fg.plots.style import colour, finish, line_style, seconds_since_first
 from craternav_fg.trajectory import Trajectory
@@ -225,7 +225,7 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     lines = [("estimate", trajectory.gP, colour("smoother"), "-")]
     if truth is not None:
         lines.append(("truth", truth.gP, "k", ":"))
-    track = GroundTrack.through(trajectory.gP[0], trajectory.gP[-1], body)
+    track = GroundTrack.along(trajectory.gP, body)
     for label, P, line_colour, dash in lines:
         x, y = track.ranges_km(P)
         below.plot(x, y, dash, color=line_colour, label=label)
@@ -250,98 +250,24 @@ def draw_descent(trajectory: Trajectory, truth: Trajectory | None, catalog: Cata
     return figure
 
 
-@dataclass(frozen=True)
-class GroundTrack:
-    """The great circle through a trajectory's ends: downrange along it, crossrange to its left.
-
-    Attributes
-    ----------
-    first, ahead, pole : ndarray, shape (3,)
-        Unit vectors in g: to the first position, along the track there, and to the left of it.
-    radius_km : float
-        Radius of the body's sphere.
-    """
-
-    first: FloatArray
-    ahead: FloatArray
-    pole: FloatArray
-    radius_km: float
-
-    @classmethod
-    def through(cls, gP_first: FloatArray, gP_last: FloatArray, body: Body) -> "GroundTrack":
-        """Lay the track through two positions.
-
-        Parameters
-        ----------
-        gP_first, gP_last : ndarray, shape (3,)
-            In g, m.
-        body : Body
-
-        Returns
-        -------
-        GroundTrack
-        """
-        first, last = (P / np.linalg.norm(P) for P in (gP_first, gP_last))
-        pole = np.cross(first, last)
-        if np.linalg.norm(pole) < 1e-9:
-            # A vertical descent has no direction: any will do.
-            pole = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
-        pole /= np.linalg.norm(pole)
-        return cls(first, np.cross(pole, first), pole, body.radius_m / 1e3)
-
-    def ranges_km(self, gP: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute downrange and crossrange.
-
-        Parameters
-        ----------
-        gP : ndarray, shape (..., 3)
-            Positions in g, m.
-
-        Returns
-        -------
-        downrange_km, crossrange_km : ndarray, shape (...,)
-            Along the sphere, km.
-        """
-        unit = gP / np.linalg.norm(gP, axis=-1, keepdims=True)
-        downrange = np.arctan2(unit @ self.ahead, unit @ self.first)
-        return self.radius_km * downrange, self.radius_km * np.arcsin(unit @ self.pole)
-
-    def angles_rad(self, directions: FloatArray, downrange_km: FloatArray) -> FloatArray:
-        """Compute the angles of horizontal directions from the track.
-
-        Parameters
-        ----------
-        directions : ndarray, shape (n, 3)
-            Unit vectors in g.
-        downrange_km : ndarray, shape (n,)
-            Where each holds, km.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Towards its left, rad.
-        """
-        angle = downrange_km[:, None] / self.radius_km
-        forward = np.cos(angle) * self.ahead - np.sin(angle) * self.first
-        return np.arctan2(directions @ self.pole, np.einsum("ni,ni->n", directions, forward))
-
-
 def _draw_craters(
     axes: Axes, track: GroundTrack, catalog: Catalog, span_km: tuple[float, float], reach_km: float
 ) -> None:
     """Draw the craters whose centres lie within a span of downrange and a reach of crossrange."""
     left, right = span_km
-    farthest_rad = (max(-left, right) + reach_km) / track.radius_km
+    farthest_rad = min((max(-left, right) + reach_km) / track.radius_km, np.pi)
     craters = catalog.take(np.sort(catalog.index.near(track.first, farthest_rad)))
-    x, y = track.ranges_km(craters.centres)
-    near = (x > left) & (x < right) & (np.abs(y) < reach_km)
+    x, y = track.ranges_km(craters.centres[:, None])
+    rows, x = track.in_span(x[:, 0], span_km)
+    low = np.abs(y[rows, 0]) < reach_km
+    near, x, y = rows[low], x[low], y[rows[low], 0]
     axes.add_collection(
         EllipseCollection(
             2e-3 * craters.semi_major_m[near],
             2e-3 * craters.semi_minor_m[near],
-            np.degrees(track.angles_rad(craters.gRl[near, :, 0], x[near])),
+            np.degrees(track.angles_rad(craters.gRl[near, :, 0], x)),
             units="xy",
-            offsets=np.stack([x, y], axis=-1)[near],
+            offsets=np.stack([x, y], axis=-1),
             transOffset=axes.transData,
             facecolors="none",
             edgecolors="0.6",
@@ -380,11 +306,11 @@ def draw_overview(
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.15, 1.1], squeeze=False)[:, 0]
     top.suptitle("measured rims (yellow) and the direction towards the sun (arrow)", fontsize=10)
     first = next(iter(trajectories.values()))
-    altitude_km = dict(zip(first.stamps_ns.tolist(), body.altitude_m(first.gP) / 1e3, strict=True))
+    altitude_m = dict(zip(first.stamps_ns.tolist(), body.altitude_m(first.gP).tolist(), strict=True))
     for axes, (image, frame) in zip(top.subplots(1, len(images), squeeze=False)[0], images, strict=True):
         draw_rims(axes, image, frame, camera)
         rims = "rim" if len(frame.rims) == 1 else "rims"
-        axes.set_title(f"{altitude_km[frame.stamp_ns]:.0f} km, {len(frame.rims)} {rims}", fontsize=10)
+        axes.set_title(f"{_length(altitude_m[frame.stamp_ns])}, {len(frame.rims)} {rims}", fontsize=10)
     axes = bottom.subplots()
     for name, trajectory in trajectories.items():
         if truth is not None:
@@ -399,3 +325,10 @@ def draw_overview(
     finish(axes)
     axes.legend(fontsize=9, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
+
+
+def _length(length_m: float) -> str:
+    """Write a length with two digits or more: 25 m, 4.2 km, 50 km."""
+    if abs(length_m) < 999.5:
+        return f"{length_m:.0f} m" if abs(length_m) >= 9.95 else f"{length_m:.1f} m"
+    return f"{1e-3 * length_m:.0f} km" if abs(length_m) >= 9950.0 else f"{1e-3 * length_m:.1f} km"

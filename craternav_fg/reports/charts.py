@@ -13,8 +13,10 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.metrics import errors, nees
+from craternav_fg.plots.ground_track import GroundTrack
 from craternav_fg.plots.style import colour, line_style
-from craternav_fg.plots.trajectories import GroundTrack, error_components
+from craternav_fg.plots.trajectories import error_components
+from craternav_fg.reports.crater_map import near_track, outlines
 from craternav_fg.reports.page import Chart
 from craternav_fg.reports.residuals import DOF, MIN_CHI2_PER_DOF, rejected
 from craternav_fg.reports.svg import identifier
@@ -28,9 +30,10 @@ TIME_TITLE = "time, s"
 TRUTH = "truth"
 # Of craters in a map: the largest near the track, each with so many points.
 _MAX_CRATERS, _RIM_POINTS = 400, 24
-# Craters within this multiple of the first altitude are in a map.
+# Craters within this multiple of the highest altitude from the track are in a map.
 _REACH_ALTITUDES = 2.0
-_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
+# Plotly's, by matplotlib's.
+DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
 _GAP = 0.04
 
 
@@ -68,7 +71,7 @@ def line(x: Iterable[Any], y: Iterable[Any], name: str, axis: int = 1, **more: A
     dict
     """
     known = {TRUTH: (INK, "dot")}
-    hue, dash = known.get(name, (colour(name), _DASHES[line_style(name)["ls"]]))
+    hue, dash = known.get(name, (colour(name), DASHES[line_style(name)["ls"]]))
     return {
         "type": "scatter",
         "mode": "lines",
@@ -324,15 +327,19 @@ def track_chart(
     Chart
     """
     first = next(iter(trajectories.values()))
-    track = GroundTrack.through(first.gP[0], first.gP[-1], body)
-    x, y = track.ranges_km(_rims(catalog, first, body))
-    traces = [_outlines(x, y)]
-    for name, trajectory in _with(trajectories, truth).items():
-        along, across = track.ranges_km(trajectory.gP)
-        altitude = body.altitude_m(trajectory.gP) / 1e3
-        traces.append(line(along, altitude, name, 1, hovertemplate="%{x:.4g} km: %{y:.4g} km high"))
-        traces.append(line(along, across, name, 2, hovertemplate="%{x:.4g}, %{y:.4g} km"))
+    track = GroundTrack.along(first.gP, body)
     along, across = track.ranges_km(first.gP)
+    pad = 0.05 * max(float(np.ptp(along)), 1e-3 * float(body.altitude_m(first.gP[0])))
+    left, right = along.min() - pad, along.max() + pad
+    x, y = track.ranges_km(_rims(catalog, first, body))
+    middle, half = x.mean(axis=1), 0.5 * float(np.ptp(x, axis=1).max(initial=0.0))
+    rows, places = track.in_span(middle, (left - half, right + half))
+    traces = [_outlines(x[rows] + (places - middle[rows])[:, None], y[rows])]
+    for name, trajectory in _with(trajectories, truth).items():
+        downrange, crossrange = track.ranges_km(trajectory.gP)
+        altitude = body.altitude_m(trajectory.gP) / 1e3
+        traces.append(line(downrange, altitude, name, 1, hovertemplate="%{x:.4g} km: %{y:.4g} km high"))
+        traces.append(line(downrange, crossrange, name, 2, hovertemplate="%{x:.4g}, %{y:.4g} km"))
     altitude = body.altitude_m(first.gP) / 1e3
     follow = []
     for axis, values in ((1, altitude), (2, across)):
@@ -340,8 +347,7 @@ def track_chart(
         traces.append({**line([], [], "cursor", axis, mode="markers", meta=""), "marker": _CURSOR})
     layout = panels(["altitude, km", "crossrange, km"], [1, 1], logarithmic=False)
     layout["xaxis"]["title"] = {"text": "downrange, km"}
-    pad = 0.05 * max(float(np.ptp(along)), 1e-3 * float(body.altitude_m(first.gP[0])))
-    layout["xaxis"]["range"] = short([along.min() - pad, along.max() + pad])
+    layout["xaxis"]["range"] = short([left, right])
     layout["yaxis"]["rangemode"] = "tozero"
     reach = max(1.2 * float(np.abs(across).max()), 0.12 * float(np.ptp(along)), 0.3 * float(altitude.max()))
     layout["yaxis2"]["range"] = short([-reach, reach])
@@ -422,13 +428,6 @@ def _broken(values: Any) -> list[float | None]:
 
 def _rims(catalog: Catalog, first: Trajectory, body: Body) -> FloatArray:
     """Return closed outlines (n, points, 3), in g, m, of the largest craters near a trajectory."""
-    reach_m = _REACH_ALTITUDES * float(body.altitude_m(first.gP[0]))
-    ground = first.gP * (body.radius_m / np.linalg.norm(first.gP, axis=1, keepdims=True))
-    centre = 0.5 * (ground[0] + ground[-1])
-    radius = 0.5 * float(np.linalg.norm(ground[-1] - ground[0])) + reach_m
-    rows = np.flatnonzero(np.linalg.norm(catalog.centres - centre, axis=1) < radius)
+    rows = near_track(catalog, first, body, _REACH_ALTITUDES)
     rows = rows[np.argsort(-catalog.semi_major_m[rows], kind="stable")[:_MAX_CRATERS]]
-    angle = np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS + 1)[None, :, None]
-    axes = catalog.axes[rows]
-    outline = np.cos(angle) * axes[:, None, 0] + np.sin(angle) * axes[:, None, 1]
-    return np.asarray(catalog.centres[rows][:, None] + outline)
+    return outlines(catalog, rows, _RIM_POINTS + 1)

@@ -18,7 +18,6 @@ from craternav_fg.plots.style import colour
 from craternav_fg.reports.recording import (
     GREY,
     JPEG_QUALITY,
-    REACH_ALTITUDES,
     YELLOW,
     catalogue_rims,
     local_level,
@@ -88,8 +87,7 @@ class _Recording:
         """Log the craters near the trajectory, and all trajectories."""
         m = self.messages
         first = next(iter(run.trajectories.values()))
-        altitude_m = float(dataset.body.altitude_m(first.gP[0]))
-        rims = catalogue_rims(dataset.catalog, gO, REACH_ALTITUDES * altitude_m)
+        rims = catalogue_rims(run, dataset)
         entities = [self._lines("craters", [(one - gO) @ gRe for one in rims], _rgb(GREY))]
         for name, trajectory in run.trajectories.items():
             entities.append(self._lines(name, [(trajectory.gP - gO) @ gRe], _hex(colour(name))))

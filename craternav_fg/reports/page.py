@@ -39,8 +39,10 @@ class Cell:
 
 def number_cell(value: float | None, *, concern: bool = False) -> Cell:
     """Return a cell of a number with three digits, a dash for none."""
-    if value is None or not math.isfinite(value):
-        return Cell("–", float("inf"))
+    if value is None or math.isnan(value):
+        return Cell("–", float("inf"), concern)
+    if math.isinf(value):
+        return Cell("∞" if value > 0.0 else "-∞", value, concern)
     text = f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
     return Cell(text, value, concern)
 

@@ -9,19 +9,19 @@ import numpy.typing as npt
 import pyarrow.compute as pc
 
 from craternav_fg import frames
-from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
 from craternav_fg.errors import CraternavError
 from craternav_fg.files import replacing
 from craternav_fg.plots.style import colour
+from craternav_fg.reports.crater_map import near_track, outlines
 from craternav_fg.runs.columns import list_values
 from craternav_fg.runs.read import Run, read_residuals
 
 FloatArray = npt.NDArray[np.float64]
 
-# Craters within this multiple of the first altitude are in the recording.
-REACH_ALTITUDES = 4.0
+# Craters within this multiple of the highest altitude from the track are in the recording.
+_REACH_ALTITUDES = 4.0
 JPEG_QUALITY = 85
 # Of measured rims and of the catalogue's.
 YELLOW, GREY = (240, 228, 66), (140, 140, 140)
@@ -62,8 +62,7 @@ def write_recording(run: Run, path: Path) -> None:
         recording = rr.RecordingStream("craternav_fg", recording_id=run.path.resolve().name)
         recording.save(temporary)
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        altitude_m = float(dataset.body.altitude_m(first.gP[0]))
-        rims = catalogue_rims(dataset.catalog, gO, REACH_ALTITUDES * altitude_m)
+        rims = catalogue_rims(run, dataset)
         recording.log("world/craters", rr.LineStrips3D(list(local_km(rims)), colors=[GREY]), static=True)
         lines = {name: (t, colour(name)) for name, t in run.trajectories.items()}
         if run.truth is not None:
@@ -113,11 +112,11 @@ def _log_frames(
                 f"{lander}/camera/image", rr.EncodedImage(contents=coded.tobytes(), media_type="image/jpeg")
             )
         rows = stamps == stamp
-        outlines = camera.pixels(points_on(charts[rows], _IMAGE_POINTS))
-        outlines = np.concatenate([outlines, outlines[:, :1]], axis=1)
+        measured = camera.pixels(points_on(charts[rows], _IMAGE_POINTS))
+        measured = np.concatenate([measured, measured[:, :1]], axis=1)
         recording.log(
             f"{lander}/camera/image/rims",
-            rr.LineStrips2D(list(outlines), colors=[YELLOW], labels=identifiers[rows].tolist()),
+            rr.LineStrips2D(list(measured), colors=[YELLOW], labels=identifiers[rows].tolist()),
         )
 
 
@@ -141,24 +140,19 @@ def local_level(run: Run, dataset: Dataset) -> tuple[FloatArray, FloatArray]:
     return frames.east_north_up(lat, lon), first * (dataset.body.radius_m / np.linalg.norm(first))
 
 
-def catalogue_rims(catalog: Catalog, gO: FloatArray, reach_m: float) -> FloatArray:
-    """Outline the catalogue's rims near a point.
+def catalogue_rims(run: Run, dataset: Dataset) -> FloatArray:
+    """Outline the catalogue's rims along the track of a run's first estimator.
 
     Parameters
     ----------
-    catalog : Catalog
-    gO : ndarray, shape (3,)
-        The point in g, m.
-    reach_m : float
+    run : Run
+    dataset : Dataset
 
     Returns
     -------
     ndarray, shape (n, points, 3)
         Closed outlines in g, m.
     """
-    near = np.linalg.norm(catalog.centres - gO, axis=1) < reach_m
-    angle = np.linspace(0.0, 2.0 * np.pi, _MAP_POINTS + 1)[None, :, None]
-    axes = catalog.axes[near]
-    along, across = axes[:, None, 0], axes[:, None, 1]
-    rims = catalog.centres[near][:, None] + np.cos(angle) * along + np.sin(angle) * across
-    return np.asarray(rims)
+    first = next(iter(run.trajectories.values()))
+    rows = near_track(dataset.catalog, first, dataset.body, _REACH_ALTITUDES)
+    return outlines(dataset.catalog, rows, _MAP_POINTS + 1)

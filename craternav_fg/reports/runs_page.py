@@ -1,18 +1,29 @@
 """One page on several runs, of one data set or of several."""
 
 import html
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from craternav_fg.evaluation.metrics import errors
-from craternav_fg.plots.style import colour
-from craternav_fg.reports.charts import line, panels, seconds
+from craternav_fg.plots.style import line_styles
+from craternav_fg.reports.charts import DASHES, line, panels, seconds
 from craternav_fg.reports.page import Block, Cell, Chart, Page, Section, Table, Text, number_cell
 from craternav_fg.reports.run_page import ERROR_HEADINGS, shows_overconfidence
 from craternav_fg.runs.read import Run
 
-_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+# Plotly's, one for each run, some on each line.
+_SYMBOLS = tuple(
+    f"{shape}{end}"
+    for end in ("", "-open")
+    for shape in (
+        "circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "pentagon", "star",
+        "hourglass", "bowtie", "hexagram",
+    )
+)  # fmt: skip
+_SHOWN_SYMBOLS = 12
 
 
 def runs_page(runs: Sequence[Run]) -> Page:
@@ -27,8 +38,8 @@ def runs_page(runs: Sequence[Run]) -> Page:
     Page
     """
     labels = _labels(runs)
-    estimators = list(dict.fromkeys(name for run in runs for name in run.trajectories))
-    charts = [_positions(runs, labels)]
+    styles = line_styles(name for run in runs for name in run.trajectories)
+    charts = [_positions(runs, labels, styles)]
     return Page(
         title=f"{len(runs)} runs",
         subtitle="; ".join(
@@ -38,7 +49,7 @@ def runs_page(runs: Sequence[Run]) -> Page:
             Section("summary", "Summary", _summary(runs, labels)),
             Section("errors", "Errors", charts),
         ],
-        series=[(name, colour(name)) for name in estimators],
+        series=[(name, style["color"]) for name, style in styles.items()],
     )
 
 
@@ -66,10 +77,11 @@ def _summary(runs: Sequence[Run], labels: Sequence[str]) -> list[Block]:
     return [*blocks, Table(headings, rows, "Click a heading to sort.")]
 
 
-def _positions(runs: Sequence[Run], labels: Sequence[str]) -> Block:
+def _positions(runs: Sequence[Run], labels: Sequence[str], styles: Mapping[str, dict[str, Any]]) -> Block:
     """Draw the position errors of all runs; without truth the standard deviations."""
     traces = []
-    for k, (label, run) in enumerate(zip(labels, runs, strict=True)):
+    symbols = dict(zip(labels, itertools.cycle(_SYMBOLS), strict=False))
+    for label, run in zip(labels, runs, strict=True):
         for name, trajectory in run.trajectories.items():
             if run.truth is not None:
                 value = np.linalg.norm(errors(trajectory, run.truth).position_m, axis=1)
@@ -77,10 +89,12 @@ def _positions(runs: Sequence[Run], labels: Sequence[str]) -> Block:
                 value = np.sqrt(np.trace(trajectory.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
             else:
                 continue
-            style = {"color": colour(name), "dash": _DASHES[k % len(_DASHES)], "width": 1.8}
+            style = {"color": styles[name]["color"], "dash": DASHES[styles[name]["ls"]], "width": 1.8}
+            marker = {"symbol": symbols[label], "size": 8, "maxdisplayed": _SHOWN_SYMBOLS}
             hover = f"{html.escape(label)}, {html.escape(name)}<br>%{{x:.4g}} s: %{{y:.3g}} m<extra></extra>"
-            traces.append(line(seconds(trajectory), value, name, line=style, hovertemplate=hover))
+            more: dict[str, Any] = {"mode": "lines+markers", "marker": marker, "hovertemplate": hover}
+            traces.append(line(seconds(trajectory), value, name, line=style, **more))
     layout = panels(["position error, m"], [1], logarithmic=True)
-    dashes = ", ".join(f"{label} ({_DASHES[k % len(_DASHES)]})" for k, label in enumerate(labels))
-    caption = f"Position errors, or standard deviations of runs without truth. Line styles: {dashes}."
+    listed = ", ".join(f"{label} ({symbol})" for label, symbol in symbols.items())
+    caption = f"Position errors, or standard deviations of runs without truth. Symbols: {listed}."
     return Chart("runs-chart", {"data": traces, "layout": layout}, 460, caption)

@@ -1,15 +1,19 @@
 """Trials of a campaign: the final errors of all, and one trial in full, the worst first."""
 
 import html
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
+import pyarrow.compute as pc
 
 from craternav_fg.campaign.read import Campaign
 from craternav_fg.campaign.summary import of_estimator
 from craternav_fg.plots.style import colour
 from craternav_fg.reports.charts import line, panels, short
 from craternav_fg.reports.page import Block, Chart, Picker
+
+IntArray = npt.NDArray[np.int64]
 
 # Trials that can be picked: the worst ones of larger campaigns.
 _MAX_TRIALS = 60
@@ -28,7 +32,7 @@ def trial_blocks(campaign: Campaign, names: list[str]) -> list[Block]:
     -------
     list of Block
     """
-    numbers = {name: _numbers(campaign, name) for name in names}
+    numbers = {name: trial_numbers(campaign, name) for name in names}
     position_m = {
         name: np.linalg.norm(of_estimator(campaign.table, name, "position_error_m"), axis=-1)
         for name in names
@@ -48,7 +52,11 @@ def trial_blocks(campaign: Campaign, names: list[str]) -> list[Block]:
         traces[-1]["y"] = curves[0]
         picked.append(curves)
     layout = panels(["position error, m"], [1], logarithmic=True)
-    layout["xaxis"] |= {"title": {"text": "altitude, km"}, "type": "log", "autorange": "reversed"}
+    layout["xaxis"] |= {
+        "title": {"text": "altitude, km"},
+        "type": altitude_scale(campaign),
+        "autorange": "reversed",
+    }
     caption = f"Position error of the chosen trial. The list begins with the worst final error of {first}."
     spec = {"data": traces, "layout": layout, "picked": picked}
     chart = Chart("trial", spec, 360, caption)
@@ -73,8 +81,33 @@ def _all_trials(numbers: dict[str, Any], position_m: dict[str, Any]) -> Chart:
     return Chart("trials-chart", {"data": traces, "layout": layout}, 340, caption)
 
 
-def _numbers(campaign: Campaign, name: str) -> Any:
-    """Numbers of the trials with a trajectory of an estimator, in the order of `of_estimator`."""
+def trial_numbers(campaign: Campaign, name: str) -> IntArray:
+    """Find the trials with a trajectory of an estimator.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    name : str
+
+    Returns
+    -------
+    ndarray of int, shape (trials,)
+        Numbers, in the order of `of_estimator`.
+    """
     table = campaign.table
     mine = np.array(table["estimator"].to_pylist(), dtype=object) == name
-    return np.unique(table["trial"].to_numpy()[mine])
+    return np.asarray(np.unique(table["trial"].to_numpy()[mine]))
+
+
+def altitude_scale(campaign: Campaign) -> Literal["log", "linear"]:
+    """Choose the scale of the axes of altitude: a lander may end below the mean sphere, on low ground.
+
+    Parameters
+    ----------
+    campaign : Campaign
+
+    Returns
+    -------
+    {"log", "linear"}
+    """
+    return "log" if pc.min(campaign.table["altitude_m"]).as_py() > 0.0 else "linear"

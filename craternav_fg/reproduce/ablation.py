@@ -1,7 +1,7 @@
 """Effect of single choices of the paper's filter, and of centres in place of rims; not part of the paper."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from craternav_fg.reproduce.fig15_18_trials import Trial, first_trials, problem_
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, number
+from craternav_fg.reproduce.sentences import listed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -98,7 +99,8 @@ def note(median: Mapping[str, float], trials: int) -> str:
     Parameters
     ----------
     median : mapping of str to float
-        Position error at the end by estimator, m: all of `filters`, then the three smoothers.
+        Position error at the end by estimator, m: all of `filters`, then the three smoothers. Infinite where
+        most trials have no trajectory.
     trials : int
 
     Returns
@@ -107,27 +109,68 @@ def note(median: Mapping[str, float], trials: int) -> str:
     """
     names = [name for name in median if name.startswith("EKF")]
     values = np.array([median[name] for name in names]).reshape(2, 2, 2)
-    # Factor by which a corrected choice divides the error, in the geometric mean over the other choices.
-    logarithms = np.log(values)
-    gains = [float(np.exp(-np.diff(logarithms, axis=axis).mean())) for axis in range(3)]
-    alone = [float(values[0, 0, 0] / v) for v in (values[1, 0, 0], values[0, 1, 0], values[0, 0, 1])]
-    chart = [float(values[1, 0, 0] / v) for v in (values[1, 1, 0], values[1, 0, 1])]
     choices = ("the ellipse chart for eq. (19)", "each rim's own noise for one Qn", "the prior counted once")
-    finite = np.isfinite(gains).all()
-    largest = f", so {choices[int(np.argmax(gains))]} has the largest effect" if finite else ""
-    return (
-        f"Medians over the first {trials} trials of figs. 17 and 18, at 10 km. The paper's filter ends at "
-        f"{number(values[0, 0, 0])} m. One corrected choice alone divides that by {number(alone[0])} "
-        f"({choices[0]}), {number(alone[1])} ({choices[1]}) and {number(alone[2])} ({choices[2]}, for eq. "
-        f"(29)). With the chart, each rim's own noise divides the error by {number(chart[0])}, the prior "
-        f"counted once by {number(chart[1])}. All three together divide it by "
-        f"{number(values[0, 0, 0] / values[1, 1, 1])}. In the geometric mean over the other choices the "
-        f"factors are {number(gains[0])}, {number(gains[1])} and {number(gains[2])}{largest}. Centres taken "
-        f"for the images of the craters' centres end at {number(median[CENTRES])} m, the same centres taken "
-        f"for the centres of the ellipses at {number(median[ELLIPSE_CENTRES])} m and whole rims at "
-        f"{number(median[RIMS])} m: the right model of the centre divides the error by "
-        f"{number(median[CENTRES] / median[ELLIPSE_CENTRES])}, size and shape of the rims by "
-        f"{number(median[ELLIPSE_CENTRES] / median[RIMS])}."
+    paper = values[0, 0, 0]
+    parts = [f"Medians over the first {trials} trials of figs. 17 and 18, at 10 km."]
+    if np.isfinite(paper):
+        parts.append(f"The paper's filter ends at {number(paper)} m.")
+    alone = _factors(
+        [
+            (paper, values[1, 0, 0], choices[0]),
+            (paper, values[0, 1, 0], choices[1]),
+            (paper, values[0, 0, 1], f"{choices[2]}, for eq. (29)"),
+        ]
+    )
+    if alone:
+        parts.append(f"One corrected choice alone divides that by {alone}.")
+    chart = _factors(
+        [(values[1, 0, 0], values[1, 1, 0], choices[1]), (values[1, 0, 0], values[1, 0, 1], choices[2])]
+    )
+    if chart:
+        parts.append(f"With the chart, the error is divided by {chart}.")
+    if np.isfinite([paper, values[1, 1, 1]]).all():
+        parts.append(f"All three together divide the paper's by {number(paper / values[1, 1, 1])}.")
+    if np.isfinite(values).all():
+        # Factor by which a corrected choice divides the error, in the geometric mean over the other choices.
+        logarithms = np.log(values)
+        gains = [float(np.exp(-np.diff(logarithms, axis=axis).mean())) for axis in range(3)]
+        parts.append(
+            f"In the geometric mean over the other choices the factors are {number(gains[0])}, "
+            f"{number(gains[1])} and {number(gains[2])}, so {choices[int(np.argmax(gains))]} has the largest "
+            "effect."
+        )
+    smoothers = {
+        CENTRES: "centres taken for the images of the craters' centres",
+        ELLIPSE_CENTRES: "the same centres taken for the centres of the ellipses",
+        RIMS: "whole rims",
+    }
+    ends = [
+        f"{number(median[name])} m ({what})" for name, what in smoothers.items() if np.isfinite(median[name])
+    ]
+    if ends:
+        parts.append(f"The smoother ends at {listed(ends)}.")
+    gained = _factors(
+        [
+            (median[CENTRES], median[ELLIPSE_CENTRES], "the right model of the centre"),
+            (median[ELLIPSE_CENTRES], median[RIMS], "size and shape of the rims"),
+        ]
+    )
+    if gained:
+        parts.append(f"Its error is divided by {gained}.")
+    lost = [name for name, value in median.items() if not np.isfinite(value)]
+    if lost:
+        parts.append(f"No trajectory in most trials, hence no factors: {'; '.join(lost)}.")
+    return " ".join(parts)
+
+
+def _factors(changes: Sequence[tuple[float, float, str]]) -> str:
+    """List the factors by which errors are divided, and by what; those of a lost trajectory are left out."""
+    return listed(
+        [
+            f"{number(before / after)} ({what})"
+            for before, after, what in changes
+            if np.isfinite([before, after]).all()
+        ]
     )
 
 

@@ -29,7 +29,7 @@ from craternav_fg.reproduce.results import Reproduction, Row
 # Noise at which eq. (23) is tried beside the paper's: its error of two craters is then about the printed one.
 FINE_NOISE_PX = 0.01
 # Options that must be the default for the paper's numbers to be comparable.
-_SET_UP = ("noise_px", "points", "arc")
+_SET_UP = ("noise_px", "points", "arc", "semi_axes_m")
 
 _STYLE = {
     trials.CENTRES: ("centres (10)", "#D55E00", "s"),
@@ -103,7 +103,7 @@ def draw_up(
 
 
 def papers_set_up(options: ReproduceOptions, craters: int) -> bool:
-    """Whether noise, edges and number of craters are the paper's, so that its numbers are comparable."""
+    """Whether noise, edges, sizes and number of craters are the paper's, so that its numbers compare."""
     default = ReproduceOptions()
     return craters <= 3 and all(getattr(options, name) == getattr(default, name) for name in _SET_UP)
 

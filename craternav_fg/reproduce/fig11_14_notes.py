@@ -93,14 +93,17 @@ def _mean(condition: Condition, method: str | None = None) -> float:
     return np.nan if value is None else value
 
 
+def _ends(conditions: Mapping[float, Condition]) -> list[float]:
+    """Lowest and highest altitude, km; one if they are the same."""
+    return sorted({min(conditions), max(conditions)})
+
+
 def _values(conditions: Mapping[float, Condition], method: str) -> str:
     """Mean at the lowest and at the highest altitude."""
-    low, high = min(conditions), max(conditions)
-    a, b = (conditions[km].statistic(method, MEAN) for km in (low, high))
-    unit = conditions[low].unit
-    if a is None or b is None:
+    means = {km: _mean(conditions[km], method) for km in _ends(conditions)}
+    if np.isnan(list(means.values())).any():
         return "no pose"
-    return f"{number(a)} {unit} at {low:g} km and {number(b)} {unit} at {high:g} km"
+    return listed([f"{number(mean)} {conditions[km].unit} at {km:g} km" for km, mean in means.items()])
 
 
 def _printed_sign(conditions: Mapping[float, Condition], method: str) -> str:
@@ -127,31 +130,33 @@ def _note_fig11(
     conditions: Mapping[float, Condition], options: ReproduceOptions,
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
-    low, high = min(conditions), max(conditions)
-    centres, edges = (
-        [_mean(conditions[km], name) for km in (low, high)] for name in (trials.CENTRES, trials.EDGES)
-    )
-    arcs = {km: float(np.median(conditions[km].columns["arc_bound_rms_m"])) for km in (low, high)}
-    medians = {km: float(np.median(conditions[km].values(trials.EDGES))) for km in (low, high)}
+    ends = _ends(conditions)
+    centres, edges = ([_mean(conditions[km], name) for km in ends] for name in (trials.CENTRES, trials.EDGES))
+    arcs = [
+        f"{number(float(np.median(conditions[km].columns['arc_bound_rms_m'])))} m at {km:g} km" for km in ends
+    ]
+    medians = [conditions[km].values(trials.EDGES) for km in ends]
     text = (
         f"{_printed_sign(conditions, trials.EDGES_PRINTED)}The mean error of eq. (13) is "
-        f"{_values(conditions, trials.EDGES)}, the median {number(medians[low])} and {number(medians[high])} "
-        "m. "
+        f"{_values(conditions, trials.EDGES)}, the median "
+        f"{listed([number(float(np.median(v)) if len(v) else None) for v in medians])} m. "
     )
-    if {low, high} <= set(printed):
+    if len(ends) > 1 and set(ends) <= set(printed):
+        low, high = ends
         text += (
             f"The paper prints means of {printed[low][0]:g} and {printed[high][0]:g} m. From {low:g} to "
             f"{high:g} km the paper's error {changed(printed[low][0], printed[high][0])}, that of eq. (13) "
             f"{changed(*edges)} and the bound {changed(_mean(conditions[low]), _mean(conditions[high]))}. "
         )
+    beside: list[str] = []
+    for km, a, b in zip(ends, centres, edges, strict=True):
+        ratio = f" ({a / b:.2g} times)" if np.isfinite(a / b) else ""
+        beside.append(f"{compared(a, b)} {'it' if beside else 'that of the edges (13)'} at {km:g} km{ratio}")
     return text + (
-        f"The mean error of the centres (10) is {compared(centres[0], edges[0])} that of the edges (13) at "
-        f"{low:g} km ({centres[0] / edges[0]:.2g} times) and {compared(centres[1], edges[1])} it at {high:g} "
-        f"km ({centres[1] / edges[1]:.2g} times). Edge points cover "
+        f"The mean error of the centres (10) is {listed(beside)}. Edge points cover "
         f"{'the whole rim' if options.arc == 1.0 else f'{options.arc:.0%} of the rim'}. If the paper's "
         f"{options.points[0]} to {options.points[1]} px are lengths of arcs with a point per pixel, the "
-        f"bound is {number(arcs[low])} m at {low:g} km and {number(arcs[high])} m at {high:g} km (median "
-        "RMS). "
+        f"bound is {listed(arcs)} (median RMS). "
     )
 
 
@@ -159,28 +164,30 @@ def _note_fig12(
     conditions: Mapping[float, Condition], options: ReproduceOptions,
     printed: Mapping[float, tuple[float, float]],
 ) -> str:  # fmt: skip
-    low, high = min(conditions), max(conditions)
+    ends = _ends(conditions)
     methods = {
         "the bound": None,
         "eq. (13)": trials.EDGES,
         "the efficient solver": trials.EFFICIENT,
         "the centres (10)": trials.CENTRES,
     }
-    falls: list[str] = []
-    rises: list[str] = []
+    words = {"smaller than": "falls", "larger than": "rises", "about equal to": "stays about the same"}
+    names: dict[str, list[str]] = {word: [] for word in words.values()}
     values = []
     for name, method in methods.items():
-        a, b = (_mean(conditions[km], method) for km in (low, high))
-        if np.isnan(a) or np.isnan(b):
+        means = [_mean(conditions[km], method) for km in ends]
+        if np.isnan(means).any():
             continue
-        (falls if b < a else rises).append(name)
-        values.append(f"{number(a)} and {number(b)} deg for {name}")
+        names[words[compared(means[-1], means[0])]].append(name)
+        values.append(f"{listed([number(mean) for mean in means])} deg for {name}")
     text = (
         "The paper's text prints no number of this figure; it says that the attitude error falls as the "
-        f"altitude rises. From {low:g} to {high:g} km it "
+        "altitude rises. "
     )
-    parts = [f"{word} for {listed(names)}" for word, names in (("falls", falls), ("rises", rises)) if names]
-    return f"{text}{' and '.join(parts)}: the means are {', '.join(values)}. "
+    if len(ends) == 1:
+        return f"{text}At {ends[0]:g} km the means are {', '.join(values)}. "
+    parts = [f"{word} for {listed(group)}" for word, group in names.items() if group]
+    return f"{text}From {ends[0]:g} to {ends[1]:g} km it {listed(parts)}: the means are {', '.join(values)}. "
 
 
 def _note_fig13(
@@ -241,17 +248,18 @@ def compared_with_three(
     -------
     str
     """
-    low, high = min(conditions), max(conditions)
     parts = []
-    for km in (low, high):
+    for km in _ends(conditions):
         centres = Condition(three, 1e3 * km, options.noise_px, "m").statistic(trials.CENTRES, MEAN)
         two = conditions[km].statistic(trials.TWO, MEAN)
         if centres is not None and two is not None:
-            word = "smaller" if two < centres else "larger"
+            word = compared(two, centres).removesuffix(" than").removesuffix(" to")
             parts.append(f"{word} at {km:g} km ({number(two)} and {number(centres)} m)")
+    if not parts:
+        return ""
     return (
         "The paper finds the error of two craters by (23) smaller than that of three by their centres "
-        f"(10); here it is {' and '.join(parts)}. "
+        f"(10); here it is {listed(parts)}. "
     )
 
 
@@ -295,9 +303,7 @@ def note(
     -------
     str
     """
-    empty = [
-        f"{km:g}" for km in sorted({min(conditions), max(conditions)}) if not conditions[km].counted.any()
-    ]
+    empty = [f"{km:g}" for km in _ends(conditions) if not conditions[km].counted.any()]
     if empty:
         return f"No trial counts at {' and '.join(empty)} km: nothing to compare over the altitude. "
     return _NOTES[figure](conditions, options, printed)

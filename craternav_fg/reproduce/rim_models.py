@@ -29,7 +29,7 @@ from craternav_fg.plots.style import colour
 from craternav_fg.reproduce.fig15_18_trials import Trial, first_trials, problem_of
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
-from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, number
+from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, known, number
 from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
 
@@ -46,7 +46,20 @@ _BINS = tuple(f"ANEES, {high:.0f} to {low:.0f} km" for high, low in itertools.pa
 ENOUGH_RIMS = 3
 # Starting poses around the truth at a frame: their number, turn, and shift as a share of the altitude.
 _STARTS, _TURN_RAD, _SHIFT = 24, np.radians(10.0), 0.1
-_NUMBERS = ("trial", "altitude_m", "rims", "error_m", "nees", "from_chart_sigmas", "frame_s", "basin")
+_SCHEMA = pa.schema(
+    {
+        "trial": pa.int64(),
+        "model": pa.string(),
+        "estimator": pa.string(),
+        "altitude_m": pa.float64(),
+        "rims": pa.int64(),
+        "error_m": pa.float64(),
+        "nees": pa.float64(),
+        "from_chart_sigmas": pa.float64(),
+        "frame_s": pa.float64(),
+        "basin": pa.float64(),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -64,9 +77,10 @@ class Kept:
     anees : float
         ANEES of the pose, 6 expected.
     anees_by_altitude : tuple of float
-        In the bins of `BINS_KM`.
+        In the bins of `BINS_KM`; NaN where no frame is.
     from_chart_sigmas : float
-        RMS distance of the poses from those with the ellipse chart, per dimension, in the latter's sigmas.
+        RMS distance of the poses from those with the ellipse chart, per dimension, in the latter's sigmas,
+        over the trials with both; NaN without any.
     frame_ms : float
         CPU time per frame.
     basin : float
@@ -105,15 +119,21 @@ def rim_models(options: ReproduceOptions, progress: Progress | None = None) -> R
         for quantity, unit, value in (
             ("position error, RMS", "m", one.rms_m),
             ("ANEES", "", one.anees),
-            *zip(_BINS, itertools.repeat(""), one.anees_by_altitude, strict=False),
+            *(
+                (name_of_bin, "", value)
+                for name_of_bin, value in zip(_BINS, one.anees_by_altitude, strict=True)
+            ),
             ("CPU time per frame", "ms", one.frame_ms),
             ("basin", "", one.basin),
         ):
             rows.append(
-                Row(NAME, quantity, condition, unit, corrected=value, verdict=NO_NUMBER, headline=unit == "m")
-            )
+                Row(
+                    NAME, quantity, condition, unit,
+                    corrected=known(value), verdict=NO_NUMBER, headline=unit == "m",
+                )
+            )  # fmt: skip
     title = "What each measurement of a rim keeps of its information"
-    return Reproduction(NAME, title, rows, note(kept, len(trials)), _draw(kept), data)
+    return Reproduction(NAME, title, rows, note(data, len(trials)), _draw(kept), data)
 
 
 def evaluate(data: pa.Table) -> dict[tuple[RimModel, str], Kept]:
@@ -130,85 +150,112 @@ def evaluate(data: pa.Table) -> dict[tuple[RimModel, str], Kept]:
         By measurement and estimator; a pair that produced no trajectory is missing.
     """
     found: dict[tuple[RimModel, str], Kept] = {}
-    for model in RIM_MODELS:
-        for name in ESTIMATORS:
-            mask = pc.and_(pc.equal(data["model"], model), pc.equal(data["estimator"], name))
-            rows = data.filter(mask)
-            if not len(rows):
-                continue
-            column = {key: rows[key].to_numpy() for key in _NUMBERS}
-            trials = len(np.unique(column["trial"]))
-            of_trials = column["nees"].reshape(trials, -1)
-            altitude_m = column["altitude_m"].reshape(trials, -1).mean(axis=0)
-            edges_m = [1001.0 * BINS_KM[0], *(1e3 * km for km in BINS_KM[1:-1]), 999.0 * BINS_KM[-1]]
-            few = column["rims"] < ENOUGH_RIMS
-            found[model, name] = Kept(
-                trials=trials,
-                rms_m=_rms(column["error_m"]),
-                few_rims_rms_m=_rms(column["error_m"][few]) if few.any() else np.nan,
-                anees=float(of_trials.mean()),
-                anees_by_altitude=tuple(b.mean for b in anees_by_altitude(of_trials, altitude_m, edges_m)),
-                from_chart_sigmas=_rms(column["from_chart_sigmas"]),
-                frame_ms=float(1e3 * np.median(column["frame_s"])),
-                basin=float(column["basin"].mean()),
-            )
+    for model, name in itertools.product(RIM_MODELS, ESTIMATORS):
+        rows = _of(data, model, name)
+        if len(rows):
+            found[model, name] = _kept(rows)
     return found
 
 
-def note(kept: dict[tuple[RimModel, str], Kept], trials: int) -> str:
+def _of(data: pa.Table, model: RimModel, name: str) -> pa.Table:
+    """Rows of an estimator with a measurement."""
+    return data.filter(pc.and_(pc.equal(data["model"], model), pc.equal(data["estimator"], name)))
+
+
+def _kept(rows: pa.Table) -> Kept:
+    column = {key: rows[key].to_numpy() for key in rows.column_names if key not in ("model", "estimator")}
+    trials = len(np.unique(column["trial"]))
+    of_trials = column["nees"].reshape(trials, -1)
+    altitude_m = column["altitude_m"].reshape(trials, -1).mean(axis=0)
+    edges_m = [1001.0 * BINS_KM[0], *(1e3 * km for km in BINS_KM[1:-1]), 999.0 * BINS_KM[-1]]
+    bins = {one.highest_m: one.mean for one in anees_by_altitude(of_trials, altitude_m, edges_m)}
+    return Kept(
+        trials=trials,
+        rms_m=_rms(column["error_m"]),
+        few_rims_rms_m=_rms(column["error_m"][column["rims"] < ENOUGH_RIMS]),
+        anees=float(of_trials.mean()),
+        anees_by_altitude=tuple(bins.get(high_m, np.nan) for high_m in edges_m[:-1]),
+        from_chart_sigmas=_rms(column["from_chart_sigmas"][np.isfinite(column["from_chart_sigmas"])]),
+        frame_ms=float(1e3 * np.median(column["frame_s"])),
+        basin=float(column["basin"].mean()),
+    )
+
+
+def _beside_chart(data: pa.Table, model: RimModel, name: str) -> tuple[Kept, Kept] | None:
+    """Evaluate an estimator with a measurement and with the chart over the trials with both, if any."""
+    parts = [_of(data, one, name) for one in (model, "chart")]
+    common = np.intersect1d(*(part["trial"].to_numpy() for part in parts))
+    if not len(common):
+        return None
+    one, chart = (_kept(part.filter(pc.is_in(part["trial"], pa.array(common)))) for part in parts)
+    return one, chart
+
+
+def note(data: pa.Table, trials: int) -> str:
     """Paragraph of the figure, from its numbers.
 
     Parameters
     ----------
-    kept : dict of (str, str) to Kept
-        See `evaluate`.
+    data : pyarrow.Table
+        See `rim_models`.
     trials : int
 
     Returns
     -------
     str
     """
-    chart = kept["chart", "online"]
-    parts = [
-        f"Online smoother, first {trials} trials of figs. 17 and 18: the ellipse chart has an RMS position "
-        f"error of {number(chart.rms_m)} m."
-    ]
+
+    def over(one: Kept) -> str:
+        return "" if one.trials == trials else f" (over the {one.trials} of {trials} trials with both)"
+
+    kept = evaluate(data)
+    chart = kept.get(("chart", "online"))
+    text = f"Online smoother, first {trials} trials of figs. 17 and 18: the ellipse chart "
+    if chart is None:
+        parts = [f"{text}produced no trajectory."]
+    else:
+        counted = "" if chart.trials == trials else f" in the {chart.trials} with a trajectory"
+        parts = [f"{text}has an RMS position error of {number(chart.rms_m)} m{counted}."]
     for model in RIM_MODELS[1:]:
-        one = kept.get((model, "online"))
-        if one is None:
+        pair = _beside_chart(data, model, "online")
+        if (model, "online") not in kept:
             parts.append(f"{model} produced no trajectory.")
-            continue
-        consistent = "" if one.anees < 2.0 * chart.anees else f", but an ANEES of {number(one.anees)}"
+        elif pair is None:
+            parts.append(f"{model}: no trial in common with the chart.")
+        else:
+            one, beside = pair
+            consistent = "" if one.anees < 2.0 * beside.anees else f", but an ANEES of {number(one.anees)}"
+            parts.append(
+                f"{model}: {number(one.rms_m / beside.rms_m)} times that error{consistent}; "
+                f"{number(one.frame_ms / beside.frame_ms)} times its CPU time{over(one)}."
+            )
+    if (pair := _beside_chart(data, "eq19", "smoother")) is not None:
         parts.append(
-            f"{model}: {number(one.rms_m / chart.rms_m)} times that error{consistent}; "
-            f"{number(one.frame_ms / chart.frame_ms)} times its CPU time."
+            f"The smoother's poses with eq. (19) are {number(pair[0].from_chart_sigmas)} sigma from those "
+            f"with the chart{over(pair[0])}."
         )
-    eq19, los = kept.get(("eq19", "smoother")), kept.get(("los", "smoother"))
-    whole = kept["chart", "smoother"]
-    if eq19 is not None:
-        parts.append(
-            f"The smoother's poses with eq. (19) are {number(eq19.from_chart_sigmas)} sigma from those with "
-            "the chart."
-        )
-    if los is not None:
+    if (pair := _beside_chart(data, "los", "smoother")) is not None:
+        los, whole = pair
         few = los.few_rims_rms_m / whole.few_rims_rms_m
         parts.append(
             "Lines of sight leave out size and shape: the smoother's error is "
-            f"{number(los.rms_m / whole.rms_m)} times that with the chart"
+            f"{number(los.rms_m / whole.rms_m)} times that with the chart{over(los)}"
             + (f", {number(few)} times in frames with one or two rims." if np.isfinite(few) else ".")
         )
     basins = ", ".join(
         f"{model} {100 * one.basin:.0f} %" for (model, name), one in kept.items() if name == "online"
     )
-    parts.append(
-        "Share of starting poses, turned by 10 deg and shifted by 10 % of the altitude, from which undamped "
-        f"Gauss-Newton reaches a frame's optimum: {basins}."
-    )
+    if basins:
+        parts.append(
+            "Share of starting poses, turned by 10 deg and shifted by 10 % of the altitude, from which "
+            f"undamped Gauss-Newton reaches a frame's optimum: {basins}."
+        )
     return " ".join(parts)
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    """RMS of values; NaN without any."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
 def _run_trial(trial: Trial) -> pa.Table:
@@ -217,7 +264,7 @@ def _run_trial(trial: Trial) -> pa.Table:
     rims = [len(frame.rims) for frame in problem.frames]
     rng = np.random.default_rng([trial.scenario.seed, trial.number])
     references: dict[str, Trajectory] = {}
-    parts = []
+    parts = [_SCHEMA.empty_table()]
     starts = _starts(problem, truth, rng)
     for model in RIM_MODELS:
         basin = _basin(problem, truth, model, starts)
@@ -228,11 +275,10 @@ def _run_trial(trial: Trial) -> pa.Table:
             except (EstimationError, RuntimeError, np.linalg.LinAlgError):
                 continue
             frame_s = (time.process_time() - began) / len(truth)
-            reference = references.setdefault(name, found)
-            assert found.pose_covariance is not None
-            assert reference.pose_covariance is not None
             error = errors(found, truth)
-            apart = nees(errors(found, reference).pose, reference.pose_covariance) / 6.0
+            assert found.pose_covariance is not None
+            if model == "chart":
+                references[name] = found
             parts.append(
                 pa.table(
                     {
@@ -243,13 +289,22 @@ def _run_trial(trial: Trial) -> pa.Table:
                         "rims": rims,
                         "error_m": np.linalg.norm(error.position_m, axis=1),
                         "nees": nees(error.pose, found.pose_covariance),
-                        "from_chart_sigmas": np.sqrt(apart),
+                        "from_chart_sigmas": _apart_sigmas(found, references.get(name)),
                         "frame_s": np.full(len(truth), frame_s),
                         "basin": np.full(len(truth), basin),
-                    }
+                    },
+                    schema=_SCHEMA,
                 )
             )
     return pa.concat_tables(parts)
+
+
+def _apart_sigmas(found: Trajectory, chart: Trajectory | None) -> FloatArray:
+    """RMS distance (k,) per dimension of the poses from those with the chart, NaN without the latter."""
+    if chart is None:
+        return np.full(len(found), np.nan)
+    assert chart.pose_covariance is not None
+    return np.sqrt(nees(errors(found, chart).pose, chart.pose_covariance) / 6.0)
 
 
 def _estimators(model: RimModel) -> dict[str, Estimator]:

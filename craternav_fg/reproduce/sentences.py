@@ -28,7 +28,7 @@ def compared(value: float, reference: float, within: float = EQUAL_WITHIN) -> st
 
 
 def changed(first: float, last: float) -> str:
-    """Describe the factor by which a number grows or falls: "grows by a factor of 3.7".
+    """Describe the factor by which a positive number grows or falls: "grows by a factor of 3.7".
 
     Parameters
     ----------
@@ -37,10 +37,18 @@ def changed(first: float, last: float) -> str:
     Returns
     -------
     str
+        "stays about the same" within `EQUAL_WITHIN`, "is not known" when one is NaN.
     """
-    if last >= first:
-        return f"grows by a factor of {last / first:.2g}"
-    return f"falls by a factor of {first / last:.2g}"
+    how = compared(last, first)
+    if how == "about equal to":
+        return "stays about the same"
+    if how == "not comparable with":
+        return "is not known"
+    return (
+        f"grows by a factor of {last / first:.2g}"
+        if last > first
+        else f"falls by a factor of {first / last:.2g}"
+    )
 
 
 def listed(items: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -75,7 +76,9 @@ def write_run(
         "innovations": _innovations(result),
         "estimators": estimators,
     }
-    (folder / store.METRICS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    summary = _finite_or_none(summary)
+    text = json.dumps(summary, indent=2, allow_nan=False)
+    (folder / store.METRICS).write_text(f"{text}\n", encoding="utf-8")
     trajectories = dict(result.trajectories) if truth is None else {store.TRUTH: truth, **result.trajectories}
     for name, trajectory in trajectories.items():
         write_tum(folder / f"{name}.tum", trajectory)
@@ -83,6 +86,15 @@ def write_run(
     pq.write_table(residuals_table(result), folder / store.RESIDUALS)
     (folder / store.MARKER).write_bytes(_description(dataset, result).encode())
     return summary
+
+
+def _finite_or_none(values: Any) -> Any:
+    """Replace numbers that JSON does not have by None, in nested dicts and lists."""
+    if isinstance(values, dict):
+        return {key: _finite_or_none(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_finite_or_none(value) for value in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
 
 
 def _description(dataset: str, result: Reconstruction) -> str:

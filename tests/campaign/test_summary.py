@@ -21,17 +21,27 @@ from tests.campaign.scene import options, small_scenario
 ALTITUDES_M = [900.0, 400.0, 175.0]
 
 
-def rows(trial: int, name: str, **values: Any) -> list[dict[str, Any]]:
-    """Three frames that are alike but for their altitudes."""
+def rows(
+    trial: int, name: str, altitudes_m: list[float] = ALTITUDES_M, **values: Any
+) -> list[dict[str, Any]]:
+    """Frames that are alike but for their altitudes."""
     common = {"trial": trial, "estimator": name, "rims": 1, **values}
-    return [{**common, "stamp_ns": k, "altitude_m": altitude_m} for k, altitude_m in enumerate(ALTITUDES_M)]
+    return [{**common, "stamp_ns": k, "altitude_m": altitude_m} for k, altitude_m in enumerate(altitudes_m)]
 
 
-def estimate(trial: int, name: str, off_m: float, off_deg: float, nees: float) -> list[dict[str, Any]]:
+def estimate(
+    trial: int,
+    name: str,
+    off_m: float,
+    off_deg: float,
+    nees: float,
+    altitudes_m: list[float] = ALTITUDES_M,
+) -> list[dict[str, Any]]:
     """An estimator whose every frame has the same error."""
     return rows(
         trial,
         name,
+        altitudes_m,
         position_error_m=[0.0, off_m, 0.0],
         attitude_error_rad=[np.radians(off_deg), 0.0, 0.0],
         velocity_error_m_s=[0.0, 0.0, 0.0],
@@ -98,6 +108,24 @@ def test_an_estimator_that_failed_is_held_against_its_own_trials() -> None:
     assert values["rms_over_pcrb"] == pytest.approx(1.0)
     # Near, and turned by more than a degree.
     assert values["converged"] == 0
+
+
+@pytest.mark.parametrize("singular", [np.inf, np.nan])
+def test_trials_with_a_singular_covariance_are_left_out_of_the_anees(singular: float) -> None:
+    table = estimate(0, "online", 3.0, 0.1, singular) + estimate(1, "online", 3.0, 0.1, 5.0)
+    for trial in (0, 1):
+        table += rows(trial, FILTERED_BOUND, pose_sigma=[1.0] * 6)
+    values = summarise(campaign(table, ["online"]))["estimators"]["online"]
+    assert (values["anees"], values["anees_trials"], values["trajectories"]) == (5.0, 1, 2)
+
+
+@pytest.mark.parametrize(("off_m", "converged"), [(5.0, 1), (7.0, 0)])
+def test_a_landing_on_low_ground_can_converge(off_m: float, converged: int) -> None:
+    """The mean sphere is above the lander: 2 % of a hundredth of 30 km count, 6 m."""
+    altitudes_m = [30e3, 1e3, -2e3]
+    table = estimate(0, "online", off_m, 0.1, 6.0, altitudes_m)
+    table += rows(0, FILTERED_BOUND, altitudes_m, pose_sigma=[1.0] * 6)
+    assert summarise(campaign(table, ["online"]))["estimators"]["online"]["converged"] == converged
 
 
 def test_a_folder_is_summarised_trial_by_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

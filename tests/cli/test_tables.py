@@ -22,7 +22,7 @@ def test_no_number_is_cut(
 ) -> None:
     module = {"compare": run_summary, "montecarlo": campaigns}[command]
     monkeypatch.setattr(module, "out", Console(width=width))
-    estimators = dict.fromkeys(ESTIMATORS, LONG)
+    estimators = dict.fromkeys(ESTIMATORS, LONG | {"anees_trials": 30})
     if command == "compare":
         run_summary.show_comparison([("run", estimators)])
     else:

@@ -85,6 +85,10 @@ def test_anees_is_of_the_frames_of_each_bin() -> None:
 def test_rms_is_over_trials_and_the_altitude_weighs_frames() -> None:
     assert_allclose(rms(np.array([[[3.0, 0.0, 0.0]], [[0.0, 4.0, 0.0]]])), [np.sqrt(12.5)])
     assert over_altitude(np.array([1.0, 1.0, 2.0]), np.array([100.0, 90.0, 80.0])) == pytest.approx(4.0 / 3.0)
+    # Neither falls only nor rises only: over the frames.
+    for altitude_km in ([10.0, 90.0, 10.0], [50.0, 50.0, 50.0]):
+        assert over_altitude(np.array([1.0, 1.0, 4.0]), np.array(altitude_km)) == pytest.approx(2.0)
+    assert over_altitude(np.array([3.0]), np.array([50.0])) == 3.0
     assert over_altitude(np.array([1.0, 1.0, 4.0]), np.array([100.0, 60.0, 55.0])) == pytest.approx(
         (40.0 + 22.5 + 4.0 * 5.0) / 67.5
     )

@@ -5,12 +5,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from craternav_fg import frames
 from craternav_fg.body import Body
+from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.registry import ESTIMATORS
-from craternav_fg.plots import style, trajectories
+from craternav_fg.evaluation.dem_check import DemCheck
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.plots import dem_check, style, trajectories
 from craternav_fg.trajectory import Trajectory
 
 MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
@@ -65,3 +69,36 @@ def test_a_figure_is_saved_as_matplotlib_would(tmp_path: Path) -> None:
     expected, found = (cv2.imread(str(tmp_path / name)) for name in ("expected.png", "found.png"))
     assert expected.shape == (800, 720, 3)
     np.testing.assert_array_equal(found, expected)
+
+
+def test_low_altitudes_are_in_metres() -> None:
+    t = straight_down(3)
+    # 20 m, 4.2 km and 20 km above the sphere.
+    for row, height_m in enumerate((20.0, 4.2e3, 20e3)):
+        t.gTb[row, 0, 3] = MOON.radius_m + height_m
+    none = RimSet(np.zeros(0, int), np.zeros((0, 5)), np.zeros((0, 5, 5)))
+    images = [(np.zeros((8, 8), np.uint8), FrameMeasurement(int(stamp), none, None)) for stamp in t.stamps_ns]
+    figure = trajectories.draw_overview(images, {"ekf": t}, None, Camera(8, 8, 9.0, 9.0, 3.5, 3.5), MOON)
+    titles = [axes.get_title() for axes in figure.axes[:3]]
+    assert titles == ["20 m, 0 rims", "4.2 km, 0 rims", "20 km, 0 rims"]
+
+
+def test_negative_correlations_of_bad_poses_are_drawn() -> None:
+    checks = [DemCheck(value, 0.9, 0.0, np.zeros(2), 0.0) for value in (0.8, -0.4)]
+    axes = dem_check.draw_dem_check(checks, np.ones(2)).axes[0]
+    assert axes.get_ylim() == pytest.approx((-0.45, 1.0))
+    assert dem_check.draw_dem_check(checks[:1], np.ones(1)).axes[0].get_ylim() == (0.0, 1.0)
+
+
+def test_a_figure_is_saved_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "figure.png"
+    path.write_bytes(b"former")
+
+    def stopped(self: object, file: Path, **_: object) -> None:
+        Path(file).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(style.FigureCanvasAgg, "print_png", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        style.save(Figure(), path)
+    assert [(one.name, one.read_bytes()) for one in tmp_path.iterdir()] == [("figure.png", b"former")]

@@ -13,9 +13,10 @@ import pytest
 from craternav_fg.campaign import run
 from craternav_fg.campaign.read import read_campaign
 from craternav_fg.campaign.run import montecarlo
+from craternav_fg.campaign.summary import summarise
 from craternav_fg.errors import InputError
 from craternav_fg.reports.campaign_page import campaign_page
-from craternav_fg.reports.page import Table, write_page
+from craternav_fg.reports.page import Table, Text, write_page
 from tests.campaign import inline
 from tests.campaign.scene import options, small_scenario
 from tests.cli.calls import call
@@ -65,21 +66,37 @@ def test_an_unfinished_campaign_is_refused(campaign: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("trials", "set_off"), [(3, False), (300, True)])
-def test_an_anees_that_few_trials_explain_is_not_set_off(campaign: Path, trials: int, set_off: bool) -> None:
-    file = campaign / "summary.json"
-    text = file.read_text()
-    summary = json.loads(text)
+def test_an_anees_that_few_trials_explain_is_not_set_off(
+    campaign: Path, trials: int, set_off: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    summary = summarise(read_campaign(campaign))
     summary["trials"] = trials
     for values in summary["estimators"].values():
         values["anees"] = 8.0
-    file.write_text(json.dumps(summary))
-    try:
-        table = campaign_page(read_campaign(campaign)).sections[0].blocks[0]
-    finally:
-        file.write_text(text)
-    assert isinstance(table, Table)
+    monkeypatch.setattr("craternav_fg.reports.campaign_page.summarise", lambda _: summary)
+    (table,) = (b for b in campaign_page(read_campaign(campaign)).sections[0].blocks if isinstance(b, Table))
     anees = next(k for k, heading in enumerate(table.headings) if heading.startswith("ANEES"))
     assert {cells[anees].concern for _, cells in table.rows} == {set_off}
+
+
+def test_a_campaign_that_is_being_extended_is_told(campaign: Path, tmp_path: Path) -> None:
+    """The summary is of the trials that are there, not that of the file, which is of fewer."""
+    folder = tmp_path / "c"
+    shutil.copytree(campaign, folder)
+    file = folder / "summary.json"
+    written = json.loads(file.read_text())
+    written["trials"] = 2
+    for values in written["estimators"].values():
+        values["trajectories"], values["position_final_rms_m"] = 2, 1e6
+    file.write_text(json.dumps(written))
+    page = campaign_page(read_campaign(folder))
+    told, table = page.sections[0].blocks[:2]
+    assert isinstance(told, Text)
+    assert told.warning
+    assert "this page is of the 3 trials that are there, summary.json of 2" in told.text
+    assert page.subtitle.startswith("3 trials")
+    assert isinstance(table, Table)
+    assert "1,000,000" not in {cell.text for _, cells in table.rows for cell in cells}
 
 
 def test_an_estimator_with_a_singular_covariance_in_one_trial_stays_on_the_page(
@@ -101,6 +118,14 @@ def test_an_estimator_with_a_singular_covariance_in_one_trial_stays_on_the_page(
     cells = dict(rows)[first]
     assert cells[0].text == f"{first} (2 of 3 trials)"
     assert all(np.isfinite(cell.key) for cell in cells[1:])
+    # The summary has the same rule.
+    values = summarise(read_campaign(folder))["estimators"][first]
+    assert (values["anees_trials"], values["trajectories"]) == (2, 3)
+    assert np.isfinite(values["anees"])
+    (summary,) = (
+        block for block in campaign_page(read_campaign(folder)).sections[0].blocks if isinstance(block, Table)
+    )
+    assert f"without a singular covariance: {first} 2 of 3." in summary.caption
 
 
 def test_the_worst_trial_is_picked_first(campaign: Path, tmp_path: Path) -> None:

@@ -48,6 +48,8 @@ def test_a_comparison_says_which_is_larger(value: float, reference: float, words
 def test_changes_and_lists() -> None:
     assert changed(2.0, 8.0) == "grows by a factor of 4"
     assert changed(8.0, 2.0) == "falls by a factor of 4"
+    assert changed(8.0, 8.4) == "stays about the same"
+    assert changed(np.nan, 8.0) == changed(np.nan, np.nan) == "is not known"
     assert [listed(["a", "b", "c"][:n]) for n in range(4)] == ["", "a", "a and b", "a, b and c"]
 
 
@@ -164,12 +166,32 @@ def test_fig11_says_where_edges_are_better(
 def test_fig12_says_whose_error_falls(poses: dict[int, pa.Table]) -> None:
     flat = poses[3]
     far = flat["altitude_m"].to_numpy() == 1e5
-    for near_deg, far_deg, words in ((1.0, 2.0, "rises for"), (2.0, 1.0, "falls for eq. (13)")):
+    for near_deg, far_deg, words in (
+        (1.0, 2.0, "rises for"),
+        (2.0, 1.0, "falls for eq. (13)"),
+        (1.0, 1.0, "stays about the same for eq. (13)"),
+    ):
         values = pa.array(np.where(far, far_deg, near_deg))
         data = flat.set_column(flat.column_names.index("edges_deg"), "edges_deg", values)
         text = fig11_14.draw_up("fig12", data, SMALL).note
         assert words in text
         assert f"{near_deg:g} and {far_deg:g} deg for eq. (13)" in text
+
+
+def test_nothing_is_compared_over_one_altitude() -> None:
+    options = ReproduceOptions(trials=4, altitude_steps=1, altitudes_km=(100.0, 100.0), workers=1)
+    three, two = (fig11_14_trials.simulate(options, n) for n in (3, 2))
+    notes = {name: fig11_14.draw_up(name, three, options).note for name in ("fig11", "fig12")}
+    notes["fig13"] = fig11_14.draw_up("fig13", two, options, three).note
+    for text in notes.values():
+        for word in ("rises for", "falls for", "by a factor", "about the same", "100 km and", "From 100 to"):
+            assert word not in text.replace("the altitude rises", "")
+    assert "At 100 km the means are" in notes["fig12"]
+
+
+def test_other_sizes_are_not_compared_with_the_papers_numbers() -> None:
+    assert fig11_14.papers_set_up(ReproduceOptions(), 3)
+    assert not fig11_14.papers_set_up(ReproduceOptions(semi_axes_m=(500.0, 1000.0)), 3)
 
 
 def test_fig13_and_fig14_compare_the_printed_mean_with_the_bound(poses: dict[int, pa.Table]) -> None:
@@ -264,4 +286,17 @@ def test_ablation_names_the_choice_with_the_largest_effect(axis: int, words: str
     smoothers = {ablation.CENTRES: 300.0, ablation.ELLIPSE_CENTRES: 30.0, ablation.RIMS: 10.0}
     note = ablation.note(median | smoothers, 3)
     assert f"so {words} has the largest effect" in note
-    assert "divides the error by 10, size and shape of the rims by 3" in note
+    assert "divided by 10 (the right model of the centre) and 3 (size and shape of the rims)." in note
+
+
+def test_ablation_gives_no_factor_of_a_filter_that_is_lost() -> None:
+    names = list(ablation.filters())
+    smoothers = {ablation.CENTRES: 300.0, ablation.ELLIPSE_CENTRES: 30.0, ablation.RIMS: 10.0}
+    for lost in ([0], [1, 7], list(range(8))):
+        error_m = [np.inf if k in lost else 20.0 for k in range(8)]
+        note = ablation.note(dict(zip(names, error_m, strict=True)) | smoothers, 3)
+        assert f"No trajectory in most trials, hence no factors: {names[lost[0]]}" in note
+        assert "inf " not in note
+        assert "nan" not in note
+        assert ("The paper's filter ends at 20 m" in note) == (0 not in lost)
+        assert ("the prior counted once, for eq. (29)" in note) == (not {0, 1} & set(lost))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 from gtsam.symbol_shorthand import X
 
@@ -48,15 +49,71 @@ def test_from_far_off_the_chart_converges_most_often(trial: Trial, monkeypatch: 
     assert shares["chart"] > max(shares["eq19"], shares["points"]) + 0.1, shares
 
 
+def rows(model: str, name: str, error_m: dict[int, float], altitudes_km: tuple[float, ...]) -> pa.Table:
+    """Trials of an estimator, each with one error."""
+    values = [
+        {
+            "trial": trial, "model": model, "estimator": name, "altitude_m": 1e3 * km, "rims": 3,
+            "error_m": e, "nees": km, "from_chart_sigmas": np.nan, "frame_s": 1e-3, "basin": 1.0,
+        }
+        for trial, e in error_m.items()
+        for km in altitudes_km
+    ]  # fmt: skip
+    return pa.Table.from_pylist(values, schema=rim_models._SCHEMA)
+
+
 def test_the_note_is_computed(data: pa.Table) -> None:
     kept = rim_models.evaluate(data)
-    text = rim_models.note(kept, 1)
+    text = rim_models.note(data, 1)
     ratio = kept["los", "online"].rms_m / kept["chart", "online"].rms_m
     assert f"los: {ratio:.3g} times that error" in text
     assert f"chart {100 * kept['chart', 'online'].basin:.0f} %" in text
-    worse = dict(kept)
-    del worse["points", "online"]
-    assert "points produced no trajectory" in rim_models.note(worse, 1)
+    points = pc.and_(pc.equal(data["model"], "points"), pc.equal(data["estimator"], "online"))
+    assert "points produced no trajectory" in rim_models.note(data.filter(pc.invert(points)), 1)
+
+
+def test_ratios_are_over_the_trials_of_both() -> None:
+    """The chart ends all trials, the other model the easy one only: it is no better there."""
+    data = pa.concat_tables(
+        [
+            rows("chart", "online", {0: 10.0, 1: 1000.0}, (50.0, 20.0)),
+            rows("eq19", "online", {0: 10.0}, (50.0, 20.0)),
+            rows("points", "online", {2: 10.0}, (50.0, 20.0)),
+        ]
+    )
+    text = rim_models.note(data, 3)
+    assert "position error of 707 m in the 2 with a trajectory." in text
+    assert "eq19: 1 times that error; 1 times its CPU time (over the 1 of 3 trials with both)." in text
+    assert "points: no trial in common with the chart." in text
+
+
+def test_the_chart_may_fail_in_all_trials() -> None:
+    text = rim_models.note(rows("eq19", "online", {0: 10.0}, (50.0, 20.0)), 1)
+    assert "the ellipse chart produced no trajectory. eq19: no trial in common with the chart." in text
+    rim_models._draw(rim_models.evaluate(rim_models._SCHEMA.empty_table()))
+
+
+def test_bins_without_frames_keep_their_place() -> None:
+    kept = rim_models.evaluate(rows("chart", "online", {0: 10.0}, (50.0, 20.0)))
+    np.testing.assert_equal(kept["chart", "online"].anees_by_altitude, (np.nan, 50.0, 20.0))
+
+
+def test_only_the_chart_is_the_reference(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses with other measurements are not compared with the first one that survives."""
+
+    class Fails:
+        def estimate(self, problem: object) -> None:
+            raise EstimationError("no sense")
+
+    of = rim_models._estimators
+    monkeypatch.setattr(rim_models, "RIM_MODELS", ("chart", "centre", "los"))
+    monkeypatch.setattr(rim_models, "_basin", lambda *_: 1.0)
+    monkeypatch.setattr(
+        rim_models, "_estimators", lambda model: {"ekf": Fails() if model == "chart" else of(model)["ekf"]}
+    )
+    found = rim_models._run_trial(trial)
+    assert found["model"].unique().to_pylist() == ["centre", "los"]
+    assert np.isnan(found["from_chart_sigmas"].to_numpy()).all()
 
 
 def test_the_ablation_includes_it() -> None:

@@ -124,6 +124,27 @@ def test_states_read_back_as_they_were(tmp_path: Path) -> None:
     assert run.metrics["estimators"]["dead_reckoning"]["position_rms_m"] == pytest.approx(20e3)
 
 
+def test_a_singular_covariance_is_told_and_the_metrics_stay_json(tmp_path: Path) -> None:
+    result = reconstruction()
+    smoother = trajectory(20e3, sigma=0.5)
+    assert smoother.pose_covariance is not None
+    # The position's north is known as soon as its east is.
+    smoother.pose_covariance[1, 4, 3] = smoother.pose_covariance[1, 3, 4] = 0.25
+    given = Reconstruction(**{**vars(result), "trajectories": {"smoother": smoother}})
+    write_run(tmp_path, given, dataset="", truth=trajectory(20.1e3), times_s={}, wall_s=0.0)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    metrics = json.loads((tmp_path / "metrics.json").read_text(), parse_constant=refuse)
+    assert metrics["estimators"]["smoother"]["anees"] is None
+    assert metrics["estimators"]["smoother"]["position_rms_m"] == pytest.approx(100.0)
+    assert metrics["warnings"] == list(given.warnings)
+    told = "smoother: the covariance of its pose is singular in 1 of 2 frames, so it has no ANEES"
+    assert told in metrics["warnings"]
+    assert not any("singular" in text for text in result.warnings)
+
+
 def test_rims_seen_from_elsewhere_are_outliers(tmp_path: Path) -> None:
     run = read_run(write(tmp_path / "run"))
     shares = {name: values["rim_outlier_share"] for name, values in run.metrics["estimators"].items()}
