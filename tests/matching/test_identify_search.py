@@ -94,6 +94,7 @@ def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, m
     assert not identify(view.mirrored(), view.camera, synthetic).identified
     assert max(examined) <= 160
     deep = IdentifyOptions(deep=True)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._PAIRS_OF_CRATERS", 100_000)
     assert not identify(view.mirrored(), view.camera, synthetic, options=deep).identified
     # Eight times as many of the first triples.
     assert max(examined) == 8 * 7 * 160
@@ -144,6 +145,7 @@ def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatc
 
     monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", low)
     monkeypatch.setattr("craternav_fg.matching.identify.search._among_chosen", lambda *_: [])
+    monkeypatch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
     assert not identify(view.ellipses_px, view.camera, synthetic).identified
     found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(deep=True))
@@ -165,6 +167,7 @@ def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeyp
         found = identify(view.ellipses_px, view.camera, synthetic, options=few, quality=quality)
         with monkeypatch.context() as patch:
             patch.setattr("craternav_fg.matching.identify.search._among_chosen", lambda *_: [])
+            patch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
             without = identify(view.ellipses_px, view.camera, synthetic, options=few, quality=quality)
         assert view.agrees(found.rows)
         answered.append((found.identified, without.identified))
@@ -222,3 +225,17 @@ def test_altitudes_follow_the_sizes_of_the_craters() -> None:
     assert low_m == pytest.approx(8.0 * 2.0 / (2.0 * np.tan(np.radians(30.0))))
     assert high_m == pytest.approx(20.0 * camera.focal_px / 2.0)
     assert IdentifyOptions(altitudes_m=(3.0, 4.0)).searched_m(camera, np.array([500.0])) == (3.0, 4.0)
+
+
+def test_pairs_of_large_rims_are_tried_where_the_map_has_many_more_craters(synthetic, monkeypatch) -> None:
+    """Few neighbours of a crater are shown: the index has no triples of those that are."""
+    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
+    options = ViewOptions(altitudes_m=(200e3, 500e3), missing=0.85, sigma_px=3.0)
+    few = IdentifyOptions(deep=True, triples=1)
+    for seed in (2, 5, 9):
+        view = random_view(synthetic.catalog, options, np.random.default_rng(seed), true_rims=(7, 12))
+        found = identify(view.ellipses_px, view.camera, synthetic, options=few)
+        assert found.identified
+        assert view.agrees(found.rows)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
+    assert not identify(view.ellipses_px, view.camera, synthetic, options=few).identified

@@ -13,6 +13,8 @@ The algorithm, in order, with the module of each step:
    The pose is scored by how many further rims it puts on craters of their size, and how many craters there
    are around; the best poses are kept. Likely rims come first, and count more. A deep search begins with
    triples of a few rims that are likely and large, wherever they are.
+   `pair_search`: then a deep search tries all pairs of craters for pairs of rims that are large over their
+   distance: where an image shows few of a map's craters, it shows hardly any triple of neighbours.
 5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when
    triples gave no answer.
 6. `expand`: the best poses are refined by Gauss-Newton (`pose_fit`) on all rims that they explain, and rims

@@ -16,6 +16,7 @@ from craternav_fg.matching.identify.expansion import MIN_RIMS, Expanded, Search
 from craternav_fg.matching.identify.hypothesis import HYPOTHESIS
 from craternav_fg.matching.identify.nadir import models_around, nadirs
 from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.pair_search import image_pairs, search_pair
 from craternav_fg.matching.identify.result import Identification, Status, no_answer
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -72,6 +73,8 @@ _FIRST_FACTOR = 8
 # in the mean, fewer than three in 11 % of the sets; the 16 likeliest of any size, with all pairs, had 6.3,
 # fewer than three in 37 %, at half as much again of the cost.
 _CHOSEN_RIMS, _CHOSEN_NEIGHBOURS, _EXPANDED_OF_CHOSEN = 24, 10, 24
+# And pairs of craters that are tried after these.
+_PAIRS_OF_CRATERS = 4_000_000
 # Triples of an index for which the options' number of candidates is meant.
 _TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
@@ -169,6 +172,8 @@ def _expanded(search: Search, depth: int, singles: bool) -> list[Expanded]:
         plausible = search.plausible
         search.begin_with(search.largest)
         found = _among_chosen(search, depth)
+        if not (found and found[0].log_ratio >= threshold):
+            found = _best_first(found + _by_pairs(search, depth))
         search.begin_with(plausible)
     if not (found and found[0].log_ratio >= threshold):
         found = _best_first(found + _by_triples(search, depth))
@@ -224,6 +229,28 @@ def _among_chosen(search: Search, depth: int) -> list[Expanded]:
         if enough:
             return expanded[-1:]
         found += expanded
+    return _best_first(found)
+
+
+def _by_pairs(search: Search, depth: int) -> list[Expanded]:
+    """Expand hypotheses from pairs of rims that are likely and large over their distance."""
+    view, index = search.view, search.index
+    model, _, noise, _ = _stages(search, depth)[0]
+    projection = _projected(search, model)
+    found: list[Expanded] = []
+    left = _PAIRS_OF_CRATERS
+    for pair in image_pairs(view, projection, likely_and_large(view, search.largest, _CHOSEN_RIMS)):
+        best = np.full((_KEPT_OF_TRIPLES, HYPOTHESIS), -np.inf)
+        left -= search_pair(
+            view, index.catalog.index, index.craters, projection, index.catalog.body.radius_m, pair,
+            search.order, noise, search.limits, left, best,
+        )  # fmt: skip
+        expanded, enough = search.expand_best(best, _EXPANDED_OF_CHOSEN, -np.inf, noise)
+        if enough:
+            return expanded[-1:]
+        found += expanded
+        if left <= 0:
+            break
     return _best_first(found)
 
 

@@ -55,7 +55,7 @@ LEVER = 0.05
 # Density of craters somewhere over that of the whole body: so many neighbours do not show more than this.
 _MAX_CROWDING = 10.0
 # Factor from the noise of one centre to that of the distance between two.
-_PAIR_NOISE = 1.4
+PAIR_NOISE = 1.4
 # Least ratio of twice a triple's area to the product of two sides: flatter triples give no rotation.
 _MIN_SINE = 1e-3
 
@@ -429,7 +429,7 @@ def search_triples(
         swapped, perimeter = describe(X, log_size, rims[0], rims[1], rims[2], query)
         if swapped:
             rims[1], rims[2] = rims[2], rims[1]
-        side = np.hypot(_PAIR_NOISE * sigma * m_per_px[rims[0]] / perimeter, SIDE_ERROR)
+        side = np.hypot(PAIR_NOISE * sigma * m_per_px[rims[0]] / perimeter, SIDE_ERROR)
         weights[0] = weights[1] = SIDE_UNIT / side
         for k in range(3):
             weights[2 + k] = SIZE_UNIT / np.hypot(size_sigma(view, rims[k], sigma), side)
