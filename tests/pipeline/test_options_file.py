@@ -122,6 +122,7 @@ lag_s = 12
         ("[estimators.smoother]\nkeyframe_s = 0", 2, "estimators.smoother.keyframe_s", "positive"),
         ("[estimators.smoother.loss]\nkind = 1", 2, "estimators.smoother.loss.kind", "none, huber"),
         ("[estimators.smoother.loss]\nscale = 0", 2, "estimators.smoother.loss.scale", "positive"),
+        ("[estimators.ekf]\niterations = 0", 2, "estimators.ekf.iterations", "expected 1 or more, found 0"),
         ("[estimators.dead_reckoning]\nlag_s = 3", 2, "estimators.dead_reckoning.lag_s", "has no options"),
         ("[estimators.fixed_lag]\nlag_s = 'long'", 2, "estimators.fixed_lag.lag_s", "found 'long'"),
         ("[estimators]\nsmoother = 1", 2, "estimators.smoother", "expected a table"),
