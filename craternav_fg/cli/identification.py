@@ -44,7 +44,8 @@ from craternav_fg.pipeline.relocalisation import index_path
 
 FloatArray = npt.NDArray[np.float64]
 
-# A search needs room for the error of the attitude, and gains nothing from one that is hardly known.
+# A search needs room for the error of the attitude, also of one stated as exact, and gains nothing from one
+# that is hardly known.
 _ATTITUDE_SIGMA_DEG = (1e-3, 10.0)
 
 
@@ -129,12 +130,12 @@ def _attitude(given: AttitudeOptions) -> KnownAttitude | None:
         return None
     wxyz, sigma_deg = values
     low, high = _ATTITUDE_SIGMA_DEG
-    if not low <= sigma_deg <= high:
-        raise InputError("--attitude-sigma-deg", f"expected {low:g} to {high:g} deg, found {sigma_deg:g}")
+    if not sigma_deg <= high:
+        raise InputError("--attitude-sigma-deg", f"expected {high:g} deg or less, found {sigma_deg:g}")
     q = np.array(wxyz)
     # Scaled first, as the squares of very large or small numbers are not finite.
     q /= np.abs(q).max()
-    return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
+    return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(max(sigma_deg, low)))
 
 
 def _altitudes(text: str | None) -> tuple[float, float] | None:

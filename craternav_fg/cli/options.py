@@ -49,14 +49,16 @@ DemUnitOption = Annotated[
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
 
+WorkersOption = Annotated[
+    int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
+]
+
 
 @dataclass(frozen=True)
 class WorkerOptions:
     """Who does the work."""
 
-    workers: Annotated[
-        int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
-    ] = None
+    workers: WorkersOption = None
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler whose workers do the work instead.")
     ] = None
