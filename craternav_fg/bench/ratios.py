@@ -13,7 +13,7 @@ from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.bench.timing import cpu_and_wall_s, seconds_of
 from craternav_fg.estimators.base import Estimator, Problem
-from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.batch import BatchOptions, build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 # GTSAM's default: both sides stop at the same relative decrease.
 RELATIVE_TOLERANCE = 1e-5
 # With and without variables for time-correlated errors of rims.
-KNOWING, UNKNOWING = GraphOptions(), GraphOptions(rim_errors=None)
+KNOWING, UNKNOWING = BatchOptions(), BatchOptions(rim_errors=None)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def batch_graphs(
     values : gtsam.Values
     """
     values = bench.values(np.random.default_rng(1))
-    ours = build_graph(bench.problem, GraphOptions(), values)
+    ours = build_graph(bench.problem, BatchOptions(), values)
     reference = gtsam.NonlinearFactorGraph()
     add_prior(reference, bench.problem.initial)
     for i in range(ours.size()):
@@ -191,7 +191,7 @@ def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
 
 
 def errors_ratio(
-    estimator: Callable[[GraphOptions], Estimator], problem: Problem, repetitions: int = 7
+    estimator: Callable[[BatchOptions], Estimator], problem: Problem, repetitions: int = 7
 ) -> Ratio:
     """Compare an estimator with variables for the time-correlated errors of rims with one that has none.
 
@@ -270,7 +270,7 @@ def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
     problems = []
     for bench in benches:
         values = bench.values(np.random.default_rng(1))
-        problems.append((build_graph(bench.problem, GraphOptions(), values), values))
+        problems.append((build_graph(bench.problem, BatchOptions(), values), values))
     seconds = np.empty((repetitions, len(problems)))
     for turn in seconds:
         for k, (graph, values) in enumerate(problems):

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph
 from craternav_fg.estimators.filter_state import FilterState
-from craternav_fg.estimators.graph import GraphOptions, insert_state, state_stamps
+from craternav_fg.estimators.graph import insert_state, state_stamps
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.evaluation.bounds import attitude_rms_deg, position_rms_m, posterior_bound
 from craternav_fg.frames import rotate_position_block
@@ -24,7 +24,7 @@ from factors.custom import Loss
 from factors.kernels import robust
 from tests.descents import problem, scenario
 
-NO_LOSS = GraphOptions(loss=Loss(robust.NONE, 1.0))
+NO_LOSS = BatchOptions(loss=Loss(robust.NONE, 1.0))
 
 
 @pytest.fixture(scope="module")

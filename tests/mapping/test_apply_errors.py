@@ -13,9 +13,8 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
 from craternav_fg.estimators.calibration import Calibration, map_sigmas
-from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.mapping.apply_errors import RunOutcome, apply_errors
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_tables import FaultsSection
@@ -37,7 +36,7 @@ def trials(tmp_path_factory):
     for trial in range(TRIALS):
         p, _ = problem(folder, scenario(duration_s=60.0, faults=FAULTS), trial)
         right, _ = problem(folder, scenario(duration_s=60.0), trial)
-        found = BatchSmoother(GraphOptions(calibration=calibration)).estimate(p).calibrated
+        found = BatchSmoother(BatchOptions(calibration=calibration)).estimate(p).calibrated
         out.append((p.catalog, right.catalog, found.map_errors))
     return out
 
