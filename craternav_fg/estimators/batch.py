@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X, Y
 
 from craternav_fg.body import Body
@@ -58,7 +57,6 @@ from craternav_fg.trajectory import Trajectory
 from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
 
-FloatArray = npt.NDArray[np.float64]
 # Returns custom factors from the problem and the indices of the frames' states, on X, V and B of those.
 OwnFactors = Callable[[Problem, Sequence[int]], Iterable[gtsam.NonlinearFactor]]
 
