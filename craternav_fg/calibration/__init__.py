@@ -42,7 +42,7 @@ correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 
 outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.52 ± 0.13, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.06, not contradicted
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010, confirmed
-pooling              PoolingOptions.memory                         1.0     1.2 ± 0.4, not contradicted
+pooling              pooling.MEMORY                                1.0     1.2 ± 0.4, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.06 ± 0.03, kept
 variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.5 ± 0.8, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
@@ -71,7 +71,7 @@ Not fitted but chosen, each with its reason where it stands:
   likelihood of the rims' errors is highest with 0. It counts up to a variance factor of 3, see
   `error_model.correlated`.
 - Expected deviations of outlines before they are seen (`FitOptions.outline_share`,
-  `error_model.outline.IRREGULARITY_FACTOR`, `PoolingOptions.min_outline_share`), `ArcOptions.shared_px`, weak
+  `error_model.outline.IRREGULARITY_FACTOR`, `pooling.MIN_OUTLINE_SHARE`), `ArcOptions.shared_px`, weak
   priors of `edge_kernel`, `ground_level` and `wall_shading`, floors of blind and coarse fits.
 - The canonical crater (`vision.crater_profile`): Pike (1977); its rounding is estimated with each rim.
 - Matching, acquisition and identification (`matching`): priors on noise, missing and false craters, gates and

@@ -21,7 +21,6 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.mapping.posed_images import Seen, errors_in_images, moments
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
-from craternav_fg.vision.guided_options import GuidedOptions
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -87,7 +86,7 @@ def main(folder: Path, trials: tuple[int, ...] = _TRIALS) -> dict[str, float]:
         case = load_scenario(name).with_data(folder)
         with tempfile.TemporaryDirectory() as work:
             images = [Dataset.open(simulate(case, Path(work) / f"{trial}", trial=trial)) for trial in trials]
-            every.append([errors_in_images(one.catalog, [one], GuidedOptions()) for one in images])
+            every.append([errors_in_images(one.catalog, [one]) for one in images])
         console.print(
             f"{name}: {len(every[-1][0])} craters, {images_per_view(every[-1:]):.1f} images per view"
         )

@@ -14,7 +14,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, direction_of
+from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, sun_direction
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
@@ -138,7 +138,7 @@ def images(
     """Import plain images with a table of their times, or images of PDS4 products."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
-    direction = direction_of("--sun", sun)
+    direction = sun_direction(sun)
     craters, _ = read_any_catalog(catalog, None)
     body = with_gravity(craters.body, mu_m3_s2)
     given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)

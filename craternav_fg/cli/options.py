@@ -262,13 +262,11 @@ def require_kept(sources: Iterable[Path], outputs: Iterable[Path]) -> None:
             raise InputError(path, "would be overwritten by the result: choose another --output")
 
 
-def direction_of(option: str, text: str | None) -> FloatArray | None:
-    """Read the direction of an option.
+def sun_direction(text: str | None) -> FloatArray | None:
+    """Read the direction of --sun.
 
     Parameters
     ----------
-    option : str
-        Its name.
     text : str or None
         Its value: x,y,z of any length.
 
@@ -282,9 +280,9 @@ def direction_of(option: str, text: str | None) -> FloatArray | None:
     InputError
         When the text is not three numbers, or all are zero.
     """
-    values = numbers_of(option, text, 3)
+    values = numbers_of("--sun", text, 3)
     if values is None:
         return None
     if not any(values):
-        raise InputError(option, "expected a direction, found zeros")
+        raise InputError("--sun", "expected a direction, found zeros")
     return np.array(values)
