@@ -56,7 +56,15 @@ robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 ..                   ellipse_kernel.PSI_SLOPE_VARIANCE             0.1597  exact
 ..                   ellipse_kernel.SCALE_VARIANCE                 2.33    2.31 ± 0.02, confirmed
 ..                   ellipse_kernel.OUTLINE_VARIANCE_FACTOR        1.4     1.43 ± 0.03, confirmed
+crest_heights        heights.CREST_SHARE                           0.021   0.0233 ± 0.0023, confirmed
+..                   heights.CREST_SIGMA_SHARE                     0.014   0.0175 ± 0.0016, confirmed
+..                   heights.CREST_STEPS                           5       2.3 ± 1.0, not contradicted
 ==================== ============================================= ======= ================================
+
+`crest_heights` is measured on real ground: `python -m craternav_fg.calibration crest_heights FOLDER` with the
+folder of the public files. So are `common_shift`, which gives `estimators.batch.CRATER_FREEDOM` (4) and the
+scenarios' `common_place_sigma_m`, and `posed_images`, which gives `mapping.posed_images.IMAGES_PER_VIEW` (3),
+both without standard errors, and `pull_of_prediction`, which shows what `GuidedOptions.recentrings` is for.
 
 `GuidedOptions.brightness_slope_per_px` is not regenerated: it was set by the chi-square of single rims above
 100 px, whose median is right with it (0.99 over 25 rims) and hardly changes with three times of it (1.00).
