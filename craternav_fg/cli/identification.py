@@ -194,7 +194,7 @@ def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str,
         "reason": found.reason,
         "rims": rims,
         "pose": pose,
-        "log_probability_of_chance": found.log_chance,
+        "log_chance": found.log_chance,
         "sigma_px": found.sigma_px if found.identified else None,
         "focal_scale": found.focal_scale if math.isfinite(found.focal_scale) else None,
         "focal_scale_sigma": found.focal_scale_sigma if math.isfinite(found.focal_scale_sigma) else None,
@@ -210,7 +210,7 @@ def _show(values: dict[str, Any]) -> None:
     for rim in values["rims"]:
         say(f"{rim['center_x_px']:10.3f} {rim['center_y_px']:10.3f}      {rim['crater'] or '-'}")
     identified = sum(rim["crater"] is not None for rim in values["rims"])
-    chance = values["log_probability_of_chance"] / math.log(10.0)
+    chance = values["log_chance"] / math.log(10.0)
     say(
         f"{identified} of {len(values['rims'])} rims identified; probability that they agree by chance "
         f"10^{chance:.1f}; {1e3 * values['seconds']:.0f} ms"

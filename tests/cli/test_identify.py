@@ -74,7 +74,7 @@ def test_craters_and_pose(case, identify) -> None:
     sigma = np.array(found["pose"]["position_sigma_m"])
     assert (np.abs(gP - scene.gTb[:3, 3]) < 6.0 * sigma).all()
     assert np.array(found["pose"]["covariance"]).shape == (6, 6)
-    assert found["log_probability_of_chance"] < -18.0
+    assert found["log_chance"] < -18.0
     assert found["seconds"] > 0.0
     # The index is loaded, and the attitude makes an answer more certain.
     w, x, y, z = 2.0 * frames.to_quaternion_wxyz(scene.gTb[:3, :3])
@@ -85,7 +85,7 @@ def test_craters_and_pose(case, identify) -> None:
         assert (code, errors) == (0, "")
         known = json.loads(output)
         assert known["index"].endswith("loaded")
-        assert known["log_probability_of_chance"] < found["log_probability_of_chance"] - 3.0
+        assert known["log_chance"] < found["log_chance"] - 3.0
     code, output, _ = identify(folder / "rims.csv")
     assert code == 0
     assert "standard deviation of the rims' centres" in output
