@@ -127,9 +127,25 @@ def seen_through_lens(axes_px: FloatArray, camera: Camera) -> FloatArray:
     ndarray, shape (n, 5)
         Charts in normalised image coordinates: the first harmonics of the undistorted outlines.
     """
-    points = camera.normalised(points_on(chart_of_axes(axes_px), _LENS_POINTS))
-    t = 2.0 * np.pi * np.arange(_LENS_POINTS) / _LENS_POINTS
-    cosine, sine = (2.0 / _LENS_POINTS * np.einsum("nkd,k->nd", points, f(t)) for f in (np.cos, np.sin))
+    return chart_of_outline(camera.normalised(points_on(chart_of_axes(axes_px), _LENS_POINTS)))
+
+
+def chart_of_outline(points: FloatArray) -> FloatArray:
+    """Compute the charts of the ellipses that best follow outlines: their first harmonics.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, k, 2)
+        On each outline, at even steps of an ellipse's parameter, as `points_on` gives them.
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        In the coordinates of the points.
+    """
+    k = points.shape[1]
+    t = 2.0 * np.pi * np.arange(k) / k
+    cosine, sine = (2.0 / k * np.einsum("nkd,k->nd", points, f(t)) for f in (np.cos, np.sin))
     return chart_of_diameters(points.mean(axis=1), cosine, sine)
 
 

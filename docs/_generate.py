@@ -36,7 +36,7 @@ API_GROUPS = {
     "Reconstruction": ("reconstruct", "Reconstruction", "FrontEndOptions", "compare", "read_run"),
     "Estimators": (
         "ESTIMATORS", "Estimator", "BatchSmoother", "OnlineSmoother", "FixedLagSmoother",
-        "GraphOptions", "DistributedEkf", "EkfOptions",
+        "GraphOptions", "BatchOptions", "DistributedEkf", "EkfOptions",
     ),
     "One image": ("detect", "identify", "TripleIndex", "KnownAttitude", "solve_pose"),
     "Simulation and campaigns": (

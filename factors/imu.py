@@ -16,54 +16,9 @@ from factors import validation
 from factors.errors import FactorError
 from factors.imu_noise import ImuNoise
 
-FloatArray = npt.NDArray[np.float64]
-
 # Error of the integration scheme itself, m^2/s: far below a sensor's, but not zero, so that the position
 # block of the preintegrated covariance is regular.
 INTEGRATION_VARIANCE = 1e-10
-
-
-def preintegrate(
-    noise: ImuNoise,
-    spin: npt.ArrayLike,
-    gravity: npt.ArrayLike,
-    dt_s: npt.ArrayLike,
-    gyro: npt.ArrayLike,
-    accelerometer: npt.ArrayLike,
-    bias: npt.ArrayLike,
-) -> gtsam.PreintegratedCombinedMeasurements:
-    """Preintegrate the rows of one interval, eqs. (26), (27).
-
-    Parameters
-    ----------
-    noise : ImuNoise
-    spin : array_like, shape (3,)
-        Angular velocity of g, rad/s, in g.
-    gravity : array_like, shape (3,)
-        Newtonian gravity in g at the predicted midpoint, m/s^2, without the centrifugal term.
-    dt_s : array_like, shape (m,)
-        Positive durations of the rows.
-    gyro, accelerometer : array_like, shape (m, 3)
-        Mean angular velocity (rad/s) and mean specific force (m/s^2) of each row, in b.
-    bias : array_like, shape (6,)
-        Gyro (rad/s), then accelerometer (m/s^2), in b: where the preintegration is linearised.
-
-    Returns
-    -------
-    gtsam.PreintegratedCombinedMeasurements
-        With parameters of its own: shared ones would change earlier factors.
-
-    Raises
-    ------
-    FactorError
-        When a field is not finite or mis-shaped, or the interval is empty.
-
-    References
-    ----------
-    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (26), (27);
-    docs/equations.md.
-    """
-    return integrate(parameters(noise, spin, gravity), dt_s, gyro, accelerometer, bias)
 
 
 def parameters(
@@ -109,12 +64,12 @@ def integrate(
     accelerometer: npt.ArrayLike,
     bias: npt.ArrayLike,
 ) -> gtsam.PreintegratedCombinedMeasurements:
-    """Preintegrate the rows of one interval with parameters that no other interval may share.
+    """Preintegrate the rows of one interval, eqs. (26), (27).
 
     Parameters
     ----------
     params : gtsam.PreintegrationCombinedParams
-        From `parameters`.
+        From `parameters`, and of no other interval: shared ones would change earlier factors.
     dt_s : array_like, shape (m,)
         Positive durations of the rows.
     gyro, accelerometer : array_like, shape (m, 3)
@@ -130,6 +85,11 @@ def integrate(
     ------
     FactorError
         When a field is not finite or mis-shaped, or the interval is empty.
+
+    References
+    ----------
+    Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (26), (27);
+    docs/equations.md.
     """
     m = np.shape(dt_s)[0] if np.ndim(dt_s) else 0
     dt = validation.array("dt_s", dt_s, (m,))
@@ -155,7 +115,7 @@ def imu_factor(keys: Sequence[int], pim: gtsam.PreintegratedCombinedMeasurements
     keys : sequence of int, length 6
         Pose and velocity at the beginning, pose and velocity at the end, bias at the beginning and end.
     pim : gtsam.PreintegratedCombinedMeasurements
-        From `preintegrate`.
+        From `integrate`.
 
     Returns
     -------

@@ -12,8 +12,6 @@ from factors.custom import constant_mounting, packed_pose_factor
 from factors.errors import FactorError
 from factors.kernels import sun
 
-FloatArray = npt.NDArray[np.float64]
-
 # The square of a weight of less overflows.
 LEAST_SIGMA_RAD = 1e-150
 

@@ -12,6 +12,7 @@ from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.ratios import (
     KNOWING,
     RELATIVE_TOLERANCE,
+    RUN_REPETITIONS,
     UNKNOWING,
     Ratio,
     batch_graphs,
@@ -34,15 +35,16 @@ from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 
 # Of the batch smoother without errors of rims: steps, and one for covariances.
 BATCH_ELIMINATIONS = 5
+# Of each of two alternatives, whose medians are compared.
+FACTOR_REPETITIONS, STEP_REPETITIONS = 31, 15
 
 
-def factor_floor(bench: Bench, repetitions: int = 31) -> Ratio:
+def factor_floor(bench: Bench) -> Ratio:
     """Compare factors whose callback computes nothing with GTSAM's `GenericProjectionFactor`.
 
     Parameters
     ----------
     bench : Bench
-    repetitions : int
 
     Returns
     -------
@@ -60,17 +62,16 @@ def factor_floor(bench: Bench, repetitions: int = 31) -> Ratio:
         return interleaved(
             lambda: gtsam.NonlinearFactorGraph.linearize(ours, poses),
             lambda: reference.linearize(values),
-            repetitions,
+            FACTOR_REPETITIONS,
         )
 
 
-def batch_steps(bench: Bench, repetitions: int = 15) -> tuple[dict[str, Ratio], dict[str, float]]:
+def batch_steps(bench: Bench) -> tuple[dict[str, Ratio], dict[str, float]]:
     """Compare single steps of the batch optimiser: linearise, solve by QR, move, evaluate the error.
 
     Parameters
     ----------
     bench : Bench
-    repetitions : int
 
     Returns
     -------
@@ -89,10 +90,14 @@ def batch_steps(bench: Bench, repetitions: int = 15) -> tuple[dict[str, Ratio], 
         return float(kind.error(graph, moved))
 
     ratios = {
-        "batch_step_ratio": interleaved(lambda: step(ours, FactorGraph), lambda: step(reference), repetitions)
+        "batch_step_ratio": interleaved(
+            lambda: step(ours, FactorGraph), lambda: step(reference), STEP_REPETITIONS
+        )
     }
     with ours.ahead.at(values, linearise=True):
-        ratios["batch_step_floor"] = interleaved(lambda: step(ours), lambda: step(reference), repetitions)
+        ratios["batch_step_floor"] = interleaved(
+            lambda: step(ours), lambda: step(reference), STEP_REPETITIONS
+        )
     options = LmOptions(relative_tolerance=RELATIVE_TOLERANCE)
     counts = {
         "batch_iterations": float(levenberg_marquardt(ours, values, options).iterations),
@@ -101,14 +106,13 @@ def batch_steps(bench: Bench, repetitions: int = 15) -> tuple[dict[str, Ratio], 
     return ratios, counts
 
 
-def batch_errors_floor(problem: Problem, repetitions: int = 7) -> Ratio:
+def batch_errors_floor(problem: Problem) -> Ratio:
     """Cost of the batch smoother if its variables for errors of rims cost nothing but eliminations.
 
     Parameters
     ----------
     problem : Problem
         With time-correlated errors of rims.
-    repetitions : int
 
     Returns
     -------
@@ -130,7 +134,7 @@ def batch_errors_floor(problem: Problem, repetitions: int = 7) -> Ratio:
             linear, how = order.apart(linear), [order.ordering]
         eliminations.append(partial(linear.optimize, *how))
     knowing, unknowing = eliminations
-    return _beside(lambda: reference.estimate(problem), knowing, unknowing, BATCH_ELIMINATIONS, repetitions)
+    return _beside(lambda: reference.estimate(problem), knowing, unknowing, BATCH_ELIMINATIONS)
 
 
 def _beside(
@@ -138,11 +142,10 @@ def _beside(
     more: Callable[[], object],
     less: Callable[[], object],
     times: int,
-    repetitions: int,
 ) -> Ratio:
     """Cost of a reference, and some times the difference of two calls, over the reference."""
     pairs = []
-    for _ in range(repetitions + 1):
+    for _ in range(RUN_REPETITIONS + 1):
         run, more_s, less_s = (np.array(cpu_and_wall_s(call)) for call in (reference, more, less))
         pairs.append((run + times * (more_s - less_s), run))
     # The first calls compile.
@@ -150,14 +153,13 @@ def _beside(
     return summary(ours_s, reference_s)
 
 
-def online_errors_floor(problem: Problem, repetitions: int = 7) -> Ratio:
+def online_errors_floor(problem: Problem) -> Ratio:
     """Cost of the online smoother if its variables for errors of rims cost nothing outside GTSAM.
 
     Parameters
     ----------
     problem : Problem
         With time-correlated errors of rims.
-    repetitions : int
 
     Returns
     -------
@@ -167,7 +169,7 @@ def online_errors_floor(problem: Problem, repetitions: int = 7) -> Ratio:
     """
     reference = OnlineSmoother(UNKNOWING)
     of_errors, without = (_Recorded(problem, options) for options in (KNOWING, UNKNOWING))
-    return _beside(lambda: reference.estimate(problem), of_errors.replay, without.replay, 1, repetitions)
+    return _beside(lambda: reference.estimate(problem), of_errors.replay, without.replay, 1)
 
 
 class _Recorded:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.dem import read_dem
@@ -16,8 +15,6 @@ from craternav_fg.errors import InputError
 from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.simulation.ground_views import GroundView, RealGround
-
-FloatArray = npt.NDArray[np.float64]
 
 SCENARIOS = ("gld100_highlands", "gld100_mare", "gld100_mixed")
 CATALOG, HEIGHTS = "lu1319381.parquet", "gld100/gld100_16ppd_global.tif"

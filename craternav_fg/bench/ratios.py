@@ -13,7 +13,7 @@ from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.bench.timing import cpu_and_wall_s, seconds_of
 from craternav_fg.estimators.base import Estimator, Problem
-from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.batch import BatchOptions, build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam
@@ -26,7 +26,9 @@ FloatArray = npt.NDArray[np.float64]
 # GTSAM's default: both sides stop at the same relative decrease.
 RELATIVE_TOLERANCE = 1e-5
 # With and without variables for time-correlated errors of rims.
-KNOWING, UNKNOWING = GraphOptions(), GraphOptions(rim_errors=None)
+KNOWING, UNKNOWING = BatchOptions(), BatchOptions(rim_errors=None)
+# How often factors and runs are timed, of each of two alternatives, and what is compared with nothing.
+FACTOR_REPETITIONS, RUN_REPETITIONS, SECONDS_REPETITIONS = 101, 7, 3
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def summary(ours_s: FloatArray, reference_s: FloatArray) -> Ratio:
     )
 
 
-def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 101) -> Ratio:
+def factor_ratio(bench: Bench, *, landmarks: bool = False) -> Ratio:
     """Compare the time to linearise the craters of all frames, per frame.
 
     Parameters
@@ -92,7 +94,6 @@ def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 10
     landmarks : bool
         Whether the reference is `KnownLandmarkFactorPose3`, a point in b without a camera; else it is
         `GenericProjectionFactorCal3_S2` with a mounting, an image measurement like ours.
-    repetitions : int
 
     Returns
     -------
@@ -111,7 +112,9 @@ def factor_ratio(bench: Bench, *, landmarks: bool = False, repetitions: int = 10
             bench.landmark_factors(reference, i)
     else:
         reference = projection_factors(bench, values)
-    ratio = interleaved(lambda: ours.linearize(poses), lambda: reference.linearize(values), repetitions)
+    ratio = interleaved(
+        lambda: ours.linearize(poses), lambda: reference.linearize(values), FACTOR_REPETITIONS
+    )
     frames = len(problem.frames)
     return replace(ratio, ours_us=ratio.ours_us / frames, reference_us=ratio.reference_us / frames)
 
@@ -161,7 +164,7 @@ def batch_graphs(
     values : gtsam.Values
     """
     values = bench.values(np.random.default_rng(1))
-    ours = build_graph(bench.problem, GraphOptions(), values)
+    ours = build_graph(bench.problem, BatchOptions(), values)
     reference = gtsam.NonlinearFactorGraph()
     add_prior(reference, bench.problem.initial)
     for i in range(ours.size()):
@@ -173,7 +176,7 @@ def batch_graphs(
     return ours, reference, values
 
 
-def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
+def batch_ratio(bench: Bench) -> Ratio:
     """Compare the optimisation of the whole descent: ours against GTSAM's LM with QR on its own factors.
 
     GTSAM's Cholesky, its default, needs ten times as long here: it fails on realistic IMU information.
@@ -186,13 +189,11 @@ def batch_ratio(bench: Bench, repetitions: int = 7) -> Ratio:
     return interleaved(
         lambda: levenberg_marquardt(ours, values, options),
         lambda: gtsam.LevenbergMarquardtOptimizer(reference, values, params).optimize(),
-        repetitions,
+        RUN_REPETITIONS,
     )
 
 
-def errors_ratio(
-    estimator: Callable[[GraphOptions], Estimator], problem: Problem, repetitions: int = 7
-) -> Ratio:
+def errors_ratio(estimator: Callable[[BatchOptions], Estimator], problem: Problem) -> Ratio:
     """Compare an estimator with variables for the time-correlated errors of rims with one that has none.
 
     Parameters
@@ -201,14 +202,13 @@ def errors_ratio(
         Makes it from the options of its graph.
     problem : Problem
         With such errors, see `problems.tracked`.
-    repetitions : int
 
     Returns
     -------
     Ratio
     """
     ours, reference = estimator(KNOWING), estimator(UNKNOWING)
-    return interleaved(lambda: ours.estimate(problem), lambda: reference.estimate(problem), repetitions)
+    return interleaved(lambda: ours.estimate(problem), lambda: reference.estimate(problem), RUN_REPETITIONS)
 
 
 @dataclass(frozen=True)
@@ -244,14 +244,14 @@ def online(bench: Bench, lag_s: float | None = None) -> Online:
     return Online(ours_s, reference_s)
 
 
-def ekf_step_us(bench: Bench, repetitions: int = 3) -> float:
+def ekf_step_us(bench: Bench) -> float:
     """Cost of one frame of the distributed EKF, microseconds."""
     ekf().estimate(bench.problem)
-    seconds = [seconds_of(lambda: ekf().estimate(bench.problem)) for _ in range(repetitions)]
+    seconds = [seconds_of(lambda: ekf().estimate(bench.problem)) for _ in range(SECONDS_REPETITIONS)]
     return 1e6 * float(np.median(seconds)) / (len(bench.gTb) - 1)
 
 
-def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
+def batch_seconds(benches: Sequence[Bench]) -> FloatArray:
     """Measure the durations of our batch optimisation.
 
     Each repetition runs all sizes in turn: the speed of the machine may change between sizes.
@@ -259,7 +259,6 @@ def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
     Parameters
     ----------
     benches : sequence of Bench
-    repetitions : int
 
     Returns
     -------
@@ -270,8 +269,8 @@ def batch_seconds(benches: Sequence[Bench], repetitions: int = 3) -> FloatArray:
     problems = []
     for bench in benches:
         values = bench.values(np.random.default_rng(1))
-        problems.append((build_graph(bench.problem, GraphOptions(), values), values))
-    seconds = np.empty((repetitions, len(problems)))
+        problems.append((build_graph(bench.problem, BatchOptions(), values), values))
+    seconds = np.empty((SECONDS_REPETITIONS, len(problems)))
     for turn in seconds:
         for k, (graph, values) in enumerate(problems):
             turn[k] = seconds_of(partial(levenberg_marquardt, graph, values, options))

@@ -42,7 +42,7 @@ correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 
 outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.52 ± 0.13, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.06, not contradicted
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010, confirmed
-pooling              PoolingOptions.memory                         1.0     1.2 ± 0.4, not contradicted
+pooling              pooling.MEMORY                                1.0     1.2 ± 0.4, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.06 ± 0.03, kept
 variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.5 ± 0.8, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
@@ -56,7 +56,15 @@ robust_moments       ellipse_bias.PSI_VARIANCE                     1.0526  exact
 ..                   ellipse_kernel.PSI_SLOPE_VARIANCE             0.1597  exact
 ..                   ellipse_kernel.SCALE_VARIANCE                 2.33    2.31 ± 0.02, confirmed
 ..                   ellipse_kernel.OUTLINE_VARIANCE_FACTOR        1.4     1.43 ± 0.03, confirmed
+crest_heights        heights.CREST_SHARE                           0.021   0.0233 ± 0.0023, confirmed
+..                   heights.CREST_SIGMA_SHARE                     0.014   0.0175 ± 0.0016, confirmed
+..                   heights.CREST_STEPS                           5       2.3 ± 1.0, not contradicted
 ==================== ============================================= ======= ================================
+
+`crest_heights` is measured on real ground: `python -m craternav_fg.calibration crest_heights FOLDER` with the
+folder of the public files. So are `common_shift`, which gives `estimators.batch.CRATER_FREEDOM` (4) and the
+scenarios' `common_place_sigma_m`, and `posed_images`, which gives `mapping.posed_images.IMAGES_PER_VIEW` (3),
+both without standard errors, and `pull_of_prediction`, which shows what `GuidedOptions.recentrings` is for.
 
 `GuidedOptions.brightness_slope_per_px` is not regenerated: it was set by the chi-square of single rims above
 100 px, whose median is right with it (0.99 over 25 rims) and hardly changes with three times of it (1.00).
@@ -71,7 +79,7 @@ Not fitted but chosen, each with its reason where it stands:
   likelihood of the rims' errors is highest with 0. It counts up to a variance factor of 3, see
   `error_model.correlated`.
 - Expected deviations of outlines before they are seen (`FitOptions.outline_share`,
-  `error_model.outline.IRREGULARITY_FACTOR`, `PoolingOptions.min_outline_share`), `ArcOptions.shared_px`, weak
+  `error_model.outline.IRREGULARITY_FACTOR`, `pooling.MIN_OUTLINE_SHARE`), `ArcOptions.shared_px`, weak
   priors of `edge_kernel`, `ground_level` and `wall_shading`, floors of blind and coarse fits.
 - The canonical crater (`vision.crater_profile`): Pike (1977); its rounding is estimated with each rim.
 - Matching, acquisition and identification (`matching`): priors on noise, missing and false craters, gates and

@@ -1,12 +1,11 @@
 """Shift of a published map as rims in rendered images of real ground show it, and what others say of it.
 
-`python -m craternav_fg.calibration.common_shift FOLDER` renders descents over the crops of the elevation
+`python -m craternav_fg.calibration common_shift FOLDER` renders descents over the crops of the elevation
 model in FOLDER and measures their rims. A scenario's `common_place_sigma_m` is the root mean square, per
 axis, of the shifts of the other two crops. What craters deviate from the shift of their crop by has heavier
-tails than a normal distribution: `RimErrorOptions.freedom`.
+tails than a normal distribution: `estimators.batch.CRATER_FREEDOM`.
 """
 
-import sys
 import tempfile
 from collections import defaultdict
 from pathlib import Path
@@ -71,7 +70,7 @@ def crater_shifts_m(data: Dataset, measured: tuple[FrameMeasurement, ...]) -> di
     return {row: np.mean(every, axis=0) for row, every in seen.items()}
 
 
-def main(folder: Path) -> None:
+def common_shift(folder: Path) -> None:
     """Print the shift in each crop, and what the other crops say of it.
 
     Parameters
@@ -143,7 +142,3 @@ def without_each(shifts_m: FloatArray) -> FloatArray:
     """
     squares = np.sum(shifts_m**2, axis=1)
     return np.asarray(np.sqrt((squares.sum() - squares) / (2.0 * (len(squares) - 1))))
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

@@ -1,12 +1,17 @@
 """The families of fitted constants, by name."""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 from craternav_fg.calibration.arcs import arcs
 from craternav_fg.calibration.blind_detection import blind_quality, candidates
+from craternav_fg.calibration.common_shift import common_shift
 from craternav_fg.calibration.correlated_errors import correlated_errors, outline_brightness
 from craternav_fg.calibration.crest_blur import crest_blur
+from craternav_fg.calibration.crest_heights import crest_heights
 from craternav_fg.calibration.pooling import pooling
+from craternav_fg.calibration.posed_images import posed_images
+from craternav_fg.calibration.pull_of_prediction import pull_of_prediction
 from craternav_fg.calibration.reference_brightness import reference_brightness
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.calibration.rim_floor import rim_floor
@@ -28,4 +33,11 @@ FAMILIES: Mapping[str, Callable[[], list[Regenerated]]] = {
     "arcs": arcs,
     "pooling": pooling,
     "variance_inflation": variance_inflation,
+}
+# Those that need the folder of the public files; they print what they find.
+ON_REAL_GROUND: Mapping[str, Callable[[Path], None]] = {
+    "common_shift": common_shift,
+    "posed_images": posed_images,
+    "pull_of_prediction": pull_of_prediction,
+    "crest_heights": crest_heights,
 }

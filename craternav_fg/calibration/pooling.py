@@ -18,7 +18,7 @@ from craternav_fg.calibration.likelihood import Parameter, estimate, gaussian_co
 from craternav_fg.calibration.regenerated import Regenerated, Relation
 from craternav_fg.calibration.rendered_descents import MeasuredDescent, measured_descents
 from craternav_fg.ellipse import shape_change
-from craternav_fg.vision.error_model.pooling import PRIOR_FRAMES, PoolingOptions
+from craternav_fg.vision.error_model.pooling import MEMORY, MIN_OUTLINE_SHARE, PRIOR_FRAMES
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,7 +27,7 @@ _MIN_RIMS = 4
 
 
 def pooling() -> list[Regenerated]:
-    """Regenerate `PoolingOptions.memory` and `PRIOR_FRAMES`.
+    """Regenerate `MEMORY` and `PRIOR_FRAMES`.
 
     Returns
     -------
@@ -45,10 +45,9 @@ def pooling() -> list[Regenerated]:
                 totals[k] += float(gaussian_cost(log_variance, of_crater * covariance))
         return totals
 
-    shipped = PoolingOptions().memory
-    values, errors = estimate(costs, [Parameter(0.2), Parameter(0.2), Parameter(shipped)])
+    values, errors = estimate(costs, [Parameter(0.2), Parameter(0.2), Parameter(MEMORY)])
     return [
-        Regenerated("PoolingOptions.memory", shipped, float(values[2]), float(errors[2])),
+        Regenerated("pooling.MEMORY", MEMORY, float(values[2]), float(errors[2])),
         Regenerated(
             "pooling.PRIOR_FRAMES, frames", PRIOR_FRAMES, float(values[1]), float(errors[1]), Relation.KEPT,
             0.09,
@@ -63,7 +62,7 @@ def _claims(descent: MeasuredDescent) -> list[tuple[FloatArray, FloatArray]]:
     """
     seen: dict[int, list[tuple[float, FloatArray]]] = defaultdict(list)
     for rims in descent.rims:
-        if np.median(rims.outline_share) <= PoolingOptions().min_outline_share or len(rims.error) < _MIN_RIMS:
+        if np.median(rims.outline_share) <= MIN_OUTLINE_SHARE or len(rims.error) < _MIN_RIMS:
             continue
         _, log_slopes = np.linalg.slogdet(rims.slopes)
         _, log_systematic = np.linalg.slogdet(rims.systematic)

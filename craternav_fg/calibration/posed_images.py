@@ -1,12 +1,11 @@
 """How many neighbouring images of a descent err alike, of rims that are measured from known poses.
 
-`python -m craternav_fg.calibration.posed_images FOLDER` renders descents over the crops of the elevation
+`python -m craternav_fg.calibration posed_images FOLDER` renders descents over the crops of the elevation
 model in FOLDER, which differ in what the model does not show, and measures each crater in each descent from
 the true poses. A crater's means differ from descent to descent as much as images of one descent, divided by
 the number of views: images_per_view is what makes the mean squared difference as large as expected.
 """
 
-import sys
 import tempfile
 from itertools import combinations
 from pathlib import Path
@@ -21,7 +20,6 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.mapping.posed_images import Seen, errors_in_images, moments
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
-from craternav_fg.vision.guided_options import GuidedOptions
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -66,35 +64,22 @@ def _normalised(descents: list[Seen], size: float) -> FloatArray:
     return np.array(out).reshape(-1, 5)
 
 
-def main(folder: Path, trials: tuple[int, ...] = _TRIALS) -> dict[str, float]:
+def posed_images(folder: Path) -> None:
     """Render the descents, fit, and print the number of images.
 
     Parameters
     ----------
     folder : Path
         With the files that the scenarios name.
-    trials : tuple of int
-        Trials of each scenario.
-
-    Returns
-    -------
-    dict of str to float
-        `images_per_view`.
     """
     console = Console()
     every: list[list[Seen]] = []
     for name in SCENARIOS:
         case = load_scenario(name).with_data(folder)
         with tempfile.TemporaryDirectory() as work:
-            images = [Dataset.open(simulate(case, Path(work) / f"{trial}", trial=trial)) for trial in trials]
-            every.append([errors_in_images(one.catalog, [one], GuidedOptions()) for one in images])
+            images = [Dataset.open(simulate(case, Path(work) / f"{trial}", trial=trial)) for trial in _TRIALS]
+            every.append([errors_in_images(one.catalog, [one]) for one in images])
         console.print(
             f"{name}: {len(every[-1][0])} craters, {images_per_view(every[-1:]):.1f} images per view"
         )
-    found = images_per_view(every)
-    console.print(f"images_per_view = {found:.1f}")
-    return {"images_per_view": found}
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    console.print(f"images_per_view = {images_per_view(every):.1f}")

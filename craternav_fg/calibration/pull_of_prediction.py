@@ -1,12 +1,11 @@
 """How far a rim follows the place where the map predicts it, on real ground with a published map.
 
-`python -m craternav_fg.calibration.pull_of_prediction FOLDER` renders descents over the crops of the
+`python -m craternav_fg.calibration pull_of_prediction FOLDER` renders descents over the crops of the
 elevation model in FOLDER and measures the rims of their images twice: with the published map, and with one
 whose craters are moved at random by the errors that it states. The image is the same, so a measured rim must
 not follow its prediction.
 """
 
-import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import replace
@@ -136,7 +135,7 @@ def pull(
     return Pull(float(np.sum(x * y) / np.sum(x * x)), len(x))
 
 
-def main(folder: Path) -> None:
+def pull_of_prediction(folder: Path) -> None:
     """Print the pull over each crop, without and with rims searched again around their ellipses.
 
     Parameters
@@ -183,7 +182,3 @@ def of_data_set(data: Dataset, console: Console) -> None:
         options = replace(GuidedOptions(), recentrings=recentrings)
         found = pull(views, data.camera, maps, options)
         console.print(f"searched again {recentrings} times: pull {found.slope:.2f} of {found.rims} rims")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

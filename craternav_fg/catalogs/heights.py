@@ -20,9 +20,10 @@ _COVERED_POINTS = 8
 _INDEPENDENT_POINTS = 4.0
 # A coarse model smooths a rim crest away. The crest stands this share of the radius above what the model
 # shows, with this standard deviation, where the model shows nothing of the crater; both fall by 1/e over a
-# radius of so many steps. Fitted to rims that `mapping.refine` measured on GLD100 at 256 px/deg, against the
-# same at 16 px/deg; craters of 0.5 to 20 km radius in three regions, each left out once.
-_CREST_SHARE, _CREST_SIGMA_SHARE, _CREST_STEPS = 0.021, 0.014, 5.0
+# radius of so many steps. Fitted by `craternav_fg.calibration.crest_heights` to rims that `mapping.refine`
+# measured on GLD100 at 256 px/deg, against the same at 16 px/deg; craters of 0.5 to 20 km radius in three
+# regions.
+CREST_SHARE, CREST_SIGMA_SHARE, CREST_STEPS = 0.021, 0.014, 5.0
 # Largest height above or below the sphere, in radii: even small, irregular bodies keep within it.
 _MAX_HEIGHT_RADII = 0.4
 
@@ -111,7 +112,30 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
     -------
     Catalog
     """
-    radius_m = catalog.body.radius_m
+    mean_m, sigma_m = along_rims(catalog, dem)
+    rim_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
+    smoothed_m = rim_m * np.exp(-rim_m / (CREST_STEPS * dem.step_rad * catalog.body.radius_m))
+    errors = catalog.errors
+    if errors is not None:
+        errors = replace(errors, height_m=np.hypot(sigma_m, CREST_SIGMA_SHARE * smoothed_m))
+    height_m = mean_m + CREST_SHARE * smoothed_m - chord_depths_m(catalog)
+    return replace(catalog, height_m=height_m, errors=errors, has_heights=True)
+
+
+def along_rims(catalog: Catalog, dem: Dem) -> tuple[FloatArray, FloatArray]:
+    """Read the mean heights of an elevation model along rims.
+
+    Parameters
+    ----------
+    catalog : Catalog
+    dem : Dem
+        Which must cover all rims.
+
+    Returns
+    -------
+    mean_m, sigma_m : ndarray, shape (n,)
+        Means, and their standard deviations by the scatter about a plane through the rim.
+    """
     total, squares, tilt = np.zeros(len(catalog)), np.zeros(len(catalog)), np.zeros((len(catalog), 2))
     for turn in np.linspace(0.0, 2.0 * np.pi, _RIM_POINTS, endpoint=False):
         heights = dem.heights_m(_rim_directions(catalog, turn))
@@ -119,17 +143,10 @@ def with_rim_heights(catalog: Catalog, dem: Dem) -> Catalog:
         squares += heights**2
         tilt += heights[:, None] * (np.cos(turn), np.sin(turn))
     mean_m = total / _RIM_POINTS
-    rim_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
-    smoothed_m = rim_m * np.exp(-rim_m / (_CREST_STEPS * dem.step_rad * radius_m))
-    errors = catalog.errors
-    if errors is not None:
-        # The slope of the ground leaves the mean as it is.
-        of_slope = 2.0 * np.sum((tilt / _RIM_POINTS) ** 2, axis=1)
-        rest = np.maximum(squares / _RIM_POINTS - mean_m**2 - of_slope, 0.0)
-        scatter_m = np.sqrt(rest / _INDEPENDENT_POINTS)
-        errors = replace(errors, height_m=np.hypot(scatter_m, _CREST_SIGMA_SHARE * smoothed_m))
-    height_m = mean_m + _CREST_SHARE * smoothed_m - chord_depths_m(catalog)
-    return replace(catalog, height_m=height_m, errors=errors, has_heights=True)
+    # The slope of the ground leaves the mean as it is.
+    of_slope = 2.0 * np.sum((tilt / _RIM_POINTS) ** 2, axis=1)
+    rest = np.maximum(squares / _RIM_POINTS - mean_m**2 - of_slope, 0.0)
+    return mean_m, np.sqrt(rest / _INDEPENDENT_POINTS)
 
 
 def with_covered_heights(catalog: Catalog, dem: Dem) -> Catalog:

@@ -18,7 +18,7 @@ from craternav_fg.body import Body
 from craternav_fg.catalogs.bodies import SAME_BODY, SPHERES_M, named_body
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.ellipse import axes_of_chart, chart_of_diameters, mean_radius, points_on
+from craternav_fg.ellipse import axes_of_chart, chart_of_outline, mean_radius, points_on
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
 
@@ -325,9 +325,6 @@ def _on_ground(
 def _in_plane(
     projection: ImageProjection, charts_px: FloatArray, base: FloatArray, enu: FloatArray
 ) -> FloatArray:
-    """Charts (n, 5) of rims in the tangent planes at `base`, east and north, m: first harmonics."""
+    """Charts (n, 5) of rims in the tangent planes at `base`, east and north, m."""
     points = projection.ground(points_on(charts_px, _RIM_POINTS)) - base[:, None]
-    plane = np.einsum("nkj,nji->nki", points, enu[:, :, :2])
-    t = 2.0 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
-    cosine, sine = (2.0 / _RIM_POINTS * np.einsum("nkd,k->nd", plane, f(t)) for f in (np.cos, np.sin))
-    return chart_of_diameters(plane.mean(axis=1), cosine, sine)
+    return chart_of_outline(np.einsum("nkj,nji->nki", points, enu[:, :, :2]))

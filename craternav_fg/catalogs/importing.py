@@ -26,7 +26,6 @@ from craternav_fg.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 PARQUET = ".parquet"
 # In tables of at least this many rows, a fault that half of them have is one of the file, not of its rows.

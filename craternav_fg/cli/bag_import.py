@@ -11,7 +11,7 @@ from craternav_fg.catalogs.files import import_catalog
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import warn_of
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import JsonOption, direction_of, require_unused
+from craternav_fg.cli.options import JsonOption, require_unused, sun_direction
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
 from craternav_fg.dataset import Dataset
@@ -91,7 +91,7 @@ def bag(
         found, shift_s = read_camchain(camera) if is_camchain(camera) else (read_camera(camera), 0.0)
     options = BagOptions(
         body=body, catalog=craters, imu_noise=_noise(imu), initial=initial, camera=found,
-        time_shift_s=shift_s, sun=direction_of("--sun", sun),
+        time_shift_s=shift_s, sun=sun_direction(sun),
         image=topics.image_topic, imu=topics.imu_topic, truth=topics.truth_topic, sun_topic=topics.sun_topic,
     )  # fmt: skip
     report = import_bag(path, output, options)

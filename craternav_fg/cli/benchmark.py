@@ -57,8 +57,6 @@ def bench(
     data: Annotated[
         Path | None,
         typer.Option(
-            "--data",
-            "--annotated",
             help="Folder of the annotated images (detect-real) or of the public files (identify-ground).",
             show_default=False,
         ),

@@ -64,7 +64,7 @@ def montecarlo(
     retry: Annotated[bool, typer.Option("--retry", help="Repeat the trials that failed.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a campaign: many trials of a scenario with every estimator. Continue it if it exists."""
+    """Run a campaign: many trials of a scenario with the default estimators. Continue it if it exists."""
     workers, scheduler = where.checked(os.cpu_count() or 1)
     # A campaign that is there is completed: nothing is replaced.
     require_free(output, force=True)

@@ -69,14 +69,9 @@ def refine(
         Path | None,
         typer.Option(help="Elevation model (GeoTIFF); it may have gaps.", show_default=False),
     ] = None,
-    images: Annotated[
+    run: Annotated[
         Path | None,
-        typer.Option(
-            "--images",
-            "--images-of-run",
-            help="Run of map_refining_smoother, in place of --dem.",
-            show_default=False,
-        ),
+        typer.Option(help="Run of map_refining_smoother, in place of --dem.", show_default=False),
     ] = None,
     posed_images: Annotated[
         list[Path] | None,
@@ -97,17 +92,17 @@ def refine(
 ) -> None:
     """Improve rims by an elevation model, a reconstructed descent, or images whose poses are known."""
     posed = posed_images or []
-    _require_one(dem, images, posed)
+    _require_one(dem, run, posed)
     if dem is None:
         require_unused(
             context, {*(field.name for field in fields(MeasureOptions)), "scheduler"}, "without --dem"
         )
     require_suffix(output, (SUFFIX,))
-    require_kept([catalog, *filter(None, [dem, images]), *posed], [output])
+    require_kept([catalog, *filter(None, [dem, run]), *posed], [output])
     require_free(output, force=force)
     craters, _ = read_any_catalog(catalog, body_radius_m)
-    if images is not None:
-        _by_images(catalog, craters, images, output, as_json)
+    if run is not None:
+        _by_run(catalog, craters, run, output, as_json)
         return
     if posed:
         with progress_bars() as shown:
@@ -145,21 +140,21 @@ def refine(
     say(f"{output}")
 
 
-def _require_one(dem: Path | None, images: Path | None, posed: list[Path]) -> None:
-    if (dem is not None) + (images is not None) + bool(posed) != 1:
-        raise InputError("catalog refine", "expected one of --dem, --images and --posed-images")
+def _require_one(dem: Path | None, run: Path | None, posed: list[Path]) -> None:
+    if (dem is not None) + (run is not None) + bool(posed) != 1:
+        raise InputError("catalog refine", "expected one of --dem, --run and --posed-images")
 
 
-def _by_images(path: Path, craters: Catalog, images: Path, output: Path, as_json: bool) -> None:
+def _by_run(path: Path, craters: Catalog, folder: Path, output: Path, as_json: bool) -> None:
     """Correct rims by the errors that a run's smoother has estimated."""
-    run = read_run(images)
+    run = read_run(folder)
     errors = read_map_errors(run)
     used = Dataset.open(run.dataset).catalog
     rows = {name: row for row, name in enumerate(craters.identifiers)}
     there = {name: row for row, name in enumerate(used.identifiers)}
     for name in errors:
         if name not in rows or name not in there:
-            raise InputError(path, f"has no crater {name}, which the run {images} has seen")
+            raise InputError(path, f"has no crater {name}, which the run {folder} has seen")
         off_m = float(np.linalg.norm(craters.centres[rows[name]] - used.centres[there[name]]))
         if off_m > _SAME_PLACE_M:
             problem = (
@@ -167,7 +162,7 @@ def _by_images(path: Path, craters: Catalog, images: Path, output: Path, as_json
             )
             raise InputError(path, problem)
     found = apply_errors(craters, {rows[name]: one for name, one in errors.items()})
-    _write_corrected(path, images, found, output, as_json)
+    _write_corrected(path, folder, found, output, as_json)
 
 
 def _write_corrected(path: Path, images: Path, found: CorrectedRims, output: Path, as_json: bool) -> None:

@@ -20,7 +20,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "demo": Command(
-        "Simulate a descent, reconstruct it with every estimator, and compare them.", ("descents",)
+        "Simulate a descent, reconstruct it with the default estimators, and compare them.", ("descents",)
     ),
     "simulate": Command("Simulate a scenario and write its data set (EuRoC/ASL layout).", ("descents",)),
     "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
@@ -31,7 +31,7 @@ COMMANDS = {
     ),
     "report": Command("Write a report: one interactive HTML page that works offline.", ("report",)),
     "montecarlo": Command(
-        "Run a campaign: many trials of a scenario with every estimator. Continue it if it exists.",
+        "Run a campaign: many trials of a scenario with the default estimators. Continue it if it exists.",
         ("campaigns",),
     ),
     "catalog": Command(

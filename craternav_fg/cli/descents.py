@@ -6,7 +6,7 @@ What simulates, reconstructs and draws is imported after the arguments are check
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,17 +15,14 @@ import typer
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.estimator_option import EstimatorOption
 from craternav_fg.cli.option_groups import with_option_groups
-from craternav_fg.cli.options import ForceOption, JsonOption, names_of, require_free
+from craternav_fg.cli.options import ForceOption, JsonOption, names_of, require_free, require_unused
 from craternav_fg.cli.run_summary import show_run
 from craternav_fg.cli.scenario_options import DataOption, ScenarioArgument, SeedOption, TrialOption, chosen
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Estimator
-from craternav_fg.estimators.batch import BatchSmoother
-from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.registry import DEFAULT, estimator
-from craternav_fg.estimators.rim_models import RIM_MODELS
 from craternav_fg.files import replacing_folder
 from craternav_fg.pipeline.options_file import OptionsFile, default_options
 from craternav_fg.runs.store import CONTENTS, DATASET, MARKER
@@ -46,7 +43,7 @@ def demo(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a descent, reconstruct it with every estimator, and compare them."""
+    """Simulate a descent, reconstruct it with the default estimators, and compare them."""
     began_s = time.perf_counter()
     require_free(output, force=force)
     case = chosen(scenario, seed, data)
@@ -110,6 +107,10 @@ def simulate(
         say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
 
 
+# Options of `reconstruct` that --print-config has no use for.
+_OF_RUNS = ("data", "output", "without", "config", "overlays", "overlay_every", "force", "as_json")
+
+
 @dataclass(frozen=True)
 class Choice:
     """What takes part in a reconstruction, and how."""
@@ -122,16 +123,13 @@ class Choice:
             help="Sensors to exclude (also rims, sun, features), separated by commas or as repeated options.",
         ),
     ] = None
-    rims: Annotated[
-        str | None,
-        typer.Option(help=f"Measurement model of the rims in the smoothers: one of {', '.join(RIM_MODELS)}."),
-    ] = None
     config: Annotated[Path | None, typer.Option(help="Options of front end and estimators (TOML).")] = None
 
 
 @app.command(epilog=example("reconstruct runs/data -o runs/first -e smoother,ekf --overlay-every 10"))
 @with_option_groups
 def reconstruct(
+    context: typer.Context,
     choice: Choice,
     data: Annotated[Path | None, typer.Argument(help="Folder of the data set.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the run.")] = Path(
@@ -152,11 +150,12 @@ def reconstruct(
     """Reconstruct the trajectory of a data set."""
     began_s = time.perf_counter()
     if print_config:
+        require_unused(context, _OF_RUNS, "with --print-config, which prints the defaults")
         typer.echo(default_options(names_of(choice.estimators, ())), nl=False)
         return
     folder_of_data = _given(data)
     file = None if choice.config is None else OptionsFile(choice.config)
-    chosen = _estimators(names_of(choice.estimators, DEFAULT), file, choice.rims)
+    chosen = _estimators(names_of(choice.estimators, DEFAULT), file)
     _check_folders(folder_of_data, output)
     require_free(output, force=force)
     dataset = Dataset.open(folder_of_data)
@@ -186,21 +185,10 @@ def _given(data: Path | None) -> Path:
     return data
 
 
-def _estimators(names: Sequence[str], file: OptionsFile | None, rims: str | None) -> list[Estimator]:
-    """Make the named estimators, each once, with the options of a file and a measurement of rims."""
+def _estimators(names: Sequence[str], file: OptionsFile | None) -> list[Estimator]:
+    """Make the named estimators, each once, with the options of a file."""
     made = {name: estimator(name) if file is None else file.estimator(name) for name in names}
-    chosen = list({one.name: one for one in made.values()}.values())
-    if rims is None:
-        return chosen
-    if rims not in RIM_MODELS:
-        raise InputError("--rims", f"expected one of {', '.join(RIM_MODELS)}, found {rims!r}")
-    smoothers = [one for one in chosen if isinstance(one, BatchSmoother | OnlineSmoother | FixedLagSmoother)]
-    if not smoothers:
-        found = ", ".join(one.name for one in chosen)
-        raise InputError("--rims", f"expected a smoother among the estimators, found {found}")
-    for one in smoothers:
-        one.options = replace(one.options, rims=rims)
-    return chosen
+    return list({one.name: one for one in made.values()}.values())
 
 
 def _check_folders(data: Path, output: Path) -> None:

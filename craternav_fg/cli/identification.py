@@ -44,7 +44,8 @@ from craternav_fg.pipeline.relocalisation import index_path
 
 FloatArray = npt.NDArray[np.float64]
 
-# A search needs room for the error of the attitude, and gains nothing from one that is hardly known.
+# A search needs room for the error of the attitude, also of one stated as exact, and gains nothing from one
+# that is hardly known.
 _ATTITUDE_SIGMA_DEG = (1e-3, 10.0)
 
 
@@ -129,12 +130,12 @@ def _attitude(given: AttitudeOptions) -> KnownAttitude | None:
         return None
     wxyz, sigma_deg = values
     low, high = _ATTITUDE_SIGMA_DEG
-    if not low <= sigma_deg <= high:
-        raise InputError("--attitude-sigma-deg", f"expected {low:g} to {high:g} deg, found {sigma_deg:g}")
+    if not sigma_deg <= high:
+        raise InputError("--attitude-sigma-deg", f"expected {high:g} deg or less, found {sigma_deg:g}")
     q = np.array(wxyz)
     # Scaled first, as the squares of very large or small numbers are not finite.
     q /= np.abs(q).max()
-    return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(sigma_deg))
+    return KnownAttitude(frames.from_quaternion_wxyz(q), math.radians(max(sigma_deg, low)))
 
 
 def _altitudes(text: str | None) -> tuple[float, float] | None:
@@ -193,7 +194,7 @@ def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str,
         "reason": found.reason,
         "rims": rims,
         "pose": pose,
-        "log_probability_of_chance": found.log_chance,
+        "log_chance": found.log_chance,
         "sigma_px": found.sigma_px if found.identified else None,
         "focal_scale": found.focal_scale if math.isfinite(found.focal_scale) else None,
         "focal_scale_sigma": found.focal_scale_sigma if math.isfinite(found.focal_scale_sigma) else None,
@@ -209,7 +210,7 @@ def _show(values: dict[str, Any]) -> None:
     for rim in values["rims"]:
         say(f"{rim['center_x_px']:10.3f} {rim['center_y_px']:10.3f}      {rim['crater'] or '-'}")
     identified = sum(rim["crater"] is not None for rim in values["rims"])
-    chance = values["log_probability_of_chance"] / math.log(10.0)
+    chance = values["log_chance"] / math.log(10.0)
     say(
         f"{identified} of {len(values['rims'])} rims identified; probability that they agree by chance "
         f"10^{chance:.1f}; {1e3 * values['seconds']:.0f} ms"

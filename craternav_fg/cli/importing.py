@@ -14,7 +14,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.cli.app import example, import_commands
 from craternav_fg.cli.catalog_reading import read_any_catalog
 from craternav_fg.cli.option_groups import never_replacing, with_option_groups
-from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, direction_of
+from craternav_fg.cli.options import CameraOption, CatalogOption, JsonOption, sun_direction
 from craternav_fg.cli.terminal import out, say
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
@@ -26,7 +26,7 @@ from craternav_fg.importing.cubes import of_cubes, of_photographs
 from craternav_fg.importing.images import grey_images, stamps_of
 from craternav_fg.importing.isis import Cube, read_cube
 from craternav_fg.importing.spice import SpiceQuery, camera_states
-from craternav_fg.motion.coast import coast
+from craternav_fg.motion.coast import ACCELERATION_DENSITY, coast
 
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")]
 ImagesArgument = Annotated[
@@ -64,7 +64,7 @@ class _Stated:
     """How well the states are known, and what moves the spacecraft."""
 
     mu_m3_s2: MuOption = None
-    acceleration_density: AccelerationOption = 1e-5
+    acceleration_density: AccelerationOption = ACCELERATION_DENSITY
     position_sigma_m: PositionSigmaOption = 1000.0
     attitude_sigma_deg: AttitudeSigmaOption = 0.1
 
@@ -132,13 +132,13 @@ def images(
     sun: Annotated[str, typer.Option(help="Direction towards the sun in the body-fixed frame: x,y,z.")],
     times: TimesOption = None,
     mu_m3_s2: MuOption = None,
-    acceleration_density: AccelerationOption = 1e-5,
+    acceleration_density: AccelerationOption = ACCELERATION_DENSITY,
     as_json: JsonOption = False,
 ) -> None:
     """Import plain images with a table of their times, or images of PDS4 products."""
     sensor = read_camera(camera)
     frames = _frames(paths, times)
-    direction = direction_of("--sun", sun)
+    direction = sun_direction(sun)
     craters, _ = read_any_catalog(catalog, None)
     body = with_gravity(craters.body, mu_m3_s2)
     given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)

@@ -49,14 +49,16 @@ DemUnitOption = Annotated[
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
 
+WorkersOption = Annotated[
+    int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
+]
+
 
 @dataclass(frozen=True)
 class WorkerOptions:
     """Who does the work."""
 
-    workers: Annotated[
-        int | None, typer.Option(help="Number of processes on this machine.", show_default="one per core")
-    ] = None
+    workers: WorkersOption = None
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler whose workers do the work instead.")
     ] = None
@@ -260,13 +262,11 @@ def require_kept(sources: Iterable[Path], outputs: Iterable[Path]) -> None:
             raise InputError(path, "would be overwritten by the result: choose another --output")
 
 
-def direction_of(option: str, text: str | None) -> FloatArray | None:
-    """Read the direction of an option.
+def sun_direction(text: str | None) -> FloatArray | None:
+    """Read the direction of --sun.
 
     Parameters
     ----------
-    option : str
-        Its name.
     text : str or None
         Its value: x,y,z of any length.
 
@@ -280,9 +280,9 @@ def direction_of(option: str, text: str | None) -> FloatArray | None:
     InputError
         When the text is not three numbers, or all are zero.
     """
-    values = numbers_of(option, text, 3)
+    values = numbers_of("--sun", text, 3)
     if values is None:
         return None
     if not any(values):
-        raise InputError(option, "expected a direction, found zeros")
+        raise InputError("--sun", "expected a direction, found zeros")
     return np.array(values)

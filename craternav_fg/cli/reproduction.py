@@ -1,6 +1,7 @@
 """Command that reproduces the figures and tables of the paper."""
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ import typer
 
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.option_groups import with_option_groups
-from craternav_fg.cli.options import ForceOption, JsonOption, require_free
+from craternav_fg.cli.options import ForceOption, JsonOption, WorkersOption, require_free
 from craternav_fg.cli.terminal import out, progress_bars, say
 from craternav_fg.files import replacing_folder
 from craternav_fg.reproduce import run as reproduction
@@ -21,7 +22,9 @@ from craternav_fg.reproduce.terminal import tables
 class Images:
     """Set-up of figs. 11 to 14, single images."""
 
-    craters: Annotated[int, typer.Option(help="Number of craters in figs. 11 and 12, 3 or more.")] = 3
+    craters: Annotated[int, typer.Option(help="Number of craters in figs. 11 and 12, 3 or more.")] = (
+        ReproduceOptions.craters
+    )
     altitudes_km: Annotated[
         tuple[float, float], typer.Option(help="Lowest and highest altitude in figs. 11 to 14.")
     ] = ReproduceOptions.altitudes_km
@@ -30,9 +33,9 @@ class Images:
     ] = ReproduceOptions.semi_axes_m
     noise_px: Annotated[
         float, typer.Option(help="Standard deviation of each coordinate of an edge point.")
-    ] = 1.0
+    ] = ReproduceOptions.noise_px
     arc: Annotated[float, typer.Option("--arc-share", help="Visible share of each rim, 1 for all of it.")] = (
-        1.0
+        ReproduceOptions.arc
     )
 
 
@@ -40,18 +43,22 @@ class Images:
 class Amount:
     """How much is run, and where."""
 
-    trials: Annotated[int, typer.Option(help="Trials per altitude in figs. 11 to 14.")] = 100
+    trials: Annotated[int, typer.Option(help="Trials per altitude in figs. 11 to 14.")] = (
+        ReproduceOptions.trials
+    )
     images: Annotated[
         int,
         typer.Option(
             "--images-per-altitude", help="Images per altitude in table 2; other image sets scale with it."
         ),
-    ] = 128
+    ] = ReproduceOptions.images
     descents: Annotated[
         int, typer.Option(help="Trials of figs. 15 to 18, of lag and of ablation (10 at the most).")
-    ] = 30
-    seed: Annotated[int, typer.Option(help="Seed; the same seed gives the same result.")] = 1
-    workers: Annotated[int, typer.Option(help="Number of processes.")] = 2
+    ] = ReproduceOptions.descents
+    seed: Annotated[int, typer.Option(help="Seed; the same seed gives the same result.")] = (
+        ReproduceOptions.seed
+    )
+    workers: WorkersOption = None
 
 
 @app.command(epilog=example("reproduce fig02 fig11 --trials 100 -o runs/reproduce"))
@@ -71,7 +78,8 @@ def reproduce(
 ) -> None:
     """Reproduce figures and tables of Tian et al. (2019), with a verdict on each number."""
     names = reproduction.chosen(figures)
-    options = ReproduceOptions(**vars(setup), **vars(amount))
+    workers = (os.cpu_count() or 1) if amount.workers is None else amount.workers
+    options = ReproduceOptions(**{**vars(setup), **vars(amount), "workers": workers})
     require_free(output, force=force)
     contents = reproduction.CONTENTS
     with (

@@ -3,15 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 import yaml
 
 from craternav_fg.config import Positive, Section, read_text, validate
 from craternav_fg.sensors.yaml_files import parse_yaml
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -84,52 +84,29 @@ class MatchedEllipses:
         return len(self.craters)
 
 
-def read_ellipses(path: Path, camera: Camera) -> FloatArray:
-    """Read the ellipses of an image, whatever crater they belong to.
-
-    Parameters
-    ----------
-    path : Path
-        CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px) and
-        ellipseRotation(deg). Further columns are not read.
-    camera : Camera
-        Whose image it is.
-
-    Returns
-    -------
-    ndarray, shape (n, 5)
-        Centre x, y, semi-axes a >= b, px, and direction of a, rad; possibly no rows.
-
-    Raises
-    ------
-    InputError
-        Naming file, line and column: a value out of range, a rim outside the image, rims that only fill the
-        quarter of the image at the origin, or rotations in radians.
-    """
-    return read_detected_ellipses(path, camera)[0]
-
-
 def read_detected_ellipses(path: Path, camera: Camera) -> tuple[FloatArray, BoolArray]:
     """Read the ellipses of an image, and whether their rims were traced.
 
     Parameters
     ----------
     path : Path
-        CSV with the columns of `read_ellipses` and optionally `traced`, 0 for coarse ellipses.
+        CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
+        ellipseRotation(deg) and optionally `traced`, 0 for coarse ellipses. Further columns are not read.
     camera : Camera
         Whose image it is.
 
     Returns
     -------
     ellipses_px : ndarray, shape (n, 5)
-        As `read_ellipses` returns them.
+        Centre x, y, semi-axes a >= b, px, and direction of a, rad; possibly no rows.
     traced : ndarray of bool, shape (n,)
         All true without such a column.
 
     Raises
     ------
     InputError
-        As `read_ellipses`.
+        Naming file, line and column: a value out of range, a rim outside the image, rims that only fill the
+        quarter of the image at the origin, or rotations in radians.
     """
     columns = (*(Column(name) for name in ELLIPSE), Column(TRACED, optional=True))
     table = read_table(path, columns, others=True)
@@ -144,17 +121,17 @@ def read_matched_ellipses(path: Path, camera: Camera) -> MatchedEllipses:
     Parameters
     ----------
     path : Path
-        CSV with the columns of `read_ellipses`, CRATER_ID and optionally sigma_px or covariance: the upper
-        triangle, row by row, of the covariance of centre x, y, semi-axes, px, and rotation, deg, as fifteen
-        numbers with blanks between. Further columns are not read.
+        CSV with the ellipses' columns (`read_detected_ellipses`), CRATER_ID and optionally sigma_px or
+        covariance: the upper triangle, row by row, of the covariance of centre x, y, semi-axes, px, and
+        rotation, deg, as fifteen numbers with blanks between. Further columns are not read.
     camera : Camera
         Whose image it is.
 
     Raises
     ------
     InputError
-        As `read_ellipses`; also when there is no row, a crater twice, or a covariance is not positive
-        definite.
+        As `read_detected_ellipses`; also when there is no row, a crater twice, or a covariance is not
+        positive definite.
     """
     columns = (
         *(Column(name) for name in ELLIPSE), Column(ID, "text"), Column(SIGMA, optional=True),
@@ -186,7 +163,7 @@ def write_matched_ellipses(path: Path, ellipses_px: FloatArray, craters: Sequenc
     path : Path
         The file appears whole or not at all.
     ellipses_px : ndarray, shape (n, 5)
-        As `read_ellipses` returns them.
+        As `read_detected_ellipses` returns them.
     craters : sequence of str or None, length n
         Identifiers; rows without one are left out.
     """
@@ -202,7 +179,7 @@ def write_detected_ellipses(path: Path, ellipses_px: FloatArray, traced: BoolArr
     path : Path
         The file appears whole or not at all.
     ellipses_px : ndarray, shape (n, 5)
-        As `read_ellipses` returns them, best first.
+        As `read_detected_ellipses` returns them, best first.
     traced : ndarray of bool, shape (n,)
         Whether the rim was traced: 1, else 0.
     image_name : str
@@ -224,7 +201,7 @@ def detections_as_plain_data(
     Parameters
     ----------
     ellipses_px : ndarray, shape (n, 5)
-        As `read_ellipses` returns them, best first.
+        As `read_detected_ellipses` returns them, best first.
     charts_covariance_px : ndarray, shape (n, 5, 5)
         Covariances of their charts in pixels.
     quality : ndarray, shape (n,)
@@ -267,7 +244,7 @@ def _write(
 
 
 def _ellipses(table: Table, camera: Camera) -> FloatArray:
-    """Ellipses (n, 5) of a table, checked; see `read_ellipses`."""
+    """Ellipses (n, 5) of a table, checked; see `read_detected_ellipses`."""
     largest = _MAX_SEMI_AXIS_IMAGES * max(camera.width_px, camera.height_px)
     for name in (MINOR, MAJOR):
         _check_range(table, name, (_MIN_SEMI_AXIS_PX, largest))

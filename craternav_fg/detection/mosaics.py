@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs.image_projection import (
@@ -35,8 +34,6 @@ from craternav_fg.vision.mosaic import (
     pooled_suns,
 )
 from craternav_fg.workers import MAX_WORKER_DEATHS, Workers, cluster, each_result, processes
-
-FloatArray = npt.NDArray[np.float64]
 
 TABLE, CATALOG, OVERLAY = "rims.csv", "catalog.parquet", "overlay.png"
 # Longest side of the overlay, and smallest radius drawn, px of it.

@@ -7,13 +7,18 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X, Y
 
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.calibration import add_calibration, add_exposure, calibrated, map_errors
+from craternav_fg.estimators.calibration import (
+    Calibration,
+    add_calibration,
+    add_exposure,
+    calibrated,
+    map_errors,
+)
 from craternav_fg.estimators.correlated_errors import RimErrorStates
 from craternav_fg.estimators.crater_scatter import variance_factors, with_variance_factors
 from craternav_fg.estimators.ekf.filter import ekf
@@ -52,7 +57,6 @@ from craternav_fg.trajectory import Trajectory
 from factors.conic_shape import ChartError
 from factors.kernels.conic import project_rims
 
-FloatArray = npt.NDArray[np.float64]
 # Returns custom factors from the problem and the indices of the frames' states, on X, V and B of those.
 OwnFactors = Callable[[Problem, Sequence[int]], Iterable[gtsam.NonlinearFactor]]
 
@@ -74,6 +78,50 @@ CHECKED_POSES = 8
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.
 SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
+# Fitted to rims on real ground against a published map by `craternav_fg.calibration.common_shift`.
+CRATER_FREEDOM = 4.0
+
+
+@dataclass(frozen=True)
+class BatchOptions(GraphOptions):
+    """What the graph of the batch smoother consists of: `GraphOptions`, and what only it estimates.
+
+    Attributes
+    ----------
+    calibration : Calibration
+        What is estimated beside the trajectory.
+    crater_freedom : float or None
+        Degrees of freedom of Student's t distribution that the errors which craters keep follow, see
+        `crater_scatter`; None for a normal one. Needs `rim_errors`.
+    """
+
+    calibration: Calibration = Calibration()
+    crater_freedom: float | None = CRATER_FREEDOM
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rims != "chart" and self.calibration.of_charts:
+            raise EstimationError(
+                f"calibration: errors of the map and of the intrinsics need rims='chart', found {self.rims!r}"
+            )
+        if self.crater_freedom is not None and not 0.0 < self.crater_freedom < np.inf:
+            raise EstimationError(f"crater_freedom: expected a positive number, found {self.crater_freedom}")
+        if self.rim_error_states is None and self.crater_freedom not in (None, CRATER_FREEDOM):
+            raise EstimationError("crater_freedom: needs rims='chart' and rim_errors")
+
+    @classmethod
+    def of(cls, options: GraphOptions) -> "BatchOptions":
+        """Return these options, with the defaults of what they do not have.
+
+        Parameters
+        ----------
+        options : GraphOptions
+
+        Returns
+        -------
+        BatchOptions
+        """
+        return cls(**vars(options))
 
 
 @dataclass(frozen=True)
@@ -107,7 +155,7 @@ class BatchSmoother:
 
     Parameters
     ----------
-    options : GraphOptions
+    options : BatchOptions, or GraphOptions, to which the defaults of the rest are added
         `rims="centre"` makes the centre-based baseline.
     name : str
         Name under which its results are stored.
@@ -118,11 +166,11 @@ class BatchSmoother:
 
     def __init__(
         self,
-        options: GraphOptions = GraphOptions(),
+        options: GraphOptions = BatchOptions(),
         name: str = "smoother",
         own_factors: OwnFactors | None = None,
     ) -> None:
-        self.options = options
+        self.options = BatchOptions.of(options)
         self.name = name
         self.own_factors = own_factors
 
@@ -176,19 +224,19 @@ class BatchSmoother:
             with_predicted_covariances(f, gTb, problem.camera, problem.catalog)
             for f, gTb in zip(problem.frames, poses, strict=True)
         ]
-        rim_errors = self.options.rim_errors
+        freedom = self.options.crater_freedom if self.options.rim_error_states is not None else None
         # Variables of the map and of the lens take up what craters seem to err by.
-        if rim_errors is not None and not self.options.calibration.of_charts:
-            factors = variance_factors(frames, poses, problem.camera, problem.catalog, rim_errors.freedom)
+        if freedom is not None and not self.options.calibration.of_charts:
+            factors = variance_factors(frames, poses, problem.camera, problem.catalog, freedom)
             frames = [with_variance_factors(frame, factors) for frame in frames]
         weighted = replace(problem, frames=frames)
         best = optimum(weighted, self.options, values, graph.intervals, self.own_factors)
         return _Optimum(*best, rough.error, suspect=suspect)
 
 
-def _solved_for(lm: LmOptions, problem: Problem, options: GraphOptions) -> LmOptions:
+def _solved_for(lm: LmOptions, problem: Problem, options: BatchOptions) -> LmOptions:
     """Use Cholesky factorisation for graphs with variables for the errors of rims, in which QR is slow."""
-    if options.rim_errors is None or all(f.rims.correlated is None for f in problem.frames):
+    if options.rim_error_states is None or all(f.rims.correlated is None for f in problem.frames):
         return lm
     return replace(lm, cholesky=True, relative_tolerance=max(lm.relative_tolerance, CHOLESKY_TOLERANCE))
 
@@ -202,7 +250,7 @@ def _suspect(graph: FactorGraph, found: LmResult) -> bool:
 
 def optimum(
     problem: Problem,
-    options: GraphOptions,
+    options: BatchOptions,
     values: gtsam.Values,
     intervals: Sequence[ImuInterval] = (),
     own_factors: OwnFactors | None = None,
@@ -212,7 +260,7 @@ def optimum(
     Parameters
     ----------
     problem : Problem
-    options : GraphOptions
+    options : BatchOptions
     values : gtsam.Values
         Initial values of all states: those of the frames, and those between.
     intervals : sequence of ImuInterval
@@ -273,7 +321,7 @@ def _converged(result: LmResult) -> gtsam.Values:
     return result.values
 
 
-def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values) -> tuple[int, int]:
+def _out_of_sight(problem: Problem, options: BatchOptions, values: gtsam.Values) -> tuple[int, int]:
     """Count the rims that their frame's pose cannot see, which do not constrain it, and all rims."""
     lost = count = index = 0
     stamp_ns = problem.frames[0].stamp_ns
@@ -292,7 +340,7 @@ def _out_of_sight(problem: Problem, options: GraphOptions, values: gtsam.Values)
 
 def build_graph(
     problem: Problem,
-    options: GraphOptions,
+    options: BatchOptions,
     values: gtsam.Values,
     intervals: Sequence[ImuInterval] = (),
     own_factors: OwnFactors | None = None,
@@ -302,7 +350,7 @@ def build_graph(
     Parameters
     ----------
     problem : Problem
-    options : GraphOptions
+    options : BatchOptions
     values : gtsam.Values
         Values of all states: those of the frames, and those between. Further variables that are missing are
         added: errors of rims as zero.
@@ -323,7 +371,7 @@ def build_graph(
     """
     graph = FactorGraph()
     add_prior(graph, problem.initial)
-    states = None if options.rim_errors is None else RimErrorStates(options.rim_errors)
+    states = None if options.rim_error_states is None else RimErrorStates(options.rim_error_states)
     added = gtsam.Values()
     bank = SensorBank(problem.sensors)
     # Points of arcs and tracks are normalised by the stated intrinsics; only rims have a variable for others.
@@ -405,7 +453,7 @@ def _update_gravity(graph: FactorGraph, body: Body, values: gtsam.Values) -> boo
 
 def trajectory(
     problem: Problem,
-    options: GraphOptions,
+    options: BatchOptions,
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     state_indices: list[int],
@@ -418,7 +466,7 @@ def trajectory(
     Parameters
     ----------
     problem : Problem
-    options : GraphOptions
+    options : BatchOptions
     graph : gtsam.NonlinearFactorGraph
         Graph of the whole descent.
     values : gtsam.Values

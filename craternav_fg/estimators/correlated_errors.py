@@ -59,23 +59,16 @@ class RimErrorOptions:
     step : float
         Change below which the error is the same variable; 0 makes one for every rim of every frame. Within a
         step a rim's place drifts as the variable says, and its other errors are constant.
-    freedom : float
-        Degrees of freedom of Student's t distribution that the errors which craters keep follow in the batch
-        smoother, see `crater_scatter`; infinite for a normal one. Fitted to rims on real ground against a
-        published map by `craternav_fg.calibration.common_shift`.
     """
 
     decay: float = 0.8
     step: float = 0.1
-    freedom: float = 4.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.decay < np.inf:
             raise EstimationError(f"decay: expected a positive number, found {self.decay}")
         if not 0.0 <= self.step < np.inf:
             raise EstimationError(f"step: expected 0 or more, found {self.step}")
-        if not self.freedom > 0.0:
-            raise EstimationError(f"freedom: expected a positive number, found {self.freedom}")
 
 
 def correlation(change: FloatArray, decay: float) -> tuple[FloatArray, FloatArray]:

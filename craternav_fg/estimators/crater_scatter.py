@@ -45,7 +45,7 @@ def variance_factors(
     camera : Camera
     catalog : Catalog
     freedom : float
-        Degrees of freedom of Student's t distribution; infinite for a normal one.
+        Degrees of freedom of Student's t distribution.
 
     Returns
     -------
@@ -58,8 +58,6 @@ def variance_factors(
     Lange, Little, Taylor, J. American Statistical Association 84 (1989) 881,
     DOI 10.1080/01621459.1989.10478852.
     """
-    if np.isinf(freedom):
-        return {}
     craters, errors, roots, white = _on_ground(frames, poses, camera, catalog)
     rows, index, counts = np.unique(craters, return_inverse=True, return_counts=True)
     n = len(rows)

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 import gtsam
 import numpy as np
 import numpy.typing as npt
-from gtsam.symbol_shorthand import X, Y
+from gtsam.symbol_shorthand import X
 from scipy.special import chdtri
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import build_graph, optimum, trajectory
+from craternav_fg.estimators.batch import BatchOptions, build_graph, optimum, trajectory
 from craternav_fg.estimators.consensus import Track, robust_track
 from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
@@ -130,7 +130,7 @@ class GncSmoother:
         EstimationError
             When the optimisation does not converge.
         """
-        options = self.options.graph
+        options = BatchOptions.of(self.options.graph)
         track = robust_track(problem, self._limit2(RESIDUAL_SIZE["chart"]), options)
         longest_s = longest_interval_s(problem, options)
         values, numbers = initial_values(problem, track.start, track.states, longest_s)
@@ -174,7 +174,7 @@ class GncSmoother:
     ) -> _Decided:
         """Decide which matches are right."""
         # Outliers show without variables for the time-correlated errors.
-        options = replace(self.options.graph, loss=Loss(), rim_errors=None)
+        options = replace(BatchOptions.of(self.options.graph), loss=Loss(), rim_errors=None)
         limit2 = self._limit2(RESIDUAL_SIZE[options.rims])
         rims = _Rims(problem, options, numbers)
         # Wrong arcs could outweigh right rims.
@@ -231,9 +231,7 @@ class _Rims:
     def __init__(self, problem: Problem, options: GraphOptions, numbers: Sequence[int]) -> None:
         self._problem = problem
         self._options = options
-        # Image factors are attached to the pose at the exposure, where that is not the state itself.
-        letter = Y if options.calibration.of_exposure else X
-        self._keys = [letter(number) for number in numbers]
+        self._keys = [X(number) for number in numbers]
         self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])
         self.count = int(self._ends[-1])

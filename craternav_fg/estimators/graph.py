@@ -13,7 +13,6 @@ from gtsam.symbol_shorthand import B, V, X
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION, RimErrorOptions, RimErrorStates
 from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel, rim_factors
 from craternav_fg.imu import ImuRows
@@ -49,11 +48,9 @@ class GraphOptions:
         On each crater's whitened norm. Huber at 3.3 sigma, about the 95 % point of 5 dimensions.
     keyframe_s : float
         Longest interval between two states: gravity is constant within one.
-    calibration : Calibration
-        What the batch smoother estimates beside the trajectory.
     rim_errors : RimErrorOptions or None
-        How time-correlated errors of rims are modelled, where the measurements have any. None treats them as
-        white.
+        How time-correlated errors of rims are modelled, where the measurements have any and `rims` is
+        "chart". None treats them as white, as the other measurements do.
     variance_inflation : float
         Factor on the variance of time-correlated errors that are treated as white: 1 for a single image.
     """
@@ -61,19 +58,23 @@ class GraphOptions:
     rims: RimModel = "chart"
     loss: Loss = Loss(robust.HUBER, 3.3)
     keyframe_s: float = 1.0
-    calibration: Calibration = Calibration()
     rim_errors: RimErrorOptions | None = field(default_factory=RimErrorOptions)
     variance_inflation: float = VARIANCE_INFLATION
 
     def __post_init__(self) -> None:
         if self.rims not in RIM_MODELS:
             raise EstimationError(f"rims: expected one of {', '.join(RIM_MODELS)}, found {self.rims!r}")
-        if self.rims != "chart" and self.calibration.of_charts:
-            raise EstimationError(
-                f"calibration: errors of the map and of the intrinsics need rims='chart', found {self.rims!r}"
-            )
-        if not 0.0 < self.keyframe_s < np.inf:
-            raise EstimationError(f"keyframe_s: expected a positive number, found {self.keyframe_s}")
+        if self.rims != "chart" and self.rim_errors not in (None, RimErrorOptions()):
+            raise EstimationError(f"rim_errors: variables for them need rims='chart', found {self.rims!r}")
+        for name in ("keyframe_s", "variance_inflation"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise EstimationError(f"{name}: expected a positive number, found {value}")
+
+    @property
+    def rim_error_states(self) -> RimErrorOptions | None:
+        """How the graph's variables for errors of rims behave; None without such variables."""
+        return self.rim_errors if self.rims == "chart" else None
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ def add_frame(
         Number of measured rows that were reduced away: the factors have so many fewer.
     """
     left_out = 0
-    states = None if variables is None or options.rims != "chart" else variables.states
+    states = None if variables is None or options.rim_error_states is None else variables.states
     rims = frame.rims if states is not None else frame.rims.inflate_correlated(options.variance_inflation)
     bTc = descent.camera.bTc
     if len(rims):

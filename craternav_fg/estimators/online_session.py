@@ -104,9 +104,11 @@ class OnlineSession:
         self._solver = solver
         self._last = 0
         self._errors = None
-        if options.rim_errors is not None:
+        if options.rim_error_states is not None:
             # A lag bounds the tree by itself.
-            self._errors = RimErrorStates(options.rim_errors, renewed=not isinstance(solver, FixedLagIsam))
+            self._errors = RimErrorStates(
+                options.rim_error_states, renewed=not isinstance(solver, FixedLagIsam)
+            )
         self._frame_states = array("q")
         self._stamp_ns = descent.initial.stamp_ns
         self._newest: FilterState | None = None

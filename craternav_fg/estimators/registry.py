@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper
@@ -18,28 +18,24 @@ from craternav_fg.estimators.rim_models import RimModel
 from craternav_fg.sensors.plugins import plugins
 
 
-def _centre_smoother() -> Estimator:
-    return BatchSmoother(GraphOptions(rims="centre"), "centre_smoother")
-
-
 def _self_calibrating_smoother() -> Estimator:
     """Estimate the camera's mounting and time offset: what thermal distortion and a clock leave uncertain."""
     calibration = Calibration(mounting_sigma_rad=math.radians(0.2), time_offset_sigma_s=0.02)
-    return BatchSmoother(GraphOptions(calibration=calibration), "self_calibrating_smoother")
+    return BatchSmoother(BatchOptions(calibration=calibration), "self_calibrating_smoother")
 
 
 def _map_refining_smoother() -> Estimator:
     """Estimate the craters' errors on the map, as large as those of a good catalogue."""
     calibration = Calibration(map_place_sigma=0.01, map_height_sigma=0.01, map_size_sigma=0.01)
-    return BatchSmoother(GraphOptions(calibration=calibration), "map_refining_smoother")
+    return BatchSmoother(BatchOptions(calibration=calibration), "map_refining_smoother")
 
 
 def _smoother_of(rims: RimModel, name: str) -> Callable[[], Estimator]:
-    return lambda: BatchSmoother(GraphOptions(rims=rims), name)
+    return lambda: BatchSmoother(BatchOptions(rims=rims, rim_errors=None, crater_freedom=None), name)
 
 
 def _online_of(rims: RimModel, name: str) -> Callable[[], Estimator]:
-    return lambda: OnlineSmoother(GraphOptions(rims=rims), name)
+    return lambda: OnlineSmoother(GraphOptions(rims=rims, rim_errors=None), name)
 
 
 def _ekf_of(measurement: RimModel, name: str) -> Callable[[], Estimator]:
@@ -61,7 +57,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "ekf_eq19": _ekf_of("eq19", "ekf_eq19"),
     "ekf_los": _ekf_of("los", "ekf_los"),
     "ekf_paper": ekf_paper,
-    "centre_smoother": _centre_smoother,
+    "centre_smoother": _smoother_of("centre", "centre_smoother"),
     "dead_reckoning": DeadReckoning,
 }
 # What each is, for people who choose.

@@ -95,9 +95,7 @@ def _out_of_sight(descent: Descent, frame: FrameMeasurement, gTb: FloatArray) ->
     return bool(2 * np.count_nonzero(seen) < len(rows))
 
 
-def make_problem(
-    descent: Descent, frames: Sequence[FrameMeasurement], options: GraphOptions = GraphOptions()
-) -> Problem:
+def make_problem(descent: Descent, frames: Sequence[FrameMeasurement]) -> Problem:
     """State the problem that estimators solve: a descent, its frames and the start that `find_start` gives.
 
     Parameters
@@ -105,8 +103,6 @@ def make_problem(
     descent : Descent
     frames : sequence of FrameMeasurement
         At least one.
-    options : GraphOptions
-        Options of the start.
 
     Returns
     -------
@@ -117,4 +113,4 @@ def make_problem(
     ValueError
         When the IMU log does not cover the interval up to the start's frame.
     """
-    return Problem(**vars(descent), start=find_start(descent, frames, options), frames=frames)
+    return Problem(**vars(descent), start=find_start(descent, frames), frames=frames)

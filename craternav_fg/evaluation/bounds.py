@@ -36,7 +36,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _POSE = slice(0, 6)
-_ATTITUDE, _POSITION = slice(0, 3), slice(3, 6)
+_POSITION = slice(3, 6)
 _SIZE = len(strapdown.WITHOUT_RATE)
 
 
@@ -88,22 +88,6 @@ def position_rms_m(pose_covariance: FloatArray) -> FloatArray:
         In m.
     """
     return np.sqrt(np.trace(pose_covariance[..., _POSITION, _POSITION], axis1=-2, axis2=-1))
-
-
-def attitude_rms_deg(pose_covariance: FloatArray) -> FloatArray:
-    """Root mean square angle of the attitude error of pose covariances.
-
-    Parameters
-    ----------
-    pose_covariance : ndarray, shape (..., 6, 6)
-        Attitude (rad), then position (m).
-
-    Returns
-    -------
-    ndarray, shape (...,)
-        In deg.
-    """
-    return np.degrees(np.sqrt(np.trace(pose_covariance[..., _ATTITUDE, _ATTITUDE], axis1=-2, axis2=-1)))
 
 
 def posterior_bound(

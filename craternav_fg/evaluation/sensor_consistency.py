@@ -22,6 +22,9 @@ from craternav_fg.trajectory import InitialState, Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 
+# Probability below which chance does not explain a mean square.
+IMPROBABLE = 1e-7
+
 
 @dataclass(frozen=True)
 class ResidualSummary:
@@ -144,7 +147,7 @@ def summarise(residuals: Mapping[str, FloatArray]) -> dict[str, ResidualSummary]
     return out
 
 
-def improbable(mean_square: float, dimension: int, probability: float) -> bool:
+def improbable(mean_square: float, dimension: int) -> bool:
     """Whether a mean of squares of unit normals is beyond what chance gives, on either side.
 
     Parameters
@@ -152,12 +155,10 @@ def improbable(mean_square: float, dimension: int, probability: float) -> bool:
     mean_square : float
     dimension : int
         Number of squares.
-    probability : float
-        Probability of either side.
 
     Returns
     -------
     bool
     """
     total = mean_square * dimension
-    return bool(min(chdtr(dimension, total), chdtrc(dimension, total)) < probability)
+    return bool(min(chdtr(dimension, total), chdtrc(dimension, total)) < IMPROBABLE)

@@ -7,9 +7,6 @@ A profile fitted to each crater instead errs more on real ground than the search
 """
 
 import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
 
 # Resolution, in radii of the ellipse found.
 RESOLUTION_RADII = np.linspace(0.05, 0.45, 9)

@@ -51,7 +51,6 @@ _STEPS, _MAX_LAST_STEP = 8, 1e-3
 def rims_in_posed_images(
     catalog: Catalog,
     images: Sequence[Dataset],
-    options: GuidedOptions | None = None,
     progress: Progress | None = None,
 ) -> CorrectedRims:
     """Correct the rims that images with known poses show.
@@ -64,8 +63,6 @@ def rims_in_posed_images(
     catalog : Catalog
     images : sequence of Dataset
         With images, and with a ground truth that gives their poses. Their own catalogues are not used.
-    options : GuidedOptions, optional
-        How rims are measured.
     progress : callable, optional
         Called with the number of images measured and of all; each is measured twice.
 
@@ -81,12 +78,11 @@ def rims_in_posed_images(
     """
     for one in images:
         _check(one, catalog)
-    front_end = options or GuidedOptions()
     count = sum(len(one.image_paths) for one in images)
 
     def measured(known: Catalog, before: int) -> CorrectedRims:
         report = None if progress is None else (lambda done: progress(before + done, 2 * count))
-        return apply_errors(known, combined(known, errors_in_images(known, images, front_end, report)))
+        return apply_errors(known, combined(known, errors_in_images(known, images, report)))
 
     first = measured(catalog, 0)
     return _both(catalog, first, measured(first.catalog, count))
@@ -95,7 +91,6 @@ def rims_in_posed_images(
 def errors_in_images(
     catalog: Catalog,
     images: Sequence[Dataset],
-    options: GuidedOptions,
     progress: Callable[[int], None] | None = None,
 ) -> Seen:
     """Measure the errors of craters on the map in images with known poses.
@@ -105,7 +100,6 @@ def errors_in_images(
     catalog : Catalog
     images : sequence of Dataset
         With ground truth.
-    options : GuidedOptions
     progress : callable, optional
         Called with the number of images measured.
 
@@ -118,7 +112,7 @@ def errors_in_images(
     done = 0
     for one in images:
         assert one.truth is not None
-        front_end = GuidedFrontEnd(one.camera, catalog, options)
+        front_end = GuidedFrontEnd(one.camera, catalog, GuidedOptions())
         for k, stamp_ns in enumerate(one.stamps_ns.tolist()):
             gTb, sun_g = one.truth.gTb[k], one.sun.at(stamp_ns)
             rims = front_end.measure(one.image(k), stamp_ns, gTb, _POSE_COVARIANCE, sun_g).rims

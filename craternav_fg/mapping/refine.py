@@ -60,13 +60,22 @@ _BESIDE = (0.75, 1.25)
 _FLOOR_PER_RESOLUTION = 0.2
 # Direction in the chart in which an ellipse becomes larger.
 _SIZE = np.array([0.0, 0.0, 1.0, 0.0, 1.0])
+# Expected root mean square deviation of a rim from an ellipse, in radii, and the largest one.
+_OUTLINE_SHARE, _MAX_SCATTER_SHARE = 0.03, 0.05
+# Largest distance of the centre found from the catalogue's, in the catalogue's radii, and largest logarithm
+# of a stretch between the ellipse found and the catalogue's.
+_MAX_SHIFT_RADII, _MAX_SIZE_CHANGE = 0.5, 0.5
+# Minimum share of the rays whose crest agrees with the ellipse.
+_MIN_KEPT_SHARE = 0.7
+# Minimum height of the crest above the mean of the searched ring, in radii: a pit or a hill has none.
+_MIN_RELIEF_SHARE = 0.005
 # Craters per task of a thread.
 _CHUNK = 64
 
 
 @dataclass(frozen=True)
 class RefineOptions:
-    """Which rims are searched, and which are accepted.
+    """Which rims are searched, and how finely the model shows them.
 
     Attributes
     ----------
@@ -74,28 +83,10 @@ class RefineOptions:
         Smallest diameter, in steps of the elevation model.
     resolution_steps : float
         Shortest length that the model resolves, in its steps: stereo models are smoother than their raster.
-    outline_share : float
-        Expected root mean square deviation of a rim from an ellipse, in radii.
-    max_shift_radii : float
-        Largest distance of the centre found from the catalogue's, in the catalogue's radii.
-    max_size_change : float
-        Largest logarithm of a stretch between the ellipse found and the catalogue's.
-    min_kept_share : float
-        Minimum share of the rays whose crest agrees with the ellipse.
-    max_scatter_share : float
-        Largest root mean square deviation of the crest from the ellipse, in radii.
-    min_relief_share : float
-        Minimum height of the crest above the mean of the searched ring, in radii: a pit or a hill has none.
     """
 
     min_diameter_steps: float = 10.0
     resolution_steps: float = 2.5
-    outline_share: float = 0.03
-    max_shift_radii: float = 0.5
-    max_size_change: float = 0.5
-    min_kept_share: float = 0.7
-    max_scatter_share: float = 0.05
-    min_relief_share: float = 0.005
 
 
 @dataclass(frozen=True)
@@ -276,15 +267,15 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
         crest = find_crest(chart, terrain, search, step_m)
         ok, steps, covariance, _, _, rms, kept, _, _ = ellipse_kernel.fit(
             crest / step_m, np.ones(RAYS), np.zeros((RAYS, 2)), 1.0, 0.0, np.zeros(2),
-            _scaled(chart, 1.0 / step_m), _MIN_SCATTER_STEPS, _MAX_GAP_RAD, options.outline_share,
+            _scaled(chart, 1.0 / step_m), _MIN_SCATTER_STEPS, _MAX_GAP_RAD, _OUTLINE_SHARE,
         )  # fmt: skip
         if not ok:
             return Outcome.NO_CREST
         chart = _scaled(steps, step_m)
-        if not _near(chart, start, options):
+        if not _near(chart, start):
             return Outcome.OTHER_CRATER
     radius_m = float(mean_radius(chart))
-    if kept < options.min_kept_share * RAYS or rms * step_m > options.max_scatter_share * radius_m:
+    if kept < _MIN_KEPT_SHARE * RAYS or rms * step_m > _MAX_SCATTER_SHARE * radius_m:
         return Outcome.NO_CREST
     resolution_m = options.resolution_steps * step_m
     floor_m = _FLOOR_PER_RESOLUTION * resolution_m
@@ -292,7 +283,7 @@ def _refine(catalog: Catalog, dem: Dem, options: RefineOptions, enu: FloatArray,
     unit = np.array([step_m, step_m, 1.0, 1.0, 1.0])
     floor = axes_covariance(chart, floor_m) + spread**2 * np.outer(_SIZE, _SIZE)
     rim = _measured(chart, np.outer(unit, unit) * covariance + floor, crest, terrain)
-    if rim.relief_m < options.min_relief_share * radius_m:
+    if rim.relief_m < _MIN_RELIEF_SHARE * radius_m:
         return Outcome.NO_CREST
     resolved = chart - bias * _SIZE
     resolved[:2] += wall_shift(chart, terrain, floor_m)
@@ -326,12 +317,11 @@ def _measured(chart: FloatArray, covariance: FloatArray, crest: FloatArray, terr
     )
 
 
-def _near(chart: FloatArray, start: FloatArray, options: RefineOptions) -> bool:
+def _near(chart: FloatArray, start: FloatArray) -> bool:
     """Return whether an ellipse may be the catalogue's crater."""
     shift = float(np.hypot(*(chart[:2] - start[:2])))
     return bool(
-        shift <= options.max_shift_radii * mean_radius(start)
-        and shape_change(start, chart) <= options.max_size_change
+        shift <= _MAX_SHIFT_RADII * mean_radius(start) and shape_change(start, chart) <= _MAX_SIZE_CHANGE
     )
 
 

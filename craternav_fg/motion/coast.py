@@ -4,22 +4,24 @@ from craternav_fg.motion.gravity import GravityField
 from craternav_fg.motion.model import Motion
 from factors.kernels.motion import COAST
 
+# Mass concentrations of the Moon, left out, pull with some 1e-3 m/s^2 for some 100 s in an orbit of 100 km.
+ACCELERATION_DENSITY = 1e-5
+
 
 def coast(
-    acceleration_density: float = 1e-5,
+    acceleration_density: float = ACCELERATION_DENSITY,
     *,
     gravity: GravityField | None = None,
-    rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    rate_sigma_rad_s: float = 0.01,
-    rate_walk: float = 1e-5,
+    rate_rad_s: tuple[float, float, float] = Motion.rate_rad_s,
+    rate_sigma_rad_s: float = Motion.rate_sigma_rad_s,
+    rate_walk: float = Motion.rate_walk,
 ) -> Motion:
     """Make the model of a lander in free fall, without thrust.
 
     Parameters
     ----------
     acceleration_density : float
-        White noise of the acceleration per axis, m/s^2/sqrt(Hz). Mass concentrations of the Moon, left out,
-        pull with some 1e-3 m/s^2 for some 100 s in an orbit of 100 km.
+        White noise of the acceleration per axis, m/s^2/sqrt(Hz).
     gravity : GravityField, optional
         A point mass by default.
     rate_rad_s : tuple of float

@@ -7,19 +7,19 @@ from pydantic import Field
 
 from craternav_fg.body import Body
 from craternav_fg.config import Positive, Section, Vector
-from craternav_fg.motion.coast import coast
+from craternav_fg.motion.coast import ACCELERATION_DENSITY, coast
 from craternav_fg.motion.gravity import MAX_DEGREE, GravityField, degree_two, read_gravity
 from craternav_fg.motion.model import Motion
 from craternav_fg.motion.white_acceleration import white_acceleration
-from craternav_fg.motion.white_jerk import white_jerk
+from craternav_fg.motion.white_jerk import ACCELERATION_SIGMA_M_S2, white_jerk
 
 
 class _Rates(Section):
-    rate_rad_s: Vector = (0.0, 0.0, 0.0)
+    rate_rad_s: Vector = Motion.rate_rad_s
     """Prior mean of the inertial angular velocity in b; not used with a gyro."""
-    rate_sigma_rad_s: Positive = 0.01
+    rate_sigma_rad_s: Positive = Motion.rate_sigma_rad_s
     """Its standard deviation per axis."""
-    rate_walk: Positive = 1e-5
+    rate_walk: Positive = Motion.rate_walk
     """White noise of the angular acceleration, rad/s^2/sqrt(Hz)."""
 
     def _rates(self) -> dict[str, Any]:
@@ -30,7 +30,7 @@ class CoastSection(_Rates):
     """Free fall."""
 
     model: Literal["coast"]
-    acceleration_density: Positive = 1e-5
+    acceleration_density: Positive = ACCELERATION_DENSITY
     """White noise of the acceleration, m/s^2/sqrt(Hz)."""
     j2: float = 0.0
     c22: float = 0.0
@@ -68,7 +68,7 @@ class WhiteJerkSection(_Rates):
     model: Literal["white_jerk"]
     jerk_density: Positive
     """White noise of the jerk, m/s^3/sqrt(Hz)."""
-    acceleration_sigma_m_s2: Positive = 1.0
+    acceleration_sigma_m_s2: Positive = ACCELERATION_SIGMA_M_S2
     """Prior standard deviation of the acceleration."""
 
     def motion(self, body: Body, folder: Path) -> Motion:

@@ -11,9 +11,9 @@ from factors.kernels.motion import WHITE_ACCELERATION
 def white_acceleration(
     acceleration_density: float,
     *,
-    rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    rate_sigma_rad_s: float = 0.01,
-    rate_walk: float = 1e-5,
+    rate_rad_s: tuple[float, float, float] = Motion.rate_rad_s,
+    rate_sigma_rad_s: float = Motion.rate_sigma_rad_s,
+    rate_walk: float = Motion.rate_walk,
 ) -> Motion:
     """Make the model.
 

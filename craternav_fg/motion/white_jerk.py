@@ -8,14 +8,17 @@ The prior of Tang et al. (2019) has white jerk in the rotation, too, with the an
 from craternav_fg.motion.model import Motion
 from factors.kernels.motion import WHITE_JERK
 
+# About what a lander's engine gives.
+ACCELERATION_SIGMA_M_S2 = 1.0
+
 
 def white_jerk(
     jerk_density: float,
     *,
-    acceleration_sigma_m_s2: float = 1.0,
-    rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    rate_sigma_rad_s: float = 0.01,
-    rate_walk: float = 1e-5,
+    acceleration_sigma_m_s2: float = ACCELERATION_SIGMA_M_S2,
+    rate_rad_s: tuple[float, float, float] = Motion.rate_rad_s,
+    rate_sigma_rad_s: float = Motion.rate_sigma_rad_s,
+    rate_walk: float = Motion.rate_walk,
 ) -> Motion:
     """Make the model.
 

@@ -264,9 +264,9 @@ def _written(value: Any) -> str:
 def _descriptions(cls: type) -> dict[str, str]:
     """First sentences about a class's fields or parameters, from its docstring."""
     out = {}
-    for match in re.finditer(
-        r"^(\w[\w, ]*) : .*\n((?:[ ]{4}.*\n?)+)", inspect.getdoc(cls) or "", re.MULTILINE
-    ):
+    # A class describes only the fields that it adds to those of its base.
+    texts = "\n\n".join(inspect.cleandoc(one.__doc__ or "") for one in cls.__mro__[:-1])
+    for match in re.finditer(r"^(\w[\w, ]*) : .*\n((?:[ ]{4}.*\n?)+)", texts, re.MULTILINE):
         # A sentence ends before a capital letter or a mark, an abbreviation before anything else.
         text = " ".join(match.group(2).split())
         sentence = re.split(r"(?<!et al)\. (?=[A-Z\"`])", text)[0].removesuffix(".")

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Problem
@@ -14,8 +13,6 @@ from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.linalg import whitening
 from craternav_fg.sensors.files import DATA, folder_of
 from craternav_fg.sensors.protocol import STATE_SIZE, Sensor
-
-FloatArray = npt.NDArray[np.float64]
 
 # NIS per dimension, median of a log's samples: above the first it is refuted, below the second confirmed.
 REFUTED, CONFIRMED = 100.0, 9.0

@@ -19,11 +19,10 @@ FloatArray = npt.NDArray[np.float64]
 
 # Share of outliers among all rims above which an estimator's trajectory is not to be trusted.
 MAX_OUTLIER_SHARE = 0.5
-# Limits of the mean square per dimension (expected 1) of innovations and residuals, and the probability below
-# which chance does not explain one. On sound data, a thousand and more give 0.97 to 1.05; the errors of rims
-# in images are only approximately white, so their limit is wider.
+# Limits of the mean square per dimension (expected 1) of innovations and residuals. On sound data, a thousand
+# and more give 0.97 to 1.05; the errors of rims in images are only approximately white, so their limit is
+# wider.
 MIN_SQUARE, MAX_SQUARE, MAX_SQUARE_IN_IMAGES = 0.6, 1.1, 1.5
-IMPROBABLE = 1e-7
 # Mean of a residual's component, in sigmas and in its own standard deviations.
 MAX_MEAN, MAX_MEAN_SIGMAS = 0.5, 6.0
 # Distance of an outlier in sigmas, and the largest share of samples that is reported as outliers.
@@ -141,7 +140,7 @@ def too_large(mean_square: float, dimension: int, *, images: bool) -> bool:
     -------
     bool
     """
-    return mean_square > _limit(images=images) and improbable(mean_square, dimension, IMPROBABLE)
+    return mean_square > _limit(images=images) and improbable(mean_square, dimension)
 
 
 def _limit(*, images: bool) -> float:
@@ -235,7 +234,7 @@ def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
             f"contradicts what {name} predicts from the other sensors (NIS per dimension {part.mean:.3g}, "
             "expected 1)"
         )
-    if part.mean < MIN_SQUARE and not images and improbable(part.mean, size, IMPROBABLE):
+    if part.mean < MIN_SQUARE and not images and improbable(part.mean, size):
         return (
             f"agrees with what {name} predicts better than the stated noise allows (NIS per dimension "
             f"{part.mean:.3g}, expected 1): the stated noise is too large or in another unit"

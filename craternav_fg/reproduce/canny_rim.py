@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from craternav_fg.ellipse import pixel_chart, whitened_points
 from craternav_fg.simulation.scenes import Scene
-from craternav_fg.vision.ellipse_fit import FitFailure, FitOptions, fit_rim
+from craternav_fg.vision.ellipse_fit import FitFailure, fit_rim
 from factors.kernels.conic import project_rims
 
 FloatArray = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ def canny_edges(image: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.bool_], Fl
     return edges > 0, gradient.astype(np.float64)
 
 
-def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> FloatArray | None:
+def canny_rim(one: Scene, crater: int) -> FloatArray | None:
     """Fit an ellipse to the Canny edges around a catalogue crater's rim.
 
     Parameters
@@ -58,7 +58,6 @@ def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> Flo
     one : Scene
     crater : int
         Row in the scene's catalogue.
-    options : FitOptions, optional
 
     Returns
     -------
@@ -79,5 +78,5 @@ def canny_rim(one: Scene, crater: int, options: FitOptions | None = None) -> Flo
     )
     # The fit models the correlation of neighbours' errors: it needs the points in order along the rim.
     order = np.flatnonzero(keep)[np.argsort(np.arctan2(v[keep], u[keep]))]
-    fit = fit_rim(np.column_stack([column, row])[order].astype(np.float64), one.camera, options)
+    fit = fit_rim(np.column_stack([column, row])[order].astype(np.float64), one.camera)
     return None if isinstance(fit, FitFailure) else fit.chart_px

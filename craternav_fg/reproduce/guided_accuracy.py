@@ -28,7 +28,7 @@ _ACROSS_VARIANCE = 1e-4
 
 @dataclass(frozen=True)
 class PredictionError:
-    """How wrong a predicted pose is, and how large its covariance says that the error is.
+    """How wrong a predicted pose is, as its covariance says.
 
     Attributes
     ----------
@@ -36,13 +36,10 @@ class PredictionError:
         Rotation across the optical axis, as the shift of the image in a random direction.
     scale : float
         Error of the range as a share of it; its sign is random.
-    covariance_scale : float
-        Standard deviations that the prediction claims, over these.
     """
 
     shift_px: float = 1.5
     scale: float = 0.001
-    covariance_scale: float = 1.0
 
 
 # Errors of a tracked lander, and of one that has nearly lost track.
@@ -101,8 +98,8 @@ def predicted(one: Scene, error: PredictionError, rng: np.random.Generator) -> t
     ahead = one.gTb[:3, 2]
     gTb = frames.pose(one.gTb[:3, :3] @ turn, one.gTb[:3, 3] - away_m * ahead)
     # A shift of fixed length in a random direction has 1 / sqrt(2) of it as RMS along each axis.
-    sigma_rad = error.covariance_scale * shift_rad / np.sqrt(2.0)
-    sigma_m = error.covariance_scale * error.scale * range_m
+    sigma_rad = shift_rad / np.sqrt(2.0)
+    sigma_m = error.scale * range_m
     covariance = np.diag([sigma_rad**2] * 3 + [0.0] * 3)
     covariance[3:, 3:] = sigma_m**2 * (np.outer(ahead, ahead) + _ACROSS_VARIANCE * np.eye(3))
     return gTb, covariance
@@ -157,17 +154,13 @@ def rim_errors(one: Scene, frame: FrameMeasurement, options: GuidedOptions) -> R
     return RimErrors(rims.craters, difference[:, :2], difference[:, 2:4], chi2, true[:, 3], len(wanted))
 
 
-def accuracy(
-    scenes: Sequence[Scene], error: PredictionError = USUAL_ERROR, options: GuidedOptions | None = None
-) -> dict[str, float]:
+def accuracy(scenes: Sequence[Scene], error: PredictionError = USUAL_ERROR) -> dict[str, float]:
     """Errors of the rims over all scenes, their chi-square and the share of rims measured.
 
     Parameters
     ----------
     scenes : sequence of Scene
     error : PredictionError
-    options : GuidedOptions, optional
-        As for a single image if not given.
 
     Returns
     -------
@@ -176,9 +169,8 @@ def accuracy(
         `semi_minor_px`; `bias_px`, the largest mean of the centre's coordinates and the semi-axes of rims
         below `SMALL_PX`; `chi2_5`, the mean chi-square over 5.
     """
-    options = options or SINGLE_IMAGE
     rng = np.random.default_rng(0)
-    every = [measure(one, options, error, rng)[1] for one in scenes]
+    every = [measure(one, SINGLE_IMAGE, error, rng)[1] for one in scenes]
     centre, axes, chi2, minor = (
         np.concatenate([getattr(e, name) for e in every])
         for name in ("centre_px", "axes_px", "chi2", "minor_px")

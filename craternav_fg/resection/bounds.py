@@ -62,11 +62,6 @@ class Bound:
         """Lower bound of the root mean square of the position's error."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
 
-    @property
-    def attitude_rms_rad(self) -> float:
-        """Lower bound of the root mean square of the attitude's error."""
-        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
-
 
 def cramer_rao(problem: ResectionProblem, gTb: FloatArray) -> Bound:
     """Compute the Cramer-Rao bound of unbiased estimates at a true pose.

@@ -112,13 +112,12 @@ def solve_robustly(problem: ResectionProblem, options: RobustOptions = RobustOpt
     )
 
 
-def solve_all(problem: ResectionProblem, options: RobustOptions = RobustOptions()) -> ResectionResult:
+def solve_all(problem: ResectionProblem) -> ResectionResult:
     """Estimate the pose of an image all of whose rims are rightly matched, with too small sigmas perhaps.
 
     Parameters
     ----------
     problem : ResectionProblem
-    options : RobustOptions
 
     Returns
     -------
@@ -126,10 +125,10 @@ def solve_all(problem: ResectionProblem, options: RobustOptions = RobustOptions(
         As `solve` gives it. When the rims contradict each other, but no subset of them is more credible than
         all of them with larger standard deviations, those are used; see `ResectionResult.sigma_scale`.
     """
-    result = solve(problem, options.solve)
+    result = solve(problem)
     if result.status is not Status.NO_POSE or len(problem.rims) < _SCALED_RIMS:
         return result
-    scaled = solve_robustly(problem, options)
+    scaled = solve_robustly(problem)
     return scaled if scaled.sigma_scale > 1.0 and not scaled.wrong else result
 
 

@@ -4,15 +4,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.simulation.scenario_tables import FaultsSection
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generator) -> Catalog:

@@ -28,6 +28,8 @@ _NADIR = np.diag([1.0, -1.0, -1.0])
 # hundreds are needed only where the image has next to no room.
 _CRATER_TRIES = 200
 _POSE_TRIES = 300
+# Largest tilt of the optical axis from nadir; the tilt is uniform from 0.
+_MAX_TILT_DEG = 30.0
 
 
 @dataclass(frozen=True)
@@ -134,8 +136,6 @@ def random_scene(
     craters: int,
     altitude_m: float,
     semi_axes_m: tuple[float, float] = SEMI_AXES_M,
-    *,
-    max_tilt_deg: float = 30.0,
 ) -> FlatScene:
     """Draw a scene of the paper's cases one and two: craters apart from one another, wholly in the image.
 
@@ -148,8 +148,6 @@ def random_scene(
     altitude_m : float
     semi_axes_m : tuple of float
         Each semi-axis is uniform between these; the longer of two is the major one.
-    max_tilt_deg : float
-        Largest tilt of the optical axis from nadir; the tilt is uniform from 0.
 
     Returns
     -------
@@ -161,7 +159,7 @@ def random_scene(
         When the image has no room for that many.
     """
     for _ in range(_POSE_TRIES):
-        tilt = np.deg2rad(max_tilt_deg) * rng.uniform()
+        tilt = np.deg2rad(_MAX_TILT_DEG) * rng.uniform()
         gTc = tilted_camera(altitude_m, tilt, *rng.uniform(0.0, 2.0 * np.pi, 2))
         centres: list[FloatArray] = []
         axes: list[FloatArray] = []

@@ -1,6 +1,6 @@
 """Single images of the real ground of a scenario, from random poses above it under a random sun."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,24 +24,12 @@ from craternav_fg.simulation.world import render_options, terrain_options
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class GroundViewOptions:
-    """From where the ground is seen.
-
-    Attributes
-    ----------
-    altitudes_m : tuple of float
-        Lowest and highest altitude above the ground; their logarithms are uniform.
-    sun_deg, tilt_deg : tuple of float
-        Least and greatest elevation of the sun, and tilt of the camera from nadir.
-    reach_deg : float
-        Largest distance of the site from the finest elevation model's middle, along meridian and parallel.
-    """
-
-    altitudes_m: tuple[float, float] = (60e3, 200e3)
-    sun_deg: tuple[float, float] = (10.0, 70.0)
-    tilt_deg: tuple[float, float] = (0.0, 20.0)
-    reach_deg: float = 2.5
+# Lowest and highest altitude above the ground; their logarithms are uniform.
+ALTITUDES_M = (60e3, 200e3)
+# Least and greatest elevation of the sun, and tilt of the camera from nadir.
+SUN_DEG, TILT_DEG = (10.0, 70.0), (0.0, 20.0)
+# Largest distance of the site from the finest elevation model's middle, along meridian and parallel.
+REACH_DEG = 2.5
 
 
 class GroundView(NamedTuple):
@@ -90,26 +78,24 @@ class RealGround:
         models = [Path(path) for path in terrain.models()]
         self._dem = read_nested_dem(models, terrain.dem_unit_m, self.body.radius_m)
 
-    def view(self, rng: np.random.Generator, options: GroundViewOptions | None = None) -> GroundView:
+    def view(self, rng: np.random.Generator) -> GroundView:
         """Take an image.
 
         Parameters
         ----------
         rng : Generator
             Pose, sun, roughness, craters below the model's resolution, and sensor noise.
-        options : GroundViewOptions, optional
 
         Returns
         -------
         GroundView
         """
-        options = options or GroundViewOptions()
         latitude, longitude = frames.latitude_longitude(self._dem.models[0].middle)
-        off = np.radians(rng.uniform(-options.reach_deg, options.reach_deg, 2))
+        off = np.radians(rng.uniform(-REACH_DEG, REACH_DEG, 2))
         site = frames.east_north_up(latitude + off[0], longitude + off[1] / np.cos(latitude))
-        sun_deg = float(rng.uniform(*options.sun_deg))
+        sun_deg = float(rng.uniform(*SUN_DEG))
         sun_g = sun_direction(site, np.radians(sun_deg), rng.uniform(0.0, 2.0 * np.pi))
-        gTb = self._pose(rng, site, options)
+        gTb = self._pose(rng, site)
         image = self._renderer(rng, site, gTb).render(gTb, sun_g, rng).astype(np.uint8, copy=False)
         return GroundView(image, gTb, self._altitude_m(gTb[:3, 3]), sun_deg)
 
@@ -117,11 +103,11 @@ class RealGround:
         below_m = self._dem.heights_m(gP[None] / np.linalg.norm(gP))[0]
         return float(np.linalg.norm(gP) - self.body.radius_m - below_m)
 
-    def _pose(self, rng: np.random.Generator, site: FloatArray, options: GroundViewOptions) -> FloatArray:
+    def _pose(self, rng: np.random.Generator, site: FloatArray) -> FloatArray:
         """Draw a pose whose optical axis goes through the site."""
-        altitude_m = np.exp(rng.uniform(*np.log(options.altitudes_m)))
+        altitude_m = np.exp(rng.uniform(*np.log(ALTITUDES_M)))
         toward, heading = rng.uniform(0.0, 2.0 * np.pi, 2)
-        tilt = np.radians(rng.uniform(*options.tilt_deg))
+        tilt = np.radians(rng.uniform(*TILT_DEG))
         axis = tilt * (site @ [np.cos(toward), np.sin(toward), 0.0])
         gRc = frames.rotation_exp(axis) @ site @ np.diag([1.0, -1.0, -1.0])
         gRc = gRc @ frames.rotation_exp(np.array([0.0, 0.0, heading]))

@@ -21,7 +21,6 @@ from craternav_fg.tables.arrow import numbers
 from craternav_fg.tables.sizes import LARGEST
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 Kind = Literal["integer", "number", "text"]
 # Characters of a line that are read at once: longer cells are refused by the csv module.

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from craternav_fg.training.relief import fractal
 from craternav_fg.training.terrain import SIDE_PX, Terrain
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 ImageArray = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]

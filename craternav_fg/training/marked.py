@@ -100,4 +100,6 @@ def main(data: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("marked: expected the folder of the annotated images")
     main(Path(sys.argv[1]))

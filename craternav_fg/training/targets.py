@@ -15,8 +15,6 @@ Float32Array = npt.NDArray[np.float32]
 # Between these a crater's probability to be marked by people rises from 0 to 1: its depth in radii; the depth
 # over the tangent of the sun's elevation, which is about the contrast; the lit share of its rim.
 _DEPTH, _CONTRAST, _LIT = (0.015, 0.06), (0.03, 0.2), (0.1, 0.4)
-# Probability above which a crater counts as marked, and below which as erased.
-_MARKED, _ERASED = 0.5, 0.1
 # Smaller probabilities are none.
 _LEAST = 0.02
 # Cells with the centre this close, in radii, are the crater's; farther ones, to the second, are no example.
@@ -71,23 +69,6 @@ def marking(ground: Terrain, photo: Photograph) -> FloatArray:
         lit = np.maximum(lit, photo.lit[rows, columns].mean(axis=1))
     probability = _rise(ground.depth_radii, _DEPTH) * _rise(contrast, _CONTRAST) * _rise(lit, _LIT)
     return np.where(ground.buried, np.nan, probability)
-
-
-def visibility(ground: Terrain, photo: Photograph) -> FloatArray:
-    """Determine which craters people would mark.
-
-    Parameters
-    ----------
-    ground : Terrain
-    photo : Photograph
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        1 for those they would mark, 0 for those hardly anybody would, 0.5 for the others.
-    """
-    probability = marking(ground, photo)
-    return np.where(probability > _MARKED, 1.0, np.where(probability < _ERASED, 0.0, 0.5))
 
 
 def _rise(values: FloatArray, ends: tuple[float, float]) -> FloatArray:

@@ -7,7 +7,6 @@ import numpy.typing as npt
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 
 ImageArray = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
 
 # Brightness of saturated pixels, and the largest of others: safely below what counts as saturated.
 _SATURATED_MARK = 255.0

@@ -18,7 +18,6 @@ from craternav_fg.ellipse import axes_of_chart, mean_radius, points_on
 from craternav_fg.vision.detect import BlindOptions, FoundRims
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 # Sides of the smallest and the largest cores, multiples of the usual blocks of a file, and what a window has

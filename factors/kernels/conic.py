@@ -347,42 +347,6 @@ def chart_to_conic(y: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def conic_to_chart(q: FloatArray) -> FloatArray:
-    """Ellipse chart of a conic.
-
-    Parameters
-    ----------
-    q : ndarray, shape (6,)
-        Conic (A, B, C, D, E, F), of any sign and scale.
-
-    Returns
-    -------
-    ndarray, shape (5,)
-        Ellipse chart; NaN when the conic is no ellipse.
-    """
-    y = np.full(5, np.nan)
-    det = 4.0 * q[0] * q[2] - q[1] * q[1]
-    if not det > 0.0:
-        return y
-    mx = (q[1] * q[4] - 2.0 * q[2] * q[3]) / det
-    my = (q[1] * q[3] - 2.0 * q[0] * q[4]) / det
-    # (u - m)' M (u - m) = k
-    k = -(q[5] + 0.5 * (q[3] * mx + q[4] * my))
-    sxx = 4.0 * k * q[2] / det
-    sxy = -2.0 * k * q[1] / det
-    syy = 4.0 * k * q[0] / det
-    s = syy - sxy * sxy / sxx
-    if not (sxx > 0.0 and s > 0.0):
-        return y
-    y[0] = mx
-    y[1] = my
-    y[2] = 0.5 * np.log(sxx)
-    y[3] = sxy / sxx
-    y[4] = 0.5 * np.log(s)
-    return y
-
-
-@njit(cache=True, error_model="numpy")
 def chart_to_conic_jacobian(y: FloatArray) -> FloatArray:
     """Jacobian of `chart_to_conic`.
 

@@ -24,13 +24,6 @@ FloatArray = npt.NDArray[np.float64]
 
 COAST, WHITE_ACCELERATION, WHITE_JERK = 0, 1, 2
 SIZE = 15
-ATTITUDE, POSITION, VELOCITY, RATE_BIAS, ACCELERATION_BIAS = (
-    slice(0, 3),
-    slice(3, 6),
-    slice(6, 9),
-    slice(9, 12),
-    slice(12, 15),
-)
 
 # Longest step, s, and largest turn in a step, rad: an orbit of 100 km is then followed to 1e-6 m in an hour.
 _LONGEST_STEP_S, _LARGEST_TURN_RAD = 5.0, 0.05

@@ -17,8 +17,8 @@ from craternav_fg.bench import detect, floors, images, pipeline, ratios, report
 from craternav_fg.bench.problems import Bench, make, tracked
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli.app import app
-from craternav_fg.estimators.batch import build_graph
-from craternav_fg.estimators.graph import GraphOptions, add_prior
+from craternav_fg.estimators.batch import BatchOptions, build_graph
+from craternav_fg.estimators.graph import add_prior
 from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.optimise import levenberg_marquardt
@@ -65,7 +65,7 @@ def bench() -> Bench:
 def test_both_sides_solve_their_problem(bench: Bench) -> None:
     """A start 50 m off comes down to errors that the measurements explain, with either kind of factor."""
     start = bench.values(np.random.default_rng(1))
-    ours = build_graph(bench.problem, GraphOptions(), start)
+    ours = build_graph(bench.problem, BatchOptions(), start)
     reference = gtsam.NonlinearFactorGraph()
     add_prior(reference, bench.problem.initial)
     for i in range(ours.size()):
@@ -102,7 +102,7 @@ def test_updates_of_a_session_are_repeated_without_our_factors() -> None:
     """Of a descent whose errors are recognised as lasting: the solver ends where the session's did."""
     problem = tracked(12, 6)
     assert len(np.unique(problem.frames[6].rims.craters)) == 6
-    for options in (GraphOptions(), GraphOptions(rim_errors=None)):
+    for options in (BatchOptions(), BatchOptions(rim_errors=None)):
         session = OnlineSmoother(options).run(problem)
         solver = floors._Recorded(problem, options).replay()
         key = X(session.frame_state_indices[-1])

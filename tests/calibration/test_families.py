@@ -6,7 +6,7 @@ import pytest
 
 from craternav_fg import calibration
 from craternav_fg.calibration.__main__ import main
-from craternav_fg.calibration.families import FAMILIES
+from craternav_fg.calibration.families import FAMILIES, ON_REAL_GROUND
 from craternav_fg.calibration.regenerated import Regenerated, Relation
 from craternav_fg.vision import ellipse_bias
 
@@ -58,6 +58,18 @@ def test_an_unknown_family_is_one_line(capsys):
     error = capsys.readouterr().err
     assert "rim_flour" in error
     assert "rim_floor" in error
+
+
+@pytest.mark.parametrize("name", ON_REAL_GROUND)
+def test_what_is_measured_on_real_ground_asks_for_its_folder(name, tmp_path, capsys):
+    for given, says in (
+        ([], f"{name}: expected the folder"),
+        ([str(tmp_path / "none")], "lu1319381.parquet: "),
+    ):
+        assert main([name, *given]) == 2
+        error = capsys.readouterr().err
+        assert says in error
+        assert error.count("\n") == 1
 
 
 # Of the same rendered images: one process renders them once.

@@ -26,7 +26,7 @@ def annotated(tmp_path_factory):
 
 
 def test_sizes_and_wear_are_told_and_nothing_is_nan(annotated):
-    done = call("bench", "detect-real", "--annotated", annotated, "--json")
+    done = call("bench", "detect-real", "--data", annotated, "--json")
     assert done.code == 0, done.err
     result = json.loads(done.out, parse_constant=pytest.fail)
     sizes = {(row["method"], row["min_radius_px"]): row for row in result["by_size"]}

@@ -68,11 +68,15 @@ UNIT = re.compile(r"-(px|m|km|deg|percent|m3-s2|m-s2-sqrt-hz)$")
 
 def test_an_option_is_of_one_kind_in_all_commands() -> None:
     kinds: dict[str, set[str]] = {}
+    defaults = set()
     for command in COMMANDS.values():
         for parameter in command.params:
             kind = re.sub(r"typing|class|list|None|[^A-Za-z]", "", str(parameter.type_descriptor.annotation))
             kinds.setdefault(max(parameter.opts, key=len), set()).add(kind)
+            if parameter.name == "workers":
+                defaults.add((parameter.default, parameter.show_default))
     assert kinds["--workers"] == {"int"}
+    assert defaults == {(None, "one per core")}
     assert {name: found for name, found in kinds.items() if name.startswith("--") and len(found) > 1} == {}
 
 

@@ -116,7 +116,7 @@ def test_what_is_written_beside_a_result_is_replaced_by_force_alone(
         ),
         *(
             (["catalog", "refine", "a.csv", source, "x", *given], f"{given[0]}: does nothing without --dem")
-            for source in ("--images", "--posed-images")
+            for source in ("--run", "--posed-images")
             for given in (
                 # Also the default, which would be as misleading.
                 ["--dem-unit-m", "1"], ["--min-diameter-steps", "9"], ["--resolution-steps", "2"],
@@ -130,6 +130,16 @@ def test_what_is_written_beside_a_result_is_replaced_by_force_alone(
         ),
         (["bench", "scaling", "--full"], "--full: does nothing for bench scaling"),
         (["bench", "--data", "x"], "--data: does nothing for bench speed"),
+        *(
+            (
+                ["reconstruct", "--print-config", *given],
+                f"{given[0]}: does nothing with --print-config, which prints the defaults",
+            )
+            for given in (
+                ["data"], ["--config", "a.toml"], ["--output", "run"], ["--without", "sun"], ["--overlays"],
+                ["--overlay-every", "2"], ["--force"], ["--json"],
+            )
+        ),
     ],
 )  # fmt: skip
 def test_an_option_that_would_do_nothing_is_refused(
@@ -214,8 +224,6 @@ def test_measured_rims_in_place_of_images(tmp_path: Path) -> None:
         (("compare", "nowhere"), "nowhere: folder is missing"),
         (("report", "nowhere"), "nowhere: folder is missing"),
         (("reconstruct", "DATA", "--without", "altimeter"), "has no sensor 'altimeter'"),
-        (("reconstruct", "DATA", "--rims", "ellipse"), "--rims: expected one of chart"),
-        (("reconstruct", "DATA", "--rims", "los", "-e", "ekf"), "--rims: expected a smoother among"),
     ],
 )
 def test_what_was_meant(data: Path, tmp_path: Path, arguments: tuple[str, ...], says: str) -> None:

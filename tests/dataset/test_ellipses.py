@@ -21,7 +21,7 @@ ELLIPSES = np.array(
 def test_detected_ellipses_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "new" / "rims.csv"
     tables.write_detected_ellipses(path, ELLIPSES, np.ones(3, dtype=bool), "image, 1.png")
-    assert_allclose(tables.read_ellipses(path, CAMERA), ELLIPSES, atol=1e-3)
+    assert_allclose(tables.read_detected_ellipses(path, CAMERA)[0], ELLIPSES, atol=1e-3)
     with path.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert {row["inputImage"] for row in rows} == {"image, 1.png"}
@@ -52,18 +52,18 @@ def test_rims_that_an_oblique_view_aligns_are_not_in_radians(tmp_path: Path) -> 
     """An image of the horizon's direction along x: all major axes are within 3 deg of it."""
     aligned = np.array([[20.0 * k, 50.0, 12.0, 6.0, np.radians(k - 3.5)] for k in range(1, 7)])
     tables.write_matched_ellipses(tmp_path / "oblique.csv", aligned, list("ABCDEF"))
-    assert_allclose(tables.read_ellipses(tmp_path / "oblique.csv", CAMERA), aligned, atol=1e-4)
+    assert_allclose(tables.read_detected_ellipses(tmp_path / "oblique.csv", CAMERA)[0], aligned, atol=1e-4)
     aligned[:, 3] = 10.0
     tables.write_matched_ellipses(tmp_path / "nadir.csv", aligned, list("ABCDEF"))
     with pytest.raises(InputError, match="they are in radians"):
-        tables.read_ellipses(tmp_path / "nadir.csv", CAMERA)
+        tables.read_detected_ellipses(tmp_path / "nadir.csv", CAMERA)[0]
 
 
 def test_tables_without_ellipses_are_read_but_not_without_matches(tmp_path: Path) -> None:
     tables.write_detected_ellipses(
         tmp_path / "none.csv", np.empty((0, 5)), np.empty(0, dtype=bool), "dark.png"
     )
-    assert tables.read_ellipses(tmp_path / "none.csv", CAMERA).shape == (0, 5)
+    assert tables.read_detected_ellipses(tmp_path / "none.csv", CAMERA)[0].shape == (0, 5)
     tables.write_matched_ellipses(tmp_path / "unmatched.csv", ELLIPSES, [None] * 3)
     with pytest.raises(InputError, match=r"unmatched\.csv: expected at least one rim"):
         tables.read_matched_ellipses(tmp_path / "unmatched.csv", CAMERA)

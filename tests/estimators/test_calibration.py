@@ -10,9 +10,8 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
 from craternav_fg.estimators.calibration import Calibration
-from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.evaluation.residuals import rim_residuals
 from craternav_fg.simulation.scenario_tables import FaultsSection
@@ -26,7 +25,7 @@ MOUNTING_SIGMA_RAD = np.radians(MOUNTING_DEG) / np.sqrt(3.0)
 
 
 def smooth(p: Problem, calibration: Calibration) -> Trajectory:
-    return BatchSmoother(GraphOptions(calibration=calibration)).estimate(p)
+    return BatchSmoother(BatchOptions(calibration=calibration)).estimate(p)
 
 
 def interval(dof: int) -> tuple[float, float]:
@@ -162,4 +161,4 @@ def test_refusals_name_the_field(field: str, value: float) -> None:
 @pytest.mark.parametrize("field", ["map_place_sigma", "focal_sigma"])
 def test_only_charts_have_errors_of_map_and_intrinsics(field: str) -> None:
     with pytest.raises(EstimationError, match="need rims='chart', found 'eq19'"):
-        GraphOptions(rims="eq19", calibration=Calibration(**{field: 0.01}))
+        BatchOptions(rims="eq19", calibration=Calibration(**{field: 0.01}))

@@ -16,7 +16,14 @@ from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import correlated_errors, incremental
 from craternav_fg.estimators.base import Estimator, Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
+from craternav_fg.estimators.batch import (
+    FINAL_LM,
+    BatchOptions,
+    BatchSmoother,
+    _solved_for,
+    build_graph,
+    trajectory,
+)
 from craternav_fg.estimators.correlated_errors import (
     ERROR_LETTER,
     PLACE_SIZE,
@@ -35,6 +42,7 @@ from craternav_fg.estimators.graph import FactorGraph, GraphOptions, RimVariable
 from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
+from craternav_fg.estimators.rim_models import RIM_MODELS
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.metrics import errors, nees
@@ -92,7 +100,7 @@ def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) ->
     return float(np.mean(values))
 
 
-KNOWING = GraphOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.02))
+KNOWING = BatchOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.02))
 
 
 @pytest.mark.parametrize("estimator", [BatchSmoother(KNOWING), OnlineSmoother(KNOWING)])
@@ -436,10 +444,19 @@ def test_errors_of_a_track_have_the_correlation_of_the_model(step: float, atol: 
         assert_allclose(found[PLACE_SIZE:], [of_others] * (5 - PLACE_SIZE), atol=atol)
 
 
-@pytest.mark.parametrize("wrong", [{"freedom": 0.0}, {"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])
+@pytest.mark.parametrize("wrong", [{"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])
 def test_options_without_meaning(wrong: dict[str, float]) -> None:
     with pytest.raises(EstimationError, match=next(iter(wrong))):
         RimErrorOptions(**wrong)
+
+
+def test_only_graphs_with_variables_for_errors_of_rims_use_cholesky(
+    trials: list[tuple[Problem, Trajectory]],
+) -> None:
+    p, _ = trials[0]
+    assert p.frames[0].rims.correlated is not None
+    used = {rims: _solved_for(FINAL_LM, p, BatchOptions(rims=rims)).cholesky for rims in RIM_MODELS}
+    assert used == {rims: rims == "chart" for rims in RIM_MODELS}
 
 
 def test_round_trip(tmp_path: Path, trials: list[tuple[Problem, Trajectory]]) -> None:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from craternav_fg import frames
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper
@@ -173,6 +174,23 @@ def test_whitened_rows_have_unit_noise(world, problem):
             samples.append(r)
         squared = np.sum(np.array(samples) ** 2, axis=2)
         assert squared.mean() == pytest.approx(5.0, abs=5 * np.sqrt(10.0 / squared.size))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"measurement": "implicit"}, "measurement: expected one of chart, .*, found 'implicit'"),
+        ({"noise": "own"}, "noise: expected one of measured, fixed, found 'own'"),
+        ({"fusion": "mean"}, "fusion: expected one of paper, .*, found 'mean'"),
+        ({"iterations": 0}, "iterations: expected 1 or more, found 0"),
+        ({"limit_sigmas": 0.0}, "limit_sigmas: expected a positive number"),
+        ({"gate_sigmas": float("nan")}, "gate_sigmas: expected a positive number"),
+        ({"variance_inflation": 0.0}, "variance_inflation: expected a positive number"),
+    ],
+)
+def test_wrong_options_are_refused(wrong, says):
+    with pytest.raises(EstimationError, match=says):
+        EkfOptions(**wrong)
 
 
 def test_sun_residual_is_wrapped(problem):

@@ -8,15 +8,14 @@ from numpy.testing import assert_allclose
 
 from craternav_fg.bench.problems import tracked
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.elimination import CholeskyOrder
-from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.motion import longest_interval_s
 
-CASES = {"errors of rims": GraphOptions(), "states alone": GraphOptions(rim_errors=None)}
+CASES = {"errors of rims": BatchOptions(), "states alone": BatchOptions(rim_errors=None)}
 
 
 @pytest.fixture(scope="module")

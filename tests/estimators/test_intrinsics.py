@@ -11,9 +11,8 @@ from craternav_fg.ellipse import pixel_chart, points_and_normals, points_on
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph, trajectory
 from craternav_fg.estimators.calibration import Calibration
-from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.intrinsics import intrinsic_slopes
 from craternav_fg.estimators.motion import longest_interval_s
@@ -101,7 +100,7 @@ def test_intrinsics_are_estimated_along_with_an_orbit(data):
     frames = _through(data, true)
     problem = make_problem(Descent.of(data), frames)
     options = Calibration(focal_sigma=3e-3, principal_point_sigma_px=4.0, radial_sigma=1e-3)
-    found = BatchSmoother(GraphOptions(calibration=options)).estimate(problem)
+    found = BatchSmoother(BatchOptions(calibration=options)).estimate(problem)
     values, sigmas = found.calibrated.intrinsics
     assert np.all(np.abs(values - true) < 3.5 * sigmas)
     # The focal length is as uncertain as the altitude; the distortion is seen well.
@@ -137,7 +136,7 @@ def test_arcs_and_tracked_points_of_another_lens_do_no_harm(kind, tmp_path):
         else:
             seen = _with(camera, true).pixels(camera.normalised(data.features.points_px))
             problem = replace(problem, features=replace(data.features, points_px=seen))
-        found = BatchSmoother(GraphOptions(calibration=options)).estimate(problem)
+        found = BatchSmoother(BatchOptions(calibration=options)).estimate(problem)
         consistency.append(np.mean(nees(errors(found, data.truth).pose, found.pose_covariance)))
     low, high = mean_interval(6, trials)
     assert low < np.mean(consistency) < high
@@ -158,7 +157,7 @@ def _with_arcs(frame: FrameMeasurement, camera: Camera, rng: np.random.Generator
 
 def test_one_of_them_alone(data):
     problem = make_problem(Descent.of(data), data.measurements)
-    found = BatchSmoother(GraphOptions(calibration=Calibration(radial_sigma=1e-3))).estimate(problem)
+    found = BatchSmoother(BatchOptions(calibration=Calibration(radial_sigma=1e-3))).estimate(problem)
     values, sigmas = found.calibrated.intrinsics
     assert np.all(values[:3] == 0.0)
     assert np.all(sigmas[:3] == 0.0)
@@ -173,7 +172,7 @@ def test_an_orbit_reaches_the_bound_with_and_without_intrinsics(known, tmp_path)
     """The bound is the covariance of the graph that is linearised at the truth."""
     rng, trials = np.random.default_rng(1), 20
     sigmas = np.zeros(4) if known else np.array([3e-3, 2.0, 2.0, 1e-3])
-    options = GraphOptions(
+    options = BatchOptions(
         calibration=Calibration(
             focal_sigma=sigmas[0], principal_point_sigma_px=sigmas[1], radial_sigma=sigmas[3]
         )
@@ -194,7 +193,7 @@ def test_an_orbit_reaches_the_bound_with_and_without_intrinsics(known, tmp_path)
     assert np.mean(np.sqrt(np.mean(ratios2, axis=0))) < 1.1
 
 
-def _at_truth(problem: Problem, options: GraphOptions, truth: Trajectory) -> np.ndarray:
+def _at_truth(problem: Problem, options: BatchOptions, truth: Trajectory) -> np.ndarray:
     """Pose covariances (k, 6, 6) of the graph at the true states."""
     states = [
         replace(filter_state.prior(problem), gTb=gTb, gV=gV, bias=bias)

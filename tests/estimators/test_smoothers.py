@@ -15,7 +15,8 @@ from craternav_fg import frames
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchSmoother, build_graph, optimum
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph, optimum
+from craternav_fg.estimators.correlated_errors import RimErrorOptions
 from craternav_fg.estimators.ekf.filter import DistributedEkf
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.gnc import GncOptions
@@ -132,7 +133,7 @@ def test_covariance_is_the_inverse_of_the_dense_information(trials: list[tuple[P
     p, _ = trials[1]
     short = dataclasses.replace(p, frames=p.frames[:3])
     values = OnlineSmoother().run(short).smoothed_values()
-    graph = build_graph(short, GraphOptions(), values)
+    graph = build_graph(short, BatchOptions(), values)
     result = levenberg_marquardt(graph, values)
     found = Marginals(graph, result.values).covariances([int(X(1))])[X(1)]
     ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
@@ -173,7 +174,7 @@ def test_steps_that_shrink_before_a_wall_have_not_converged() -> None:
 def test_gauss_newton_reaches_what_levenberg_marquardt_does(trials: list[tuple[Problem, Trajectory]]) -> None:
     p, _ = trials[0]
     start = OnlineSmoother().run(p).smoothed_values()
-    graph = build_graph(p, GraphOptions(), start)
+    graph = build_graph(p, BatchOptions(), start)
     ours, reference = gauss_newton(graph, start), levenberg_marquardt(graph, start)
     assert ours.converged
     assert_allclose(ours.error, reference.error, rtol=1e-6)
@@ -191,7 +192,7 @@ def test_a_step_that_does_as_predicted_is_the_last(
     start = OnlineSmoother().run(p).smoothed_values()
     for n in range(len(p.frames)):
         start.update(X(n), start.atPose3(X(n)).retract(np.array([1e-3, -1e-3, 2e-3, 30.0, -40.0, 50.0])))
-    graph = build_graph(p, GraphOptions(), start)
+    graph = build_graph(p, BatchOptions(), start)
     options = LmOptions(relative_tolerance=tolerance)
     ours = levenberg_marquardt(graph, start, options)
     monkeypatch.setattr("craternav_fg.estimators.optimise.MAX_LAST_SHARE", 0.0)
@@ -230,7 +231,7 @@ def test_a_start_that_sees_no_crater_is_no_result(trials: list[tuple[Problem, Tr
         if gtsam.Symbol(key).chr() == ord("x"):
             away.update(key, away.atPose3(key).compose(back))
     with pytest.raises(EstimationError, match=r"convergence.*(out of sight|contradict)"):
-        optimum(p, GraphOptions(), away)
+        optimum(p, BatchOptions(), away)
 
 
 @pytest.mark.parametrize(
@@ -238,6 +239,12 @@ def test_a_start_that_sees_no_crater_is_no_result(trials: list[tuple[Problem, Tr
     [
         (lambda: GraphOptions(rims="conic"), "rims: expected one of chart, .*, found 'conic'"),  # type: ignore[arg-type]
         (lambda: GraphOptions(keyframe_s=0.0), "keyframe_s: expected a positive"),
+        (lambda: GraphOptions(variance_inflation=0.0), "variance_inflation: expected a positive"),
+        (
+            lambda: GraphOptions(rims="los", rim_errors=RimErrorOptions(decay=0.5)),
+            "rim_errors: variables for them need rims='chart', found 'los'",
+        ),
+        (lambda: BatchOptions(crater_freedom=0.0), "crater_freedom: expected a positive"),
         (lambda: LmOptions(first_damping=0.0), "first_damping: expected a positive"),
         (lambda: LmOptions(max_iterations=0), "max_iterations: expected at least 1"),
         (lambda: GncOptions(inlier_probability=1.5), "inlier_probability: expected"),

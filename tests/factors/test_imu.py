@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.checking import numerical_jacobian
 from factors.errors import FactorError
-from factors.imu import imu_factor, preintegrate
+from factors.imu import imu_factor, integrate, parameters
 from factors.imu_noise import ImuNoise
 from tests.factors.conftest import MOON
 
@@ -76,9 +76,8 @@ def test_600_s_against_dop853() -> None:
     for k in range(600):
         gyro, force = interval_means(float(k), RATE_HZ)
         midpoint = state.position() + 0.5 * state.velocity()
-        pim = preintegrate(
-            NOISE, SPIN, MOON.gravity(midpoint), np.full(RATE_HZ, 1 / RATE_HZ), gyro, force, np.zeros(6)
-        )
+        params = parameters(NOISE, SPIN, MOON.gravity(midpoint))
+        pim = integrate(params, np.full(RATE_HZ, 1 / RATE_HZ), gyro, force, np.zeros(6))
         state = pim.predict(state, bias)
     turn = Rotation.from_matrix(state.attitude().matrix()).inv() * attitude[-1]
     assert np.linalg.norm(state.position() - position[-1]) < 0.5
@@ -87,15 +86,8 @@ def test_600_s_against_dop853() -> None:
 
 def one_interval(rows: int = 50) -> gtsam.PreintegratedCombinedMeasurements:
     gyro, force = interval_means(3.0, rows)
-    return preintegrate(
-        NOISE,
-        SPIN,
-        MOON.gravity(np.array([1.79e6, 0, 0])),
-        np.full(rows, 0.01),
-        gyro,
-        force,
-        np.full(6, 1e-4),
-    )
+    params = parameters(NOISE, SPIN, MOON.gravity(np.array([1.79e6, 0, 0])))
+    return integrate(params, np.full(rows, 0.01), gyro, force, np.full(6, 1e-4))
 
 
 def test_jacobians() -> None:
@@ -144,14 +136,13 @@ def test_covariance_grows_as_the_densities_say() -> None:
 )
 def test_bad_rows_are_refused(change: dict[str, np.ndarray], message: str) -> None:
     arguments = {
-        "gravity": np.zeros(3),
         "dt_s": np.full(2, 0.01),
         "gyro": np.zeros((2, 3)),
         "accelerometer": np.zeros((2, 3)),
         "bias": np.zeros(6),
     } | change
     with pytest.raises(FactorError, match=message):
-        preintegrate(NOISE, SPIN, **arguments)
+        integrate(parameters(NOISE, SPIN, np.zeros(3)), **arguments)
 
 
 def test_a_bias_without_walk_is_refused() -> None:

@@ -13,7 +13,7 @@ from factors.crater_centre import crater_centre_factor
 from factors.crater_los import crater_los_factor
 from factors.errors import FactorError
 from factors.implicit_shape import implicit_shape_factor
-from factors.imu import imu_factor, preintegrate
+from factors.imu import imu_factor, integrate, parameters
 from factors.imu_noise import ImuNoise
 from factors.rim_points import rim_points_factor
 from factors.sun_tilt import sun_tilt_factor
@@ -33,7 +33,8 @@ DENSITIES = {name: np.array(1e-4) for name in ImuNoise.__dataclass_fields__}
 def imu(key: int, **arguments: Any) -> gtsam.CombinedImuFactor:
     """IMU factor from an interval of which every field, of the noise too, is given by name."""
     noise = ImuNoise(**{name: arguments.pop(name) for name in DENSITIES})
-    return imu_factor([key, V(0), X(1), V(1), B(0), B(1)], preintegrate(noise, **arguments))
+    params = parameters(noise, arguments.pop("spin"), arguments.pop("gravity"))
+    return imu_factor([key, V(0), X(1), V(1), B(0), B(1)], integrate(params, **arguments))
 
 
 GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {

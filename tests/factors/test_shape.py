@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from factors.kernels import conic, shape
+from tests.factors.conics import conic_to_chart
 
 BODY_TO_CAMERA = np.eye(4)
 BODY_TO_CAMERA[:3, :3] = Rotation.from_euler("zyx", [0.4, -0.3, 2.8]).as_matrix()
@@ -180,7 +181,7 @@ def test_whitened_it_carries_the_information_of_the_chart():
     for _ in range(20):
         gTb, _, gL, gRl, axes_m, q = view(rng, 0.6, 30e3, (2300.0, 1300.0))
         gTc = gTb @ BODY_TO_CAMERA
-        y = conic.conic_to_chart(q)
+        y = conic_to_chart(q)
         S_y = np.diag([1e-4, 1.2e-4, 3e-3, 4e-3, 3e-3]) ** 2
         axes = (gRl[:, :2] * axes_m).T
         predicted, J, _ = conic.chart_jacobian(

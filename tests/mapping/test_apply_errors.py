@@ -13,9 +13,8 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
-from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
 from craternav_fg.estimators.calibration import Calibration, map_sigmas
-from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.mapping.apply_errors import RunOutcome, apply_errors
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_tables import FaultsSection
@@ -37,7 +36,7 @@ def trials(tmp_path_factory):
     for trial in range(TRIALS):
         p, _ = problem(folder, scenario(duration_s=60.0, faults=FAULTS), trial)
         right, _ = problem(folder, scenario(duration_s=60.0), trial)
-        found = BatchSmoother(GraphOptions(calibration=calibration)).estimate(p).calibrated
+        found = BatchSmoother(BatchOptions(calibration=calibration)).estimate(p).calibrated
         out.append((p.catalog, right.catalog, found.map_errors))
     return out
 
@@ -166,7 +165,7 @@ def test_the_command(tmp_path):
     assert call("reconstruct", folder, "-o", run, *options).code == 0
     map_of, better = tmp_path / "map.parquet", tmp_path / "better.parquet"
     write_parquet(map_of, data.catalog)
-    result = call("catalog", "refine", map_of, "--images", run, "-o", better, "--json")
+    result = call("catalog", "refine", map_of, "--run", run, "-o", better, "--json")
     assert result.code == 0, result.err
     values = json.loads(result.out)
     assert values["outcomes"] == {"refined": len(data.catalog)}
@@ -174,15 +173,15 @@ def test_the_command(tmp_path):
     assert refined.errors is not None
     assert np.abs(refined.height_m - data.catalog.height_m).max() > 1.0
     # Once more from the same run would correct twice.
-    again = call("catalog", "refine", better, "--images", run, "-o", tmp_path / "x.parquet")
+    again = call("catalog", "refine", better, "--run", run, "-o", tmp_path / "x.parquet")
     assert again.code == 2
     assert "expected the same" in again.err
     both = call("catalog", "refine", map_of, "-o", tmp_path / "x.parquet")
     assert both.code == 2
-    assert "expected one of --dem, --images and --posed-images" in both.err
+    assert "expected one of --dem, --run and --posed-images" in both.err
     metrics = json.loads((run / "metrics.json").read_text())
     del metrics["estimators"]["map_refining_smoother"]["calibrated"]
     (run / "metrics.json").write_text(json.dumps(metrics))
-    without = call("catalog", "refine", map_of, "--images", run, "-o", tmp_path / "x.parquet")
+    without = call("catalog", "refine", map_of, "--run", run, "-o", tmp_path / "x.parquet")
     assert without.code == 2
     assert "reconstruct with -e map_refining_smoother" in without.err

@@ -189,7 +189,7 @@ def test_the_command(flight, published, corrected, tmp_path):
     np.testing.assert_allclose(written.centres, corrected[0].catalog.centres[rows], atol=0.01)
     both = call("catalog", "refine", map_of, "--dem", map_of, "--posed-images", flight.path)
     assert both.code == 2
-    assert "expected one of --dem, --images and --posed-images" in both.err
+    assert "expected one of --dem, --run and --posed-images" in both.err
 
 
 @pytest.mark.slow

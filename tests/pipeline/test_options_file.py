@@ -82,6 +82,7 @@ def test_the_options_of_estimators_arrive(tmp_path: Path) -> None:
 rims = "los"
 rim_errors = "none"
 loss.kind = "cauchy"
+crater_freedom = "none"
 calibration.time_offset_sigma_s = 0.02
 [estimators.gnc_smoother]
 growth = 2
@@ -96,6 +97,7 @@ lag_s = 12
     )
     smoother = file.estimator("smoother").options
     assert (smoother.rims, smoother.rim_errors, smoother.loss.kind) == ("los", None, robust.CAUCHY)
+    assert smoother.crater_freedom is None
     assert smoother.calibration.time_offset_sigma_s == 0.02
     gnc = file.estimator("gnc_smoother").options
     assert (gnc.growth, gnc.graph.keyframe_s) == (2.0, 0.5)
@@ -122,6 +124,18 @@ lag_s = 12
         ("[estimators.smoother]\nkeyframe_s = 0", 2, "estimators.smoother.keyframe_s", "positive"),
         ("[estimators.smoother.loss]\nkind = 1", 2, "estimators.smoother.loss.kind", "none, huber"),
         ("[estimators.smoother.loss]\nscale = 0", 2, "estimators.smoother.loss.scale", "positive"),
+        ("[estimators.ekf]\niterations = 0", 2, "estimators.ekf.iterations", "expected 1 or more, found 0"),
+        ("[estimators.online]\ncrater_freedom = 3.0", 2, "estimators.online.crater_freedom", "unknown key"),
+        ("[estimators.fixed_lag.calibration]", 1, "estimators.fixed_lag.calibration", "unknown key"),
+        (
+            "[estimators.gnc_smoother.graph]\ncalibration = 1", 2,
+            "estimators.gnc_smoother.graph.calibration", "unknown key",
+        ),
+        (
+            "[estimators.smoother_los]\ncrater_freedom = 3", 2, "estimators.smoother_los.crater_freedom",
+            "needs rims='chart'",
+        ),
+        ("[estimators.online_los.rim_errors]\ndecay = 1", 1, "estimators.online_los.rim_errors", "'chart'"),
         ("[estimators.dead_reckoning]\nlag_s = 3", 2, "estimators.dead_reckoning.lag_s", "has no options"),
         ("[estimators.fixed_lag]\nlag_s = 'long'", 2, "estimators.fixed_lag.lag_s", "found 'long'"),
         ("[estimators]\nsmoother = 1", 2, "estimators.smoother", "expected a table"),

@@ -78,7 +78,6 @@ def test_the_bound_is_that_of_the_edge_points() -> None:
     )
     assert bound.observability.rank == 6
     assert bound.position_rms_m == pytest.approx(np.sqrt(np.trace(expected[3:, 3:])), rel=1e-3)
-    assert bound.attitude_rms_rad == pytest.approx(np.sqrt(np.trace(expected[:3, :3])), rel=1e-3)
 
 
 @pytest.mark.parametrize(

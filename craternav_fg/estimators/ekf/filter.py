@@ -2,11 +2,12 @@
 
 import itertools
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.correlated_errors import VARIANCE_INFLATION
@@ -22,7 +23,7 @@ from craternav_fg.estimators.linearisation import (
     linearise_sun,
 )
 from craternav_fg.estimators.measurement_weighting import noise_inflation, with_predicted_covariances
-from craternav_fg.estimators.rim_models import RimModel
+from craternav_fg.estimators.rim_models import RIM_MODELS, RimModel
 from craternav_fg.estimators.sensor_bank import SensorBank, innovation_weight, linearise_sample
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
@@ -30,6 +31,8 @@ from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
 Fusion = Literal["paper", "paper-fed-back", "exact", "covariance-intersection"]
+NOISE_MODELS: tuple[NoiseModel, ...] = get_args(NoiseModel)
+FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,18 @@ class EkfOptions:
     limit_sigmas: float | None = 4.5
     gate_sigmas: float | None = 10.0
     variance_inflation: float = VARIANCE_INFLATION
+
+    def __post_init__(self) -> None:
+        for name, known in (("measurement", RIM_MODELS), ("noise", NOISE_MODELS), ("fusion", FUSIONS)):
+            value = getattr(self, name)
+            if value not in known:
+                raise EstimationError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+        if self.iterations < 1:
+            raise EstimationError(f"iterations: expected 1 or more, found {self.iterations}")
+        for name in ("limit_sigmas", "gate_sigmas", "variance_inflation"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise EstimationError(f"{name}: expected a positive number, found {value}")
 
 
 @dataclass(frozen=True)

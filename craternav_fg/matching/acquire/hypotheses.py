@@ -16,7 +16,6 @@ from factors.kernels import rim_poses
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Numbers of rims, those that agree best, by which a pose is estimated in the rounds of its expansion: few
 # while the pose is uncertain, then all.

@@ -144,13 +144,12 @@ def acquire(
     prior = Prior(
         np.ascontiguousarray(gTb, dtype=np.float64), np.ascontiguousarray(pose_covariance, dtype=np.float64)
     )
-    rows, contrasts = _craters_in_reach(camera, catalog, prior, sun_g, options)
-    if len(rows) < 2:
+    if len(_craters_in_reach(camera, catalog, prior, sun_g, options)[0]) < 2:
         return None
     # The pose only guides a detector: rims of an interpolated, undistorted image are accurate enough.
     straight = undistorted(on_8_bit_scale(image, camera), camera)
     rims = detect_rims(straight, camera.pinhole, options.detect)
-    return _acquisition(camera.pinhole, catalog, rows, contrasts, rims, prior, options)
+    return acquire_from_rims(rims, camera.pinhole, catalog, gTb, pose_covariance, sun_g, options)
 
 
 def acquire_from_rims(
@@ -189,14 +188,6 @@ def acquire_from_rims(
         np.ascontiguousarray(gTb, dtype=np.float64), np.ascontiguousarray(pose_covariance, dtype=np.float64)
     )
     rows, contrasts = _craters_in_reach(camera, catalog, prior, sun_g, options)
-    return _acquisition(camera, catalog, rows, contrasts, rims, prior, options)
-
-
-def _acquisition(
-    camera: Camera, catalog: Catalog, rows: IntArray, contrasts: FloatArray, rims: DetectedRims, prior: Prior,
-    options: AcquireOptions,
-) -> Acquisition | None:  # fmt: skip
-    """Search, and give what was found for the body."""
     if len(rows) < 2 or len(rims) < 2:
         return None
     craters = Craters(

@@ -17,7 +17,6 @@ from craternav_fg.matching.identify.view import View
 from factors.kernels.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
 SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14, 17, 20

@@ -34,7 +34,6 @@ from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
 __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
 # Images with at least so many rims determine the vertical well: one estimate is used, and all noise levels

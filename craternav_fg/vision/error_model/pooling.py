@@ -24,23 +24,11 @@ FloatArray = npt.NDArray[np.float64]
 # Weight, in frames, of the mean covariance of a frame's rims in the pool of a crater that is new: one frame
 # determines that of a single rim poorly. Chosen, see `craternav_fg.calibration.pooling`.
 PRIOR_FRAMES = 2.0
-
-
-@dataclass(frozen=True)
-class PoolingOptions:
-    """Which rims get pooled covariances.
-
-    Attributes
-    ----------
-    min_outline_share : float
-        Rims are pooled in frames whose median rim deviates by more than this from an ellipse, in radii.
-    memory : float
-        Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e. Fitted by
-        `craternav_fg.calibration.pooling`.
-    """
-
-    min_outline_share: float = 0.003
-    memory: float = 1.0
+# Rims are pooled in frames whose median rim deviates by more than this from an ellipse, in radii.
+MIN_OUTLINE_SHARE = 0.003
+# Change of a rim's image (`ellipse.shape_change`) over which a frame's weight falls to 1/e. Fitted by
+# `craternav_fg.calibration.pooling`.
+MEMORY = 1.0
 
 
 @dataclass(frozen=True)
@@ -63,13 +51,11 @@ class PooledErrors:
     ----------
     camera : Camera
     catalog : Catalog
-    options : PoolingOptions, optional
     """
 
-    def __init__(self, camera: Camera, catalog: Catalog, options: PoolingOptions = PoolingOptions()) -> None:
+    def __init__(self, camera: Camera, catalog: Catalog) -> None:
         self._camera = camera
         self._catalog = catalog
-        self._options = options
         self._pools: dict[int, _Pool] = {}
 
     def pool(self, rims: RimSet, gTb: FloatArray) -> RimSet:
@@ -93,7 +79,7 @@ class PooledErrors:
         quality = rims.quality
         if rims.correlated is None or quality is None or len(rims) == 0:
             return rims
-        if np.median(quality.outline_share) <= self._options.min_outline_share:
+        if np.median(quality.outline_share) <= MIN_OUTLINE_SHARE:
             return rims
         slopes = in_plane_slopes(rims.craters, gTb, self._camera, self._catalog)
         inverse = np.linalg.inv(slopes)
@@ -125,7 +111,7 @@ class PooledErrors:
         before = self._pools.get(crater)
         if before is None:
             return _Pool(1.0 + PRIOR_FRAMES, prior + own, chart)
-        decay = np.exp(-float(shape_change(before.chart, chart)) / self._options.memory)
+        decay = np.exp(-float(shape_change(before.chart, chart)) / MEMORY)
         return _Pool(1.0 + decay * before.weight, decay * before.covariances + own, chart)
 
 
