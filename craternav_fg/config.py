@@ -186,7 +186,8 @@ def read_text(path: Path) -> str:
         When it cannot be opened, see `craternav_fg.files.open_input`, or is not UTF-8.
     """
     try:
-        return read_bytes(path, SizeLimit.SETTINGS).decode("utf-8")
+        # Windows' editors put a byte order mark before the text.
+        return read_bytes(path, SizeLimit.SETTINGS).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(path, f"expected a text file in UTF-8: {error.reason}") from None
 
