@@ -35,8 +35,8 @@ Quaternion = Annotated[tuple[float, float, float, float], AfterValidator(_not_ze
 Positive = Annotated[float, Field(gt=0.0)]
 M = TypeVar("M", bound="Section")
 
-# Newton's constant, m^3/kg/s^2 (CODATA 2018), and mean densities of bodies, kg/m^3: a porous comet has 500, iron
-# has 8000. Room for a sphere of reference that is not the mean one.
+# Newton's constant (CODATA 2018), and mean densities of bodies: a porous comet has 500 kg/m^3, iron has 8000.
+# Room for a sphere of reference that is not the mean one.
 _NEWTON_M3_KG_S2 = 6.6743e-11
 _DENSITIES_KG_M3 = (100.0, 30_000.0)
 # Minimum and maximum size of a number in settings.
@@ -80,8 +80,8 @@ class BodySection(Section):
         density = mu_m3_s2 / _NEWTON_M3_KG_S2 / (4.0 / 3.0 * math.pi * radius_m * radius_m * radius_m)
         if not low <= density <= high:
             raise ValueError(
-                f"expected a mean density of {low:g} to {high:g} kg/m^3, found {density:.3g} with a radius of "
-                f"{radius_m:g} m: is it in km^3/s^2, or of another body?"
+                f"expected a mean density of {low:g} to {high:g} kg/m^3, found {density:.3g} with a radius "
+                f"of {radius_m:g} m: is it in km^3/s^2, or of another body?"
             )
         return mu_m3_s2
 
