@@ -71,6 +71,12 @@ def problem(tmp_path: Path, text: str) -> str:
     return str(caught.value).removeprefix(str(path))
 
 
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(PILE, encoding="utf-8-sig")
+    assert load_toml(path, Plan).name == "a"
+
+
 def test_nested_unions_are_read(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(PILE, encoding="utf-8")

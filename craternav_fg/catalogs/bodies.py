@@ -199,11 +199,11 @@ def resolve_body(path: Path, body: Body | None, stated: StatedBody | None) -> tu
             problem = f"is of {stated.name}, as {stated.by}, whose radius is not known: give --body-radius-m"
             raise InputError(path, problem, column=stated.column)
         return named_body(stated.name, stated.radius_m), stated.by
-    if stated.radius_m is None:
-        other = body.name != "" and body.name.strip().lower() != stated.name.lower()
-    else:
+    # Spheres of two bodies may be alike.
+    other = _named_otherwise(body.name, stated)
+    if stated.radius_m is not None:
         limit = _SAME_SPHERE if stated.exact else SAME_BODY
-        other = abs(stated.radius_m - body.radius_m) > limit * body.radius_m
+        other |= abs(stated.radius_m - body.radius_m) > limit * body.radius_m
     if other:
         ratio = 0.0 if stated.radius_m is None else stated.radius_m / body.radius_m
         hint = ": the radius given is in km" if abs(ratio - 1000.0) < 10.0 else ""
@@ -215,6 +215,20 @@ def resolve_body(path: Path, body: Body | None, stated: StatedBody | None) -> tu
             column=stated.column,
         )
     return body, "given"
+
+
+def _named_otherwise(name: str, stated: StatedBody) -> bool:
+    """Whether a file states another body than that of a name; names that share a word are of one."""
+    mine, theirs = _words(name), _words(stated.name)
+    if stated.column is None:
+        # Concluded from identifiers or a file's name: only a body that is known, too, is certainly another.
+        mine = {word for word in mine if word in SPHERES_M}
+    return bool(mine and theirs) and not mine & theirs
+
+
+def _words(name: str) -> set[str]:
+    """Words of a body's name; those of known bodies as `SPHERES_M` has them."""
+    return {_BY_NAME.get(word, word) for word in re.findall(r"[^\W\d_]+", name.lower())}
 
 
 def _only(path: Path, column: str, values: Sequence[Any]) -> Any:

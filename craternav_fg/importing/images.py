@@ -1,5 +1,6 @@
 """Grey images, plain or of PDS4 products, and their times: of a table or of the labels."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +17,8 @@ from craternav_fg.tables import Column, read_table
 FloatArray = npt.NDArray[np.float64]
 
 _COLUMNS = (Column("filename", "text"), Column("utc", "text"))
+# Decimals that datetime drops, of a time as it is written.
+_NANOSECONDS = re.compile(r"[.,]\d{6}(\d{1,3})")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -60,10 +63,16 @@ def read_times(path: Path) -> dict[str, int]:
         if name in out:
             table.fail(row, "filename", f"expected each name once, found {name!r} again")
         try:
-            out[name] = stamp_of(datetime.fromisoformat(utc))
+            out[name] = _stamp_of_text(utc)
         except ValueError:
             table.fail(row, "utc", f"expected a time as 1971-07-31T01:25:02.243, found {utc!r}")
     return out
+
+
+def _stamp_of_text(utc: str) -> int:
+    """Return the stamp, ns, of a time in ISO 8601; a `ValueError` for other text."""
+    below = _NANOSECONDS.search(utc)
+    return stamp_of(datetime.fromisoformat(utc)) + (int(f"{below[1]:0<3}") if below else 0)
 
 
 def stamps_of(images: Sequence[Path], times: Path | None) -> list[int]:

@@ -119,3 +119,25 @@ def test_the_real_dione():
     assert len(catalog) == report.rows == 73
     with pytest.raises(InputError, match=r"\(Moon\), found one of Dione on 561400 m, as its name says"):
         import_catalog(shared("dione_craters_km.csv"), MOON)
+
+
+def of_radius(radius_m, name):
+    return Body(name, radius_m, 1.0, (0.0, 0.0, 0.0))
+
+
+def test_another_body_of_the_same_radius_is_refused(tmp_path):
+    drawn = power_law_population(np.random.default_rng(1), of_radius(470e3, "Ceres"), 50, (400.0, 60e3))
+    write_catalog(tmp_path / "a.csv", drawn)
+    write_catalog(tmp_path / "a.parquet", drawn)
+    for path in (tmp_path / "a.csv", tmp_path / "a.parquet"):
+        with pytest.raises(InputError, match=r"470000 m \(Vesta\), found one of Ceres on 470000 m"):
+            read_catalog(path, of_radius(470e3, "Vesta"))
+        for same in ("ceres", "1 Ceres", ""):
+            assert len(read_catalog(path, of_radius(470e3, same))) == len(drawn)
+
+
+def test_a_body_that_identifiers_tell_may_have_a_name_of_another_language(tmp_path):
+    path = written(tmp_path, f"{ROBBINS}\n{ROWS}")
+    assert len(read_catalog(path, of_radius(1737400.0, "Mond"))) == 2
+    with pytest.raises(InputError, match=r"\(Mars\), found one of Moon"):
+        read_catalog(path, of_radius(1737400.0, "Mars"))

@@ -229,6 +229,14 @@ CASES = {
         edit(TOML, "attitude_wxyz = [", "attitude_wxyz = [1"),
         [f"{TOML}:12", "initial.attitude_wxyz", "unit quaternion"],
     ),
+    "gravity in cubic kilometres": (
+        edit(TOML, "mu_m3_s2 = 4902800118000.0", "mu_m3_s2 = 4902.800118"),
+        [f"{TOML}:6: body.mu_m3_s2", "100 to 30000 kg/m^3", "found 3.34e-06", "km^3/s^2"],
+    ),
+    "gravity of another body": (
+        edit(TOML, "mu_m3_s2 = 4902800118000.0", "mu_m3_s2 = 3.986e14"),
+        [f"{TOML}:6: body.mu_m3_s2", "found 2.72e+05", "of another body?"],
+    ),
     "position in kilometres": (
         edit(TOML, "position_m = [1750000.0", "position_m = [1750.0"),
         [f"{TOML}:11", "initial.position_m", "metres"],
@@ -301,6 +309,13 @@ def floats(table, name):
     return table.set_column(table.column_names.index(name), name, table[name].cast(pa.float32()))
 
 
+LISTS = pa.list_(pa.float64())
+
+
+def of_type(table, name, values, kind):
+    return table.set_column(table.column_names.index(name), name, pa.array(values, kind))
+
+
 def with_a_name_that_is_no_text(folder):
     """Spoil the last place that names a column: the metadata of its chunk."""
     path = folder.path / layout.RIMS
@@ -317,6 +332,14 @@ RIM_CASES = {
     "nan": (set_cell(1, "chart", [0.0, 0.0, np.nan, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "no number": (set_cell(1, "chart", [0.0, 0.0, None, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "no ellipse": (set_cell(1, "chart", [0.0, 0.0, 1e30, 0.0, 0.0]), [layout.RIMS, "row 2", "an ellipse"]),
+    "centre in pixels": (
+        spoiled(lambda rows: rows[1].update(chart=[40.0, 20.0, *rows[1]["chart"][2:]])),
+        [layout.RIMS, "chart", "row 2", "-0.443 to 0.454 by -0.354 to 0.321", "at 40, 20, in pixels?"],
+    ),
+    "rim outside the image": (
+        set_cell(1, "chart", [0.1, 0.5, -3.0, 0.0, -3.0]),
+        [layout.RIMS, "chart", "row 2", "found a rim at 0.1, 0.5"],
+    ),
     "no size": (set_cell(1, "chart", [0.0, 0.0, 1e308, 0.0, 0.0]), [layout.RIMS, "row 2", "finite"]),
     "covariance": (
         set_cell(1, "covariance", [0.0] * 25),
@@ -327,6 +350,18 @@ RIM_CASES = {
     "unknown column": (
         changed(lambda t: t.append_column("colour", pa.nulls(len(t)))),
         [layout.RIMS, "colour", "unknown"],
+    ),
+    "lists of another length": (
+        changed(lambda t: of_type(t, "chart", [*t["chart"].to_pylist()[:2], [0.0] * 4], LISTS)),
+        [layout.RIMS, "chart", "row 3", "expected 5 values, found 4"],
+    ),
+    "lists of texts": (
+        changed(lambda t: of_type(t, "chart", [["0"] * 5] * len(t), pa.list_(pa.string()))),
+        [layout.RIMS, "chart", "fixed_size_list", "found list<"],
+    ),
+    "arcs of half points": (
+        changed(lambda t: of_type(t, "points", [[[0.0]]] * len(t), pa.list_(LISTS)), layout.ARCS),
+        [layout.ARCS, "points", "other lengths"],
     ),
     "single precision": (changed(lambda t: floats(t, "rms_px")), [layout.RIMS, "rms_px", "double", "float"]),
     "part too large": (set_cell(1, "correlated", [1.0] * 25), [layout.RIMS, "row 2", "less than"]),
@@ -365,6 +400,10 @@ RIM_CASES = {
     "arc with few sigmas": (set_arc(0, "sigmas", [1e-3]), [layout.ARCS, "sigmas", "row 1", "found 1 for 3"]),
     "arc with sigma zero": (set_arc(0, "sigmas", [1e-3, 0.0, 1.0]), [layout.ARCS, "sigmas", "row 1", "more"]),
     "arc not finite": (set_arc(0, "points", [[0.0, np.nan]] * 3), [layout.ARCS, "points", "row 1", "finite"]),
+    "arc in pixels": (
+        set_arc(0, "points", [[40.0, 20.0], [41.0, 21.0], [43.0, 20.0]]),
+        [layout.ARCS, "points", "row 1", "at 41.5, 20.5, in pixels?"],
+    ),
     "arc of half points": (set_arc(0, "points", [[0.0, 1.0], None, None]), [layout.ARCS, "points", "row 1"]),
     "negative correlated sigma": (
         set_arc(1, "correlated_sigma", -1.0),
@@ -395,6 +434,12 @@ def test_bad_rims_are_named(case, rims_folder):
     assert "\n" not in text
     for part in expected:
         assert part in text
+
+
+def test_a_rim_may_lie_outside_the_image_in_part(rims_folder):
+    # By its end only: the centre is far beyond the right border.
+    set_cell(1, "chart", [1.4, 0.0, 0.0, 0.0, -1.0])(rims_folder)
+    Dataset.open(rims_folder.path)
 
 
 @pytest.mark.parametrize("value", [1e59, -1e59])

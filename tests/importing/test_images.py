@@ -84,6 +84,15 @@ def test_wrong_images_and_times_are_refused(tmp_path):
             read_times(tmp_path / "times.csv")
 
 
+def test_times_are_read_to_the_nanosecond(tmp_path):
+    path = tmp_path / "times.csv"
+    rows = ["00.123456789", "00.1234567", "00.123456", "00.123456789Z", "00.123456789+00:00", "00,123456789"]
+    lines = [f'{k},"2000-01-01T00:00:{text}"' for k, text in enumerate(rows)]
+    path.write_text("\n".join(["filename,utc", *lines, ""]))
+    below = [stamp % 1_000_000_000 for stamp in read_times(path).values()]
+    assert below == [123456789, 123456700, 123456000, *[123456789] * 3]
+
+
 def test_grey_levels_share_one_scale():
     one, other = grey_levels([Path("a"), Path("b")], [np.array([[0.0, 1.0]]), np.array([[np.nan, 4.0]])], 8)
     assert one.tolist() == [[0, 64]]

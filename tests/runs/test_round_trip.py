@@ -3,6 +3,7 @@
 import json
 import os
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,15 @@ def test_a_singular_covariance_is_told_and_the_metrics_stay_json(tmp_path: Path)
     told = "smoother: the covariance of its pose is singular in 1 of 2 frames, so it has no ANEES"
     assert told in metrics["warnings"]
     assert not any("singular" in text for text in result.warnings)
+
+
+def test_a_truth_in_another_frame_is_said(tmp_path: Path) -> None:
+    truth = trajectory(20e3)
+    turn = frames.pose(frames.rotation_exp(np.array([0.0, 0.0, 0.5])), np.zeros(3))
+    turned = read_run(write(tmp_path / "turned", truth=replace(truth, gTb=turn @ truth.gTb)))
+    assert any("the truth, not the estimate" in text for text in turned.metrics["warnings"])
+    right = read_run(write(tmp_path / "right", truth=truth))
+    assert not any("the truth" in text for text in right.metrics["warnings"])
 
 
 def test_rims_seen_from_elsewhere_are_outliers(tmp_path: Path) -> None:
