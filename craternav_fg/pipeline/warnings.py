@@ -54,6 +54,8 @@ _NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"
 # Share of the frames which should show catalogue craters that may show none: beyond, the few rims there are
 # may be matched wrongly.
 _MAX_MISSED_SHARE = 0.8
+# Images that a warning names.
+_MAX_LISTED = 5
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 _OTHERS_ALONE = "there the trajectory rests on the IMU and {}"
 
@@ -308,6 +310,54 @@ def colour_images(count: int) -> list[str]:
     if not count:
         return []
     return [f"{count} images are in colour: their luma is used"]
+
+
+def repeated_images(repeated: Mapping[str, str]) -> list[str]:
+    """Warn of images that are copies of earlier ones.
+
+    Parameters
+    ----------
+    repeated : mapping of str to str
+        See `Reconstruction.repeated`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not repeated:
+        return []
+    pairs = [f"{name} (same pixels as {first})" for name, first in repeated.items()]
+    return [
+        f"copies of earlier images, which were not taken at their stamps: {_listed(pairs)}; their rims are "
+        "left out"
+    ]
+
+
+def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
+    """Warn of frames whose rims were left out, as they contradict the track.
+
+    Parameters
+    ----------
+    disbelieved : mapping of int to str
+        See `Reconstruction.disbelieved`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not disbelieved:
+        return []
+    names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
+    return [
+        f"the craters identified in frame {_listed(names)} contradict the IMU and the frames before, and no "
+        "later frame confirms them: their rims are left out; check that the image is the one of its stamp"
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """List the first of many names."""
+    shown = ", ".join(names[:_MAX_LISTED])
+    return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
 
 
 def lowered_rims(lowered: bool) -> list[str]:
