@@ -20,7 +20,7 @@ from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.map_shift import with_common_shift
-from craternav_fg.pipeline.mistakes import likely_mistake
+from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
 from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.result import Reconstruction
@@ -385,8 +385,10 @@ def _options(chosen: Sequence[Estimator], limits: GuidedOptions | None) -> dict[
 
 
 def _mistake(dataset: Dataset, descent: Descent, measured: _Measured) -> str:
-    """Explain why no rim was found in any image; empty if some were found or nothing explains it."""
-    if any(len(frame.rims) for frame in measured.frames):
+    """Explain why no rim was found in any image, or only from a turned camera; empty if nothing does."""
+    first = measured.segments[0].initial
+    turned = turned_about_axis(dataset.camera, descent.initial.gTb, first.gTb)
+    if any(len(frame.rims) for frame in measured.frames) and not turned:
         return ""
     return likely_mistake(dataset, descent)
 

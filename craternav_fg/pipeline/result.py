@@ -75,7 +75,8 @@ class Reconstruction:
         Frames whose rims were left out, as they contradict the IMU and no later frame confirms them, and the
         files of their images.
     mistake : str
-        Where no rim was found in any image: the mistake that would explain it, see `pipeline.mistakes`.
+        Where no rim was found in any image, or only from a camera that is turned: the mistake that would
+        explain it, see `pipeline.mistakes`.
     lowered : bool
         Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
     """
@@ -176,7 +177,7 @@ class Reconstruction:
             *warnings.disbelieved_frames(self.disbelieved),
             *warnings.lowered_rims(self.lowered),
             *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),
-            *warnings.replaced_states(self.origin, self.reinitialised_at),
+            *warnings.replaced_states(self.origin, self.reinitialised_at, self.mistake),
             *warnings.frames_without_rims(
                 [len(frame.rims) for frame in self.frames],
                 self.expected_rims,

@@ -379,7 +379,7 @@ def lowered_rims(lowered: bool) -> list[str]:
     ]
 
 
-def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
+def replaced_states(origin: str, reinitialised_at: Sequence[int], mistake: str = "") -> list[str]:
     """Warn of an initial state that was replaced, and of frames at which the track was re-initialised.
 
     Parameters
@@ -388,6 +388,8 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
         See `Reconstruction.origin`.
     reinitialised_at : sequence of int
         Indices of frames.
+    mistake : str
+        What would explain that the images contradict the initial state; empty when nothing is known.
 
     Returns
     -------
@@ -395,7 +397,8 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     """
     out = []
     if origin == "replaced":
-        out.append("the images contradict the initial state: it was replaced by one from identified craters")
+        text = "the images contradict the initial state: it was replaced by one from identified craters"
+        out.append(f"{text}; {mistake}" if mistake else text)
     if reinitialised_at:
         out.append(
             "track was lost, and craters identified later contradict the IMU: re-initialised at frame "
