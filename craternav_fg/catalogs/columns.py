@@ -61,6 +61,8 @@ class ImportOptions:
         Column of unique names; without one craters are named by their line.
     unit : {"km", "m"}, optional
         Unit of the sizes; by default the one in the column's name, else km.
+    west_longitudes : bool
+        Whether longitudes are positive west.
     """
 
     latitude: str | None = None
@@ -68,6 +70,7 @@ class ImportOptions:
     diameter: str | None = None
     identifier: str | None = None
     unit: str | None = None
+    west_longitudes: bool = False
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ class Columns:
         Whether sizes are angles at the body's centre.
     sigmas : tuple of str
         Those of `ERROR_COLUMNS` and of `COMMON_COLUMNS`, and `COMMON_SOURCE`.
+    west : bool
+        Whether longitudes are positive west.
     """
 
     ellipse: tuple[str, ...]
@@ -98,6 +103,7 @@ class Columns:
     size_m: float
     angular: bool = False
     sigmas: tuple[str, ...] = ()
+    west: bool = False
 
     @property
     def numbers(self) -> list[str]:
@@ -117,7 +123,8 @@ class Columns:
         half = {1.0: "m", 2.0: "m of radius", 1000.0: "km", 2000.0: "km of radius"}
         unit = "deg of radius" if self.angular else half[self.size_m]
         sizes = " and ".join(names[2:4])
-        return f"latitude {names[0]}, longitude {names[1]} (east), size {sizes} ({unit})"
+        positive = "west" if self.west else "east"
+        return f"latitude {names[0]}, longitude {names[1]} ({positive}), size {sizes} ({unit})"
 
 
 def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: int = 1) -> Columns:
@@ -141,12 +148,13 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     ------
     InputError
         When a named column is not there, when one is missing (the error lists what was found), or when
-        longitudes count to the west.
+        longitudes count to the west without `options` saying so.
     """
     sigmas = [*_sigmas(path, names, ERROR_COLUMNS, line), *_sigmas(path, names, COMMON_COLUMNS, line)]
     if COMMON_SOURCE in names and sigmas[-1:] == list(COMMON_COLUMNS)[-1:]:
         sigmas.append(COMMON_SOURCE)
-    return replace(_rims(path, names, options, line), sigmas=tuple(sigmas))
+    rims = _rims(path, names, options, line)
+    return replace(rims, sigmas=tuple(sigmas), west=options.west_longitudes)
 
 
 def _sigmas(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
@@ -188,8 +196,10 @@ def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -
     where = path, names, line
     latitude = _column(*where, "latitude", options.latitude, _LATITUDES)
     longitude = _column(*where, "longitude", options.longitude, _LONGITUDES)
-    if _WEST.intersection(re.split(r"[^a-z]+", longitude.lower())):
-        problem = "expected longitudes positive east, this column's name says positive west"
+    if not options.west_longitudes and _WEST.intersection(re.split(r"[^a-z]+", longitude.lower())):
+        problem = (
+            "expected longitudes positive east, this column's name says positive west: --west-longitudes?"
+        )
         raise InputError(path, problem, line=line, column=longitude)
     size = _column(*where, "diameter", options.diameter, (*_DIAMETERS, *_ANGULAR_RADII, *_RADII))
     circle = (latitude, longitude, size)

@@ -128,6 +128,8 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     if not keep.any():
         raise InputError(path, _none_left(table, faults, used[2:4], body.radius_m))
     latitude, longitude, major, minor, angle, height = (column[keep] for column in values)
+    if found.west:
+        longitude = np.mod(-longitude, 360.0)
     odd = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
     if odd is not None:
         raise InputError(path, odd, column=used[2])

@@ -70,6 +70,9 @@ class Columns:
         str | None,
         typer.Option(help="Column of the longitude, deg, positive east.", show_default="found by its name"),
     ] = None
+    west_longitudes: Annotated[
+        bool, typer.Option("--west-longitudes", help="Longitudes are positive west.")
+    ] = False
     diameter: Annotated[
         str | None, typer.Option(help="Column of the diameter.", show_default="found by its name")
     ] = None
@@ -84,7 +87,9 @@ class Columns:
     def options(self) -> ImportOptions:
         """As the reader expects them."""
         unit = self.unit and self.unit.value
-        return ImportOptions(self.latitude, self.longitude, self.diameter, self.identifier, unit)
+        return ImportOptions(
+            self.latitude, self.longitude, self.diameter, self.identifier, unit, self.west_longitudes
+        )
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import InputError
 from craternav_fg.importing.assemble import Imported, ImportedFrame, write_imported
-from craternav_fg.importing.bodies import with_gravity
+from craternav_fg.importing.bodies import with_gravity_and_spin
 from craternav_fg.importing.cubes import of_cubes, of_photographs
 from craternav_fg.importing.images import grey_images, stamps_of
 from craternav_fg.importing.isis import Cube, read_cube
@@ -41,7 +41,17 @@ TimesOption = Annotated[
 ]
 MuOption = Annotated[
     float | None,
-    typer.Option("--mu-m3-s2", min=0.0, help="Gravitational parameter.", show_default="the Moon's is known"),
+    typer.Option(
+        "--mu-m3-s2", min=0.0, help="Gravitational parameter.", show_default="known for most bodies"
+    ),
+]
+SpinOption = Annotated[
+    float | None,
+    typer.Option(
+        "--spin-rad-s",
+        help="Spin of the body about its pole, negative if retrograde.",
+        show_default="that of the file, or the IAU's",
+    ),
 ]
 AccelerationOption = Annotated[
     float,
@@ -64,6 +74,7 @@ class _Stated:
     """How well the states are known, and what moves the spacecraft."""
 
     mu_m3_s2: MuOption = None
+    spin_rad_s: SpinOption = None
     acceleration_density: AccelerationOption = ACCELERATION_DENSITY
     position_sigma_m: PositionSigmaOption = 1000.0
     attitude_sigma_deg: AttitudeSigmaOption = 0.1
@@ -109,7 +120,7 @@ def isis(
     """Import ISIS cubes: pixels, camera, states, sun."""
     read = [read_cube(path) for path in cubes]
     camera, frames, pixels = _pixels(read, images, times)
-    body = with_gravity(read[0].body, stated.mu_m3_s2)
+    body = with_gravity_and_spin(read[0].body, stated.mu_m3_s2, stated.spin_rad_s)
     craters, _ = read_any_catalog(catalog, body.radius_m)
     given = Imported(
         frames, camera, body, craters, coast(stated.acceleration_density),
@@ -132,6 +143,7 @@ def images(
     sun: Annotated[str, typer.Option(help="Direction towards the sun in the body-fixed frame: x,y,z.")],
     times: TimesOption = None,
     mu_m3_s2: MuOption = None,
+    spin_rad_s: SpinOption = None,
     acceleration_density: AccelerationOption = ACCELERATION_DENSITY,
     as_json: JsonOption = False,
 ) -> None:
@@ -140,7 +152,7 @@ def images(
     frames = _frames(paths, times)
     direction = sun_direction(sun)
     craters, _ = read_any_catalog(catalog, None)
-    body = with_gravity(craters.body, mu_m3_s2)
+    body = with_gravity_and_spin(craters.body, mu_m3_s2, spin_rad_s)
     given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)
     _finish(write_imported(output, given, _images(frames, sensor)), as_json)
 
@@ -171,8 +183,9 @@ def spice(
     craters, _ = read_any_catalog(catalog, None)
     known = Body(craters.body.name, craters.body.radius_m, 0.0, spin)
     frames = [ImportedFrame(f.path, f.stamp_ns, s) for f, s in zip(frames, states, strict=True)]
+    body = with_gravity_and_spin(known, stated.mu_m3_s2, stated.spin_rad_s)
     given = Imported(
-        frames, sensor, with_gravity(known, stated.mu_m3_s2), craters, coast(stated.acceleration_density),
+        frames, sensor, body, craters, coast(stated.acceleration_density),
         stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     _finish(write_imported(output, given, _images(frames, sensor)), as_json)

@@ -1,16 +1,76 @@
 """Gravity and spin of bodies that imported images show."""
 
+import math
 from dataclasses import replace
 
 from craternav_fg.body import Body
 from craternav_fg.errors import InputError
 
-# Gravitational parameter, m^3/s^2, and spin about the pole, rad/s: DE440 (Park et al. 2021), and one turn in
-# 27.321661 days.
-_KNOWN = {"Moon": (4.902800118e12, 2.6616995e-6)}
+# Gravitational parameters, km^3/s^2: DE440 (Park et al. 2021) and the satellite ephemerides of JPL. Bodies
+# whose values differ by percents between these are left out.
+_GM_KM3_S2 = {
+    "Moon": 4902.800118,
+    "Mercury": 22031.868551,
+    "Venus": 324858.592,
+    "Earth": 398600.4355,
+    "Mars": 42828.3736,
+    "Ceres": 62.62889,
+    "Vesta": 17.28823,
+    "Eros": 4.463e-4,
+    "Phobos": 7.0875e-4,
+    "Deimos": 9.616e-5,
+    "Io": 5959.9155,
+    "Europa": 3202.7121,
+    "Ganymede": 9887.8328,
+    "Callisto": 7179.2834,
+    "Mimas": 2.5035,
+    "Enceladus": 7.2104,
+    "Tethys": 41.2095,
+    "Dione": 73.1161,
+    "Rhea": 153.9417,
+    "Titan": 8978.137,
+    "Iapetus": 120.515,
+    "Phoebe": 0.5548,
+    "Pluto": 869.61,
+    "Charon": 105.88,
+}
+# Rotation about the pole of the IAU, deg/day (Archinal et al. 2018, Celest. Mech. 130, 22); retrograde ones
+# are negative.
+_ROTATION_DEG_DAY = {
+    "Moon": 13.17635815,
+    "Mercury": 6.1385108,
+    "Venus": -1.4813688,
+    "Earth": 360.9856235,
+    "Mars": 350.8919824,
+    "Ceres": 952.1532,
+    "Vesta": 1617.3329428,
+    "Eros": 1639.38864745,
+    "Phobos": 1128.844585,
+    "Deimos": 285.161897,
+    "Io": 203.4889538,
+    "Europa": 101.3747235,
+    "Ganymede": 50.3176081,
+    "Callisto": 21.5710715,
+    "Mimas": 381.994555,
+    "Enceladus": 262.7318996,
+    "Tethys": 190.6979085,
+    "Dione": 131.5349316,
+    "Rhea": 79.6900478,
+    "Titan": 22.5769768,
+    "Iapetus": 4.5379572,
+    "Phoebe": 931.639,
+    "Miranda": -254.6906892,
+    "Ariel": -142.8356681,
+    "Umbriel": -86.8688923,
+    "Titania": -41.3514316,
+    "Oberon": -26.7394932,
+    "Triton": -61.2572637,
+    "Pluto": 56.3625225,
+    "Charon": 56.3625225,
+}
 
 
-def with_gravity(body: Body, mu_m3_s2: float | None) -> Body:
+def with_gravity_and_spin(body: Body, mu_m3_s2: float | None, spin_rad_s: float | None) -> Body:
     """Complete a body by its gravity, and by its spin if it has none.
 
     Parameters
@@ -18,6 +78,8 @@ def with_gravity(body: Body, mu_m3_s2: float | None) -> Body:
     body : Body
     mu_m3_s2 : float or None
         Gravitational parameter; None for the known one.
+    spin_rad_s : float or None
+        Spin about the pole; None for the body's own, or the known one.
 
     Returns
     -------
@@ -26,13 +88,17 @@ def with_gravity(body: Body, mu_m3_s2: float | None) -> Body:
     Raises
     ------
     InputError
-        When it is neither given nor known.
+        When one is neither given nor known.
     """
-    known = _KNOWN.get(body.name)
-    if mu_m3_s2 is None and known is None:
-        raise InputError(
-            "--mu-m3-s2", f"expected it for {body.name or 'this body'}, whose gravity is not known"
-        )
-    if known is not None and not any(body.spin_rad_s):
-        body = replace(body, spin_rad_s=(0.0, 0.0, known[1]))
-    return replace(body, mu_m3_s2=known[0] if mu_m3_s2 is None and known is not None else mu_m3_s2 or 0.0)
+    name = body.name or "this body"
+    if mu_m3_s2 is None:
+        if body.name not in _GM_KM3_S2:
+            raise InputError("--mu-m3-s2", f"expected it for {name}, whose gravity is not known")
+        mu_m3_s2 = 1e9 * _GM_KM3_S2[body.name]
+    if spin_rad_s is not None or not any(body.spin_rad_s):
+        if spin_rad_s is None:
+            if body.name not in _ROTATION_DEG_DAY:
+                raise InputError("--spin-rad-s", f"expected it for {name}, whose spin is not known")
+            spin_rad_s = math.radians(_ROTATION_DEG_DAY[body.name]) / 86400.0
+        body = replace(body, spin_rad_s=(0.0, 0.0, spin_rad_s))
+    return replace(body, mu_m3_s2=mu_m3_s2)

@@ -5,7 +5,7 @@ that has none. The estimators measure the same images themselves, so the state m
 measurement of them: its standard deviations are much larger than those of the poses.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,12 @@ _ANGULAR_VELOCITY_SIGMA_RAD_S = 0.01
 _ITERATIONS = 8
 
 
-def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[int], None]) -> InitialState:
+def find_initial(
+    dataset: Dataset,
+    relocaliser: Relocaliser,
+    report: Callable[[int], None],
+    repeated: Collection[int] = (),
+) -> InitialState:
     """Find an initial state of a data set that has none.
 
     Parameters
@@ -44,6 +49,8 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     relocaliser : Relocaliser
     report : callable
         Called with the number of frames that were processed.
+    repeated : collection of int
+        Frames whose images are copies of earlier ones, and were not taken at their stamps.
 
     Returns
     -------
@@ -58,7 +65,7 @@ def find_initial(dataset: Dataset, relocaliser: Relocaliser, report: Callable[[i
     stamps = [int(stamp) for stamp in dataset.stamps_ns]
     seen: list[tuple[int, PoseFix]] = []
     for index, stamp in enumerate(stamps):
-        fix = relocaliser.locate(index)
+        fix = None if index in repeated else relocaliser.locate(index)
         report(index + 1)
         if fix is not None:
             seen.append((stamp, fix))

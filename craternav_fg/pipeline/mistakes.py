@@ -1,4 +1,4 @@
-"""Usual mistakes in a data set whose images show none of the expected rims: which one explains them."""
+"""Usual mistakes in a data set whose images contradict its initial state: which one explains them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset
@@ -20,6 +21,8 @@ FloatArray = npt.NDArray[np.float64]
 
 # Craters that explain an image together; fewer may do so by chance.
 _MIN_CRATERS = 5
+# How far from half a turn an attitude may be that shows images turned by 180 deg: as far as priors are wide.
+_MAX_OFF_HALF_TURN_DEG = 40.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,11 @@ def _corrections(dataset: Dataset) -> Iterator[_Corrected]:
     for what, values, through in (
         ("mirrored left to right", image[:, ::-1], mirrored),
         ("turned by 180 deg", image[::-1, ::-1], turned),
-        ("taken for a negative", image.dtype.type(camera.full_scale) - image, camera),
+        (
+            "taken for a negative, or if the sun of sun.csv stands on the opposite side",
+            image.dtype.type(camera.full_scale) - image,
+            camera,
+        ),
     ):
         yield replace(given, what=f"it is {what}", image=np.ascontiguousarray(values), camera=through)
     yield replace(given, what="the vector in sun.csv is reversed", sun_g=-sun_g)
@@ -77,6 +84,24 @@ def _corrections(dataset: Dataset) -> Iterator[_Corrected]:
         yield replace(
             given, what=f"the diameters in the catalogue are {what}", catalog=_resized(catalog, factor)
         )
+    west = replace(catalog, longitude_rad=np.mod(-catalog.longitude_rad, 2.0 * np.pi))
+    yield replace(given, what="the longitudes in the catalogue are positive west", catalog=west)
+
+
+def turned_about_axis(camera: Camera, gTb: FloatArray, other_gTb: FloatArray) -> bool:
+    """Whether two poses of the body differ by about half a turn about the camera's axis.
+
+    Parameters
+    ----------
+    camera : Camera
+    gTb, other_gTb : ndarray, shape (4, 4)
+
+    Returns
+    -------
+    bool
+    """
+    turn = frames.rotation_log((camera.gTc(gTb)[:3, :3]).T @ camera.gTc(other_gTb)[:3, :3])
+    return bool(abs(turn[2]) > np.radians(180.0 - _MAX_OFF_HALF_TURN_DEG))
 
 
 def _resized(catalog: Catalog, factor: float) -> Catalog:

@@ -1,7 +1,7 @@
 """From a data set to trajectories: front end, start, and every estimator on the same measurements."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -20,8 +20,9 @@ from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.map_shift import with_common_shift
-from craternav_fg.pipeline.mistakes import likely_mistake
+from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
 from craternav_fg.pipeline.relocalisation import Relocaliser
+from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
 from craternav_fg.pipeline.sensor_checks import check_logs
@@ -58,12 +59,15 @@ class _Measured:
         Poses of the body that guided the front end; None when the data set holds the measurements.
     limits : GuidedOptions or None
         Options of the front end, if there was one.
+    disbelieved : tuple of int
+        See `Tracked`.
     """
 
     frames: tuple[FrameMeasurement, ...]
     segments: tuple[Segment, ...]
     guides: FloatArray | None = None
     limits: GuidedOptions | None = None
+    disbelieved: tuple[int, ...] = ()
 
 
 def reconstruct(
@@ -110,8 +114,9 @@ def reconstruct(
     report = progress or _silent
     began = time.perf_counter()
     relocaliser = Relocaliser(dataset)
-    initial = _initial_state(dataset, relocaliser, report)
-    measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions())
+    repeated = {} if dataset.measurements is not None else repeated_images(dataset.image_paths)
+    initial = _initial_state(dataset, relocaliser, report, repeated)
+    measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions(), repeated)
     measured = replace(measured, frames=tuple(_left_out(frame, without) for frame in measured.frames))
     descent = Descent.of(dataset, initial)
     if dataset.features is None and measured.limits is not None and measured.limits.points.count:
@@ -141,6 +146,8 @@ def reconstruct(
         predicted=measured.guides,
         ignored=dataset.ignored,
         in_colour=dataset.in_colour,
+        repeated={_name(dataset, k): _name(dataset, first) for k, first in repeated.items()},
+        disbelieved={k: _name(dataset, k) for k in measured.disbelieved},
         lowered=lowered,
         mistake="" if searched is None else _mistake(dataset, descent, measured),
     )
@@ -216,14 +223,18 @@ def _with_chosen(dataset: Dataset, chosen: Sequence[str | Sensor]) -> Dataset:
     return replace(dataset, sensors=kept, features=dataset.features if FEATURES in chosen else None)
 
 
-def _initial_state(dataset: Dataset, relocaliser: Relocaliser, report: Progress) -> InitialState:
+def _initial_state(
+    dataset: Dataset, relocaliser: Relocaliser, report: Progress, repeated: Collection[int]
+) -> InitialState:
     """Take the data set's initial state, or find one in its images."""
     if dataset.initial is not None:
         return dataset.initial
     report("index of the catalogue", 0, 1)
     relocaliser.prepare()
     report("index of the catalogue", 1, 1)
-    return find_initial(dataset, relocaliser, lambda done: report("identified frames", done, len(dataset)))
+    return find_initial(
+        dataset, relocaliser, lambda done: report("identified frames", done, len(dataset)), repeated
+    )
 
 
 def _measure(
@@ -232,6 +243,7 @@ def _measure(
     relocaliser: Relocaliser,
     report: Progress,
     options: GuidedOptions,
+    repeated: Collection[int],
 ) -> _Measured:
     """Take the data set's measurements, or measure its images.
 
@@ -244,11 +256,12 @@ def _measure(
         return _Measured(dataset.measurements, (Segment(0, initial),))
     front_end = GuidedFrontEnd(dataset.camera, dataset.catalog, options)
     try:
-        tracked = Tracker(dataset, Descent.of(dataset, initial), front_end, relocaliser).run(report)
+        descent = Descent.of(dataset, initial)
+        tracked = Tracker(dataset, descent, front_end, relocaliser, repeated).run(report)
     except NUMERICAL_ERRORS as error:
         hint = "the prediction has diverged: check the IMU's units and axes, and the initial state"
         raise EstimationError(f"front end: {_one_line(error)}; {hint}") from error
-    return _Measured(tracked.frames, tracked.segments, tracked.guides, front_end.options)
+    return _Measured(tracked.frames, tracked.segments, tracked.guides, front_end.options, tracked.disbelieved)
 
 
 def _tracks(dataset: Dataset, measured: _Measured, limits: GuidedOptions, report: Progress) -> FeatureTracks:
@@ -372,10 +385,17 @@ def _options(chosen: Sequence[Estimator], limits: GuidedOptions | None) -> dict[
 
 
 def _mistake(dataset: Dataset, descent: Descent, measured: _Measured) -> str:
-    """Explain why no rim was found in any image; empty if some were found or nothing explains it."""
-    if any(len(frame.rims) for frame in measured.frames):
+    """Explain why no rim was found in any image, or only from a turned camera; empty if nothing does."""
+    first = measured.segments[0].initial
+    turned = turned_about_axis(dataset.camera, descent.initial.gTb, first.gTb)
+    if any(len(frame.rims) for frame in measured.frames) and not turned:
         return ""
     return likely_mistake(dataset, descent)
+
+
+def _name(dataset: Dataset, frame: int) -> str:
+    """Name the file of a frame's image."""
+    return dataset.image_paths[frame].name
 
 
 def _one_line(error: Exception) -> str:

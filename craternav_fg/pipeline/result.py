@@ -2,7 +2,7 @@
 
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -69,8 +69,14 @@ class Reconstruction:
         Folders below `mav0` of the data set that no sensor known here reads.
     in_colour : int
         Images of the data set that are in colour.
+    repeated : mapping of str to str
+        Images whose files are copies of an earlier one, and the earlier one.
+    disbelieved : mapping of int to str
+        Frames whose rims were left out, as they contradict the IMU and no later frame confirms them, and the
+        files of their images.
     mistake : str
-        Where no rim was found in any image: the mistake that would explain it, see `pipeline.mistakes`.
+        Where no rim was found in any image, or only from a camera that is turned: the mistake that would
+        explain it, see `pipeline.mistakes`.
     lowered : bool
         Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
     """
@@ -88,6 +94,8 @@ class Reconstruction:
     predicted: FloatArray | None
     ignored: tuple[str, ...] = ()
     in_colour: int = 0
+    repeated: Mapping[str, str] = field(default_factory=dict)
+    disbelieved: Mapping[int, str] = field(default_factory=dict)
     mistake: str = ""
     lowered: bool = False
 
@@ -168,10 +176,12 @@ class Reconstruction:
             ),
             *warnings.unknown_sensors(self.ignored),
             *warnings.colour_images(self.in_colour),
+            *warnings.repeated_images(self.repeated),
+            *warnings.disbelieved_frames(self.disbelieved),
             # A catalogue without heights says itself that its rims lie on the sphere.
             *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),
             *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),
-            *warnings.replaced_states(self.origin, self.reinitialised_at),
+            *warnings.replaced_states(self.origin, self.reinitialised_at, self.mistake),
             *warnings.frames_without_rims(
                 [len(frame.rims) for frame in self.frames],
                 self.expected_rims,

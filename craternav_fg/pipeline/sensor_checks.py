@@ -1,28 +1,36 @@
 """Logs in a wrong unit or order: the other sensors contradict them, and confirm them once corrected."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from craternav_fg.errors import InputError
-from craternav_fg.estimators.base import Problem
+from craternav_fg.dataset import layout
+from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.filter_state import FilterState
+from craternav_fg.estimators.instruments import IMU
 from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
+from craternav_fg.evaluation.innovations import innovations
+from craternav_fg.imu import ImuLog
 from craternav_fg.linalg import whitening
 from craternav_fg.sensors.files import DATA, folder_of
 from craternav_fg.sensors.protocol import STATE_SIZE, Sensor
 
+# Standard gravity, m/s^2, and columns of the IMU's log.
+_G_M_S2 = 9.80665
+_GYRO, _ACCELEROMETER = "w_RS_S_x", "a_RS_S_x"
 # NIS per dimension, median of a log's samples: above the first it is refuted, below the second confirmed.
 REFUTED, CONFIRMED = 100.0, 9.0
 
 
 def check_logs(problems: Sequence[Problem], folder: Path) -> None:
-    """Refuse a sensor's log in a wrong unit or order.
+    """Refuse a log of the IMU or of a sensor in a wrong unit or order.
 
-    The filter predicts each sample from all other data; it drops those that contradict the prediction, so
-    that a wrong log does not spoil it.
+    The filter predicts each sample of a sensor from all other data; it drops those that contradict the
+    prediction, so that a wrong log does not spoil it. The IMU's log is judged by what it predicts.
 
     Parameters
     ----------
@@ -35,6 +43,8 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
     InputError
         Naming file and column, what was expected and what was found.
     """
+    if problems[0].motion is None:
+        _check_imu(problems, folder)
     sensors = [sensor for sensor in problems[0].sensors if sensor.misreadings()]
     if not sensors:
         return
@@ -51,6 +61,42 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
                     f"{problem} (the other sensors confirm it)",
                     column=column,
                 )
+
+
+def _check_imu(problems: Sequence[Problem], folder: Path) -> None:
+    """Refuse an IMU's log in deg/s or in g."""
+    imu = problems[0].imu
+    if not _median_nis_of_imu(problems, imu) > REFUTED:
+        return
+    in_rad = replace(imu, gyro=np.radians(imu.gyro))
+    in_m = replace(imu, accelerometer=_G_M_S2 * imu.accelerometer)
+    for other, column, problem in (
+        (in_rad, _GYRO, "expected rad/s, found deg/s"),
+        (in_m, _ACCELEROMETER, "expected m/s^2, found g"),
+        (
+            replace(in_rad, accelerometer=in_m.accelerometer),
+            _GYRO,
+            "expected rad/s and m/s^2, found deg/s and g",
+        ),
+    ):
+        if _median_nis_of_imu(problems, other) < CONFIRMED:
+            raise InputError(
+                folder / layout.IMU_DATA, f"{problem} (the other sensors confirm it)", column=column
+            )
+
+
+def _median_nis_of_imu(problems: Sequence[Problem], imu: ImuLog) -> float:
+    """NIS per dimension of what a log predicts, median over the frames; infinite when the filter fails."""
+    found = []
+    for problem in problems:
+        assumed = replace(problem, imu=imu)
+        try:
+            run = ekf().run(assumed)
+            every = innovations(assumed, run.states, run.predictions).of(IMU)
+        except (EstimationError, *NUMERICAL_ERRORS):
+            return float("inf")
+        found += list(every.nis[every.dimension > 0] / every.dimension[every.dimension > 0])
+    return float(np.median(found)) if found else float("nan")
 
 
 def _states(problem: Problem) -> Iterator[tuple[int, FilterState]]:

@@ -1,6 +1,6 @@
 """The front end over a descent: each image measured near a predicted pose, with relocalisation when lost."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -48,6 +48,12 @@ MIN_FOUND_SHARE = 0.25
 # correlated, so the covariance of the identified pose is inflated.
 CONTRADICTION_CHI2 = 60.0
 FIX_VARIANCE_INFLATION = 4.0
+# Later frames that must agree with a track from identified craters before it replaces one that frames had
+# supported: the first of them determines the velocity, the second tests it.
+CONFIRMING_FRAMES = 2
+# The new one's velocity is so uncertain that it follows the right images, too: the former track needs no more
+# rims in them, only far more than by chance.
+RESUMING_SHARE = 0.5
 
 
 class Segment(NamedTuple):
@@ -76,11 +82,14 @@ class Tracked:
         One, unless identified craters contradicted the prediction: then a new one begins.
     guides : ndarray, shape (k, 4, 4)
         Pose of the body in g near which each image was measured.
+    disbelieved : tuple of int
+        Frames whose rims were left out: they contradict the IMU, and no later frame confirms them.
     """
 
     frames: tuple[FrameMeasurement, ...]
     segments: tuple[Segment, ...]
     guides: FloatArray
+    disbelieved: tuple[int, ...]
 
 
 class _Guided(NamedTuple):
@@ -88,6 +97,23 @@ class _Guided(NamedTuple):
 
     frame: FrameMeasurement
     gTb: FloatArray
+
+
+@dataclass
+class _Track:
+    """One account of where the lander has been: its smoother, and what was measured near its predictions."""
+
+    session: OnlineSession
+    pooled: PooledErrors
+    segments: list[Segment]
+    measured: list[_Guided]
+    # Frames that agreed since its last segment began.
+    agreeing: int = 0
+
+    @property
+    def supported(self) -> list[int]:
+        """Frames with enough rims to support the track."""
+        return [k for k, one in enumerate(self.measured) if len(one.frame.rims) >= MIN_AGREEING_RIMS]
 
 
 class Tracker:
@@ -99,20 +125,29 @@ class Tracker:
     descent : Descent
     front_end : GuidedFrontEnd
     relocaliser : Relocaliser
+    repeated : collection of int
+        Frames whose images are copies of earlier ones: no rims are measured in them.
     """
 
     def __init__(
-        self, dataset: Dataset, descent: Descent, front_end: GuidedFrontEnd, relocaliser: Relocaliser
+        self,
+        dataset: Dataset,
+        descent: Descent,
+        front_end: GuidedFrontEnd,
+        relocaliser: Relocaliser,
+        repeated: Collection[int] = (),
     ) -> None:
         self.dataset = dataset
         self.descent = descent
         self.front_end = front_end
         self.relocaliser = relocaliser
-        self._pooled = PooledErrors(dataset.camera, dataset.catalog)
-        self._session = OnlineSession(descent)
+        self.repeated = repeated
         self._bank = SensorBank(descent.sensors)
-        self._measured: list[FrameMeasurement] = []
-        self._segments = [Segment(0, descent.initial)]
+        pooled = PooledErrors(dataset.camera, dataset.catalog)
+        self._track = _Track(OnlineSession(descent), pooled, [Segment(0, descent.initial)], [])
+        # The track that identified craters contradicted, until later frames decide.
+        self._former: _Track | None = None
+        self._disbelieved: list[int] = []
         # Successive frames with far fewer rims than expected.
         self._poor_frames = 0
 
@@ -128,54 +163,102 @@ class Tracker:
         -------
         Tracked
         """
-        stamps = [int(stamp) for stamp in self.dataset.stamps_ns]
-        report("frames", 0, len(stamps))
-        guides = []
-        for index, stamp in enumerate(stamps):
-            predicted = filter_state.prior(self.descent) if index == 0 else self._predict(stamp)
-            frame, guide = self._next(index, predicted)
-            self._measured.append(frame)
-            guides.append(guide)
-            report("frames", index + 1, len(stamps))
-        return Tracked(tuple(self._measured), tuple(self._segments), np.array(guides))
+        total = len(self.dataset.stamps_ns)
+        report("frames", 0, total)
+        for index in range(total):
+            self._next(index, self._predicted_of(self._track, index))
+            report("frames", index + 1, total)
+        # An initial state that no frame supports counts less than identified craters.
+        if self._former is not None and self._former.supported:
+            self._resume(self._former)
+        track = self._track
+        frames, guides = zip(*track.measured, strict=True)
+        return Tracked(frames, tuple(track.segments), np.array(guides), tuple(self._disbelieved))
 
-    def _predict(self, stamp_ns: int) -> FilterState:
-        """Predict the state at an image, after what sensors measured since the last one."""
-        for sample_ns in self._bank.between(self._session.stamp_ns, stamp_ns):
-            self._session.update(FrameMeasurement(sample_ns, RimSet.empty(), None))
-        return self._session.predict(stamp_ns)
+    def _predicted_of(self, track: _Track, index: int) -> FilterState:
+        """Predict a track's state at an image, after what sensors measured since the last one."""
+        if index == 0:
+            return filter_state.prior(self.descent)
+        session, stamp_ns = track.session, int(self.dataset.stamps_ns[index])
+        for sample_ns in self._bank.between(session.stamp_ns, stamp_ns):
+            session.update(FrameMeasurement(sample_ns, RimSet.empty(), None))
+        return session.predict(stamp_ns)
 
-    def _next(self, index: int, predicted: FilterState) -> _Guided:
+    def _next(self, index: int, predicted: FilterState) -> None:
         """Measure an image and update the smoother with it."""
+        track, former = self._track, self._former
+        if index in self.repeated:
+            self._take(track, index, self._nothing(index, predicted.gTb))
+            if former is not None:
+                self._take(former, index, self._nothing(index, self._predicted_of(former, index).gTb))
+            return
         guided = self._measure(index, predicted.gTb, predicted.covariance[POSE, POSE])
+        if former is not None and self._resumed(former, index, len(guided.frame.rims)):
+            return
         relocalised = self._relocalise(index, predicted, guided.frame)
         if relocalised is not None:
             fix, frame = relocalised
-            if index == 0 and not _contradicts(predicted, fix):
-                return self._begin(_Guided(frame, fix.gTb))
-            frame = self._shared_sun(self._pool(frame, fix.gTb))
-            self._continue_from(index, predicted, fix, frame)
-            return _Guided(frame, fix.gTb)
-        if index == 0:
-            return self._begin(guided)
-        frame = self._pool(self._shared_sun(guided.frame), guided.gTb)
-        self._session.update(frame)
-        return _Guided(frame, guided.gTb)
+            self._poor_frames = 0
+            guided = _Guided(frame, fix.gTb)
+            if _contradicts(predicted, fix):
+                self._begin_from(index, predicted, fix, frame)
+                return
+        self._take(track, index, guided)
+        if former is not None and self._agrees(guided):
+            track.agreeing += 1
+            if track.agreeing == CONFIRMING_FRAMES:
+                self._former = None
 
-    def _begin(self, guided: _Guided) -> _Guided:
+    def _take(self, track: _Track, index: int, guided: _Guided) -> None:
+        """Update the smoother of a track with an image's measurements."""
+        if index == 0:
+            guided = self._begin(track, guided)
+        else:
+            guided = guided._replace(frame=self._shared_sun(_pool(track, guided)))
+            track.session.update(guided.frame)
+        track.measured.append(guided)
+
+    def _begin(self, track: _Track, guided: _Guided) -> _Guided:
         """Find the start from the first image and begin the smoother."""
         start = find_start(self.descent, [guided.frame])
         if len(guided.frame.rims):
             # Measure again from the start: it predicts more rims than the prior does.
-            frame, gTb = self._measure(0, start.gTb, start.pose_covariance)
-            guided = _Guided(self._pool(frame, gTb), gTb)
+            guided = self._measure(0, start.gTb, start.pose_covariance)
+            guided = guided._replace(frame=_pool(track, guided))
             start = find_start(self.descent, [guided.frame])
-        self._session.begin(guided.frame, start)
+        track.session.begin(guided.frame, start)
         return guided
 
-    def _pool(self, frame: FrameMeasurement, gTb: FloatArray) -> FrameMeasurement:
-        """Pool the covariances of a frame's rims with those of earlier frames."""
-        return replace(frame, rims=self._pooled.pool(frame.rims, gTb))
+    def _resumed(self, former: _Track, index: int, rims: int) -> bool:
+        """Whether an image agrees with the former track, though it may show `rims` near the present one."""
+        predicted = self._predicted_of(former, index)
+        guided = self._measure(index, predicted.gTb, predicted.covariance[POSE, POSE])
+        agrees = len(guided.frame.rims) >= RESUMING_SHARE * rims and self._agrees(guided)
+        self._take(former, index, guided if agrees else self._nothing(index, predicted.gTb))
+        if agrees:
+            self._resume(former)
+        return agrees
+
+    def _resume(self, former: _Track) -> None:
+        """Continue the former track: what contradicted it was wrong."""
+        self._disbelieve(former)
+        self._track, self._former, self._poor_frames = former, None, 0
+
+    def _disbelieve(self, former: _Track) -> None:
+        """Note the frames whose rims only the present track holds."""
+        both = zip(self._track.measured, former.measured, strict=False)
+        self._disbelieved += [
+            k for k, (now, then) in enumerate(both) if len(now.frame.rims) and not len(then.frame.rims)
+        ]
+
+    def _agrees(self, guided: _Guided) -> bool:
+        """Whether an image shows the craters that are expected, and not by chance."""
+        least = max(MIN_AGREEING_RIMS, MIN_FOUND_SHARE * self._expected(guided.gTb))
+        return len(guided.frame.rims) >= least
+
+    def _nothing(self, index: int, gTb: FloatArray) -> _Guided:
+        """Image in which nothing was measured near a pose."""
+        return _Guided(FrameMeasurement(int(self.dataset.stamps_ns[index]), RimSet.empty(), None), gTb)
 
     def _shared_sun(self, frame: FrameMeasurement) -> FrameMeasurement:
         """Inflate the noise of a frame's sun tilt, as all frames but the first share its error."""
@@ -206,7 +289,7 @@ class Tracker:
         if spread_px <= GUIDED_REACH_PX:
             least = min(max(MIN_AGREEING_RIMS, MIN_FOUND_SHARE * self._expected(gTb)), ENOUGH_RIMS)
         if len(guided.frame.rims) < least:
-            return _Guided(FrameMeasurement(guided.frame.stamp_ns, RimSet.empty(), None), gTb)
+            return self._nothing(index, gTb)
         return guided
 
     def _guided(self, index: int, gTb: FloatArray, covariance: FloatArray) -> _Guided:
@@ -262,20 +345,23 @@ class Tracker:
             data.camera.pinhole, data.camera.gTc(predicted.gTb), sun_g, data.body.radius_m
         )
 
-    def _continue_from(
-        self, index: int, predicted: FilterState, fix: PoseFix, frame: FrameMeasurement
-    ) -> None:
-        """Continue from an identified pose, with a new smoother when it contradicts the prediction."""
-        self._poor_frames = 0
-        if not _contradicts(predicted, fix):
-            self._session.update(frame)
-            return
-        tracked = [k for k, one in enumerate(self._measured) if len(one.rims) >= MIN_AGREEING_RIMS]
-        stamps = self.dataset.stamps_ns
-        since_s = 1e-9 * float(stamps[index] - stamps[tracked[-1] if tracked else 0])
+    def _begin_from(self, index: int, predicted: FilterState, fix: PoseFix, frame: FrameMeasurement) -> None:
+        """Begin a track from an identified pose that contradicts the prediction, beside the former one.
+
+        One image may be wrong: stale, or of another frame. The former track goes on without it until later
+        frames agree with one of the two.
+        """
+        if self._former is None:
+            former = self._track
+            self._take(former, index, self._nothing(index, predicted.gTb))
+        else:
+            former, predicted = self._former, self._former.session.state
+            self._disbelieve(former)
+        supported, stamps = former.supported, self.dataset.stamps_ns
+        since_s = 1e-9 * float(stamps[index] - stamps[supported[-1] if supported else 0])
         variance = np.diag(predicted.covariance)[strapdown.VELOCITY].max()
         slip_m = float(np.linalg.norm(_pose_step(predicted, fix)[3:]))
-        slip_m_s = slip_m / since_s if since_s > 0.0 and tracked else 0.0
+        slip_m_s = slip_m / since_s if since_s > 0.0 and supported else 0.0
         sigma_m_s = float(np.hypot(np.sqrt(variance), slip_m_s))
         state = initial_from_fix(frame.stamp_ns, fix, predicted.gV, sigma_m_s)
         if self.dataset.motion is not None:
@@ -288,16 +374,24 @@ class Tracker:
                 angular_velocity_rad_s=before.angular_velocity_rad_s,
             )
         descent = replace(self.descent, initial=state)
-        if tracked:
-            self._segments.append(Segment(index, state))
-        else:
+        segments, earlier = [*former.segments, Segment(index, state)], former.measured[:index]
+        if not supported:
             # No earlier frame supports the initial state, and this one contradicts it.
-            self._segments = [Segment(0, propagated_back(descent, state, int(stamps[0])))]
-            self._measured = [FrameMeasurement(one.stamp_ns, RimSet.empty(), None) for one in self._measured]
+            segments = [Segment(0, propagated_back(descent, state, int(stamps[0])))]
+            earlier = [self._nothing(k, one.gTb) for k, one in enumerate(earlier)]
         # What rims near a wrong pose have shown of their craters' errors goes with it.
-        self._pooled = PooledErrors(self.dataset.camera, self.dataset.catalog)
-        self._session = OnlineSession(descent)
-        self._session.begin(frame, Start(fix.gTb, fix.pose_covariance, 0))
+        pooled = PooledErrors(self.dataset.camera, self.dataset.catalog)
+        track = _Track(OnlineSession(descent), pooled, segments, earlier)
+        frame = self._shared_sun(_pool(track, _Guided(frame, fix.gTb)))
+        track.session.begin(frame, Start(fix.gTb, fix.pose_covariance, 0))
+        track.measured.append(_Guided(frame, fix.gTb))
+        self._track = track
+        self._former = former if supported or self._guides(predicted) else None
+
+
+def _pool(track: _Track, guided: _Guided) -> FrameMeasurement:
+    """Pool the covariances of a frame's rims with those of a track's earlier frames."""
+    return replace(guided.frame, rims=track.pooled.pool(guided.frame.rims, guided.gTb))
 
 
 def _contradicts(predicted: FilterState, fix: PoseFix) -> bool:

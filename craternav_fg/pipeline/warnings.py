@@ -54,6 +54,8 @@ _NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"
 # Share of the frames which should show catalogue craters that may show none: beyond, the few rims there are
 # may be matched wrongly.
 _MAX_MISSED_SHARE = 0.8
+# Images that a warning names.
+_MAX_LISTED = 5
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 _OTHERS_ALONE = "there the trajectory rests on the IMU and {}"
 
@@ -336,6 +338,54 @@ def colour_images(count: int) -> list[str]:
     return [f"{count} images are in colour: their luma is used"]
 
 
+def repeated_images(repeated: Mapping[str, str]) -> list[str]:
+    """Warn of images that are copies of earlier ones.
+
+    Parameters
+    ----------
+    repeated : mapping of str to str
+        See `Reconstruction.repeated`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not repeated:
+        return []
+    pairs = [f"{name} (same pixels as {first})" for name, first in repeated.items()]
+    return [
+        f"copies of earlier images, which were not taken at their stamps: {_listed(pairs)}; their rims are "
+        "left out"
+    ]
+
+
+def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
+    """Warn of frames whose rims were left out, as they contradict the track.
+
+    Parameters
+    ----------
+    disbelieved : mapping of int to str
+        See `Reconstruction.disbelieved`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not disbelieved:
+        return []
+    names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
+    return [
+        f"the craters identified in frame {_listed(names)} contradict the IMU and the frames before, and no "
+        "later frame confirms them: their rims are left out; check that the image is the one of its stamp"
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """List the first of many names."""
+    shown = ", ".join(names[:_MAX_LISTED])
+    return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
+
+
 def lowered_rims(lowered: bool) -> list[str]:
     """Tell that heights in the catalogue were taken for those of the rims' points.
 
@@ -355,7 +405,7 @@ def lowered_rims(lowered: bool) -> list[str]:
     ]
 
 
-def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
+def replaced_states(origin: str, reinitialised_at: Sequence[int], mistake: str = "") -> list[str]:
     """Warn of an initial state that was replaced, and of frames at which the track was re-initialised.
 
     Parameters
@@ -364,6 +414,8 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
         See `Reconstruction.origin`.
     reinitialised_at : sequence of int
         Indices of frames.
+    mistake : str
+        What would explain that the images contradict the initial state; empty when nothing is known.
 
     Returns
     -------
@@ -371,7 +423,8 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int]) -> list[str]:
     """
     out = []
     if origin == "replaced":
-        out.append("the images contradict the initial state: it was replaced by one from identified craters")
+        text = "the images contradict the initial state: it was replaced by one from identified craters"
+        out.append(f"{text}; {mistake}" if mistake else text)
     if reinitialised_at:
         out.append(
             "track was lost, and craters identified later contradict the IMU: re-initialised at frame "

@@ -105,6 +105,9 @@ def test_longitudes_to_the_west(tmp_path):
     # A mirror image of the body: nothing would ever be identified on it.
     path = written(tmp_path, "id,lat,Lon_W,diam_km\nA,20,200,12\n")
     refused(path, r"craters\.csv:1: Lon_W: expected longitudes positive east", longitude="Lon_W")
+    catalog, report = import_catalog(path, MOON, ImportOptions(longitude="Lon_W", west_longitudes=True))
+    np.testing.assert_allclose(np.degrees(catalog.longitude_rad), [160.0])
+    assert "Lon_W (west)" in report.columns
 
 
 def test_columns_of_robbins_in_small_letters(tmp_path):

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from craternav_fg.body import Body
+from craternav_fg.catalogs.bodies import SPHERES_M
 from craternav_fg.catalogs.files import write_catalog
 from craternav_fg.cli.app import app
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
-from craternav_fg.importing.bodies import with_gravity
+from craternav_fg.importing import bodies
+from craternav_fg.importing.bodies import with_gravity_and_spin
 from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamps_of
 from tests.dataset.samples import recording
 from tests.importing.moon import moon_catalog
@@ -110,7 +112,33 @@ def test_an_image_without_values_is_named_wherever_it_stands(empty):
         grey_levels([Path("0.cub"), Path("1.cub")], images, 8)
 
 
-def test_gravity_is_known_of_the_moon_only():
-    assert with_gravity(Body("Moon", 1.7e6, 1.0, (0.0, 0.0, 0.0)), None).mu_m3_s2 == 4.902800118e12
-    with pytest.raises(InputError, match="--mu-m3-s2: expected it for Vesta"):
-        with_gravity(Body("Vesta", 2.6e5, 1.0, (0.0, 0.0, 0.0)), None)
+def test_gravity_and_spin_are_known_or_asked_for():
+    still = (0.0, 0.0, 0.0)
+    moon = with_gravity_and_spin(Body("Moon", 1.7e6, 1.0, still), None, None)
+    assert (moon.mu_m3_s2, moon.spin_rad_s[2]) == pytest.approx((4.902800118e12, 2.6616995e-6))
+    ceres = with_gravity_and_spin(Body("Ceres", 4.7e5, 1.0, still), None, None)
+    # A turn in 9.074 hours.
+    assert (ceres.mu_m3_s2, ceres.spin_rad_s[2]) == pytest.approx((6.2629e10, 1.9234e-4), rel=1e-4)
+    turned = Body("Moon", 1.7e6, 1.0, (1e-9, 2e-9, 3e-6))
+    assert with_gravity_and_spin(turned, None, None).spin_rad_s == turned.spin_rad_s
+    assert with_gravity_and_spin(turned, None, 0.0).spin_rad_s == still
+    with pytest.raises(InputError, match="--mu-m3-s2: expected it for Bennu"):
+        with_gravity_and_spin(Body("Bennu", 245.0, 1.0, still), None, 4e-4)
+    with pytest.raises(InputError, match="--spin-rad-s: expected it for Bennu"):
+        with_gravity_and_spin(Body("Bennu", 245.0, 1.0, still), 4.9, None)
+
+
+def test_what_is_known_of_a_body_agrees_with_its_size_and_orbit():
+    """Densities are those of rock and ice; locked moons turn as they revolve."""
+    for name, gm_km3_s2 in bodies._GM_KM3_S2.items():
+        volume_m3 = 4.0 / 3.0 * np.pi * SPHERES_M[name] ** 3
+        assert 900.0 < 1e9 * gm_km3_s2 / 6.6743e-11 / volume_m3 < 5600.0, name
+    assert bodies._GM_KM3_S2.keys() <= bodies._ROTATION_DEG_DAY.keys() <= SPHERES_M.keys()
+    for moon, planet, axis_km in (
+        ("Moon", "Earth", 384400.0), ("Phobos", "Mars", 9378.0), ("Deimos", "Mars", 23459.0),
+        ("Charon", "Pluto", 19596.0),
+    ):  # fmt: skip
+        gm = bodies._GM_KM3_S2[planet] + bodies._GM_KM3_S2[moon]
+        assert np.radians(bodies._ROTATION_DEG_DAY[moon]) / 86400.0 == pytest.approx(
+            np.sqrt(gm / axis_km**3), rel=0.01
+        ), moon

@@ -7,10 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
+from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.estimators.base import Descent
-from craternav_fg.pipeline.mistakes import likely_mistake
+from craternav_fg.pipeline import warnings
+from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
 from craternav_fg.pipeline.reconstruct import reconstruct
 from tests.foreign.files import write
 from tests.foreign.worlds import draw_world
@@ -36,7 +38,10 @@ def with_images(data: Dataset, folder: Path, change) -> Dataset:
     [
         (lambda image: image[:, ::-1], "it is mirrored left to right"),
         (lambda image: image[::-1, ::-1], "it is turned by 180 deg"),
-        (lambda image: 255 - image, "it is taken for a negative"),
+        (
+            lambda image: 255 - image,
+            "it is taken for a negative, or if the sun of sun.csv stands on the opposite side",
+        ),
     ],
 )
 def test_images_spoilt_alike(data: Dataset, tmp_path: Path, change, said: str) -> None:
@@ -49,6 +54,21 @@ def test_sun_and_sizes(data: Dataset) -> None:
     c = data.catalog
     small = replace(c, semi_major_m=0.5 * c.semi_major_m, semi_minor_m=0.5 * c.semi_minor_m)
     assert "radii for diameters" in likely_mistake(replace(data, catalog=small), Descent.of(data))
+    west = replace(c, longitude_rad=-c.longitude_rad)
+    assert "are positive west" in likely_mistake(replace(data, catalog=west), Descent.of(data))
+
+
+def test_a_camera_that_is_turned_is_recognised(data: Dataset) -> None:
+    assert data.initial is not None
+    gTb, camera = data.initial.gTb, data.camera
+    for turn_deg, said in (([0.0, 0.0, 180.0], True), ([8.0, 5.0, 160.0], True), ([0.0, 0.0, 90.0], False)):
+        turn = frames.pose(frames.rotation_exp(np.radians(turn_deg)), np.zeros(3))
+        turned = gTb @ camera.bTc @ turn @ np.linalg.inv(camera.bTc)
+        assert turned_about_axis(camera, gTb, turned) == said
+    flipped = frames.pose(frames.rotation_exp(np.array([np.pi, 0.0, 0.0])), np.zeros(3))
+    assert not turned_about_axis(camera, gTb, gTb @ camera.bTc @ flipped @ np.linalg.inv(camera.bTc))
+    (text,) = warnings.replaced_states("replaced", (), "7 craters are found if it is turned by 180 deg")
+    assert text.endswith("identified craters; 7 craters are found if it is turned by 180 deg")
 
 
 def test_nothing_is_said_of_images_of_nothing(data: Dataset, tmp_path: Path) -> None:
@@ -80,6 +100,7 @@ def test_turned_images_need_no_more_memory(tmp_path: Path) -> None:
     text = done.stderr
     # Craters are identified, as from a camera that is turned; the IMU is of one that is not.
     assert "the images contradict the initial state" in text, text
+    assert "in the first image if it is turned by 180 deg" in text
     assert "imu: contradicts what ekf predicts" in text
     assert done.returncode == 0
     assert peak_mb < 1024.0

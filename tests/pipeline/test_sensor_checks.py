@@ -230,6 +230,27 @@ def test_a_log_in_a_wrong_unit_or_order_is_refused(
 
 
 @pytest.mark.parametrize(
+    ("gyro", "accelerometer", "said"),
+    [
+        (np.degrees(1.0), 1.0, "w_RS_S_x: expected rad/s, found deg/s"),
+        (1.0, 1.0 / 9.80665, "a_RS_S_x: expected m/s^2, found g"),
+        (np.degrees(1.0), 1.0 / 9.80665, "w_RS_S_x: expected rad/s and m/s^2, found deg/s and g"),
+    ],
+)
+def test_an_imu_in_another_unit_is_refused(
+    measured: Dataset, sensors: Path, gyro: float, accelerometer: float, said: str
+) -> None:
+    for data in (measured, Dataset.open(sensors)):
+        assert data.imu is not None
+        imu = replace(
+            data.imu, gyro=gyro * data.imu.gyro, accelerometer=accelerometer * data.imu.accelerometer
+        )
+        with pytest.raises(InputError) as caught:
+            reconstruct(replace(data, imu=imu), ["dead_reckoning"])
+        assert f"mav0/imu0/data.csv: {said} (the other sensors confirm it)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
     ("name", "change", "said"),
     [
         ("altimeter", lambda row: [*row, "1"], "expected 2 columns"),

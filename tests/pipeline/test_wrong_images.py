@@ -1,0 +1,134 @@
+"""Images that are not of their stamps: stale, exchanged, or copies; and tracks that were lost indeed."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from craternav_fg.dataset import Dataset
+from craternav_fg.estimators.base import Descent
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.pipeline import warnings
+from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.relocalisation import PoseFix
+from craternav_fg.pipeline.repeated_images import repeated_images
+from craternav_fg.pipeline.tracking import Tracked, Tracker, _Guided
+from craternav_fg.simulation.scenario import simulate
+from craternav_fg.vision.guided_options import GuidedOptions
+from tests.descents import scenario
+
+DARK = -1
+SPREAD = np.diag([1e-3] * 3 + [10.0] * 3) ** 2
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return Dataset.open(simulate(scenario(duration_s=48.0), tmp_path_factory.mktemp("data") / "d"))
+
+
+def tracked(
+    data: Dataset, shown: Sequence[int], monkeypatch: pytest.MonkeyPatch, repeated: Sequence[int] = ()
+) -> Tracked:
+    """Track images of which the k-th shows what frame shown[k] should, to who looks near its pose."""
+    assert data.measurements is not None
+    assert data.truth is not None
+    measured, truth = data.measurements, data.truth
+
+    def guided(self: Tracker, index: int, gTb: np.ndarray, covariance: np.ndarray) -> _Guided:
+        there = shown[index]
+        seen = there != DARK and np.linalg.norm(gTb[:3, 3] - truth.gP[there]) < 100.0
+        rims = measured[there].rims if seen else RimSet.empty()
+        return _Guided(FrameMeasurement(int(data.stamps_ns[index]), rims, None), gTb)
+
+    def locate(index: int, sun_angle_rad: float | None) -> PoseFix | None:
+        return None if shown[index] == DARK else PoseFix(truth.gTb[shown[index]], SPREAD, 9)
+
+    monkeypatch.setattr(Tracker, "_guided", guided)
+    monkeypatch.setattr("craternav_fg.pipeline.tracking.acquire", lambda *_: None)
+    monkeypatch.setattr(Dataset, "image", lambda self, index: None)
+    relocaliser: Any = SimpleNamespace(
+        locate=locate, match=lambda index, *_: locate(index, None) if shown[index] == index else None
+    )
+    front_end: Any = SimpleNamespace(options=GuidedOptions())
+    return Tracker(data, Descent.of(data), front_end, relocaliser, repeated).run(lambda *_: None)
+
+
+def with_rims(result: Tracked) -> list[int]:
+    return [k for k, frame in enumerate(result.frames) if len(frame.rims)]
+
+
+def test_one_image_does_not_replace_the_track(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = list(range(len(data)))
+    assert with_rims(tracked(data, every, monkeypatch)) == every
+    # Stale by one and by two, and two that are exchanged: the second is identified.
+    for wrong in ({4: 3, 5: 3}, {4: 5, 5: 4}):
+        result = tracked(data, [wrong.get(k, k) for k in every], monkeypatch)
+        assert len(result.segments) == 1
+        assert result.disbelieved == (5,)
+        assert with_rims(result) == [k for k in every if k not in wrong]
+        assert data.truth is not None
+        assert np.linalg.norm(result.guides[:, :3, 3] - data.truth.gP, axis=1)[1:].max() < 100.0
+
+
+def test_what_no_later_frame_confirms_is_not_believed(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = list(range(len(data)))
+    last = every[-1]
+    result = tracked(data, [*every[:-2], 3, 3], monkeypatch)
+    assert len(result.segments) == 1
+    assert result.disbelieved == (last,)
+    assert with_rims(result) == every[:-2]
+
+
+def lost(data: Dataset) -> Dataset:
+    """Let the accelerometer be wrong by 30 m/s^2 for 8 s of darkness."""
+    assert data.imu is not None
+    force = data.imu.accelerometer.copy()
+    time_s = 1e-9 * (data.imu.stamps_ns - data.stamps_ns[0])
+    force[(time_s > 9.0) & (time_s < 17.0), 0] += 30.0
+    return dataclasses.replace(data, imu=dataclasses.replace(data.imu, accelerometer=force))
+
+
+def test_a_track_that_is_lost_is_replaced_once_two_frames_confirm(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = [DARK if 3 <= k < 10 else k for k in range(len(data))]
+    result = tracked(lost(data), shown, monkeypatch)
+    assert result.disbelieved == ()
+    assert [segment.first for segment in result.segments] == [0, 10]
+    assert with_rims(result) == [k for k in range(len(data)) if shown[k] != DARK]
+
+
+def test_copies_of_images_are_left_out(
+    data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = list(range(len(data)))
+    shown = [3 if k in (4, 5) else k for k in every]
+    result = tracked(data, shown, monkeypatch, repeated=(4, 5))
+    assert (len(result.segments), result.disbelieved) == (1, ())
+    assert with_rims(result) == [k for k in every if k not in (4, 5)]
+    paths = [tmp_path / f"{k}.png" for k in range(6)]
+    for path, content in zip(paths, (b"one", b"two", b"one", b"longer", b"six", b"two"), strict=True):
+        path.write_bytes(content)
+    assert repeated_images(paths) == {2: 0, 5: 1}
+    assert repeated_images([*paths[:2], tmp_path / "missing.png"]) == {}
+
+
+def test_no_velocity_is_taken_from_a_copy(data: Dataset) -> None:
+    assert data.truth is not None
+    poses = data.truth.gTb[[0, 0, 2]]
+    relocaliser: Any = SimpleNamespace(locate=lambda index: PoseFix(poses[index], SPREAD, 9))
+    initial = find_initial(data, relocaliser, lambda done: None, repeated={1: 0})
+    assert np.linalg.norm(initial.gV - data.truth.gV[0]) < 5.0
+
+
+def test_wrong_images_are_named() -> None:
+    (text,) = warnings.repeated_images({f"{k}.png": "0.png" for k in range(1, 8)})
+    assert "1.png (same pixels as 0.png), 2.png" in text
+    assert "and 2 more" in text
+    (text,) = warnings.disbelieved_frames({7: "frame_0007.png"})
+    assert "frame 7 (frame_0007.png) contradict the IMU" in text
+    assert warnings.repeated_images({}) == warnings.disbelieved_frames({}) == []
