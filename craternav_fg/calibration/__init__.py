@@ -42,7 +42,7 @@ correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 
 outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.52 ± 0.13, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.06, not contradicted
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010, confirmed
-pooling              pooling.MEMORY                                1.0     1.2 ± 0.4, not contradicted
+pooling              pooling.MEMORY                                1.0     2.1 ± 0.7, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.06 ± 0.03, kept
 variance_inflation   correlated_errors.VARIANCE_INFLATION          5       5.5 ± 0.8, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
