@@ -7,7 +7,15 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
 from craternav_fg.body import Body
 from craternav_fg.errors import InputError
@@ -27,6 +35,10 @@ Quaternion = Annotated[tuple[float, float, float, float], AfterValidator(_not_ze
 Positive = Annotated[float, Field(gt=0.0)]
 M = TypeVar("M", bound="Section")
 
+# Newton's constant (CODATA 2018), and mean densities of bodies: a porous comet has 500 kg/m^3, iron has 8000.
+# Room for a sphere of reference that is not the mean one.
+_NEWTON_M3_KG_S2 = 6.6743e-11
+_DENSITIES_KG_M3 = (100.0, 30_000.0)
 # Minimum and maximum size of a number in settings.
 _SIZES = (1e-60, 1e60)
 # Characters of a wrong value that an error shows.
@@ -55,6 +67,23 @@ class BodySection(Section):
     mu_m3_s2: Positive
     spin_rad_s: Vector
     """Angular velocity in inertial space, components in g."""
+
+    @field_validator("mu_m3_s2")
+    @classmethod
+    def _of_matter(cls, mu_m3_s2: float, others: ValidationInfo) -> float:
+        """Refuse a gravitational parameter in another unit, or of another body than the radius."""
+        radius_m = others.data.get("radius_m")
+        if radius_m is None:
+            return mu_m3_s2
+        low, high = _DENSITIES_KG_M3
+        # No power: that of an integer of hundreds of digits is an OverflowError.
+        density = mu_m3_s2 / _NEWTON_M3_KG_S2 / (4.0 / 3.0 * math.pi * radius_m * radius_m * radius_m)
+        if not low <= density <= high:
+            raise ValueError(
+                f"expected a mean density of {low:g} to {high:g} kg/m^3, found {density:.3g} with a radius "
+                f"of {radius_m:g} m: is it in km^3/s^2, or of another body?"
+            )
+        return mu_m3_s2
 
     def body(self) -> Body:
         """Make the body that the table describes."""

@@ -229,6 +229,14 @@ CASES = {
         edit(TOML, "attitude_wxyz = [", "attitude_wxyz = [1"),
         [f"{TOML}:12", "initial.attitude_wxyz", "unit quaternion"],
     ),
+    "gravity in cubic kilometres": (
+        edit(TOML, "mu_m3_s2 = 4902800118000.0", "mu_m3_s2 = 4902.800118"),
+        [f"{TOML}:6: body.mu_m3_s2", "100 to 30000 kg/m^3", "found 3.34e-06", "km^3/s^2"],
+    ),
+    "gravity of another body": (
+        edit(TOML, "mu_m3_s2 = 4902800118000.0", "mu_m3_s2 = 3.986e14"),
+        [f"{TOML}:6: body.mu_m3_s2", "found 2.72e+05", "of another body?"],
+    ),
     "position in kilometres": (
         edit(TOML, "position_m = [1750000.0", "position_m = [1750.0"),
         [f"{TOML}:11", "initial.position_m", "metres"],
