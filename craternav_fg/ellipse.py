@@ -113,13 +113,13 @@ def pixel_chart(chart: FloatArray, camera: Camera) -> FloatArray:
     return np.asarray(chart * scale + offset)
 
 
-def seen_through_lens(axes_px: FloatArray, camera: Camera) -> FloatArray:
+def seen_through_lens(charts_px: FloatArray, camera: Camera) -> FloatArray:
     """Compute the charts of the ellipses that best follow ellipses seen in a distorted image.
 
     Parameters
     ----------
-    axes_px : ndarray, shape (n, 5)
-        Axes in the pixels of the image as it is, not of `camera.pinhole`.
+    charts_px : ndarray, shape (n, 5)
+        Charts in the pixels of the image as it is, not of `camera.pinhole`.
     camera : Camera
 
     Returns
@@ -127,7 +127,7 @@ def seen_through_lens(axes_px: FloatArray, camera: Camera) -> FloatArray:
     ndarray, shape (n, 5)
         Charts in normalised image coordinates: the first harmonics of the undistorted outlines.
     """
-    points = camera.normalised(points_on(chart_of_axes(axes_px), _LENS_POINTS))
+    points = camera.normalised(points_on(charts_px, _LENS_POINTS))
     t = 2.0 * np.pi * np.arange(_LENS_POINTS) / _LENS_POINTS
     cosine, sine = (2.0 / _LENS_POINTS * np.einsum("nkd,k->nd", points, f(t)) for f in (np.cos, np.sin))
     return chart_of_diameters(points.mean(axis=1), cosine, sine)

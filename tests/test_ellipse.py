@@ -153,7 +153,7 @@ def test_an_ellipse_seen_through_a_lens_is_found_again() -> None:
     # What the image shows is nearly an ellipse: fitted here, not by its harmonics.
     outline = BENT.pixels(ellipse.points_on(truth, 200))
     centre, diameters, degrees = cv2.fitEllipseAMS(outline.astype(np.float32))
-    seen = np.array([[*centre, 0.5 * diameters[0], 0.5 * diameters[1], np.radians(degrees)]])
+    seen = ellipse.chart_of_axes([[*centre, 0.5 * diameters[0], 0.5 * diameters[1], np.radians(degrees)]])
     assert np.abs(centre - CAMERA.pixels(truth[:2])).max() > 5.0
     found_px = ellipse.pixel_chart(ellipse.seen_through_lens(seen, BENT), CAMERA)[0]
     truth_px = ellipse.pixel_chart(truth, CAMERA)

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from craternav_fg.camera import Camera
 from craternav_fg.catalogs.common_shift import unknown_height_warnings
 from craternav_fg.cli.app import app, example
 from craternav_fg.cli.catalog_reading import body_of_radius, warn_of
@@ -108,7 +107,7 @@ def pose(
     as_json: JsonOption = False,
 ) -> None:
     """Compute the lander's pose from the matched rims of one image, without an initial guess."""
-    sensor = _undistorted_camera(camera)
+    sensor = read_camera(camera)
     body = body_of_radius(body_radius_m)
     matched, craters, report = read_rims(rims, sensor, catalog, body, **vars(noise))
     warn_of(catalog, report)
@@ -128,15 +127,6 @@ def pose(
     _require_pose(result)
     for warning in result.warnings:
         warn(warning)
-
-
-def _undistorted_camera(path: Path) -> Camera:
-    camera = read_camera(path)
-    if camera.distorts:
-        raise InputError(
-            path, "expected a lens without distortion, whose image of a rim is an ellipse; found distortion"
-        )
-    return camera
 
 
 def _show(values: dict[str, Any]) -> None:

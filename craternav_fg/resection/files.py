@@ -1,6 +1,6 @@
 """Resection problems from files, and results as plain data: what the command line reads and prints."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,13 @@ from craternav_fg.catalogs.importing import ImportReport
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.ellipses import MatchedEllipses, read_matched_ellipses
 from craternav_fg.dataset.measurements import ground_sun_direction
-from craternav_fg.ellipse import axes_covariance, chart_of_axes, normalised_chart
+from craternav_fg.ellipse import (
+    axes_covariance,
+    chart_of_axes,
+    half_sides,
+    normalised_chart,
+    seen_through_lens,
+)
 from craternav_fg.measurements import KnownAttitude, SunTilt
 from craternav_fg.resection.edge_fit import fit_covariance
 from craternav_fg.resection.problem import (
@@ -52,7 +58,8 @@ def read_rims(
     Parameters
     ----------
     path : Path
-        CSV: ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
+        CSV of ellipses as the image shows them, through the lens:
+        ellipseCenterX(px), ellipseCenterY(px), ellipseSemimajor(px), ellipseSemiminor(px),
         ellipseRotation(deg) (of the major axis, from the image's x axis towards its y axis), CRATER_ID,
         and optionally sigma_px, the standard deviation of the rim's edge points along the rim's normal, or
         covariance, see `read_matched_ellipses`, which goes before all other sigmas. Further columns are
@@ -87,34 +94,60 @@ def read_rims(
     matched = read_matched_ellipses(path, camera)
     catalog, report = _craters(matched, catalog_path, body)
     charts_px = chart_of_axes(matched.ellipses_px)
-    charts, scale = normalised_chart(charts_px, camera)
+    charts, J = _without_distortion(charts_px, camera)
     if matched.covariances is not None:
-        J = _chart_jacobian(matched.ellipses_px)
-        covariances = J @ matched.covariances @ np.swapaxes(J, 1, 2) * np.outer(scale, scale)
+        J = J @ _axes_jacobian(matched.ellipses_px)
+        covariances_px = matched.covariances
     elif sigma_ellipse_px is not None:
-        covariances = np.array([axes_covariance(chart, sigma_ellipse_px) for chart in charts_px])
-        covariances *= np.outer(scale, scale)
+        covariances_px = np.array([axes_covariance(chart, sigma_ellipse_px) for chart in charts_px])
     else:
-        sigmas = np.full(len(matched), sigma_px) if matched.sigmas_px is None else matched.sigmas_px
-        covariances = np.array(
-            [
-                fit_covariance(chart, camera, float(sigma), edge_points)
-                for chart, sigma in zip(charts, sigmas, strict=True)
-            ]
-        )
+        sigmas_px = np.full(len(matched), sigma_px) if matched.sigmas_px is None else matched.sigmas_px
+        covariances_px = _fit_covariances_px(charts_px, camera, sigmas_px, edge_points)
+    covariances = J @ covariances_px @ np.swapaxes(J, 1, 2)
     rims = MatchedRims(catalog.identifiers, catalog.centres, catalog.axes, charts, covariances)
     return rims, catalog, report
 
 
-def _chart_jacobian(ellipses_px: FloatArray) -> FloatArray:
-    """Jacobians (n, 5, 5) of charts in centre, semi-axes and rotation, by central differences."""
+def _without_distortion(charts_px: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Charts (n, 5) in normalised image coordinates, and Jacobians (n, 5, 5) in those seen in the image."""
+    ones = np.ones(len(charts_px))
+    half = half_sides(charts_px)
+    # The shear is a length over the half width.
+    shear = np.exp(charts_px[:, 4] - charts_px[:, 2])
+    steps = _STEP * np.column_stack([half, ones, shear, ones])
+    return seen_through_lens(charts_px, camera), _jacobian(
+        lambda charts: seen_through_lens(charts, camera), charts_px, steps
+    )
+
+
+def _axes_jacobian(ellipses_px: FloatArray) -> FloatArray:
+    """Jacobians (n, 5, 5) of charts in centre, semi-axes and rotation."""
+    minor_px = ellipses_px[:, 3]
+    steps = _STEP * np.column_stack([minor_px, minor_px, minor_px, minor_px, np.ones(len(ellipses_px))])
+    return _jacobian(chart_of_axes, ellipses_px, steps)
+
+
+def _jacobian(
+    function: Callable[[FloatArray], FloatArray], values: FloatArray, steps: FloatArray
+) -> FloatArray:
+    """Jacobians (n, 5, 5) by central differences with steps (n, 5)."""
     columns = []
     for k in range(5):
-        step = np.zeros_like(ellipses_px)
-        step[:, k] = _STEP * (ellipses_px[:, 3] if k < 4 else 1.0)
-        difference = chart_of_axes(ellipses_px + step) - chart_of_axes(ellipses_px - step)
-        columns.append(difference / (2.0 * step[:, k, None]))
+        step = steps * (np.arange(5) == k)
+        columns.append((function(values + step) - function(values - step)) / (2.0 * steps[:, k, None]))
     return np.stack(columns, axis=-1)
+
+
+def _fit_covariances_px(
+    charts_px: FloatArray, camera: Camera, sigmas_px: FloatArray, edge_points: int
+) -> FloatArray:
+    """Covariances (n, 5, 5) of charts fitted to edge points, px."""
+    charts, scale = normalised_chart(charts_px, camera)
+    covariances = [
+        fit_covariance(chart, camera, float(sigma), edge_points)
+        for chart, sigma in zip(charts, sigmas_px, strict=True)
+    ]
+    return np.asarray(np.array(covariances) / np.outer(scale, scale))
 
 
 def resection_problem(
@@ -159,11 +192,13 @@ def resection_problem(
         known = KnownAttitude(gRb, float(np.radians(attitude_sigma_deg)))
     tilt = None
     if sun is not None:
+        point = rims.chart[:, :2].mean(axis=0)
+        angle = np.radians(sun[0])
+        # A lens, and pixels that are not square, turn directions.
+        along = np.linalg.solve(camera.pixels_jacobian(point), [np.cos(angle), np.sin(angle)])
         towards = _direction("sun: expected a direction", sun[2:])
         ground = ground_sun_direction(towards, catalog, np.arange(len(catalog)), np.zeros(3))
-        tilt = SunTilt(
-            float(np.radians(sun[0])), float(np.radians(sun[1])), rims.chart[:, :2].mean(axis=0), ground
-        )
+        tilt = SunTilt(float(np.arctan2(along[1], along[0])), float(np.radians(sun[1])), point, ground)
     return ResectionProblem(rims, camera.bTc, attitude=known, sun=tilt)
 
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from craternav_fg.camera import Camera
-from craternav_fg.ellipse import matrix_of_chart, seen_through_lens
+from craternav_fg.ellipse import chart_of_axes, matrix_of_chart, seen_through_lens
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def view_of(
     -------
     View
     """
-    charts = seen_through_lens(ellipses_px, camera)
+    charts = seen_through_lens(chart_of_axes(ellipses_px), camera)
     l11, l22 = np.exp(charts[:, 2]), np.exp(charts[:, 4])
     moments = matrix_of_chart(charts).reshape(-1, 4)[:, [0, 1, 3]]
     rays = np.concatenate([charts[:, :2], np.ones((len(charts), 1))], axis=1)
