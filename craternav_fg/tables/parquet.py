@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pa_compute
 import pyarrow.parquet as pq
 
 from craternav_fg.errors import InputError
@@ -16,6 +17,7 @@ from craternav_fg.tables.sizes import LARGEST
 FloatArray = npt.NDArray[np.float64]
 
 _NOTHING = pa.schema([])
+_TEXTS = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
 # Most memory of a table: a few bytes on disk may stand for billions of equal values.
 _MAX_BYTES = 1 << 31
 # Memory that an entry of a column takes when its length is not fixed.
@@ -51,7 +53,8 @@ def read_parquet(
     ----------
     path : Path
     schema : pyarrow.Schema
-        Columns that must be there. Those that are not nullable may have no empty cells.
+        Columns that must be there. Those that are not nullable may have no empty cells. Other forms of the
+        same type are converted, as pandas and polars write them: texts of any kind, and lists of free length.
     optional : pyarrow.Schema, optional
         Columns that may be there.
     renamed : mapping of str to str, optional
@@ -83,6 +86,7 @@ def read_parquet(
             table.validate(full=True)
         except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
             raise _damaged(path, error) from None
+    table = _converted(path, table, fields)
     for name, field in fields.items():
         if not field.nullable and table[name].null_count:
             row = int(np.flatnonzero(table[name].is_null().to_numpy())[0])
@@ -232,9 +236,42 @@ def _wanted(
                 raise InputError(path, "unknown column", column=name)
             continue
         kind, expected = found.field(k).type, fields[name].type
-        if kind != expected:
+        if not _alike(kind, expected):
             raise InputError(path, f"expected the type {expected}, found {kind}", column=name)
     return fields
+
+
+def _alike(kind: pa.DataType, expected: pa.DataType) -> bool:
+    """Whether values of a type can be converted to another one as they are."""
+    if pa.types.is_string(expected):
+        text = kind.value_type if pa.types.is_dictionary(kind) else kind
+        return any(is_text(text) for is_text in _TEXTS)
+    free = pa.types.is_list(kind) or pa.types.is_large_list(kind)
+    if free and (pa.types.is_list(expected) or pa.types.is_fixed_size_list(expected)):
+        return _alike(kind.value_type, expected.value_type)
+    return bool(kind == expected)
+
+
+def _converted(path: Path, table: pa.Table, fields: Mapping[str, pa.Field]) -> pa.Table:
+    """Convert the columns to the types of their fields."""
+    for k, name in enumerate(table.column_names):
+        kind = fields[name].type
+        if table[name].type == kind:
+            continue
+        try:
+            table = table.set_column(k, name, table[name].cast(kind))
+        except pa.ArrowInvalid:
+            raise InputError(path, _other_length(table[name], kind), column=name) from None
+    return table
+
+
+def _other_length(column: pa.ChunkedArray, kind: pa.DataType) -> str:
+    """Say which list cannot be converted to one of a fixed length."""
+    if not pa.types.is_fixed_size_list(kind):
+        return f"expected the type {kind}, found lists of other lengths"
+    lengths = pa_compute.list_value_length(column).combine_chunks()
+    row = int(np.flatnonzero(pa_compute.not_equal(lengths, kind.list_size).to_numpy(False) == 1)[0])
+    return f"row {row + 1}: expected {kind.list_size} values, found {lengths[row].as_py()}"
 
 
 def _check_size(path: Path, about: pq.FileMetaData, fields: Iterable[pa.Field]) -> None:

@@ -309,6 +309,13 @@ def floats(table, name):
     return table.set_column(table.column_names.index(name), name, table[name].cast(pa.float32()))
 
 
+LISTS = pa.list_(pa.float64())
+
+
+def of_type(table, name, values, kind):
+    return table.set_column(table.column_names.index(name), name, pa.array(values, kind))
+
+
 def with_a_name_that_is_no_text(folder):
     """Spoil the last place that names a column: the metadata of its chunk."""
     path = folder.path / layout.RIMS
@@ -335,6 +342,18 @@ RIM_CASES = {
     "unknown column": (
         changed(lambda t: t.append_column("colour", pa.nulls(len(t)))),
         [layout.RIMS, "colour", "unknown"],
+    ),
+    "lists of another length": (
+        changed(lambda t: of_type(t, "chart", [*t["chart"].to_pylist()[:2], [0.0] * 4], LISTS)),
+        [layout.RIMS, "chart", "row 3", "expected 5 values, found 4"],
+    ),
+    "lists of texts": (
+        changed(lambda t: of_type(t, "chart", [["0"] * 5] * len(t), pa.list_(pa.string()))),
+        [layout.RIMS, "chart", "fixed_size_list", "found list<"],
+    ),
+    "arcs of half points": (
+        changed(lambda t: of_type(t, "points", [[[0.0]]] * len(t), pa.list_(LISTS)), layout.ARCS),
+        [layout.ARCS, "points", "other lengths"],
     ),
     "single precision": (changed(lambda t: floats(t, "rms_px")), [layout.RIMS, "rms_px", "double", "float"]),
     "part too large": (set_cell(1, "correlated", [1.0] * 25), [layout.RIMS, "row 2", "less than"]),

@@ -4,6 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -338,3 +339,30 @@ def test_a_long_imu_log_is_not_read_row_by_row(tmp_path):
     assert len(read_table(path, layout.IMU_COLUMNS)) == n
     ours_s = processor_time_s(lambda: read_table(path, layout.IMU_COLUMNS))
     assert ours_s < 2.0 * processor_time_s(lambda: np.loadtxt(path, delimiter=","))
+
+
+@pytest.mark.parametrize(
+    ("text", "list_of"),
+    [
+        (pa.large_string(), pa.large_list),
+        (pa.string_view(), pa.list_),
+        (pa.dictionary(pa.int32(), pa.string()), pa.list_),
+    ],
+)
+def test_rims_of_other_writers_are_read(rims_folder, text, list_of):
+    """Pandas and polars write texts in other forms, and lists of free length."""
+
+    def free(kind):
+        return list_of(free(kind.value_type)) if pa.types.is_nested(kind) else kind
+
+    expected = Dataset.open(rims_folder.path).measurements
+    for name in (layout.RIMS, layout.ARCS):
+        table = pq.read_table(rims_folder.path / name)
+        kinds = [text if pa.types.is_string(one.type) else free(one.type) for one in table.schema]
+        columns = [pa.array(column.to_pylist(), kind) for column, kind in zip(table.columns, kinds)]
+        pq.write_table(pa.table(columns, names=table.column_names), rims_folder.path / name)
+    for found, frame in zip(Dataset.open(rims_folder.path).measurements, expected, strict=True):
+        exact(found.rims.chart, frame.rims.chart)
+        exact(found.rims.craters, frame.rims.craters)
+        exact(found.rims.uncorrelated_covariance, frame.rims.uncorrelated_covariance)
+        assert [points.tolist() for points in found.arcs.points] == [p.tolist() for p in frame.arcs.points]
