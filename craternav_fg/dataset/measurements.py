@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
 from craternav_fg.dataset.rim_files import read_arcs, read_rims, write_arcs, write_rims
@@ -75,7 +76,12 @@ def write_measurements(folder: Path, frames: Sequence[FrameMeasurement], catalog
 
 
 def read_measurements(
-    folder: Path, stamps_ns: IntArray, catalog: Catalog, sun: SunVectors, prior_gP: FloatArray | None
+    folder: Path,
+    stamps_ns: IntArray,
+    catalog: Catalog,
+    camera: Camera,
+    sun: SunVectors,
+    prior_gP: FloatArray | None,
 ) -> tuple[FrameMeasurement, ...]:
     """Read what `write_measurements` wrote: one measurement per frame.
 
@@ -86,6 +92,7 @@ def read_measurements(
     stamps_ns : ndarray of int, shape (k,)
         Stamps of the frames, increasing.
     catalog : Catalog
+    camera : Camera
     sun : SunVectors
     prior_gP : ndarray, shape (3,), or None
         Position of the initial state in g, m. It gives the direction of sun tilts whose file has none, see
@@ -100,12 +107,12 @@ def read_measurements(
     ------
     InputError
         For a table of another form, unknown stamps or craters, a crater twice in a frame, values out of
-        range, and matrices that are not covariances.
+        range, rims outside the image, and matrices that are not covariances.
     """
-    rims = read_rims(folder / layout.RIMS, stamps_ns, catalog)
+    rims = read_rims(folder / layout.RIMS, stamps_ns, catalog, camera)
     arcs = [ArcSet.empty()] * len(stamps_ns)
     if exists(folder / layout.ARCS):
-        arcs = read_arcs(folder / layout.ARCS, stamps_ns, catalog)
+        arcs = read_arcs(folder / layout.ARCS, stamps_ns, catalog, camera)
     for stamp, whole, part in zip(stamps_ns, rims, arcs, strict=True):
         both = np.intersect1d(whole.craters, part.craters)
         if len(both):

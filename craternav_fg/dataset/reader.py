@@ -111,7 +111,7 @@ class Dataset(Recording):
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
         if exists(folder / layout.RIMS):
             prior_gP = None if initial is None else initial.gTb[:3, 3]
-            measurements = read_measurements(folder, stamps, catalog, sun, prior_gP)
+            measurements = read_measurements(folder, stamps, catalog, camera, sun, prior_gP)
         else:
             for image_path in image_paths:
                 grey = check_image(image_path, camera.width_px, camera.height_px, camera.bit_depth)

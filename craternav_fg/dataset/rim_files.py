@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import layout
+from craternav_fg.ellipse import half_sides
 from craternav_fg.errors import InputError
 from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.tables.parquet import filled, read_parquet, write_parquet
@@ -60,6 +62,10 @@ _ARC_PARTS = pa.schema([("correlated_sigma", pa.float64())])
 # Largest asymmetry of a covariance, in products of standard deviations: components that are nearly
 # independent have cross terms of rounding errors.
 _MAX_ASYMMETRY = 1e-9
+# Points along each side of the image, by which its undistorted bounds are found.
+_BORDER_POINTS = 9
+# Hardly any camera sees so far from its axis, 79 deg: larger coordinates are not normalised.
+_LARGEST_TANGENT = 5.0
 # Smallest eigenvalue of a correlation matrix: a smaller one is rounding of a singular matrix.
 _MIN_EIGENVALUE = 1e-12
 
@@ -108,7 +114,7 @@ def write_rims(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
     write_parquet(path, pa.table(columns))
 
 
-def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]:
+def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera) -> list[RimSet]:
     """Read the rims of all frames.
 
     Parameters
@@ -117,6 +123,7 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
     stamps_ns : ndarray of int, shape (k,)
         Stamps of the frames, increasing.
     catalog : Catalog
+    camera : Camera
 
     Returns
     -------
@@ -127,7 +134,7 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
     ------
     InputError
         Naming the column: for a file of another form, unknown frames or craters, a crater twice in a frame,
-        values that are not finite, matrices that are no covariances, a part of the covariance or a quality
+        values that are not finite, a rim outside the image, matrices that are no covariances, a part of the covariance or a quality
         that is given for some rims of a frame only.
     """
     table = read_parquet(path, _RIMS, optional=_RIM_PARTS, renamed=_FORMER_COLUMNS)
@@ -139,6 +146,8 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[RimSet]
         if name in table.column_names
     }
     _check_charts(path, charts)
+    half = half_sides(charts)
+    _check_inside(path, "chart", charts[:, :2] - half, charts[:, :2] + half, camera)
     _check_covariances(path, "covariance", covariances)
     roots = {name: parts[name].values for name in _ROOTS if name in parts}
     _check_roots(path, covariances, roots)
@@ -193,7 +202,7 @@ def write_arcs(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
     write_parquet(path, pa.table(columns))
 
 
-def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[ArcSet]:
+def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera) -> list[ArcSet]:
     """Read the arcs of all frames.
 
     Parameters
@@ -202,6 +211,7 @@ def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[ArcSet]
     stamps_ns : ndarray of int, shape (k,)
         Stamps of the frames, increasing.
     catalog : Catalog
+    camera : Camera
 
     Returns
     -------
@@ -225,6 +235,9 @@ def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog) -> list[ArcSet]
         if deviations.min() <= 0.0:
             problem = f"row {row + 1}: expected more than 0, found {deviations.min():g}"
             raise InputError(path, problem, column="sigmas")
+    if points:
+        low, high = (np.array([end(one, axis=0) for one in points]) for end in (np.min, np.max))
+        _check_inside(path, "points", low, high, camera)
     shared = None
     if "correlated_sigma" in table.column_names:
         shared = _part(path, table, "correlated_sigma", (), rows)
@@ -329,6 +342,24 @@ def _check_charts(path: Path, charts: FloatArray) -> None:
     if row >= 0:
         problem = f"row {row + 1}: expected the chart of an ellipse in normalised coordinates"
         raise InputError(path, problem, column="chart")
+
+
+def _check_inside(path: Path, name: str, low: FloatArray, high: FloatArray, camera: Camera) -> None:
+    """Refuse upright boxes (n, 2) to (n, 2) that do not reach into the image."""
+    border = camera.normalised(camera.border_px(_BORDER_POINTS, -0.5))
+    left, top = border.min(axis=0)
+    right, bottom = border.max(axis=0)
+    outside = ((high < [left, top]) | (low > [right, bottom])).any(axis=1)
+    if outside.any():
+        row = int(np.argmax(outside))
+        x, y = 0.5 * (low[row] + high[row])
+        pixels = ", in pixels?" if max(abs(x), abs(y)) > _LARGEST_TANGENT else ""
+        raise InputError(
+            path,
+            f"row {row + 1}: expected normalised coordinates in the image, {left:.3g} to {right:.3g} by "
+            f"{top:.3g} to {bottom:.3g}, found a rim at {x:.6g}, {y:.6g}{pixels}",
+            column=name,
+        )
 
 
 def _check_covariances(

@@ -79,7 +79,7 @@ def random_measurements(rng: np.random.Generator) -> tuple[FrameMeasurement, ...
     out = []
     for k, stamp in enumerate(FRAMES_NS.tolist()):
         root = rng.standard_normal((k, 5, 18)) * 1e-3
-        rims = RimSet(np.arange(k), rng.standard_normal((k, 5)), root @ np.swapaxes(root, 1, 2))
+        rims = RimSet(np.arange(k), 0.1 * rng.standard_normal((k, 5)), root @ np.swapaxes(root, 1, 2))
         if k == 2:
             # The first columns of the root are the correlated parts.
             quality = RimQuality(*rng.uniform(0.0, 1.0, (5, 2)))
@@ -89,7 +89,7 @@ def random_measurements(rng: np.random.Generator) -> tuple[FrameMeasurement, ...
         sun = None if k == 1 else SunTilt(-3.0, 0.17, rng.standard_normal(2), rng.standard_normal(3))
         arcs = ArcSet.empty()
         if k < 2:
-            points = tuple(rng.standard_normal((m, 2)) for m in (3 + k,))
+            points = tuple(0.1 * rng.standard_normal((m, 2)) for m in (3 + k,))
             sigmas = tuple(rng.uniform(1e-4, 1e-3, len(one)) for one in points)
             arcs = ArcSet(np.array([1]), points, sigmas, np.array([2e-4]) if k else None)
         out.append(FrameMeasurement(stamp, rims, sun, arcs))

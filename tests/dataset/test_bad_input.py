@@ -332,6 +332,14 @@ RIM_CASES = {
     "nan": (set_cell(1, "chart", [0.0, 0.0, np.nan, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "no number": (set_cell(1, "chart", [0.0, 0.0, None, 0.0, 0.0]), [layout.RIMS, "chart", "row 2"]),
     "no ellipse": (set_cell(1, "chart", [0.0, 0.0, 1e30, 0.0, 0.0]), [layout.RIMS, "row 2", "an ellipse"]),
+    "centre in pixels": (
+        spoiled(lambda rows: rows[1].update(chart=[40.0, 20.0, *rows[1]["chart"][2:]])),
+        [layout.RIMS, "chart", "row 2", "-0.443 to 0.454 by -0.354 to 0.321", "at 40, 20, in pixels?"],
+    ),
+    "rim outside the image": (
+        set_cell(1, "chart", [0.1, 0.5, -3.0, 0.0, -3.0]),
+        [layout.RIMS, "chart", "row 2", "found a rim at 0.1, 0.5"],
+    ),
     "no size": (set_cell(1, "chart", [0.0, 0.0, 1e308, 0.0, 0.0]), [layout.RIMS, "row 2", "finite"]),
     "covariance": (
         set_cell(1, "covariance", [0.0] * 25),
@@ -392,6 +400,10 @@ RIM_CASES = {
     "arc with few sigmas": (set_arc(0, "sigmas", [1e-3]), [layout.ARCS, "sigmas", "row 1", "found 1 for 3"]),
     "arc with sigma zero": (set_arc(0, "sigmas", [1e-3, 0.0, 1.0]), [layout.ARCS, "sigmas", "row 1", "more"]),
     "arc not finite": (set_arc(0, "points", [[0.0, np.nan]] * 3), [layout.ARCS, "points", "row 1", "finite"]),
+    "arc in pixels": (
+        set_arc(0, "points", [[40.0, 20.0], [41.0, 21.0], [43.0, 20.0]]),
+        [layout.ARCS, "points", "row 1", "at 41.5, 20.5, in pixels?"],
+    ),
     "arc of half points": (set_arc(0, "points", [[0.0, 1.0], None, None]), [layout.ARCS, "points", "row 1"]),
     "negative correlated sigma": (
         set_arc(1, "correlated_sigma", -1.0),
@@ -422,6 +434,12 @@ def test_bad_rims_are_named(case, rims_folder):
     assert "\n" not in text
     for part in expected:
         assert part in text
+
+
+def test_a_rim_may_lie_outside_the_image_in_part(rims_folder):
+    # By its end only: the centre is far beyond the right border.
+    set_cell(1, "chart", [1.4, 0.0, 0.0, 0.0, -1.0])(rims_folder)
+    Dataset.open(rims_folder.path)
 
 
 @pytest.mark.parametrize("value", [1e59, -1e59])

@@ -448,9 +448,8 @@ def test_round_trip(tmp_path: Path, trials: list[tuple[Problem, Trajectory]]) ->
     write_measurements(tmp_path, p.frames, p.catalog)
     stamps = np.array([f.stamp_ns for f in p.frames])
     sun = SunVectors(stamps[:1], np.array([[1.0, 0.0, 0.0]]))
-    for one, again in zip(
-        p.frames, read_measurements(tmp_path, stamps, p.catalog, sun, np.zeros(3)), strict=True
-    ):
+    read = read_measurements(tmp_path, stamps, p.catalog, p.camera, sun, np.zeros(3))
+    for one, again in zip(p.frames, read, strict=True):
         assert np.array_equal(one.rims.correlated, again.rims.correlated)
         assert np.array_equal(one.rims.shared, again.rims.shared)
 
