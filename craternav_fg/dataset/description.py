@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, NoReturn
 
 import numpy as np
+import numpy.typing as npt
 import tomli_w
 from pydantic import Field
 
@@ -25,9 +26,12 @@ from craternav_fg.motion.model import Motion
 from craternav_fg.motion.settings import MotionSection, motion_table
 from craternav_fg.trajectory import InitialState
 
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
 # Largest deviation of a quaternion's length from 1, from numbers of seven digits.
 _UNIT_TOLERANCE = 1e-6
-# An initial position nearer to the body's centre than this is in a wrong unit, or relative to the surface.
+# A position nearer to the body's centre than this is in a wrong unit, or relative to the surface.
 _MIN_RANGE_RADII = 0.5
 
 
@@ -79,14 +83,13 @@ def read_description(path: Path) -> tuple[Body, InitialState | None]:
     norm = float(np.linalg.norm(initial.attitude_wxyz))
     if abs(norm - 1.0) > _UNIT_TOLERANCE:
         _fail(path, text, "attitude_wxyz", f"expected a unit quaternion, its length is {norm:.9g}")
-    range_m = float(np.linalg.norm(initial.position_m))
-    if range_m < _MIN_RANGE_RADII * model.body.radius_m:
-        problem = f"expected metres from the body's centre, found {range_m:g} m: deep in the body"
-        _fail(path, text, "position_m", problem)
+    gP = np.array(initial.position_m)
+    if deep_in_body(gP, model.body.radius_m):
+        _fail(path, text, "position_m", too_deep(gP))
     R = frames.from_quaternion_wxyz(np.array(initial.attitude_wxyz))
     return model.body.body(), InitialState(
         stamp_ns=initial.stamp_ns,
-        gTb=frames.pose(R, np.array(initial.position_m)),
+        gTb=frames.pose(R, gP),
         gV=np.array(initial.velocity_m_s),
         attitude_sigma_rad=initial.attitude_sigma_rad,
         position_sigma_m=initial.position_sigma_m,
@@ -96,6 +99,39 @@ def read_description(path: Path) -> tuple[Body, InitialState | None]:
         accelerometer_bias_sigma_m_s2=initial.accelerometer_bias_sigma_m_s2,
         angular_velocity_rad_s=initial.angular_velocity_rad_s,
     )
+
+
+def deep_in_body(gP: FloatArray, radius_m: float) -> BoolArray:
+    """Tell which positions are in another unit, or relative to the surface.
+
+    Parameters
+    ----------
+    gP : ndarray, shape (..., 3)
+        In g, m.
+    radius_m : float
+        The body's radius.
+
+    Returns
+    -------
+    ndarray of bool, shape (...,)
+        False outside the body, or nearly so.
+    """
+    return np.asarray(np.linalg.norm(gP, axis=-1) < _MIN_RANGE_RADII * radius_m)
+
+
+def too_deep(gP: FloatArray) -> str:
+    """Say what is wrong with a position that is deep in the body.
+
+    Parameters
+    ----------
+    gP : ndarray, shape (3,)
+        In g, m.
+
+    Returns
+    -------
+    str
+    """
+    return f"expected metres from the body's centre, found {np.linalg.norm(gP):g} m: deep in the body"
 
 
 def read_motion(path: Path) -> Motion | None:

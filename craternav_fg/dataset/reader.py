@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from craternav_fg.body import Body
 from craternav_fg.catalogs.files import read_catalog
 from craternav_fg.catalogs.ground import ground_heights
 from craternav_fg.catalogs.model import Catalog
@@ -16,16 +17,16 @@ from craternav_fg.dataset.images import ImageArray, check_image, read_image
 from craternav_fg.dataset.measurements import read_measurements
 from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import read_camera, read_imu_noise, read_imu_rate_hz
+from craternav_fg.dataset.states import read_states, require_unit
 from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
 from craternav_fg.files import entries, exists
-from craternav_fg.frames import from_quaternion_wxyz
 from craternav_fg.imu import ImuLog
 from craternav_fg.sensors.files import folder_of, read_sensor
 from craternav_fg.sensors.point_features import read_features
 from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.sensors.registry import sensors
-from craternav_fg.tables import Table, read_table
+from craternav_fg.tables import read_table
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -33,16 +34,11 @@ IntArray = npt.NDArray[np.int64]
 
 # Longest step of an IMU log: attitude and velocity are integrated with constant rates over a step.
 MAX_IMU_STEP_S = 0.1
-# Longest gap of known states in which a frame is interpolated: in low orbit a cubic errs by millimetres then.
-# A longer one may hide a whole burn or slew.
-MAX_STATE_GAP_S = 30.0
 # No lander turns or accelerates so fast; such values have a wrong unit or come from a broken row.
 MAX_RATE_RAD_S = 50.0
 MAX_SPECIFIC_FORCE_M_S2 = 1000.0
 # Largest ratio of an IMU's rate to the nominal one.
 _MAX_RATE_RATIO = 30.0
-# Largest deviation of the length of unit vectors and quaternions from 1, from numbers of seven digits.
-_UNIT_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +102,7 @@ class Dataset(Recording):
         imu = None
         if has_imu:
             imu = _read_imu(folder / layout.IMU_DATA, stamps, read_imu_rate_hz(folder / layout.IMU_SENSOR))
-        truth = _read_truth(folder / layout.TRUTH, stamps)
+        truth = read_states(folder / layout.TRUTH, stamps, body, one_motion=True)
         measurements, in_colour = None, 0
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
         if exists(folder / layout.RIMS):
@@ -135,7 +131,7 @@ class Dataset(Recording):
             in_colour=in_colour,
             features=read_features(folder, camera, stamps),
             motion=motion,
-            apriori=_read_apriori(folder, stamps),
+            apriori=_read_apriori(folder, stamps, body),
         )
 
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
@@ -155,7 +151,7 @@ class Dataset(Recording):
         InputError
             When the file is wrong or does not reach so far.
         """
-        return _read_truth(self.path / layout.TRUTH, stamps_ns)
+        return read_states(self.path / layout.TRUTH, stamps_ns, self.body, one_motion=True)
 
     def image(self, frame: int) -> ImageArray:
         """Read the image of a frame.
@@ -287,7 +283,7 @@ def _read_sun(path: Path, frames_ns: IntArray) -> SunVectors:
         raise InputError(path, "expected at least one vector, found none")
     table.require_increasing(layout.STAMP)
     vectors = table.numbers(*layout.SUN_VECTOR)
-    _require_unit(table, vectors, layout.SUN_VECTOR, "vector")
+    require_unit(table, vectors, layout.SUN_VECTOR, "vector")
     stamps: IntArray = table.columns[layout.STAMP]
     if len(stamps) > 1 and (stamps[0] > frames_ns[0] or stamps[-1] < frames_ns[-1]):
         raise InputError(
@@ -298,65 +294,7 @@ def _read_sun(path: Path, frames_ns: IntArray) -> SunVectors:
     return SunVectors(stamps, vectors)
 
 
-def _read_apriori(folder: Path, frames_ns: IntArray) -> AprioriStates | None:
-    states = _read_truth(folder / layout.APRIORI, frames_ns)
+def _read_apriori(folder: Path, frames_ns: IntArray, body: Body) -> AprioriStates | None:
+    # Not of one motion: they may come from several solutions.
+    states = read_states(folder / layout.APRIORI, frames_ns, body, one_motion=False)
     return None if states is None else AprioriStates(states, *read_sigmas(folder / layout.APRIORI_SENSOR))
-
-
-def _read_truth(path: Path, frames_ns: IntArray) -> Trajectory | None:
-    if not exists(path):
-        return None
-    table = read_table(path, layout.TRUTH_COLUMNS)
-    if not len(table):
-        raise InputError(path, "expected at least one row, found none")
-    table.require_increasing(layout.STAMP)
-    stamps: IntArray = table.columns[layout.STAMP]
-    if stamps[0] > frames_ns[0] or stamps[-1] < frames_ns[-1]:
-        raise InputError(
-            path,
-            f"expected states over the frames, {frames_ns[0]} to {frames_ns[-1]} ns,"
-            f" found {stamps[0]} to {stamps[-1]} ns",
-        )
-    q = table.numbers(*layout.ATTITUDE)
-    _require_unit(table, q, layout.ATTITUDE, "quaternion")
-    P, V, bias = (table.numbers(*names) for names in (layout.POSITION, layout.VELOCITY, layout.BIAS))
-    gTb = np.tile(np.eye(4), (len(frames_ns), 1, 1))
-    if np.isin(frames_ns, stamps).all():
-        rows = np.searchsorted(stamps, frames_ns)
-        gTb[:, :3, :3], gTb[:, :3, 3] = from_quaternion_wxyz(q[rows]), P[rows]
-        return Trajectory(frames_ns, gTb, V[rows], bias[rows])
-    _require_near(table, stamps, frames_ns)
-    t, at = (stamps - stamps[0]) * 1e-9, (frames_ns - stamps[0]) * 1e-9
-    # Imported here: a command that reads one image needs neither, and they take a quarter of a second.
-    from scipy.interpolate import CubicHermiteSpline
-    from scipy.spatial.transform import Rotation, Slerp
-
-    position, attitude = CubicHermiteSpline(t, P, V), Slerp(t, Rotation.from_quat(q, scalar_first=True))
-    gTb[:, :3, :3], gTb[:, :3, 3] = attitude(at).as_matrix(), position(at)
-    biases = np.stack([np.interp(at, t, column) for column in bias.T], axis=-1)
-    return Trajectory(frames_ns, gTb, position(at, 1), biases)
-
-
-def _require_near(table: Table, stamps: IntArray, frames_ns: IntArray) -> None:
-    """Refuse states that are too far apart around a frame to interpolate between them."""
-    between = frames_ns[~np.isin(frames_ns, stamps)]
-    after = np.searchsorted(stamps, between)
-    gap_ns = stamps[after] - stamps[after - 1]
-    far = np.flatnonzero(gap_ns > 1e9 * MAX_STATE_GAP_S)
-    if len(far):
-        k = int(far[0])
-        row = int(after[k])
-        table.fail(
-            row,
-            layout.STAMP,
-            f"expected states at most {MAX_STATE_GAP_S:g} s apart around frame {between[k]},"
-            f" found a gap of {1e-9 * gap_ns[k]:.3f} s from {stamps[row - 1]} to {stamps[row]}",
-        )
-
-
-def _require_unit(table: Table, vectors: FloatArray, names: tuple[str, ...], what: str) -> None:
-    norms = np.linalg.norm(vectors, axis=1)
-    bad = np.flatnonzero(np.abs(norms - 1.0) > _UNIT_TOLERANCE)
-    if len(bad):
-        row = int(bad[0])
-        table.fail(row, ",".join(names), f"expected a unit {what}, its length is {norms[row]:.9g}")

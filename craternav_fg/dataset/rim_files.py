@@ -134,8 +134,8 @@ def read_rims(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     ------
     InputError
         Naming the column: for a file of another form, unknown frames or craters, a crater twice in a frame,
-        values that are not finite, a rim outside the image, matrices that are no covariances, a part of the covariance or a quality
-        that is given for some rims of a frame only.
+        values that are not finite, a rim outside the image, matrices that are no covariances, a part of the
+        covariance or a quality that is given for some rims of a frame only.
     """
     table = read_parquet(path, _RIMS, optional=_RIM_PARTS, renamed=_FORMER_COLUMNS)
     rows, craters = _frame_rows(path, table, stamps_ns), _craters(path, table, catalog)

@@ -359,7 +359,9 @@ def test_rims_of_other_writers_are_read(rims_folder, text, list_of):
     for name in (layout.RIMS, layout.ARCS):
         table = pq.read_table(rims_folder.path / name)
         kinds = [text if pa.types.is_string(one.type) else free(one.type) for one in table.schema]
-        columns = [pa.array(column.to_pylist(), kind) for column, kind in zip(table.columns, kinds)]
+        columns = [
+            pa.array(column.to_pylist(), kind) for column, kind in zip(table.columns, kinds, strict=True)
+        ]
         pq.write_table(pa.table(columns, names=table.column_names), rims_folder.path / name)
     for found, frame in zip(Dataset.open(rims_folder.path).measurements, expected, strict=True):
         exact(found.rims.chart, frame.rims.chart)
