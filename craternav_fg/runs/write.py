@@ -15,6 +15,7 @@ import craternav_fg
 from craternav_fg import frames
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.evaluation.truth_check import doubted_truth
 from craternav_fg.pipeline.result import FILTER, Reconstruction
 from craternav_fg.runs import store
 from craternav_fg.runs.columns import list_column
@@ -70,7 +71,7 @@ def write_run(
         "initial_state": result.origin,
         "reinitialised_at_frames": list(result.reinitialised_at),
         "failures": dict(result.failures),
-        "warnings": list(result.warnings),
+        "warnings": [*result.warnings, *_doubted_truth(result, truth)],
         "index": result.index_note,
         "innovations": _innovations(result),
         "estimators": estimators,
@@ -83,6 +84,14 @@ def write_run(
     pq.write_table(residuals_table(result), folder / store.RESIDUALS)
     (folder / store.MARKER).write_bytes(_description(dataset, result).encode())
     return summary
+
+
+def _doubted_truth(result: Reconstruction, truth: Trajectory | None) -> list[str]:
+    """Warnings of a truth that the first trajectory contradicts by a mistake that is known."""
+    if truth is None:
+        return []
+    first = next(iter(result.trajectories.values()))
+    return doubted_truth(first, truth, result.problems[0].body.spin_rad_s)
 
 
 def _description(dataset: str, result: Reconstruction) -> str:

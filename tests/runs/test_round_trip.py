@@ -3,6 +3,7 @@
 import json
 import os
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,15 @@ def test_states_read_back_as_they_were(tmp_path: Path) -> None:
             assert (one is None) == (other is None)
             assert one is None or np.array_equal(one, other)
     assert run.metrics["estimators"]["dead_reckoning"]["position_rms_m"] == pytest.approx(20e3)
+
+
+def test_a_truth_in_another_frame_is_said(tmp_path: Path) -> None:
+    truth = trajectory(20e3)
+    turn = frames.pose(frames.rotation_exp(np.array([0.0, 0.0, 0.5])), np.zeros(3))
+    turned = read_run(write(tmp_path / "turned", truth=replace(truth, gTb=turn @ truth.gTb)))
+    assert any("the truth, not the estimate" in text for text in turned.metrics["warnings"])
+    right = read_run(write(tmp_path / "right", truth=truth))
+    assert not any("the truth" in text for text in right.metrics["warnings"])
 
 
 def test_rims_seen_from_elsewhere_are_outliers(tmp_path: Path) -> None:
