@@ -165,7 +165,8 @@ class Reconstruction:
             ),
             *warnings.unknown_sensors(self.ignored),
             *warnings.colour_images(self.in_colour),
-            *warnings.lowered_rims(self.lowered),
+            # A catalogue without heights says itself that its rims lie on the sphere.
+            *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),
             *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),
             *warnings.replaced_states(self.origin, self.reinitialised_at),
             *warnings.frames_without_rims(

@@ -61,6 +61,11 @@ def test_mean_heights_along_rims_are_recognised_and_lowered(high: Dataset) -> No
     assert not planes.lowered
     assert points.lowered
     assert any("mean height along the rims" in text for text in points.warnings)
+    stated = points.problems[0]
+    without = replace(stated, catalog=replace(stated.catalog, has_heights=False))
+    unstated = replace(points, problems=(without,))
+    (said,) = (text for text in unstated.warnings if "RIM_HEIGHT_M" in text)
+    assert "the catalogue has no RIM_HEIGHT_M" in said
     assert error_m(high, points) == pytest.approx(error_m(high, planes), rel=0.05)
 
 
