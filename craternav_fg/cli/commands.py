@@ -23,6 +23,9 @@ COMMANDS = {
         "Simulate a descent, reconstruct it with every estimator, and compare them.", ("descents",)
     ),
     "simulate": Command("Simulate a scenario and write its data set (EuRoC/ASL layout).", ("descents",)),
+    "check": Command(
+        "Check a data set as `reconstruct` does before it begins, and summarise it.", ("data_check",)
+    ),
     "reconstruct": Command("Reconstruct the trajectory of a data set.", ("descents",)),
     "compare": Command("Compare the estimators of one or more runs.", ("comparison",)),
     "evaluate": Command(
