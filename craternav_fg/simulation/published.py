@@ -77,7 +77,9 @@ def _with_heights(catalog: Catalog, path: Path, unit_m: float) -> Catalog:
     dem = read_dem(path, unit_m, catalog.body.radius_m)
     beyond = int(np.count_nonzero(~rims_within(catalog, dem)))
     if beyond:
-        problem = f"expected heights of all {len(catalog)} craters along the descent, {beyond} reach beyond it"
+        problem = (
+            f"expected heights of all {len(catalog)} craters along the descent, {beyond} reach beyond it"
+        )
         raise InputError(path, problem)
     return with_rim_heights(catalog, dem)
 
