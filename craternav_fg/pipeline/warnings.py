@@ -41,8 +41,8 @@ _STAMPS = (
 # What to check when the innovations of a sensor are too large.
 _SENSOR_CHECKS = {
     "imu": (
-        "its units and noise, the body's spin and gravity, T_BS, pixel coordinates, intrinsics and lens of the "
-        f"camera, {_STAMPS}"
+        "its units and noise, the body's spin and gravity, T_BS, pixel coordinates, intrinsics and lens of "
+        f"the camera, {_STAMPS}"
     ),
     "rims": (
         "heights and sizes in the catalogue, intrinsics, lens and T_BS of the camera, the body's spin, the "
