@@ -95,6 +95,7 @@ def turned_about_axis(camera: Camera, gTb: FloatArray, other_gTb: FloatArray) ->
     ----------
     camera : Camera
     gTb, other_gTb : ndarray, shape (4, 4)
+        In g, m.
 
     Returns
     -------

@@ -34,20 +34,38 @@ MAX_SHARE_WITHOUT = 0.5
 MAX_PRIOR_SIGMAS = 5.0
 # No lander carries a sensor farther than this from its body origin.
 MAX_LEVER_ARM_M = 50.0
+# That estimator's prior of the offset is 20 ms: an offset of half a second is not found.
+_STAMPS = (
+    "stamps (time offset between camera and IMU; -e self_calibrating_smoother estimates one of tens of ms)"
+)
 # What to check when the innovations of a sensor are too large.
 _SENSOR_CHECKS = {
-    "imu": "its units and noise, the body's spin and gravity, T_BS and pixel coordinates of the camera",
-    "rims": "heights and sizes in the catalogue, T_BS, the body's spin, the matches",
+    "imu": (
+        "its units and noise, the body's spin and gravity, T_BS, pixel coordinates, intrinsics and lens of "
+        f"the camera, {_STAMPS}"
+    ),
+    "rims": (
+        "heights and sizes in the catalogue, intrinsics, lens and T_BS of the camera, the body's spin, the "
+        f"matches, {_STAMPS}"
+    ),
     "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
 }
 _OTHER_CHECKS = "its units, T_BS and noise in sensor.yaml"
 # What to check when the first state leaves its prior.
 _PRIOR_CHECKS = {
     "attitude": "the quaternion's order (w, x, y, z), T_BS",
-    "position": "longitudes and latitudes in the catalogue, the initial position and its sigma",
-    "velocity": "its frame (it is relative to the rotating body) and its sigma",
-    "gyro bias": "unit and scale of the gyro, T_BS of the camera",
-    "accelerometer bias": "unit and scale of the accelerometer, gravity, T_BS of the camera",
+    "position": (
+        "longitudes and latitudes in the catalogue, intrinsics and lens of the camera, the initial position "
+        "and its sigma"
+    ),
+    "velocity": (
+        "its frame (it is relative to the rotating body) and its sigma, intrinsics and lens of the camera, "
+        f"{_STAMPS}"
+    ),
+    "gyro bias": f"unit and scale of the gyro, T_BS and lens of the camera, {_STAMPS}",
+    "accelerometer bias": (
+        f"unit and scale of the accelerometer, gravity, T_BS, intrinsics and lens of the camera, {_STAMPS}"
+    ),
 }
 # What to check when no rim is found in any image.
 _NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"

@@ -42,6 +42,19 @@ def test_the_sensor_that_contradicts_the_rest_is_named() -> None:
     assert "sun.csv" in text
 
 
+def test_camera_and_stamps_are_among_the_things_to_check() -> None:
+    """A focal length that is 1 % off, or half a second between the clocks, contradicts the IMU first."""
+    texts = [
+        *warnings.inconsistent_sensors("ekf", innovations(imu=3.0, rims=3.0), {}, images=True),
+        *warnings.contradicted_prior({"accelerometer bias": 7.0, "velocity": 7.0}, np.inf),
+    ]
+    assert len(texts) == 4
+    for text in texts:
+        assert "intrinsics" in text
+        assert "lens" in text
+        assert "time offset between camera and IMU" in text
+
+
 def test_replaced_initial_states_and_new_segments_are_told() -> None:
     replaced, lost = warnings.replaced_states("replaced", (12, 40))
     assert "initial state" in replaced
