@@ -212,6 +212,26 @@ def inconsistent_sensors(
     ]
 
 
+def contradicted_intrinsics(contradicted: bool) -> list[str]:
+    """Warn of intrinsics that the rims contradict.
+
+    Parameters
+    ----------
+    contradicted : bool
+        See `intrinsics_check.contradicted_intrinsics`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not contradicted:
+        return []
+    return [
+        "the rims by themselves, frame by frame, contradict the camera's intrinsics: check focal lengths, "
+        "principal point, lens and resolution in its sensor.yaml"
+    ]
+
+
 def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
     without = float(np.mean(part.dimension == 0))
     if without > MAX_SHARE_WITHOUT:
