@@ -1,8 +1,8 @@
 """From a data set to trajectories: front end, start, and every estimator on the same measurements."""
 
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +25,7 @@ from craternav_fg.pipeline.relocalisation import Relocaliser
 from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
-from craternav_fg.pipeline.sensor_checks import check_logs
+from craternav_fg.pipeline.sensor_checks import check_imu, check_logs
 from craternav_fg.pipeline.tracking import Segment, Tracker
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.point_features import FeatureTracks
@@ -59,7 +59,7 @@ class _Measured:
         Poses of the body that guided the front end; None when the data set holds the measurements.
     limits : GuidedOptions or None
         Options of the front end, if there was one.
-    disbelieved : tuple of int
+    disbelieved : mapping of int to FrameMeasurement
         See `Tracked`.
     """
 
@@ -67,7 +67,14 @@ class _Measured:
     segments: tuple[Segment, ...]
     guides: FloatArray | None = None
     limits: GuidedOptions | None = None
-    disbelieved: tuple[int, ...] = ()
+    disbelieved: Mapping[int, FrameMeasurement] = field(default_factory=dict)
+
+    @property
+    def every(self) -> "_Measured":
+        """The same with what was left out."""
+        return replace(
+            self, frames=tuple(self.disbelieved.get(k, frame) for k, frame in enumerate(self.frames))
+        )
 
 
 def reconstruct(
@@ -123,6 +130,8 @@ def reconstruct(
         descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))
     try:
         problems = _problems(descent, measured)
+        # Where a wrong IMU led, the rims of its frames are those that were left out.
+        check_imu(_problems(descent, measured.every), dataset.path)
         check_logs(problems, dataset.path)
     except NUMERICAL_ERRORS as error:
         raise EstimationError(f"start: {_one_line(error)}") from error

@@ -24,6 +24,7 @@ from craternav_fg.evaluation.sensor_consistency import (
 )
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import warnings
+from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
 from craternav_fg.trajectory import Trajectory
 
 FloatArray = npt.NDArray[np.float64]
@@ -151,6 +152,11 @@ class Reconstruction:
             found = {name: value for name, value in found.items() if "bias" not in name}
         return found, reordered["attitude"]
 
+    def _contradicted_intrinsics(self) -> bool:
+        """Whether rims contradict the intrinsics, each frame's by themselves, near the first trajectory."""
+        descent, near = self.problems[0], next(iter(self.trajectories.values()))
+        return contradicted_intrinsics(self.frames, near.gTb, descent.camera, descent.catalog)
+
     @cached_property
     def outlier_shares(self) -> Mapping[str, float | None]:
         """Share of outliers among all rims, by estimator; None without rims."""
@@ -160,6 +166,9 @@ class Reconstruction:
     def warnings(self) -> tuple[str, ...]:
         """What to know before trusting the trajectories, one sentence each."""
         descent = self.problems[0]
+        of_sensors = warnings.inconsistent_sensors(
+            FILTER, self.innovations, self.consistency, images=self.predicted is not None
+        )
         return (
             *warnings.failed_estimators(self.failures),
             *warnings.contradicted_without_rims(FILTER, self._without_rims()),
@@ -168,9 +177,8 @@ class Reconstruction:
             ),
             *warnings.inconsistent_trajectories(self.outlier_shares),
             *warnings.contradicted_prior(*self._prior()),
-            *warnings.inconsistent_sensors(
-                FILTER, self.innovations, self.consistency, images=self.predicted is not None
-            ),
+            *of_sensors,
+            *warnings.contradicted_intrinsics(bool(of_sensors) and self._contradicted_intrinsics()),
             *warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),

@@ -27,10 +27,10 @@ REFUTED, CONFIRMED = 100.0, 9.0
 
 
 def check_logs(problems: Sequence[Problem], folder: Path) -> None:
-    """Refuse a log of the IMU or of a sensor in a wrong unit or order.
+    """Refuse a sensor's log in a wrong unit or order.
 
-    The filter predicts each sample of a sensor from all other data; it drops those that contradict the
-    prediction, so that a wrong log does not spoil it. The IMU's log is judged by what it predicts.
+    The filter predicts each sample from all other data; it drops those that contradict the prediction, so
+    that a wrong log does not spoil it.
 
     Parameters
     ----------
@@ -43,8 +43,6 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
     InputError
         Naming file and column, what was expected and what was found.
     """
-    if problems[0].motion is None:
-        _check_imu(problems, folder)
     sensors = [sensor for sensor in problems[0].sensors if sensor.misreadings()]
     if not sensors:
         return
@@ -63,10 +61,22 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
                 )
 
 
-def _check_imu(problems: Sequence[Problem], folder: Path) -> None:
-    """Refuse an IMU's log in deg/s or in g."""
+def check_imu(problems: Sequence[Problem], folder: Path) -> None:
+    """Refuse an IMU's log in deg/s or in g, judged by what it predicts.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+    folder : Path
+        Folder of the data set, for messages.
+
+    Raises
+    ------
+    InputError
+        Naming file and column, what was expected and what was found.
+    """
     imu = problems[0].imu
-    if not _median_nis_of_imu(problems, imu) > REFUTED:
+    if problems[0].motion is not None or not _median_nis_of_imu(problems, imu) > REFUTED:
         return
     in_rad = replace(imu, gyro=np.radians(imu.gyro))
     in_m = replace(imu, accelerometer=_G_M_S2 * imu.accelerometer)

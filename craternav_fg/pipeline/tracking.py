@@ -1,6 +1,6 @@
 """The front end over a descent: each image measured near a predicted pose, with relocalisation when lost."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,14 +82,14 @@ class Tracked:
         One, unless identified craters contradicted the prediction: then a new one begins.
     guides : ndarray, shape (k, 4, 4)
         Pose of the body in g near which each image was measured.
-    disbelieved : tuple of int
-        Frames whose rims were left out: they contradict the IMU, and no later frame confirms them.
+    disbelieved : mapping of int to FrameMeasurement
+        Measurements that were left out, by frame: they contradict the IMU, and no later frame confirms them.
     """
 
     frames: tuple[FrameMeasurement, ...]
     segments: tuple[Segment, ...]
     guides: FloatArray
-    disbelieved: tuple[int, ...]
+    disbelieved: Mapping[int, FrameMeasurement]
 
 
 class _Guided(NamedTuple):
@@ -147,7 +147,7 @@ class Tracker:
         self._track = _Track(OnlineSession(descent), pooled, [Segment(0, descent.initial)], [])
         # The track that identified craters contradicted, until later frames decide.
         self._former: _Track | None = None
-        self._disbelieved: list[int] = []
+        self._disbelieved: dict[int, FrameMeasurement] = {}
         # Successive frames with far fewer rims than expected.
         self._poor_frames = 0
 
@@ -173,7 +173,7 @@ class Tracker:
             self._resume(self._former)
         track = self._track
         frames, guides = zip(*track.measured, strict=True)
-        return Tracked(frames, tuple(track.segments), np.array(guides), tuple(self._disbelieved))
+        return Tracked(frames, tuple(track.segments), np.array(guides), self._disbelieved)
 
     def _predicted_of(self, track: _Track, index: int) -> FilterState:
         """Predict a track's state at an image, after what sensors measured since the last one."""
@@ -247,9 +247,11 @@ class Tracker:
     def _disbelieve(self, former: _Track) -> None:
         """Note the frames whose rims only the present track holds."""
         both = zip(self._track.measured, former.measured, strict=False)
-        self._disbelieved += [
-            k for k, (now, then) in enumerate(both) if len(now.frame.rims) and not len(then.frame.rims)
-        ]
+        self._disbelieved |= {
+            k: now.frame
+            for k, (now, then) in enumerate(both)
+            if len(now.frame.rims) and not len(then.frame.rims)
+        }
 
     def _agrees(self, guided: _Guided) -> bool:
         """Whether an image shows the craters that are expected, and not by chance."""

@@ -238,6 +238,26 @@ def inconsistent_sensors(
     ]
 
 
+def contradicted_intrinsics(contradicted: bool) -> list[str]:
+    """Warn of intrinsics that the rims contradict.
+
+    Parameters
+    ----------
+    contradicted : bool
+        See `intrinsics_check.contradicted_intrinsics`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not contradicted:
+        return []
+    return [
+        "the rims by themselves, frame by frame, contradict the camera's intrinsics: check focal lengths, "
+        "principal point, lens and resolution in its sensor.yaml"
+    ]
+
+
 def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
     without = float(np.mean(part.dimension == 0))
     if without > MAX_SHARE_WITHOUT:
@@ -394,7 +414,8 @@ def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
     names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
     return [
         f"the craters identified in frame {_listed(names)} contradict the IMU and the frames before, and no "
-        "later frame confirms them: their rims are left out; check that the image is the one of its stamp"
+        "later frame confirms them: their rims are left out; check that the image is the one of its stamp, "
+        "and if this happens often, the IMU's units and axes"
     ]
 
 

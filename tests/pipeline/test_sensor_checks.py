@@ -14,6 +14,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
@@ -114,6 +115,19 @@ def test_a_mistake_that_fits_is_told(
 ) -> None:
     result = reconstruct(mistake(measured), ESTIMATORS)
     assert any(said in warning for warning in result.warnings), result.warnings
+
+
+def test_rims_name_the_intrinsics(measured: Dataset) -> None:
+    """By themselves: an IMU of another scale contradicts the rims, but not the intrinsics."""
+    data = with_frames(measured, lambda frame: moved_rims(frame, 12.0 / measured.camera.fx_px))
+    said = "contradict the camera's intrinsics: check focal lengths, principal point"
+    assert any(said in text for text in reconstruct(data, ["ekf"]).warnings)
+    assert not any(said in text for text in reconstruct(accelerometer_scale(measured), ["ekf"]).warnings)
+    assert data.truth is not None
+    for frames_of, contradicted in ((data, True), (measured, False)):
+        assert frames_of.measurements is not None
+        found = contradicted_intrinsics(frames_of.measurements, data.truth.gTb, data.camera, data.catalog)
+        assert found == contradicted
 
 
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:

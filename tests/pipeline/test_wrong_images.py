@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline import warnings
 from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.reconstruct import _Measured, _problems
 from craternav_fg.pipeline.relocalisation import PoseFix
 from craternav_fg.pipeline.repeated_images import repeated_images
-from craternav_fg.pipeline.tracking import Tracked, Tracker, _Guided
+from craternav_fg.pipeline.sensor_checks import check_imu
+from craternav_fg.pipeline.tracking import Segment, Tracked, Tracker, _Guided
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.vision.guided_options import GuidedOptions
 from tests.descents import scenario
@@ -68,7 +71,7 @@ def test_one_image_does_not_replace_the_track(data: Dataset, monkeypatch: pytest
     for wrong in ({4: 3, 5: 3}, {4: 5, 5: 4}):
         result = tracked(data, [wrong.get(k, k) for k in every], monkeypatch)
         assert len(result.segments) == 1
-        assert result.disbelieved == (5,)
+        assert list(result.disbelieved) == [5]
         assert with_rims(result) == [k for k in every if k not in wrong]
         assert data.truth is not None
         assert np.linalg.norm(result.guides[:, :3, 3] - data.truth.gP, axis=1)[1:].max() < 100.0
@@ -79,7 +82,7 @@ def test_what_no_later_frame_confirms_is_not_believed(data: Dataset, monkeypatch
     last = every[-1]
     result = tracked(data, [*every[:-2], 3, 3], monkeypatch)
     assert len(result.segments) == 1
-    assert result.disbelieved == (last,)
+    assert list(result.disbelieved) == [last]
     assert with_rims(result) == every[:-2]
 
 
@@ -97,7 +100,7 @@ def test_a_track_that_is_lost_is_replaced_once_two_frames_confirm(
 ) -> None:
     shown = [DARK if 3 <= k < 10 else k for k in range(len(data))]
     result = tracked(lost(data), shown, monkeypatch)
-    assert result.disbelieved == ()
+    assert result.disbelieved == {}
     assert [segment.first for segment in result.segments] == [0, 10]
     assert with_rims(result) == [k for k in range(len(data)) if shown[k] != DARK]
 
@@ -108,7 +111,7 @@ def test_copies_of_images_are_left_out(
     every = list(range(len(data)))
     shown = [3 if k in (4, 5) else k for k in every]
     result = tracked(data, shown, monkeypatch, repeated=(4, 5))
-    assert (len(result.segments), result.disbelieved) == (1, ())
+    assert (len(result.segments), result.disbelieved) == (1, {})
     assert with_rims(result) == [k for k in every if k not in (4, 5)]
     paths = [tmp_path / f"{k}.png" for k in range(6)]
     for path, content in zip(paths, (b"one", b"two", b"one", b"longer", b"six", b"two"), strict=True):
@@ -123,6 +126,22 @@ def test_no_velocity_is_taken_from_a_copy(data: Dataset) -> None:
     relocaliser: Any = SimpleNamespace(locate=lambda index: PoseFix(poses[index], SPREAD, 9))
     initial = find_initial(data, relocaliser, lambda done: None, repeated={1: 0})
     assert np.linalg.norm(initial.gV - data.truth.gV[0]) < 5.0
+
+
+def test_frames_that_were_left_out_tell_the_unit_of_the_imu(data: Dataset) -> None:
+    assert data.imu is not None
+    assert data.measurements is not None
+    in_deg = dataclasses.replace(data, imu=dataclasses.replace(data.imu, gyro=np.degrees(data.imu.gyro)))
+    descent = Descent.of(in_deg)
+    left_out = {k: one for k, one in enumerate(data.measurements) if k > 0}
+    kept = tuple(
+        dataclasses.replace(one, rims=RimSet.empty(), sun=None) if k in left_out else one
+        for k, one in enumerate(data.measurements)
+    )
+    measured = _Measured(kept, (Segment(0, descent.initial),), disbelieved=left_out)
+    check_imu(_problems(descent, measured), Path("data"))
+    with pytest.raises(InputError, match="w_RS_S_x: expected rad/s, found deg/s"):
+        check_imu(_problems(descent, measured.every), Path("data"))
 
 
 def test_wrong_images_are_named() -> None:
