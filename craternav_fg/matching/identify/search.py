@@ -72,8 +72,8 @@ _FIRST_FACTOR = 8
 # in the mean, fewer than three in 11 % of the sets; the 16 likeliest of any size, with all pairs, had 6.3,
 # fewer than three in 37 %, at half as much again of the cost.
 _CHOSEN_RIMS, _CHOSEN_NEIGHBOURS, _EXPANDED_OF_CHOSEN = 24, 10, 24
-# And pairs of craters that are tried after these.
-_PAIRS_OF_CRATERS = 4_000_000
+# And pairs of craters that are tried after these, at some 2 us each.
+_PAIRS_OF_CRATERS = 1_500_000
 # Triples of an index for which the options' number of candidates is meant.
 _TRIPLES_OF_CANDIDATES = 1_000_000
 # Rims, the largest first, from which the position is sought with a known attitude, and hypotheses kept.
