@@ -12,7 +12,7 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say, three_digits, warn
 from craternav_fg.dataset import Dataset
-from craternav_fg.pipeline.warnings import colour_images, unknown_sensors
+from craternav_fg.pipeline.input_warnings import colour_images, unknown_sensors
 
 
 @app.command(epilog=example("check runs/data"))

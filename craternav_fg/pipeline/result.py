@@ -23,7 +23,7 @@ from craternav_fg.evaluation.sensor_consistency import (
     summarise,
 )
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.pipeline import warnings
+from craternav_fg.pipeline import input_warnings, warnings
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
 from craternav_fg.trajectory import Trajectory
 
@@ -182,10 +182,10 @@ class Reconstruction:
             *warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
-            *warnings.unknown_sensors(self.ignored),
-            *warnings.colour_images(self.in_colour),
-            *warnings.repeated_images(self.repeated),
-            *warnings.disbelieved_frames(self.disbelieved),
+            *input_warnings.unknown_sensors(self.ignored),
+            *input_warnings.colour_images(self.in_colour),
+            *input_warnings.repeated_images(self.repeated),
+            *input_warnings.disbelieved_frames(self.disbelieved),
             # A catalogue without heights says itself that its rims lie on the sphere.
             *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),
             *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),

@@ -72,8 +72,6 @@ _NO_RIMS_CHECKS = "check catalogue, sun.csv, T_BS and the initial state"
 # Share of the frames which should show catalogue craters that may show none: beyond, the few rims there are
 # may be matched wrongly.
 _MAX_MISSED_SHARE = 0.8
-# Images that a warning names.
-_MAX_LISTED = 5
 _IMU_ALONE = "there the trajectory rests on the IMU, and its covariance grows"
 _OTHERS_ALONE = "there the trajectory rests on the IMU and {}"
 
@@ -338,91 +336,6 @@ def long_lever_arms(mountings: Mapping[str, FloatArray]) -> list[str]:
         for name, arm in arms_m.items()
         if arm > MAX_LEVER_ARM_M
     ]
-
-
-def unknown_sensors(ignored: Sequence[str]) -> list[str]:
-    """Warn of sensors' folders that were not read.
-
-    Parameters
-    ----------
-    ignored : sequence of str
-        Names of folders below `mav0`.
-
-    Returns
-    -------
-    list of str
-    """
-    if not ignored:
-        return []
-    return [
-        f"not used: mav0/{', mav0/'.join(ignored)}: unknown sensor (`craternav sensors` lists the known ones)"
-    ]
-
-
-def colour_images(count: int) -> list[str]:
-    """Tell that images are in colour.
-
-    Parameters
-    ----------
-    count : int
-        Such images of the data set.
-
-    Returns
-    -------
-    list of str
-    """
-    if not count:
-        return []
-    return [f"{count} images are in colour: their luma is used"]
-
-
-def repeated_images(repeated: Mapping[str, str]) -> list[str]:
-    """Warn of images that are copies of earlier ones.
-
-    Parameters
-    ----------
-    repeated : mapping of str to str
-        See `Reconstruction.repeated`.
-
-    Returns
-    -------
-    list of str
-    """
-    if not repeated:
-        return []
-    pairs = [f"{name} (same pixels as {first})" for name, first in repeated.items()]
-    return [
-        f"copies of earlier images, which were not taken at their stamps: {_listed(pairs)}; their rims are "
-        "left out"
-    ]
-
-
-def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
-    """Warn of frames whose rims were left out, as they contradict the track.
-
-    Parameters
-    ----------
-    disbelieved : mapping of int to str
-        See `Reconstruction.disbelieved`.
-
-    Returns
-    -------
-    list of str
-    """
-    if not disbelieved:
-        return []
-    names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
-    return [
-        f"the craters identified in frame {_listed(names)} contradict the IMU and the frames before, and no "
-        "later frame confirms them: their rims are left out; check that the image is the one of its stamp, "
-        "and if this happens often, the IMU's units and axes"
-    ]
-
-
-def _listed(names: Sequence[str]) -> str:
-    """List the first of many names."""
-    shown = ", ".join(names[:_MAX_LISTED])
-    return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
 
 
 def lowered_rims(lowered: bool) -> list[str]:

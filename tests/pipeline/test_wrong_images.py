@@ -13,7 +13,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.pipeline import warnings
+from craternav_fg.pipeline import input_warnings
 from craternav_fg.pipeline.initial_state import find_initial
 from craternav_fg.pipeline.reconstruct import _Measured, _problems
 from craternav_fg.pipeline.relocalisation import PoseFix
@@ -145,9 +145,9 @@ def test_frames_that_were_left_out_tell_the_unit_of_the_imu(data: Dataset) -> No
 
 
 def test_wrong_images_are_named() -> None:
-    (text,) = warnings.repeated_images({f"{k}.png": "0.png" for k in range(1, 8)})
+    (text,) = input_warnings.repeated_images({f"{k}.png": "0.png" for k in range(1, 8)})
     assert "1.png (same pixels as 0.png), 2.png" in text
     assert "and 2 more" in text
-    (text,) = warnings.disbelieved_frames({7: "frame_0007.png"})
+    (text,) = input_warnings.disbelieved_frames({7: "frame_0007.png"})
     assert "frame 7 (frame_0007.png) contradict the IMU" in text
-    assert warnings.repeated_images({}) == warnings.disbelieved_frames({}) == []
+    assert input_warnings.repeated_images({}) == input_warnings.disbelieved_frames({}) == []

@@ -1,0 +1,91 @@
+"""Warnings of what a data set holds: logs that are not used, and images that are not what they should be."""
+
+from collections.abc import Mapping, Sequence
+
+# Images that a warning names.
+_MAX_LISTED = 5
+
+
+def unknown_sensors(ignored: Sequence[str]) -> list[str]:
+    """Warn of sensors' folders that were not read.
+
+    Parameters
+    ----------
+    ignored : sequence of str
+        Names of folders below `mav0`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not ignored:
+        return []
+    return [
+        f"not used: mav0/{', mav0/'.join(ignored)}: unknown sensor (`craternav sensors` lists the known ones)"
+    ]
+
+
+def colour_images(count: int) -> list[str]:
+    """Tell that images are in colour.
+
+    Parameters
+    ----------
+    count : int
+        Such images of the data set.
+
+    Returns
+    -------
+    list of str
+    """
+    if not count:
+        return []
+    return [f"{count} images are in colour: their luma is used"]
+
+
+def repeated_images(repeated: Mapping[str, str]) -> list[str]:
+    """Warn of images that are copies of earlier ones.
+
+    Parameters
+    ----------
+    repeated : mapping of str to str
+        See `Reconstruction.repeated`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not repeated:
+        return []
+    pairs = [f"{name} (same pixels as {first})" for name, first in repeated.items()]
+    return [
+        f"copies of earlier images, which were not taken at their stamps: {_listed(pairs)}; their rims are "
+        "left out"
+    ]
+
+
+def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
+    """Warn of frames whose rims were left out, as they contradict the track.
+
+    Parameters
+    ----------
+    disbelieved : mapping of int to str
+        See `Reconstruction.disbelieved`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not disbelieved:
+        return []
+    names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
+    return [
+        f"the craters identified in frame {_listed(names)} contradict the IMU and the frames before, and no "
+        "later frame confirms them: their rims are left out; check that the image is the one of its stamp, "
+        "and if this happens often, the IMU's units and axes"
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """List the first of many names."""
+    shown = ", ".join(names[:_MAX_LISTED])
+    return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
