@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg import lens
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Along each side of the image, to find how far the distortion must reach.
 _BORDER_POINTS = 33

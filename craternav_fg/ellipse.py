@@ -20,10 +20,9 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.linalg import scaled_inverse
+from factors.arrays import FloatArray
 from factors.kernels import conic
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Points at which an ellipse is followed through a lens: harmonics of its distortion are far below this.
 _LENS_POINTS = 32

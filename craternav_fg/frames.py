@@ -9,12 +9,12 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
+
+from factors.arrays import FloatArray
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-FloatArray = npt.NDArray[np.float64]
 
 # Below, the series of the right Jacobian to second order is exact to 1e-13; its closed form is not.
 _SMALL_ANGLE_RAD = 1e-4

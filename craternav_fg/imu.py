@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.imu_noise import ImuNoise
 
 __all__ = ["ImuLog", "ImuNoise", "ImuRows"]
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 # Durations (m,), s; angular velocities and specific forces (m, 3) of rows, see `ImuLog.between`.
 ImuRows = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -24,11 +24,9 @@ wide-angle, and fish-eye lenses, IEEE Transactions on Pattern Analysis and Machi
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Newton steps of the inversion, and halvings of a step that does not reduce the error: far more than the
 # strongest lenses of the tests need.
@@ -37,7 +35,6 @@ _MAX_STEPS, _MAX_HALVINGS = 100, 30
 _STEP_TOLERANCE, _ERROR_TOLERANCE = 1e-14, 1e-13
 # Points of a ray from the axis to the border at which the distortion must not fold.
 _RAY_POINTS = 65
-
 
 # The models and how many coefficients each takes; the shorter of two leaves out zeros at the end.
 RADIAL_TANGENTIAL, RATIONAL, FISHEYE = "radial-tangential", "rational", "fisheye"

@@ -5,9 +5,8 @@ and the result is scaled back: it does not depend on the units of the unknowns.
 """
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def scaled_inverse(N: FloatArray) -> FloatArray:

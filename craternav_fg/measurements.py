@@ -3,16 +3,12 @@
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
 from factors import validation
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.errors import FactorError
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # A predicted shape farther than this from the measured one, in standard deviations, is not believed.
 EXPECTED_SIGMAS = 5.0

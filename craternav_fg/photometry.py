@@ -8,9 +8,8 @@ vector G along the ground it points towards the light: ground that rises along G
 """
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Minimum cosine of incidence and of emission: nearer to grazing the law divides by next to nothing.
 _LEAST_COSINE = 0.01

@@ -1,13 +1,11 @@
 """The direction towards the sun in an image, as a known pose and sun show it."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
 from craternav_fg.photometry import flat_terrain_brightness
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Step along the ground whose image gives the direction, as a share of the range.
 _STEP_SHARE = 1e-3

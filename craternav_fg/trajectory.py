@@ -4,10 +4,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.errors import FactorError
 from factors.kernels.packed import all_reduced_shape_residuals
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Ahead:

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def numerical_jacobian(

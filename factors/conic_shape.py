@@ -13,11 +13,10 @@ import numpy.typing as npt
 
 from factors import validation
 from factors.ahead import Ahead
+from factors.arrays import FloatArray
 from factors.custom import Loss, constant_mounting, packed_pose_factor, packed_pose_factor_with_errors
 from factors.errors import FactorError
 from factors.kernels import packed, rim_errors
-
-FloatArray = npt.NDArray[np.float64]
 
 # Six for the pose, and one that keeps the error's constant.
 REDUCED_ROWS = 7

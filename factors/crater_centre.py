@@ -6,14 +6,12 @@ reprojected: the same assumption with each point's own noise, and with a derivat
 """
 
 import gtsam
-import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.custom import Loss, pose_factor
 from factors.kernels import stacked
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def crater_centre_factor(

@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.custom import Loss, pose_factor
 from factors.kernels import conic, los, stacked
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class LineOfSight(NamedTuple):

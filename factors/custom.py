@@ -15,11 +15,10 @@ import numpy.typing as npt
 
 from factors import validation
 from factors.ahead import Ahead
+from factors.arrays import FloatArray
 from factors.errors import FactorError
 from factors.kernels import conic
 from factors.kernels.robust import CAUCHY, GEMAN_MCCLURE, HUBER, NONE, TRUNCATED, apply_loss
-
-FloatArray = npt.NDArray[np.float64]
 
 # Looked up once: calling a method through its object costs as much as a crater.
 _at_pose = gtsam.Values.atPose3

@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.errors import FactorError
-
-FloatArray = npt.NDArray[np.float64]
 
 # Noise of the definition: the factor stands for an equality. An image's own noise is a hundred times larger.
 ROTATION_SIGMA_RAD = 1e-7

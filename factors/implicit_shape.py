@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.custom import Loss, pose_factor
 from factors.kernels import conic, implicit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def implicit_shape_factor(

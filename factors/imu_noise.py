@@ -3,12 +3,10 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.errors import FactorError
-
-FloatArray = npt.NDArray[np.float64]
 
 # The square of a density of less underflows.
 LEAST_DENSITY = 1e-150

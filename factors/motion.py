@@ -7,9 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.custom import two_state_factor
-
-FloatArray = npt.NDArray[np.float64]
 
 # propagate(gTb, gV, bias): those at the end, bias left out, and the transition (15, 15) of the error state.
 Propagate = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]]

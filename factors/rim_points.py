@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.custom import Loss, pose_factor
 from factors.errors import FactorError
 from factors.kernels import rim
-
-FloatArray = npt.NDArray[np.float64]
 
 # The square of a weight of less overflows.
 LEAST_SIGMA = 1e-150

@@ -11,12 +11,11 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.conic_shape import ChartError, pack_with_errors
 from factors.custom import Loss
 from factors.errors import FactorError
 from factors.kernels.rim_errors import all_shape_residuals_with_errors
-
-FloatArray = npt.NDArray[np.float64]
 
 _UNIT = gtsam.noiseModel.Unit.Create(5)
 # Errors of a rim beside which `gtsam.JacobianFactor` has a constructor.

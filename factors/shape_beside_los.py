@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from factors import validation
+from factors.arrays import FloatArray
 from factors.crater_los import line_of_sight, tangents
 from factors.custom import Loss, pose_factor
 from factors.kernels import conic, implicit, los
-
-FloatArray = npt.NDArray[np.float64]
 
 ROWS = 3
 

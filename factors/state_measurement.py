@@ -4,11 +4,9 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.custom import Loss, state_factor
-
-FloatArray = npt.NDArray[np.float64]
 
 # Error state of the derivatives: that of `kernels.strapdown`.
 ATTITUDE, POSITION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.errors import FactorError
 from factors.kernels import admission
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def array(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -16,9 +16,7 @@ from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.circle_shading import shaded
 from craternav_fg.vision.detect import BlindOptions, find_rims
 from craternav_fg.vision.network_detect import find_rims_network
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 METHODS = {
     "network": find_rims_network,
@@ -32,7 +30,6 @@ RADII_PX = (104.0, 12.0, 8.0)
 SEARCHED_PX = 5.0
 # The average precision and the calibration need unlikely craters, too.
 LISTED_QUALITY = 0.05
-
 
 # Wear of craters: thirds of each image's marked ones by the contrast of the shading inside them.
 WEAR = ("high contrast", "middle contrast", "low contrast")

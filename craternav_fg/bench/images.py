@@ -7,7 +7,6 @@ from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.bench.timing import peak_mb
@@ -16,8 +15,7 @@ from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # From the start of a descent to its last phase.
 ALTITUDES_M = (100e3, 30e3, 10e3, 2e3)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
@@ -18,8 +17,7 @@ from craternav_fg.estimators.start import find_start
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.guided import GuidedFrontEnd
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 SCENARIO = "lunar_descent"
 # The demo's frames are 4 s apart; fewer are rendered here.

@@ -19,9 +19,8 @@ from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement, RimSet
 from craternav_fg.simulation.flat_scenes import CAMERA
 from craternav_fg.simulation.scenes import ALTITUDE_M, FOCAL_PX, MOON
 from craternav_fg.trajectory import InitialState
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 # Time between frames; noise of the IMU.
 NOISE = ImuNoise(2.0e-5, 3.4e-4, 2e-8, 3e-7)  # LN-200S class

@@ -20,8 +20,7 @@ from craternav_fg.estimators.incremental import FixedLagIsam, Isam
 from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.simulation.scenes import FOCAL_PX
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # GTSAM's default: both sides stop at the same relative decrease.
 RELATIVE_TOLERANCE = 1e-5

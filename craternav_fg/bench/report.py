@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -25,8 +24,8 @@ from craternav_fg.bench.timing import peak_mb
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.files import replacing
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Report = Callable[[str, int, int], None]
 
 OURS, REFERENCE = "#0072B2", "#D55E00"

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from craternav_fg.bench.timing import seconds_of
@@ -12,11 +11,10 @@ from craternav_fg.resection.efficient import refine, solve
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from craternav_fg.simulation.flat_scenes import CAMERA
 from craternav_fg.simulation.scenes import ALTITUDE_M
+from factors.arrays import FloatArray
 from factors.kernels import packed
 from factors.kernels.conic import project_rims
 from factors.kernels.gauss_newton import screw
-
-FloatArray = npt.NDArray[np.float64]
 
 # Edge points of a rim, as in the simulations of the paper's cases.
 EDGE_POINTS = 60

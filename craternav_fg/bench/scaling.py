@@ -26,9 +26,9 @@ from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.files import replacing
 from craternav_fg.linalg import whitening
+from factors.arrays import FloatArray
 from factors.custom import pose_factor
 
-FloatArray = npt.NDArray[np.float64]
 Report = Callable[[str, int, int], None]
 
 FRAMES, CRATERS = (30, 100, 300, 1000), (3, 10, 30)

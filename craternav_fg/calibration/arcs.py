@@ -1,14 +1,12 @@
 """Time-correlated error of the edge points of an arc of a rim: an outward shift that they share."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.likelihood import Parameter, estimate
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.calibration.rendered_descents import measured_descents
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, arc_sigma_px
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def arcs() -> list[Regenerated]:

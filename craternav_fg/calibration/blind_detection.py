@@ -38,9 +38,7 @@ from craternav_fg.vision.candidates import (
     local_sun_angles,
 )
 from craternav_fg.vision.image_sampling import noise_level
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Seed of the first scene.
 _SEED = 200

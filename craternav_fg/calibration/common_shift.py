@@ -11,7 +11,6 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from scipy.optimize import minimize
 from scipy.special import gammaln
@@ -22,10 +21,9 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
-
-FloatArray = npt.NDArray[np.float64]
 
 SCENARIOS = ("gld100_highlands", "gld100_mare", "gld100_mixed")
 _TRIALS = (0, 1)

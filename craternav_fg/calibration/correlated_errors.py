@@ -13,7 +13,6 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.likelihood import Parameter, Scale, estimate
 from craternav_fg.calibration.regenerated import Regenerated
@@ -24,8 +23,7 @@ from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import SHARED_SIZE
 from craternav_fg.vision.ellipse_kernel import BRIGHTNESS_ERROR_PER_OUTLINE
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Squared distance, 5 degrees of freedom, of a rim that is another crater's.
 _OUTLIER2 = 60.0

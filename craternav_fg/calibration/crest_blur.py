@@ -10,7 +10,6 @@ outweighs the crest's own wear, which has the highest line outside of the bend, 
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ive
 
@@ -19,8 +18,7 @@ from craternav_fg.ellipse import chart_of_axes
 from craternav_fg.mapping.crest_blur import CREST_SPREAD, LOG_FOUND, RESOLUTION_RADII
 from craternav_fg.mapping.crest_search import SEARCHES, find_crest
 from craternav_fg.mapping.refine import RefineOptions
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # The family: edge of the floor in radii, power of the wall, rim's height over the depth, power of the flank,
 # and wear, a standard deviation in radii. Chosen: bowls to flat floors, fresh rims to such that a catalogue

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 
 from craternav_fg.calibration.likelihood import Parameter, estimate
@@ -33,8 +32,7 @@ from craternav_fg.catalogs.heights import (
 )
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.mapping.refine import refine_on_dem
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 CATALOG, COARSE = "lu1319381.parquet", "gld100/gld100_16ppd_global.tif"
 REGIONS = ("southern_highlands", "imbrium_copernicus", "posidonius")

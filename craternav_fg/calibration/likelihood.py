@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
 from craternav_fg.errors import EstimationError
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Step of the differences, in units of the unknowns: far above rounding, far below where costs bend.
 _DIFFERENCE = 0.02

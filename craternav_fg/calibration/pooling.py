@@ -12,15 +12,13 @@ is then 16.5, 11.6 and 8.4, with a tenth of a frame 21.6, 11.5 and 8.4. Position
 from collections import defaultdict
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.likelihood import Parameter, estimate, gaussian_cost
 from craternav_fg.calibration.regenerated import Regenerated, Relation
 from craternav_fg.calibration.rendered_descents import MeasuredDescent, measured_descents
 from craternav_fg.ellipse import shape_change
 from craternav_fg.vision.error_model.pooling import MEMORY, MIN_OUTLINE_SHARE, PRIOR_FRAMES
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # The mean claim of fewer rims is too uncertain to compare with.
 _MIN_RIMS = 4

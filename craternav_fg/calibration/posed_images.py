@@ -11,7 +11,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 from scipy.optimize import brentq
 
@@ -20,8 +19,7 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.mapping.posed_images import Seen, errors_in_images, moments
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 _TRIALS = (7, 8, 9)
 _RANGE = (0.5, 20.0)

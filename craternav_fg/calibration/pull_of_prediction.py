@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 
 from craternav_fg.calibration.common_shift import SCENARIOS
@@ -25,9 +24,8 @@ from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 # Standard deviations of the poses that guide the front end: only the map is off.
 _ATTITUDE_RAD, _POSITION_M = 2e-4, 50.0

@@ -4,7 +4,6 @@ Rendered ground has no albedo: for the map, whose other errors are small, the fi
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.likelihood import Parameter, estimate
 from craternav_fg.calibration.regenerated import Regenerated, Relation
@@ -16,8 +15,7 @@ from craternav_fg.vision.blind_fit import BRIGHTNESS_SIGMA
 from craternav_fg.vision.blind_kernel import ring_brightness
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def reference_brightness() -> list[Regenerated]:

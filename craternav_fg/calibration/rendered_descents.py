@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
@@ -23,10 +22,8 @@ from craternav_fg.vision.ellipse_distance import signed_distance
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, in_plane_slopes
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _SCENARIOS = ("lunar_descent", "bennu_descent")
 # Per scenario: descents, frames of each, first trial (tests use others), and range of the sun's elevation.

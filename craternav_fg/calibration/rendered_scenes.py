@@ -11,8 +11,8 @@ from craternav_fg.body import ground_points
 from craternav_fg.simulation.empty_images import noise_images
 from craternav_fg.simulation.render import RenderOptions
 from craternav_fg.simulation.scenes import HARD, IRREGULAR, Ground, Scene, scene
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 
 SMOOTH = Ground()

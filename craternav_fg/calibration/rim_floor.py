@@ -6,14 +6,12 @@ ones 0.0054 +- 0.0020 radii and none in pixels.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.likelihood import Parameter, Scale, estimate, gaussian_cost
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.calibration.rendered_descents import MeasuredDescent, measured_descents
 from craternav_fg.vision.ellipse_fit import FitOptions
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def rim_floor() -> list[Regenerated]:

@@ -8,7 +8,6 @@ rims of which a third or less is not seen.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.regenerated import Regenerated, Relation
 from craternav_fg.camera import Camera
@@ -17,8 +16,7 @@ from craternav_fg.vision import ellipse_bias, ellipse_kernel
 from craternav_fg.vision.ellipse_fit import FitOptions, RimFit, refine_rim
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Seed; samples, and points of each, from which the moments are taken.
 _SEED = 600

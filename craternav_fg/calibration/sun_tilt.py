@@ -8,17 +8,15 @@ errors, less what the scatter of craters or blocks explains: looking straight do
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.scenes import Ground, Scene, scene
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.sun import SunOptions, measure_sun_tilt
+from factors.arrays import FloatArray
 from factors.kernels.sun import sun_tilt as true_tilt
 from factors.kernels.sun import wrap
-
-FloatArray = npt.NDArray[np.float64]
 
 # First seed and number of the scenes (tests use other seeds), and their angles off nadir.
 _FIRST_SEED, _SCENES = 7000, 30

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.calibration.regenerated import Regenerated
 from craternav_fg.camera import Camera
@@ -32,9 +31,8 @@ from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
 from craternav_fg.vision.error_model.systematic import RimErrors, floor_covariance
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 # Trials that no test uses.
 _FIRST_TRIAL, _TRIALS = 700, 30

@@ -15,8 +15,7 @@ from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.estimators.registry import RETROSPECTIVE
 from craternav_fg.evaluation.consistency import over_altitude, rms
 from craternav_fg.runs.columns import list_values
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A trial has converged when its final errors are within the limits of Tian et al. (2019), section 4.2.3:
 # 1 deg, and 200 m at 10 km, which is taken as a share of the altitude.

@@ -27,8 +27,7 @@ from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.runs.columns import list_column
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Rows of these names hold the posterior Cramér-Rao bound, filtering and smoothing, in place of an estimator.
 FILTERED_BOUND, SMOOTHED_BOUND = "pcrb_filtered", "pcrb_smoothed"

@@ -6,14 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.columns import HEIGHT
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.tables import Column, write_table
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # For each row at fault, its column and what is wrong with it.
 Faults = dict[int, tuple[str, str]]

@@ -11,12 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # Standard deviation of the ground's height above the sphere, in radii, where a catalogue states no heights.
 # Chosen: on the Moon and on Mars ground differs from the sphere by kilometres, about a thousandth of it.

@@ -24,10 +24,9 @@ from craternav_fg.catalogs.map_projection import (
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
 from craternav_fg.frames import latitude_longitude
+from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 Float32Array = npt.NDArray[np.float32]
 
 # Larger rasters take more than a gigabyte while they are read: crop them.

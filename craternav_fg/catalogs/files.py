@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs import checks
@@ -31,8 +30,7 @@ from craternav_fg.catalogs.store import SUFFIX, is_store, read_parquet, write_pa
 from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, Table, read_table, write_table
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Further columns of the published file, which may be there and are not read.
 _PUBLISHED = (

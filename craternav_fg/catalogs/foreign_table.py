@@ -9,8 +9,6 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, TypeVar
 
-import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
@@ -18,8 +16,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input
 from craternav_fg.tables import arrow
 from craternav_fg.tables.parquet import parquet_names, read_parquet_columns
-
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import IntArray
 
 # Cells that stand for no value.
 _NULL_CELLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "-", "--"]

@@ -3,11 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Craters that tell the height of a place, and how fast their weight falls with the distance.
 NEIGHBOURS = 8

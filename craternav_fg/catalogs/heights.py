@@ -3,14 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII, CommonShift
 from craternav_fg.catalogs.dem import Dem
 from craternav_fg.catalogs.model import Catalog
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Points of a rim at which the elevation model is read.
 _RIM_POINTS = 24

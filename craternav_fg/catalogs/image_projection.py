@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -21,9 +20,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import axes_of_chart, chart_of_outline, mean_radius, points_on
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Equatorial radius of WGS 84, which stands on many geographic rasters of other bodies.
 _EARTH_M = 6378137.0

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs import bodies, checks, columns
@@ -23,9 +22,7 @@ from craternav_fg.catalogs.foreign_table import (
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 PARQUET = ".parquet"
 # In tables of at least this many rows, a fault that half of them have is one of the file, not of its rows.

@@ -11,11 +11,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Closest approach of 1 + sin(latitude) to 0 at the pole opposite to a stereographic projection's.
 _OPPOSITE = 1e-6

@@ -19,9 +19,7 @@ from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.tables import Column, write_table
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # Radii of one body that agree to so much: those of two tables may be rounded differently.
 _RADIUS_TOLERANCE = 1e-6

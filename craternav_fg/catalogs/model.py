@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -20,9 +19,7 @@ from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.rim_kernel import rim_geometry, visible_rims
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.ellipse import half_sides, pixel_chart, points_on
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # Along each side of the image, to find the point farthest from the optical axis.
 _BORDER_POINTS = 33

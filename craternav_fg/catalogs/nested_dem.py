@@ -6,13 +6,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.dem import Dem, read_dem
 from craternav_fg.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Width over which a model gives way to the next coarser one: in steps of the latter, and at most as a share
 # of the former's height.

@@ -4,15 +4,11 @@ Apart from `model`, which other kernels' modules import: they would be compiled 
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import moments_kernel, semi_axes_kernel
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels import conic
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

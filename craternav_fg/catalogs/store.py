@@ -16,8 +16,7 @@ from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import InputError
 from craternav_fg.tables import arrow, parquet
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 FORMAT = 1
 SUFFIX = ".parquet"

@@ -41,8 +41,7 @@ from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
 from craternav_fg.matching.identify.triple_index import load_or_build
 from craternav_fg.pipeline.relocalisation import index_path
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A search needs room for the error of the attitude, also of one stated as exact, and gains nothing from one
 # that is hardly known.

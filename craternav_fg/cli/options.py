@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import typer
 
 from craternav_fg.errors import CraternavError, InputError
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Kinds of figures that commands write.
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")

@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.tables import Column, read_table
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 _BOX = tuple(Column(name) for name in "XYWH")
 _CIRCLE = tuple(Column(name) for name in ("x", "y", "diameter"))

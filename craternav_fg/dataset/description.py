@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 import tomli_w
 from pydantic import Field
 
@@ -25,9 +24,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.motion.model import Motion
 from craternav_fg.motion.settings import MotionSection, motion_table
 from craternav_fg.trajectory import InitialState
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Largest deviation of a quaternion's length from 1, from numbers of seven digits.
 _UNIT_TOLERANCE = 1e-6

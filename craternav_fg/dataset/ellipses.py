@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.columns import ID
@@ -24,9 +23,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.tables import Column, Table, read_table
 from craternav_fg.tables.sizes import LARGEST
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 CENTRE_X = "ellipseCenterX(px)"
 CENTRE_Y = "ellipseCenterY(px)"

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -16,9 +15,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import exists
 from craternav_fg.measurements import ArcSet, FrameMeasurement, SunTilt
 from craternav_fg.tables import read_table, write_table
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 
 def ground_sun_direction(

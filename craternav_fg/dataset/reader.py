@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs.files import read_catalog
@@ -28,9 +27,7 @@ from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.sensors.registry import sensors
 from craternav_fg.tables import read_table
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import IntArray
 
 # Longest step of an IMU log: attitude and velocity are integrated with constant rates over a step.
 MAX_IMU_STEP_S = 0.1

@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
@@ -16,8 +13,7 @@ from craternav_fg.motion.model import Motion
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
-
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.camera import Camera
@@ -19,12 +18,8 @@ from craternav_fg.errors import InputError
 from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimQuality, RimSet
 from craternav_fg.tables.parquet import filled, read_parquet, write_parquet
 from craternav_fg.tables.sizes import LARGEST
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels import admission
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
-
 
 _KEYS = [filled("timestamp", pa.int64()), filled("crater_id", pa.string())]
 _RIMS = pa.schema(

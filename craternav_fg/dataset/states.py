@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.dataset import layout
@@ -13,9 +12,7 @@ from craternav_fg.files import exists
 from craternav_fg.frames import from_quaternion_wxyz
 from craternav_fg.tables import Table, read_table
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # Longest gap of known states in which a frame is interpolated: in low orbit a cubic errs by millimetres then.
 # A longer one may hide a whole burn or slew.

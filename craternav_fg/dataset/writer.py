@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.catalogs.files import write_catalog
@@ -22,8 +21,7 @@ from craternav_fg.sensors.files import write_sensor
 from craternav_fg.sensors.point_features import write_features
 from craternav_fg.tables import write_table
 from craternav_fg.trajectory import Trajectory
-
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import IntArray
 
 # Catalogues with more craters than this are written as Parquet: a CSV table of them takes seconds to read.
 _MAX_CSV_CRATERS = 100_000

@@ -12,8 +12,7 @@ from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input
 from craternav_fg.vision.brightness import MAX_VALUE
 from craternav_fg.vision.mosaic import Window
-
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray
 
 # Memory for blocks of the file, MB: windows are read once.
 _CACHE_MB = 64

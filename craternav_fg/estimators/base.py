@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
@@ -18,9 +17,8 @@ from craternav_fg.motion.model import Motion
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
 from craternav_fg.trajectory import InitialState, Trajectory
+from factors.arrays import FloatArray
 from factors.errors import FactorError
-
-FloatArray = npt.NDArray[np.float64]
 
 # Errors that extreme numbers cause: a factor that is not finite, a system that GTSAM cannot solve.
 NUMERICAL_ERRORS = (FactorError, RuntimeError, OverflowError, np.linalg.LinAlgError)

@@ -5,14 +5,12 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.optimise import LmResult, gauss_newton, levenberg_marquardt
+from factors.arrays import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Method = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], LmResult]
 
 METHODS: dict[str, Method] = {"gauss-newton": gauss_newton, "levenberg-marquardt": levenberg_marquardt}

@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import C, D, M, X, Y
 
 from craternav_fg import frames
@@ -15,12 +14,10 @@ from craternav_fg.estimators.intrinsics import add_intrinsics, estimated_intrins
 from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.measurements import RimSet
 from craternav_fg.trajectory import Calibrated
+from factors.arrays import FloatArray, IntArray
 from factors.conic_shape import ChartError
 from factors.exposure import exposure_factor
 from factors.kernels.rim_errors import ground_slopes
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 MOUNTING_KEY, DELAY_KEY = C(0), D(0)
 # Errors of a crater on the map, see `ground_slopes`.

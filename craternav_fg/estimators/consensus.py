@@ -25,9 +25,7 @@ from craternav_fg.estimators.measurement_weighting import with_predicted_covaria
 from craternav_fg.estimators.start import find_start
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import FrameMeasurement, RimSet
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Number of first frames with rims from which pairs are taken, and over which a start is judged.
 WINDOW_FRAMES = 5

@@ -19,15 +19,13 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
 from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, RimSet
+from factors.arrays import FloatArray
 from factors.conic_shape import ChartError
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 ERROR_LETTER = "r"
 # Of the columns of `RimSet.correlated`, those that move a rim within its plane come first.

@@ -12,17 +12,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import FrameMeasurement
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Columns of `ground_slopes` that move a rim within its plane.
 _IN_PLANE = [0, 1, 3, 4, 5]

@@ -5,14 +5,10 @@ loops run along rows, so that the compiler vectorises them.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose, chart_and_jacobian, rim_in_camera
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 # Angle, rad, below which rotations are taken from their series.
 _SMALL_ANGLE = 1e-4

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.estimators import filter_kernel
@@ -14,6 +13,7 @@ from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.motion.model import Motion
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray
 from factors.kernels import strapdown
 from factors.kernels.strapdown import (
     ACCELEROMETER_BIAS,
@@ -24,8 +24,6 @@ from factors.kernels.strapdown import (
     SIZE,
     VELOCITY,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 POSE = slice(0, 6)
 # Share of the variance of a motion model's angular velocity that is added to keep covariances regular.

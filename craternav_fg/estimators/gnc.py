@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 from scipy.special import chdtri
 
@@ -30,10 +29,9 @@ from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.rematch import NO_CRATER, rematched
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray
 from factors.custom import Loss
 from factors.kernels.validity import UNSEEN
-
-FloatArray = npt.NDArray[np.float64]
 
 # Within a round, whose weights are not final: few steps are enough.
 COARSE_LM = LmOptions(max_iterations=2, relative_tolerance=1e-3)

@@ -7,7 +7,6 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from craternav_fg.body import Body
@@ -19,6 +18,7 @@ from craternav_fg.imu import ImuRows
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import InitialState
 from factors.ahead import Ahead
+from factors.arrays import FloatArray, IntArray
 from factors.conic_shape import ChartError, conic_shape_factor, conic_shape_factors
 from factors.custom import Loss
 from factors.imu import imu_factor, integrate, parameters
@@ -26,10 +26,6 @@ from factors.kernels import robust
 from factors.rim_points import rim_points_factor
 from factors.rims_with_errors import RimsWithErrors
 from factors.sun_tilt import sun_tilt_factor
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
 
 # On the root mean square of an arc's whitened distances, whose expectation is 1.
 ARC_LOSS = Loss(robust.HUBER, 2.0)

@@ -10,14 +10,12 @@ from typing import Any, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.correlated_errors import ERROR_LETTER, SHARED_LETTER, STATE_SIZE
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import SHARED_SIZE
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Relinearise a variable that moved by more: pose (rad, m), velocity (m/s), bias (m/s^2, rad/s). The remaining
 # error is of second order: a turn of 0.5 mrad or a shift of 1e-3 of the range are 0.01 sigma of a rim's

@@ -15,7 +15,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import POSE, FilterState
@@ -29,8 +28,7 @@ from craternav_fg.estimators.measurement_weighting import with_predicted_covaria
 from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 RIMS, SUN, IMU = "rims", "sun", "imu"
 # Singular value of a frame's rows, in units of the prediction's sigma, below which a direction is unobserved.

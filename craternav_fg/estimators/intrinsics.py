@@ -6,15 +6,13 @@ intrinsics their charts change: by the derivatives here, linear in four numbers 
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import K
 
 from craternav_fg.camera import Camera
 from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.measurements import RimSet
+from factors.arrays import FloatArray
 from factors.conic_shape import ChartError
-
-FloatArray = npt.NDArray[np.float64]
 
 INTRINSICS_KEY: int = K(0)
 # Share of the focal length; principal point x and y, px; radial distortion k1.

@@ -5,7 +5,6 @@ from typing import Literal
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from craternav_fg.camera import Camera
@@ -15,12 +14,9 @@ from craternav_fg.estimators import filter_kernel
 from craternav_fg.estimators.rim_models import RimModel, rim_factors
 from craternav_fg.linalg import whitening
 from craternav_fg.measurements import ArcSet, RimSet, SunTilt
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.custom import Loss
 from factors.kernels import rim, robust, shape, sun
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 NoiseModel = Literal["measured", "fixed"]
 

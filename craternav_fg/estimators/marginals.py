@@ -13,13 +13,10 @@ from contextlib import suppress
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.estimators.elimination import CholeskyOrder
+from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Marginals:

@@ -7,15 +7,13 @@ take that pose from their first solution, the online smoother and the filter fro
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators import filter_kernel
 from craternav_fg.measurements import FrameMeasurement
+from factors.arrays import FloatArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def with_predicted_covariances(

@@ -3,16 +3,14 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions
 from craternav_fg.linalg import whitening
+from factors.arrays import FloatArray
 from factors.kernels import strapdown
 from factors.motion import motion_factor
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def longest_interval_s(descent: Descent, options: GraphOptions) -> float:

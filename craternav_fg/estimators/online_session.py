@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from craternav_fg.errors import EstimationError
@@ -36,9 +35,8 @@ from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovat
 from craternav_fg.estimators.state_log import StateLog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray
 from factors.kernels import strapdown
-
-FloatArray = npt.NDArray[np.float64]
 
 # Shift of a midpoint below which gravity is not re-evaluated: on the Moon it changes by 1e-6 m/s^2 a metre.
 MIDPOINT_TOLERANCE_M = 10.0

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.correlated_errors import STATE_SIZE
 from craternav_fg.estimators.elimination import CholeskyOrder
 from craternav_fg.measurements import SHARED_SIZE
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Steps that the damping treats as of size 1, by the letter of the key: pose (rad, m), velocity (m/s),
 # bias (accelerometer m/s^2, gyro rad/s), mounting of the camera (rad, m).

@@ -10,12 +10,10 @@ from collections.abc import Callable
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.sensors.point_features import FeatureTracks
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 LETTER = "l"
 # Two would triangulate a point without checking it.

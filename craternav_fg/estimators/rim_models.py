@@ -4,13 +4,13 @@ from typing import Literal, get_args
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtrc, chdtri
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import RimSet
+from factors.arrays import FloatArray
 from factors.conic_shape import conic_shape_factor
 from factors.crater_centre import crater_centre_factor
 from factors.crater_los import crater_los_factor
@@ -19,8 +19,6 @@ from factors.implicit_shape import implicit_shape_factor
 from factors.kernels.rim import rim_distance
 from factors.rim_points import rim_points_factor
 from factors.shape_beside_los import shape_beside_los_factor
-
-FloatArray = npt.NDArray[np.float64]
 
 RimModel = Literal["chart", "eq19", "los", "los+shape", "points", "centre"]
 RIM_MODELS: tuple[RimModel, ...] = get_args(RimModel)

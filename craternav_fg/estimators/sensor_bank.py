@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import B, V, X
 
 from craternav_fg.errors import EstimationError
@@ -15,12 +14,11 @@ from craternav_fg.estimators.measurement_weighting import noise_inflation
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.sensors.protocol import Linearisation, Sensor, SensorState
+from factors.arrays import FloatArray
 from factors.custom import Loss
 from factors.kernels import robust
 from factors.kernels.strapdown import ATTITUDE, SIZE
 from factors.state_measurement import state_measurement_factor
-
-FloatArray = npt.NDArray[np.float64]
 
 # Largest number of biases of a sensor: GTSAM's thresholds go by the letter of a key, each of one length.
 MOST_BIASES = 9

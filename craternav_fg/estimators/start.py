@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 from gtsam.symbol_shorthand import X
 
 from craternav_fg.estimators import filter_state
@@ -22,9 +21,8 @@ from craternav_fg.linalg import scaled_inverse
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.resection.efficient import solve
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 # Factors of the measurement noise in successive optimisations: large first, so that a poor prior converges.
 ANNEALING_SCALES = (300.0, 30.0, 3.0, 1.0)

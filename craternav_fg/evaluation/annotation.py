@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # A detection is a marked crater if its centre is within half a radius and 1 px, its radius within a factor.
 CENTRE_SHARE, CENTRE_PX, SIZE_FACTOR = 0.5, 1.0, 1.6

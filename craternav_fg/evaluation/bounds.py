@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
@@ -30,10 +29,8 @@ from craternav_fg.linalg import square_root, whitening
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import strapdown
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _POSE = slice(0, 6)
 _POSITION = slice(3, 6)

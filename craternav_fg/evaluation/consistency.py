@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Of the intervals in which consistent estimators lie.
 INTERVAL_PROBABILITY = 0.95

@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
 from craternav_fg import frames
@@ -19,8 +18,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.dem import Dem
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.photometry import flat_terrain_brightness
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Iterations that move a line of sight's end from the sphere to the ground: each shrinks the error by the
 # product of the ground's slope and the tangent of the view's angle.

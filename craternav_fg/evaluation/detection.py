@@ -10,14 +10,10 @@ freedom, as in NASA's crater detection challenge.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from craternav_fg.ellipse import chart_of_axes, matrix_of_chart
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray, IntArray
 
 # Of the challenge's rules: standard deviation of a rim's error, and the 99 % quantile of chi-square with 4
 # degrees of freedom.

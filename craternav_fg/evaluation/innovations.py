@@ -10,16 +10,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.instruments import IMU, RIMS, SUN, instruments
 from craternav_fg.evaluation.consistency import mean_interval
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # In the order in which they are told, before the other sensors.
 SENSORS = (IMU, RIMS, SUN)

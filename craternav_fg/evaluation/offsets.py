@@ -13,9 +13,8 @@ from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.start import find_start
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 # Index of a frame; offset, sigmas and turn (3,) of its prediction.
 _Left = tuple[int, FloatArray, FloatArray, FloatArray]
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
@@ -13,9 +12,8 @@ from craternav_fg.linalg import whitening
 from craternav_fg.mapping.apply_errors import apply_errors
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Calibrated, Trajectory
+from factors.arrays import FloatArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
 
 # A rim with a larger squared residual is an outlier: 7 sigma, which no noise of 5 components explains.
 OUTLIER_CHI2 = 50.0

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtr, chdtrc
 
 from craternav_fg import frames
@@ -19,8 +18,7 @@ from craternav_fg.estimators.sensor_bank import SensorBank, gyro_at
 from craternav_fg.evaluation.residuals import poses_at_exposure, rim_residuals
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import InitialState, Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Probability below which chance does not explain a mean square.
 IMPROBABLE = 1e-7

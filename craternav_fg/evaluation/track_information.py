@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import ground_points
 from craternav_fg.estimators.base import Descent
@@ -15,8 +14,7 @@ from craternav_fg.estimators.point_features import (
 )
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 POINT_SIZE = 3
 _POSE = slice(0, 6)

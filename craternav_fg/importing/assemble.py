@@ -18,8 +18,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.motion.coast import coast
 from craternav_fg.motion.model import Motion
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import InputError
 from craternav_fg.importing.pds4 import is_label, read_pds4
 from craternav_fg.tables import Column, read_table
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 _COLUMNS = (Column("filename", "text"), Column("utc", "text"))
 # Decimals that datetime drops, of a time as it is written.

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -25,8 +24,7 @@ from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.importing.assemble import CameraState
 from craternav_fg.importing.images import stamp_of
 from craternav_fg.importing.labels import CubeLabel, read_label
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Below it ISIS stores special pixels (NULL, saturation) of 32-bit cubes.
 _LEAST_VALID = -3.4e38

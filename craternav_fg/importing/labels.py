@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, read_bytes
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Bytes in which a label must end; ISIS reserves 64 kB, history and tables come behind the pixels.
 _MAX_LABEL_BYTES = 16_000_000

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input, open_input
 from craternav_fg.importing.assemble import CameraState
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # What binary kernels begin with; SPICE reads all others as text.
 _BINARY = (b"DAF/", b"DAS/", b"NAIF")

@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames, lens
 from craternav_fg.dataset import Dataset
@@ -28,8 +27,7 @@ from craternav_fg.interchange.bag_reading import (
     VECTOR,
 )
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Names of frames and topics.
 MAP, BODY, CAMERA = "body_fixed", "imu0", "cam0"

@@ -34,9 +34,7 @@ from craternav_fg.interchange.bag_reading import (
 )
 from craternav_fg.interchange.bag_truth import read_truth
 from craternav_fg.trajectory import InitialState
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # In place of the name of the truth's topic: names begin with a slash.
 _NO_TOPIC = "none"

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames, lens
 from craternav_fg.camera import Camera
@@ -16,9 +15,7 @@ from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.sensor_files import lens_of
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.files import SizeLimit, check_input, entries
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 IMU, CAMERA_INFO = "sensor_msgs/msg/Imu", "sensor_msgs/msg/CameraInfo"

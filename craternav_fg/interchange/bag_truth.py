@@ -1,7 +1,6 @@
 """The true trajectory of a ROS bag: poses of any frame that is fixed to the IMU's."""
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from craternav_fg.errors import InputError
@@ -14,9 +13,7 @@ from craternav_fg.interchange.bag_reading import (
     vector,
 )
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 
 def read_truth(bag: Bag, topic: str | None, stamps_ns: IntArray, imu_frame: str) -> Trajectory | None:

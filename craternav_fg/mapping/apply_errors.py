@@ -17,8 +17,7 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A correction beyond so many of the catalogue's standard deviations is that of another crater or a wrong rim.
 _MAX_SIGMAS = 5.0

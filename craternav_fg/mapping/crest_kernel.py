@@ -7,12 +7,9 @@ line going astray.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Score that a change of the crest's radius by one step costs, from ray to ray.
 _STEP_COST = 0.7

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import mean_radius, points_on
 from craternav_fg.mapping.crest_kernel import closed_ridge, crest_score
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 # Heights (n,) at places (n, 2) of the tangent plane, m.
 Terrain = Callable[[FloatArray], FloatArray]
 

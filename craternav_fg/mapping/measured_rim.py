@@ -6,9 +6,8 @@ from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Crests found from which catalogue and model can be said to disagree.
 _MIN_CRESTS = 30

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.common_shift import CommonShift
@@ -24,9 +23,9 @@ from craternav_fg.measurements import RimSet
 from craternav_fg.vision.error_model.correlated import in_plane_slopes
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
+from factors.arrays import FloatArray
 from factors.kernels import conic
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 # A crater's errors (n, 5) in the images that show it, by its row in the catalogue.
 Seen = dict[int, FloatArray]

@@ -42,10 +42,8 @@ from craternav_fg.mapping.measured_rim import Found, MeasuredRim
 from craternav_fg.mapping.measured_rim import Outcome as Outcome
 from craternav_fg.mapping.wall_centre import wall_shift
 from craternav_fg.vision import ellipse_kernel
+from factors.arrays import BoolArray, FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 # Largest gap between neighbouring points that counts as covered, rad: five rays.

@@ -6,12 +6,10 @@ a slope and a bend, changes with the radius as a parabola. Blur does not move th
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import mean_radius, points_on
 from craternav_fg.mapping.crest_search import Terrain
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Rays, and rings in radii: from the foot of the wall to the flank.
 _RAYS = 24

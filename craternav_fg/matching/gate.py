@@ -15,19 +15,15 @@ ones. Here the best pose is accepted or rejected, and its matches are judged:
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.matching.gate_search import COMPONENTS, ExpandedPose, GateOptions, GateSearch
+from factors.arrays import BoolArray, FloatArray, IntArray
 
 __all__ = ["GateOptions", "Matches", "match_rims"]
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Fewest matches whose scatter about the pose says something about their covariances.
 _MIN_SCATTER = 6

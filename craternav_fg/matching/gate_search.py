@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri, comb
 
@@ -22,10 +21,8 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import mean_radius, relative_covariance
 from craternav_fg.linalg import bisecting_triads, scaled_inverse, squared_distance
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import conic, rim_poses
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Elements of an ellipse chart.
 COMPONENTS = 5

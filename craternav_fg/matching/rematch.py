@@ -6,16 +6,12 @@ crater it is.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import semi_minor
 from craternav_fg.measurements import RimSet
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray, IntArray
 
 # Craters are compared down to this share of the smallest rejected rim's semi-minor axis, and up to this far
 # beyond the image's border.

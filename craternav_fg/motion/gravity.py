@@ -5,12 +5,10 @@ from math import factorial, sqrt
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.config import read_text
 from craternav_fg.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Beyond it unnormalised coefficients leave the range of numbers, and an orbit of 100 km hardly feels them.
 MAX_DEGREE = 80

@@ -8,14 +8,12 @@ with the constant `rate_rad_s` of the model in place of a reading. So all estima
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.imu import ImuNoise
 from craternav_fg.motion.gravity import GravityField
+from factors.arrays import FloatArray
 from factors.kernels import motion
-
-FloatArray = npt.NDArray[np.float64]
 
 # Random walk, m/s^3/sqrt(Hz), of an accelerometer bias that a model does not use: it only keeps the
 # covariance regular.

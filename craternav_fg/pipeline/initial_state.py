@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
@@ -19,8 +18,7 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.pipeline.relocalisation import PoseFix, Relocaliser
 from craternav_fg.trajectory import InitialState
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Standard deviations of the initial state over those of the pose it is made of: its information is then 1 %
 # of what the estimators take from the same image.

@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.resection.intrinsics import IntrinsicsFit, IntrinsicsPrior, fit_intrinsics
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Fewer rims leave no redundancy; fewer frames do not show how far their estimates scatter.
 _MIN_RIMS, _MIN_FRAMES = 6, 4

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def with_common_shift(

@@ -16,8 +16,7 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.matching.acquire.search import acquire
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Craters that explain an image together; fewer may do so by chance.
 _MIN_CRATERS = 5

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
@@ -34,11 +33,7 @@ from craternav_fg.trajectory import InitialState, Trajectory
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.point_tracks import GroundMotion, track_points
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import BoolArray, FloatArray, IntArray
 
 # Of eigenvalues of correlations, which may be negative by so much.
 _MAX_ROUNDING = 1e-9

@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import platformdirs
 
 from craternav_fg.dataset import Dataset, layout
@@ -22,8 +21,7 @@ from craternav_fg.resection.robust import solve_robustly
 from craternav_fg.vision.detect import FoundRims, find_rims
 from craternav_fg.vision.grey import GreyArray, on_8_bit_scale, undistorted
 from craternav_fg.vision.network_detect import find_rims_network
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Fewer matched rims may agree by chance.
 _MIN_RIMS = 3

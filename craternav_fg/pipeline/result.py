@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.catalogs.common_shift import unknown_height_warnings
@@ -26,8 +25,7 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import input_warnings, warnings
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # The estimator whose innovations are evaluated: a filter, which predicts each frame before it measures it.
 FILTER = "ekf"

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
@@ -25,9 +24,8 @@ from craternav_fg.sun_in_image import sun_angle_in_image
 from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.error_model.pooling import PooledErrors
 from craternav_fg.vision.guided import GuidedFrontEnd
+from factors.arrays import FloatArray
 from factors.kernels import strapdown
-
-FloatArray = npt.NDArray[np.float64]
 
 # Number of rims that agree with a pose by chance only once in very many images.
 MIN_AGREEING_RIMS = 3

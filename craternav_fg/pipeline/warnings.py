@@ -7,15 +7,12 @@ the same ones, see `Reconstruction.warnings`.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary, improbable
 from craternav_fg.linalg import squared_distance
-
-BoolArray = npt.NDArray[np.bool_]
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import BoolArray, FloatArray
 
 # Share of outliers among all rims above which an estimator's trajectory is not to be trusted.
 MAX_OUTLIER_SHARE = 0.5

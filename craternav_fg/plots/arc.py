@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from craternav_fg.camera import Camera
@@ -11,8 +9,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import points_on
 from craternav_fg.evaluation.offsets import Offsets
 from craternav_fg.measurements import FrameMeasurement
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def draw_rims(

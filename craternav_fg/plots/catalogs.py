@@ -16,8 +16,8 @@ from craternav_fg.body import Body
 from craternav_fg.catalogs.checks import overlaps
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import CraternavError
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 # Okabe and Ito's colours.

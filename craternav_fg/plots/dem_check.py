@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from craternav_fg.evaluation.dem_check import DemCheck
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def draw_dem_check(checks: Sequence[DemCheck], altitude_sigma_m: FloatArray) -> Figure:

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.body import Body
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 # Motion below which a trajectory has no direction.

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -26,8 +25,7 @@ from craternav_fg.measurements import FrameMeasurement, SunTilt
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.plots.style import save
 from craternav_fg.workers import each_result, processes
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A contact sheet has so many frames, in so many columns.
 SHEET_FRAMES = 12

@@ -12,8 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from craternav_fg.files import replacing
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Colours of Okabe and Ito, then three of Tol's, which most readers can tell apart. An estimator has the same
 # colour in every figure.

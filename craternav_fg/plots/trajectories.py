@@ -20,8 +20,7 @@ from craternav_fg.plots.ground_track import GroundTrack
 from craternav_fg.plots.overlays import draw_rims
 from craternav_fg.plots.style import colour, finish, line_style, seconds_since_first
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def draw_errors(trajectories: Mapping[str, Trajectory], truth: Trajectory, rims: Sequence[int]) -> Figure:

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.axes import Axes
@@ -28,8 +27,7 @@ from craternav_fg.plots.style import colour, line_style
 from craternav_fg.reports.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
 from craternav_fg.reports.svg import WIDTH_IN, inline_svg, mark
 from craternav_fg.reports.trial_charts import altitude_scale, trial_blocks, trial_numbers
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Bins of altitude, equal on a logarithmic scale where the altitude is positive.
 BINS = 8

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from scipy.special import chdtri
 
@@ -21,8 +20,7 @@ from craternav_fg.reports.page import Chart
 from craternav_fg.reports.residuals import DOF, MIN_CHI2_PER_DOF, rejected
 from craternav_fg.reports.svg import identifier
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Replaced by the page's own colours, which are others in the dark.
 INK, SOFT = "ink", "soft"

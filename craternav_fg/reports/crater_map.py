@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 from craternav_fg.body import Body
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 

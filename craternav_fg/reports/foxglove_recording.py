@@ -5,7 +5,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pyarrow.compute as pc
 
 from craternav_fg import frames, lens
@@ -24,8 +23,7 @@ from craternav_fg.reports.recording import (
 )
 from craternav_fg.runs.columns import list_values
 from craternav_fg.runs.read import Run, read_residuals
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Names of frames: local level axes (east, north, up) at the first estimate's ground point, m; b; c.
 MAP, LANDER, CAMERA = "map", "lander", "camera"

@@ -5,7 +5,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pyarrow.compute as pc
 
 from craternav_fg import frames
@@ -17,8 +16,7 @@ from craternav_fg.plots.style import colour
 from craternav_fg.reports.crater_map import near_track, outlines
 from craternav_fg.runs.columns import list_values
 from craternav_fg.runs.read import Run, read_residuals
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Craters within this multiple of the highest altitude from the track are in the recording.
 _REACH_ALTITUDES = 4.0

@@ -4,7 +4,6 @@ import html
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow.compute as pc
 
 from craternav_fg.campaign.read import Campaign
@@ -12,8 +11,7 @@ from craternav_fg.campaign.summary import of_estimator
 from craternav_fg.plots.style import colour
 from craternav_fg.reports.charts import line, panels, short
 from craternav_fg.reports.page import Block, Chart, Picker
-
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import IntArray
 
 # Trials that can be picked: the worst ones of larger campaigns.
 _MAX_TRIALS = 60

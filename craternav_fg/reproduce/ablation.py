@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from matplotlib.figure import Figure
 
@@ -25,8 +24,7 @@ from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, number
 from craternav_fg.reproduce.sentences import listed
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Medians of more trials change little; each trial is run with eleven estimators.
 MAX_TRIALS = 10

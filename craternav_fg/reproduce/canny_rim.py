@@ -11,9 +11,8 @@ import numpy.typing as npt
 from craternav_fg.ellipse import pixel_chart, whitened_points
 from craternav_fg.simulation.scenes import Scene
 from craternav_fg.vision.ellipse_fit import FitFailure, fit_rim
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 # Gaussian blur before gradients are taken.
 _BLUR_PX = 1.2

@@ -1,17 +1,14 @@
 """Simulated edge points of the paper's flat scenes: the fitted rims, and the pose's Cramér-Rao bound."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import pixel_chart, points_and_normals
 from craternav_fg.linalg import scaled_inverse
 from craternav_fg.resection.edge_fit import fit_edges
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from craternav_fg.simulation.flat_scenes import CAMERA, FlatScene
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import conic, rim
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Points of the polygon whose length stands for that of a rim in pixels.
 _POLYGON_POINTS = 2000

@@ -1,7 +1,6 @@
 """Fig. 2: angle between the lines of sight to a crater's centre and to the centre of its image ellipse."""
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.reproduce import line_plots
@@ -9,9 +8,8 @@ from craternav_fg.reproduce.edge_points import matched
 from craternav_fg.reproduce.results import Reproduction, Row, verdict
 from craternav_fg.resection.paper.equations import PaperRims
 from craternav_fg.simulation.flat_scenes import CAMERA, FlatScene, flat_axes, ground_point, tilted_camera
+from factors.arrays import FloatArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
 
 TILTS_DEG = (5, 10, 15, 20, 25, 30)
 # In radii.

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.reproduce import line_plots
@@ -16,8 +15,7 @@ from craternav_fg.resection.least_squares import minimise
 from craternav_fg.resection.paper.centres import centre_pose
 from craternav_fg.resection.paper.equations import PaperRims, edges
 from craternav_fg.simulation.flat_scenes import random_triple
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Of fig. 4, in radii.
 FIG04_ALTITUDES = (30, 20, 15, 10, 7, 5)

@@ -1,7 +1,6 @@
 """Fig. 10: a rendered image of four craters and their edges."""
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.ellipse import axes_of_chart, pixel_chart
@@ -15,8 +14,7 @@ from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED, image_row
 from craternav_fg.simulation.paper_scenes import four_craters
 from craternav_fg.vision.detect import find_rims
 from craternav_fg.vision.guided_options import SINGLE_IMAGE
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 _QUANTITIES = ("centre", "semi-major axis", "semi-minor axis")
 

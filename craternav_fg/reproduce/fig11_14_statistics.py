@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.reproduce import fig11_14_trials as trials
 from craternav_fg.reproduce.results import Row, verdict
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 MEAN, STD, RMS = "mean", "standard deviation", "rms"
 # Trials at each altitude in the paper.

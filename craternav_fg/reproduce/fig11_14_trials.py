@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg import frames
@@ -25,8 +24,7 @@ from craternav_fg.resection.paper.centres import centre_pose
 from craternav_fg.resection.paper.equations import PaperRims
 from craternav_fg.resection.problem import ResectionProblem, Status
 from craternav_fg.simulation.flat_scenes import FlatScene, random_scene
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Methods as the columns of the data name them.
 CENTRES = "centres"

@@ -1,7 +1,6 @@
 """Figs. 15 to 18: errors over whole descents, of one trial and of thirty."""
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from matplotlib.figure import Figure
 
@@ -21,8 +20,7 @@ from craternav_fg.reproduce.fig15_18_trials import (
 )
 from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, known, number
 from craternav_fg.reproduce.sentences import compared
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # The paper's printed errors: of one trial at 26 km; of thirty trials at 10 km, "less than".
 ONE_TRIAL_KM, LAST_KM = 26.0, 10.0

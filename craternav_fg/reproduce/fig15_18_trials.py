@@ -30,8 +30,7 @@ from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.simulation.scenario import simulate as simulate_trial
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 SCENARIO = "paper_case3"
 PAPERS, FILTER, ONLINE, SMOOTHER, CENTRES = "ekf_paper", "ekf", "online", "smoother", "centre_smoother"

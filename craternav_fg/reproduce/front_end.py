@@ -24,8 +24,7 @@ from craternav_fg.reproduce.table1_trials import (
 from craternav_fg.simulation.empty_images import gradient_images, noise_images
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import find_rims
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A rim is recovered from a wrong prediction when its centre and axes are within this.
 RECOVERED_PX = 2.0

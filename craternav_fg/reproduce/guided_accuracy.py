@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.ellipse import axes_of_chart, pixel_chart
@@ -13,10 +12,8 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.simulation.scenes import Scene
 from craternav_fg.vision.guided import GuidedFrontEnd
 from craternav_fg.vision.guided_options import SINGLE_IMAGE, GuidedOptions
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # The bias of the sizes is taken over the rims below this semi-minor axis: a bias in px is largest there.
 SMALL_PX = 60.0

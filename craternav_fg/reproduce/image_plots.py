@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 from craternav_fg.ellipse import chart_of_axes, points_on
 from craternav_fg.reproduce.results import Row
 from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Label, colour (Okabe and Ito's) and marker of each method.
 STYLE = {

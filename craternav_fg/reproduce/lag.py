@@ -4,7 +4,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from gtsam.symbol_shorthand import X
 from matplotlib.figure import Figure
@@ -18,8 +17,7 @@ from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import Reproduction, Row, number
 from craternav_fg.reproduce.sentences import compared
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 LAGS_S = (4.0, 10.0, 30.0, 60.0, 120.0)
 # Enough for curves without visible noise; each trial is run once per lag.

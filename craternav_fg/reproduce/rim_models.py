@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 from matplotlib.figure import Figure
@@ -31,9 +30,8 @@ from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
 from craternav_fg.reproduce.results import NO_NUMBER, Reproduction, Row, known, number
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray
 from factors.custom import Loss
-
-FloatArray = npt.NDArray[np.float64]
 
 NAME = "rim_models"
 ESTIMATORS = ("smoother", "online", "ekf")

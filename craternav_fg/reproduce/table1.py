@@ -3,15 +3,13 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.reproduce import image_plots
 from craternav_fg.reproduce.results import Reproduction, Row
 from craternav_fg.reproduce.rim_methods import BLIND, CANNY, GUIDED, METHODS, image_row, judged
 from craternav_fg.reproduce.table1_trials import ERRORS, FINE, IRREGULAR, Sets
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Average and maximum error of the centre, the semi-major and the semi-minor axis, px, as the paper prints
 # them.

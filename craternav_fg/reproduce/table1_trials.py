@@ -24,9 +24,8 @@ from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.canny import find_rims_canny
 from craternav_fg.vision.detect import FoundRims, find_rims
 from craternav_fg.vision.guided_options import SINGLE_IMAGE
+from factors.arrays import FloatArray
 from factors.kernels.sun import sun_tilt, wrap
-
-FloatArray = npt.NDArray[np.float64]
 
 # Sets of images. Fine and irregular outlines, and overlapping craters on rough terrain, from a tilted camera;
 # a camera at nadir and 30 deg from it, for sun tilts; single craters at 4x zoom, for the rim crests.

@@ -1,7 +1,6 @@
 """Table 2: standard deviations of the errors of the rims' conic coefficients, over the altitude."""
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.estimators.linearisation import PAPER_NOISE
@@ -10,8 +9,7 @@ from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.results import Reproduction, known
 from craternav_fg.reproduce.rim_methods import CANNY, GUIDED, METHODS, image_row, judged
 from craternav_fg.reproduce.table2_trials import CENTRAL, COEFFICIENTS
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # By altitude, km: A to F, as the paper prints them.
 TABLE2 = {

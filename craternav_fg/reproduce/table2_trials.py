@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.ellipse import axes_of_chart, normalised_chart, pixel_chart
@@ -18,9 +17,8 @@ from craternav_fg.simulation.scenes import Scene
 from craternav_fg.simulation.terrain import TerrainOptions
 from craternav_fg.vision.detect import find_rims
 from craternav_fg.vision.guided_options import SINGLE_IMAGE
+from factors.arrays import FloatArray
 from factors.kernels.conic import chart_to_conic, project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 ALTITUDES_KM = (50, 40, 30, 20, 10)
 COEFFICIENTS = "ABCDEF"

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.resection.problem import ResectionProblem
 from craternav_fg.resection.solve_kernel import covariance_and_log_det, normal_equations
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A direction of the pose with a larger standard deviation, rad or share of the range to the craters, counts
 # as undetermined: beyond about half a radian the linearisation says nothing.

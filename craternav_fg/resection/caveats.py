@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.resection.problem import PoseSolution, ResectionProblem
 from craternav_fg.resection.solve_kernel import normal_equations
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import screw
 from factors.kernels.packed import CRATER, HEADER
-
-FloatArray = npt.NDArray[np.float64]
 
 # Fewest rims that show a wrong match: with fewer, some pose explains the wrong match as well.
 _CHECKED_RIMS, _CHECKED_RIMS_WITH_ATTITUDE = 3, 2

@@ -6,7 +6,6 @@ noise is known, and Gaussian along the rim's normal: for simulated edges, and fo
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import (
@@ -18,11 +17,10 @@ from craternav_fg.ellipse import (
     whiten_kernel,
     whitened_points,
 )
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert, solve
 from factors.kernels.rim import rim_distance
-
-FloatArray = npt.NDArray[np.float64]
 
 # Steps of the Levenberg-Marquardt fit.
 _MAX_ITERATIONS = 20

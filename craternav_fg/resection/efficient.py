@@ -6,7 +6,6 @@ Works for one rim or more; a prior, a known attitude and the sun's tilt are used
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.resection.bounds import MAX_SIGMA, observability
 from craternav_fg.resection.caveats import caveats
@@ -17,10 +16,8 @@ from craternav_fg.resection.solve_kernel import (
     solutions,
     squared_distance,
 )
+from factors.arrays import BoolArray, FloatArray
 from factors.kernels.validity import UNSEEN
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Minima whose cost exceeds the least by more are not pursued: they are less likely by exp(-15) = 3e-7.
 _COST_WINDOW = 30.0

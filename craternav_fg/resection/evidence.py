@@ -12,15 +12,12 @@ it has the mean 1, and exceeds L with a probability of at most 1 / L (Markov's i
 from math import lgamma
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import half_sides
 from craternav_fg.frames import rotation_log
 from craternav_fg.resection.problem import ResectionProblem
+from factors.arrays import BoolArray, FloatArray
 from factors.kernels.validity import UNSEEN
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Standard deviations of size (its logarithm) and of shape (each of two numbers) if nothing is known; they
 # count as those of one rim.

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -34,8 +33,7 @@ from craternav_fg.resection.problem import (
     ResectionResult,
     Status,
 )
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Standard deviations of angles that are accepted.
 _SIGMA_RANGE_DEG = (1e-6, 360.0)

@@ -8,16 +8,14 @@ often decide.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.solve_kernel import normal_equations
+from factors.arrays import FloatArray
 from factors.kernels import packed
 from factors.kernels.gauss_newton import screw
 from factors.kernels.robust import NONE
-
-FloatArray = npt.NDArray[np.float64]
 
 # Relative standard deviation of a camera's focal length unless another is known: one that is off by 1 % where
 # the rims cannot tell leaves the pose within five standard deviations.

@@ -6,11 +6,10 @@ Normal equations would square the condition number of eq. (19) without weights, 
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.gauss_newton import move
 
-FloatArray = npt.NDArray[np.float64]
 # Takes a pose (4, 4); gives the residual (m,) and its Jacobian (m, 6) for the pose's right twist.
 PoseEquations = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 

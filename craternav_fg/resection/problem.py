@@ -7,20 +7,16 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.errors import EstimationError
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.measurements import KnownAttitude, RimSet, SunTilt
 from factors import validation
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.errors import FactorError
 from factors.kernels import packed
 from factors.kernels.robust import NONE
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 _NO_WEIGHT = np.empty((0, 0))
 _NO_SUN = np.empty(0)

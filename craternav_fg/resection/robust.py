@@ -4,7 +4,6 @@ import itertools
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.resection.bounds import information
 from craternav_fg.resection.caveats import inflation_warning
@@ -12,9 +11,7 @@ from craternav_fg.resection.efficient import SolveOptions, solve
 from craternav_fg.resection.evidence import log_evidence
 from craternav_fg.resection.problem import PoseSolution, ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.robust_kernel import consensus, distances2
-
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import BoolArray, IntArray
 
 # Fewest rims whose residuals show that their standard deviations are too small.
 _SCALED_RIMS = 5

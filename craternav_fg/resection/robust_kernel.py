@@ -1,18 +1,14 @@
 """Kernels of the robust solver: rims that agree on a pose, found from minimal sets (RANSAC)."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.resection.solve_kernel import minimise
 from craternav_fg.resection.start_kernel import start_at_attitude, start_pair
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert, solve
 from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
 from factors.kernels.robust import NONE
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Rounds of fit and selection per minimal set, and linearisations of a fit.
 _ROUNDS = 4

@@ -5,18 +5,14 @@ attitude. Distances between poses are measured in standard deviations, by the in
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.resection.start_kernel import start_at_attitude, start_pair, starts_of_one
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import prior_terms, screw, screw_between, solve, substitute
 from factors.kernels.packed import CRATER, HEADER, pack, shape_residuals
 from factors.kernels.robust import NONE
 from factors.kernels.sun import sun_tilt, wrap
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Factors on the noise with which the problem is solved in turn, before the noise itself, from a prior's pose:
 # with so much noise the prior prevails, and the minimum is near it.

@@ -16,11 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.ellipse import moments_kernel
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import chart_to_conic
 from factors.kernels.los import line_of_sight
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")

@@ -4,14 +4,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.registry import FORMER_NAMES
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Length of an estimator's name in a file.
 _MAX_NAME = 100

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from pydantic import Field
 
@@ -20,8 +19,7 @@ from craternav_fg.runs.columns import check_names, list_values, with_present_nam
 from craternav_fg.runs.schemas import COVARIANCES, RESIDUALS, RESIDUALS_OF_IMAGES, STATES
 from craternav_fg.tables.parquet import read_parquet, require_finite
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # What version 0.1 called parts of metrics.json, metrics of an estimator, its calibration, and columns of
 # residuals.parquet.

@@ -16,7 +16,6 @@ and the fields of `RimQuality`, null for rims that were not measured in an image
 from dataclasses import fields
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from craternav_fg.catalogs.model import Catalog
@@ -24,9 +23,7 @@ from craternav_fg.measurements import RimQuality, RimSet
 from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.runs.columns import list_column
 from craternav_fg.trajectory import Trajectory
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 
 def residuals_table(result: Reconstruction) -> pa.Table:

@@ -7,7 +7,6 @@ range lies on it: |P + rho u| = R + h.
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from craternav_fg.config import Direction, Positive
@@ -21,8 +20,7 @@ from craternav_fg.sensors.protocol import (
     SensorState,
 )
 from craternav_fg.tables import Column
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 RANGE = "range"
 # The height of the ground is looked up where the beam meets it: so often, from the sphere on.

@@ -4,14 +4,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.config import read_text, validate
 from craternav_fg.sensors.protocol import Sensor, Surroundings
 from craternav_fg.sensors.yaml_files import dump_yaml, mounting, parse_yaml
 from craternav_fg.tables import Column, read_table, write_table
-
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import IntArray
 
 STAMP = "timestamp"
 SETTINGS, DATA = "sensor.yaml", "data.csv"

@@ -21,9 +21,7 @@ from craternav_fg.config import Positive, Section, read_text, validate
 from craternav_fg.sensors.protocol import Surroundings
 from craternav_fg.sensors.yaml_files import dump_yaml, parse_yaml
 from craternav_fg.tables import Column, read_table, write_table
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 NAME = "features"
 FOLDER = f"mav0/{NAME}0"

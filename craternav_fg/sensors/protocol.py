@@ -19,15 +19,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from craternav_fg.body import Body
 from craternav_fg.config import Positive, Section
 from craternav_fg.tables import Column
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # Error state of a measurement's derivative: attitude (rotation vector in b), position and velocity (in g),
 # inertial angular velocity (in b), gyro bias, accelerometer bias. As `factors.kernels.strapdown` has it.

@@ -6,7 +6,6 @@ Zero when the sensor is as far from the station as measured, and moves away from
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from craternav_fg.config import Positive
@@ -21,8 +20,7 @@ from craternav_fg.sensors.protocol import (
     SensorState,
 )
 from craternav_fg.tables import Column
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 RANGE, RATE_COLUMN = Column("range", unit="m"), Column("range_rate", unit="m s^-1")
 STATION = tuple(Column(f"p_GS_{axis}", unit="m") for axis in "xyz")

@@ -6,7 +6,6 @@ Zero when the measured attitude of the sensor is iRg(t) gRb bRs.
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.config import Positive, Quaternion
@@ -19,8 +18,7 @@ from craternav_fg.sensors.protocol import (
     SensorState,
 )
 from craternav_fg.tables import Column
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 QUATERNION = ("q_IS_w", "q_IS_x", "q_IS_y", "q_IS_z")
 # Largest deviation of a quaternion's length from 1: rounding of numbers with five digits.

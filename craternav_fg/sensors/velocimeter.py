@@ -7,7 +7,6 @@ ground: positive where the sensor moves along its beam, towards the ground.
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from craternav_fg.config import Direction, Positive
@@ -22,8 +21,7 @@ from craternav_fg.sensors.protocol import (
     SensorState,
 )
 from craternav_fg.tables import Column
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Speeds beyond are none of a lander near the ground: km/s would stand for m/s the other way round.
 LARGEST_SPEED_M_S = 1e4

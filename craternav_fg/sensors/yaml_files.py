@@ -4,13 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from craternav_fg.config import line_of
 from craternav_fg.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Largest deviation of R R' from the identity, from numbers of seven digits.
 _RIGID_TOLERANCE = 1e-6

@@ -9,12 +9,10 @@ Cratering, 489-509.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Diameter at which lunar craters change from simple bowls to shallow complex ones, km (Pike 1977).
 COMPLEX_KM = 15.0

@@ -16,8 +16,7 @@ from craternav_fg.simulation.crater_shape import (
     rim_height_m,
 )
 from craternav_fg.simulation.relief import Relief
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Distance that clutter keeps from the crests of the catalogue, in its own radii.
 CREST_CLEARANCE = 1.6

@@ -5,8 +5,7 @@ import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.render import Renderer
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Samples of the terrain along a rim's normal.
 _SAMPLES = 17

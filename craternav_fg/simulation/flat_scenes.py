@@ -13,9 +13,8 @@ from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import half_sides
 from craternav_fg.errors import CraternavError
+from factors.arrays import FloatArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
 
 # Semi-axes of the craters of the paper's cases one and two, m (section 4.2.1).
 SEMI_AXES_M = (500.0, 2500.0)

@@ -20,9 +20,7 @@ from craternav_fg.simulation.scenario_tables import PublishedCraters, RenderSect
 from craternav_fg.simulation.scenes import sun_direction
 from craternav_fg.simulation.terrain import Terrain
 from craternav_fg.simulation.world import render_options, terrain_options
-
-FloatArray = npt.NDArray[np.float64]
-
+from factors.arrays import FloatArray
 
 # Lowest and highest altitude above the ground; their logarithms are uniform.
 ALTITUDES_M = (60e3, 200e3)

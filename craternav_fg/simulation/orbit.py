@@ -3,16 +3,13 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.motion.model import Motion as MotionModel
 from craternav_fg.simulation.scenario_tables import TrajectorySection
 from craternav_fg.simulation.trajectory import Motion, Track
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 
 class Orbit(Track):

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.sensors.point_features import NAME as FEATURES
@@ -12,9 +11,7 @@ from craternav_fg.sensors.point_features import FeatureTracks, simulate_features
 from craternav_fg.sensors.protocol import Sensor, SensorState, Surroundings
 from craternav_fg.simulation.sensor_tables import feature_plan, sensor_plan
 from craternav_fg.simulation.trajectory import Track
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 
 def simulate_sensors(

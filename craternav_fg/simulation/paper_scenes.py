@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import ground_points
@@ -22,8 +21,7 @@ from craternav_fg.simulation.scenes import (
     sun_direction,
 )
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # The scene of fig. 10; the paper prints none of these numbers.
 FOUR_CRATERS_ALTITUDE_M = 20e3

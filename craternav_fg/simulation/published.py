@@ -18,8 +18,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.simulation.craters import CraterFieldOptions, random_clutter
 from craternav_fg.simulation.relief import Relief
 from craternav_fg.simulation.scenario_tables import PublishedCraters
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Radius of the largest crater that an elevation model does not show, in its steps.
 _UNRESOLVED_STEPS = 1.5

@@ -7,11 +7,10 @@ with x, y its coordinates in the gnomonic plane. Grids are passed as in `terrain
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 # Steps along a ray before it is given up; most take under 50.
 MAX_STEPS = 400

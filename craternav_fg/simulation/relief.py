@@ -14,10 +14,9 @@ import numpy.typing as npt
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.catalogs.nested_dem import NestedDem
+from factors.arrays import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 # RMS slope of unit-variance B-spline noise on a lattice of spacing 1: sqrt(int B'^2 int B^2) for the cubic
 # B-spline B.

@@ -10,8 +10,8 @@ from craternav_fg.camera import Camera
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.simulation import rays
 from craternav_fg.simulation.terrain import Levels, Terrain
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Points along each side of the image between which its motion is interpolated.

@@ -20,8 +20,8 @@ from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.trajectory import Track
 from craternav_fg.simulation.world import World, make_world
 from craternav_fg.trajectory import InitialState, Trajectory
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 # Prior standard deviation of an acceleration that a motion model has no state for.

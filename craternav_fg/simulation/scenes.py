@@ -17,8 +17,7 @@ from craternav_fg.simulation.relief import Relief, ReliefOptions
 from craternav_fg.simulation.render import Renderer, RenderOptions
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.sun_in_image import sun_angle_in_image
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # IAU mean radius, GRAIL's gravity, sidereal rotation.
 MOON = Body("Moon", 1_737_400.0, 4.902_800_118e12, (0.0, 0.0, 2.661_7e-6))

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
@@ -15,10 +14,8 @@ from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.simulation.scenario_tables import ImuSection, InitialErrorSection, MeasurementSection
 from craternav_fg.simulation.trajectory import Track
 from craternav_fg.trajectory import InitialState
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.sun import sun_tilt, wrap
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Gauss-Legendre nodes and weights on [0, 1]: exact for polynomials of degree 5.
 _NODES = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])

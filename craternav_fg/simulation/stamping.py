@@ -14,9 +14,9 @@ from craternav_fg.simulation.crater_shape import (
     smoothstep,
 )
 from craternav_fg.simulation.relief import Window
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Where the catalogue's heights differ from the relief, the terrain is lifted within this many radii of a

@@ -52,10 +52,9 @@ from craternav_fg.simulation.stamping import (
     lift,
     stamp,
 )
+from factors.arrays import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 # Largest slope for which rays are stepped; steeper walls of small craters are passed through at their edges.
 MAX_SLOPE = 0.8

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.simulation.scenario_tables import TrajectorySection
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 @dataclass(frozen=True)

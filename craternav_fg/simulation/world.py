@@ -34,8 +34,8 @@ from craternav_fg.simulation.scenario_tables import (
 )
 from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from craternav_fg.simulation.trajectory import Descent, Track
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 AnyCraters = RandomCraters | CraterFile | CraterList | PublishedCraters
 
 # Stored directions towards the sun are interpolated; it moves by less than 0.005 deg in this time.

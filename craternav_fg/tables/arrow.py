@@ -1,11 +1,10 @@
 """From pyarrow's columns to arrays, without pandas: `to_numpy` would import it, a fifth of a second."""
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def numbers(values: pa.ChunkedArray) -> FloatArray:

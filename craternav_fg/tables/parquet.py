@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
 import pyarrow.parquet as pq
@@ -13,8 +12,7 @@ import pyarrow.parquet as pq
 from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, check_input, replacing
 from craternav_fg.tables.sizes import LARGEST
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 _NOTHING = pa.schema([])
 _TEXTS = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, TextIO
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pa_compute
 import pyarrow.csv as pa_csv
@@ -19,8 +18,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, check_input, open_input
 from craternav_fg.tables.arrow import numbers
 from craternav_fg.tables.sizes import LARGEST
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 Kind = Literal["integer", "number", "text"]
 # Characters of a line that are read at once: longer cells are refused by the csv module.

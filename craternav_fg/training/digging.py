@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Smallest radius with an irregular outline, and of terraces and central peaks, px; and the share with these.

@@ -22,9 +22,7 @@ from craternav_fg.vision.image_sampling import noise_level
 from craternav_fg.vision.network_detect import lit_from, proposal_fitter
 from craternav_fg.vision.proposal_fit import measured
 from craternav_fg.vision.proposals import Proposals, sun_excess
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Seed, which no training uses, terrains, and photographs of each.
 SEED = 77

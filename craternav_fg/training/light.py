@@ -8,10 +8,10 @@ import numpy.typing as npt
 
 from craternav_fg.training.relief import fractal
 from craternav_fg.training.terrain import SIDE_PX, Terrain
+from factors.arrays import BoolArray
 
 Float32Array = npt.NDArray[np.float32]
 ImageArray = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
 
 # Slope of the ground below which a shadow's border is noise, in px of height.
 _SHADOW_MARGIN_PX = 0.2

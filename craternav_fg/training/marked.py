@@ -19,9 +19,7 @@ from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.detect import BlindOptions, candidates_in
 from craternav_fg.vision.network_detect import lit_from, voted_quarter
 from craternav_fg.vision.proposals import Proposals
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Kind of the images, and the smallest radii that are searched and fitted, px.
 _KIND, _SEARCHED_PX, _FITTED_PX = "nac", 5.0, 6.0

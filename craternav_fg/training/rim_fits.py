@@ -8,7 +8,6 @@ cuts.
 import sys
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import axes_of_chart, mean_radius
 from craternav_fg.evaluation.detection import GATE_CHI2, SIGMA_PX, gaussian_angle
@@ -28,9 +27,7 @@ from craternav_fg.vision.proposal_fit import (
 )
 from craternav_fg.vision.proposals import Proposals
 from craternav_fg.vision.pyramid import quarters_to_right
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Seeds of the scenes of each kind of ground.
 SCENES = ((HARD, range(300, 310)), (Ground(), range(320, 324)), (IRREGULAR, range(330, 334)))

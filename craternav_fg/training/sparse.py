@@ -8,7 +8,6 @@ fitted on rendered ground with few craters or none, of seeds that the network wa
 import sys
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
 from craternav_fg.evaluation.annotation import match_circles
@@ -19,9 +18,7 @@ from craternav_fg.vision.brightness import brightness, filled
 from craternav_fg.vision.detect import BlindOptions, candidates_in
 from craternav_fg.vision.network_detect import QUALITY_WEIGHTS, lit_from, voted_quarter
 from craternav_fg.vision.proposals import QUARTERS, SURE_LOG_ODDS, Proposals
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Seed, which no training uses, and terrains.
 SEED, TERRAINS = 78, 64

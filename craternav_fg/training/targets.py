@@ -8,8 +8,8 @@ import numpy.typing as npt
 from craternav_fg.training.light import Photograph
 from craternav_fg.training.terrain import Terrain
 from craternav_fg.vision.pyramid import LEAST_PX, MOST_PX, STRIDE_PX
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Between these a crater's probability to be marked by people rises from 0 to 1: its depth in radii; the depth

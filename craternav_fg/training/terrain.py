@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from craternav_fg.training.digging import dig, raise_hills
 from craternav_fg.training.relief import fractal, relief
+from factors.arrays import BoolArray, FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
 
 SIDE_PX = 1024
 # Radii of the craters, px; those below the last are texture.

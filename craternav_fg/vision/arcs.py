@@ -7,13 +7,11 @@ ellipse through so little of a rim would be arbitrary.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision.edges import EdgePoints
 from craternav_fg.vision.ellipse_distance import signed_distance
 from craternav_fg.vision.robust_scale import robust_sigma
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Points farther from the smooth line along the arc, in standard deviations, belong to another edge.
 _OUTLIER_SIGMAS = 3.5

@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.vision import crater_profile
 from craternav_fg.vision.blind_kernel import Tracing, traced_rim
 from craternav_fg.vision.edges import EdgeOptions
 from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
+from factors.arrays import FloatArray, ImageArray
 
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
 # Tells from `BlindFit.evidence` whether a rim is of use.
 Judge = Callable[[FloatArray], bool]
 

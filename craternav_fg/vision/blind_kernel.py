@@ -6,7 +6,6 @@ A rim takes a quarter of a millisecond, and the calls between its parts would ta
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import moments_kernel, points_on, semi_axes_kernel, whiten_kernel
 from craternav_fg.vision import ellipse_kernel
@@ -14,10 +13,8 @@ from craternav_fg.vision.dense_kernel import ordered
 from craternav_fg.vision.edge_kernel import normal_count, trace_rim
 from craternav_fg.vision.ground_level import LEVEL_TERMS
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS
+from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
 
 # Rings of flat terrain around a crater, in radii, and the points on each.
 _GROUND_RING_RADII, _RING_POINTS = (1.5, 1.75, 2.0), 32

@@ -5,8 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
-
-ImageArray = npt.NDArray[np.float32]
+from factors.arrays import ImageArray
 
 # Brightness of saturated pixels, and the largest of others: safely below what counts as saturated.
 _SATURATED_MARK = 255.0

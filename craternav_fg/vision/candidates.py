@@ -15,16 +15,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision import crater_profile
 from craternav_fg.vision.disc_kernel import running_sums, share_of_variance
+from factors.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 # Radii of the templates at the resolution of the correlation; each octave of radii has its own resolution.
 TEMPLATE_RADII_PX = 6.0 * 2.0 ** (np.arange(4) / 4.0)

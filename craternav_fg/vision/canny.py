@@ -30,9 +30,7 @@ from craternav_fg.vision.detect import (
     require_finite_angle,
 )
 from craternav_fg.vision.ellipse_fit import FitFailure, RimFit, fit_rim
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
+from factors.arrays import FloatArray, ImageArray
 
 # Standard deviation of the Gaussian blur before gradients are taken, px.
 _BLUR_PX = 1.2

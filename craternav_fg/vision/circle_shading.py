@@ -17,8 +17,8 @@ from craternav_fg.vision.candidates import (
     TEMPLATE_REACH_RADII,
     Candidates,
 )
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Samples along a side of the square around a circle, which is sampled at the resolution that gives it between

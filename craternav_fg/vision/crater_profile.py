@@ -14,9 +14,8 @@ across the rim.
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A fresh simple crater: depth 0.2 and rim height 0.04 of the diameter (Pike 1977). The rounding, a height,
 # makes the rim crest about 4 % of the radius wide.

@@ -4,12 +4,10 @@ Written out: numba takes seconds to compile the library functions.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import substitute
-
-FloatArray = npt.NDArray[np.float64]
 
 # Least pivot of a Cholesky factorisation, relative to the diagonal.
 _MIN_PIVOT = 1e-12

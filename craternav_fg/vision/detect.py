@@ -24,11 +24,7 @@ from craternav_fg.vision.candidates import (
 )
 from craternav_fg.vision.ellipse_fit import FitOptions, RimFit
 from craternav_fg.vision.image_sampling import noise_level
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
-ImageArray = npt.NDArray[np.float32]
+from factors.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 # Fewer candidates may agree on a direction towards the sun by chance.
 _MIN_VOTERS = 12

@@ -6,10 +6,10 @@ A disc has few rows, so this takes less than half the time of Fourier transforms
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import IntArray
 from factors.kernels.compiled import njit
 
 Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

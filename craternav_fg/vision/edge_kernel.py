@@ -1,15 +1,12 @@
 """Edge points along the normals of one rim, compiled; see `edges`."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision.ground_level import evidence_of_level, level_at, levels_of_flanks
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, cubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
+from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
 
 # Normals per pixel of radius, and their range: one every three pixels along the rim of a
 # mid-sized crater.

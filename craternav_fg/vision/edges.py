@@ -11,14 +11,11 @@ Blurring moves the crossing, as the inner wall is steeper than the outer slope; 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.vision import crater_profile, edge_kernel
 from craternav_fg.vision.ground_level import LEVEL_TERMS, smooth_level
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
+from factors.arrays import FloatArray, ImageArray
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,11 @@
 """Second-order bias of the robust ellipse fit; compiled."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision.dense_kernel import factorised
 from craternav_fg.vision.ellipse_distance import distance_of, distances
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Moments of Tukey's psi, cut off at 4.685 standard deviations, for a Gaussian error e of standard deviation
 # 1, relative to m = E[psi'] (by numerical integration): E[psi^2]/m^2, E[psi' e^2]/m and E[psi psi' e]/m^2.

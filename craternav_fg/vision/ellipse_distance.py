@@ -1,11 +1,9 @@
 """Distance of a point to an ellipse, with its derivative; compiled."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")

@@ -26,14 +26,12 @@ from enum import Enum
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_of_axes, normalised_chart, pixel_chart
 from craternav_fg.vision import ellipse_kernel
 from craternav_fg.vision.error_model.systematic import RimErrors, floor_covariance
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 @dataclass(frozen=True)

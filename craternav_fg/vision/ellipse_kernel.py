@@ -5,16 +5,14 @@ points, L = [[e^y3, 0], [y4 e^y3, e^y5]], S = L L'.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import whiten_kernel
 from craternav_fg.vision.dense_kernel import factorised, inverse_block, ordered, solved
 from craternav_fg.vision.ellipse_bias import PSI_VARIANCE, second_order_bias
 from craternav_fg.vision.ellipse_distance import distance_of
 from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Cut-off of Tukey's biweight in standard deviations: 95 % efficiency under Gaussian errors.
 TUKEY_SIGMAS = 4.685

@@ -20,12 +20,10 @@ steeper on one side: it is left out, and remains as an error of the size.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision.robust_scale import MAD_TO_SIGMA
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Limits of the crest's share of the step: beyond, the flanks are not those of a crest.
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.9

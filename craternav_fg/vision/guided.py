@@ -7,7 +7,6 @@ predicted pose is corrected with the rims themselves, and only then is each rim 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
 from craternav_fg.camera import Camera
@@ -28,11 +27,8 @@ from craternav_fg.vision.reference_brightness import ReferenceBrightness
 from craternav_fg.vision.rim_fitting import FittedRims, RimFitter
 from craternav_fg.vision.shift_search import common_shift, own_shifts
 from craternav_fg.vision.sun import measure_sun_tilt
+from factors.arrays import FloatArray, ImageArray, IntArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-ImageArray = npt.NDArray[np.float32]
 
 # Fewer rims cannot prove a prediction wrong: two can be wrong together.
 _MIN_AGREEING_RIMS = 3

@@ -1,12 +1,10 @@
 """Brightness between pixels, and the noise of pixels."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision.robust_scale import robust_sigma
+from factors.arrays import ImageArray
 from factors.kernels.compiled import njit
-
-ImageArray = npt.NDArray[np.float32]
 
 # Brightness, of 255, above which a pixel counts as saturated.
 SATURATED_BRIGHTNESS = 250.0

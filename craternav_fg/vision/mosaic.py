@@ -11,14 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from craternav_fg.ellipse import axes_of_chart, mean_radius, points_on
 from craternav_fg.vision.detect import BlindOptions, FoundRims
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Sides of the smallest and the largest cores, multiples of the usual blocks of a file, and what a window has
 # around it, px of its level. A small mosaic has about three cores along its shorter side: its light may vary.

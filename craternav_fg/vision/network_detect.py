@@ -36,8 +36,8 @@ from craternav_fg.vision.image_sampling import noise_level
 from craternav_fg.vision.proposal_fit import MIN_ARC_SHARE, MeasuredRims, measured
 from craternav_fg.vision.proposals import QUARTERS, SURE_LOG_ODDS, Proposals, SunQuarter
 from craternav_fg.vision.pyramid import quarters_to_right
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
 # Probability of a quarter, against the opposite one, below which both are asked: the image does not show the

@@ -20,9 +20,8 @@ from craternav_fg.camera import Camera
 from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.sensors.point_features import FeatureSettings, FeatureTracks
+from factors.arrays import FloatArray, IntArray
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Image = npt.NDArray[np.uint8]
 
 # Scale, px, of the shading that is taken out of an image, and the contrast of what remains, of 255 levels:

@@ -1,12 +1,10 @@
 """A predicted pose corrected with measured rims, as far as the search for further rims needs it."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.linalg import scaled_inverse, whitening
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Iterations of the weights, and the largest change at which they have converged.
 _MAX_ITERATIONS, _WEIGHT_TOLERANCE = 12, 1e-3

@@ -10,15 +10,12 @@ a bowl: that there is a crater is known from the network.
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import axes_covariance, half_sides, mean_radius
 from craternav_fg.vision.blind_fit import BlindFit, BlindFitter, Judge
 from craternav_fg.vision.candidates import Candidates
 from craternav_fg.vision.detect import SUN_REACH_SHARE, circle_charts
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
+from factors.arrays import BoolArray, FloatArray
 
 # Standard deviations of centre and semi-axes of a circle whose rim cannot be traced, in radii. Fitted on
 # rendered ground by `craternav_fg.training.judgement`; of one that the border cuts, by

@@ -16,11 +16,10 @@ import numpy.typing as npt
 
 from craternav_fg.vision.crater_network import cells
 from craternav_fg.vision.pyramid import LEAST_PX, MOST_PX, STRIDE_PX, level, levels, normalised, turned_back
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 QUARTERS = 4
 # Least logarithm of the odds of a circle of a level, and of a proposal. A level that does not see a crater is

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
+
 Float32Array = npt.NDArray[np.float32]
 
 # Cells of the network's output, px of its level.

@@ -8,8 +8,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, noise_level
 from craternav_fg.vision.robust_scale import robust_sigma
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Reference brightness, of 255, below which the terrain is too dark to show edges.
 MIN_REFERENCE_BRIGHTNESS = 6.0

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.measurements import RimQuality
@@ -14,9 +13,7 @@ from craternav_fg.vision.error_model.systematic import RimErrors
 from craternav_fg.vision.ground_level import common_share, own_share
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
+from factors.arrays import FloatArray, ImageArray
 
 # Minimum share of a rim's normals that have contrast and lie in the image.
 _MIN_TRIED_SHARE = 0.4

@@ -5,13 +5,11 @@ it is: points and normals of a rim go through the lens first, and the edge point
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import point_kernel
 from craternav_fg.lens import distort, undistort
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision.pyramid import level
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
 
 # Radii for which there are maps, px, and levels of an octave.
 LEAST_RADIUS_PX, MOST_RADIUS_PX = 5.0, 120.0

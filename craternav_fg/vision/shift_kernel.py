@@ -1,14 +1,11 @@
 """Search for the shift of predicted rims by the brightness steps across them; compiled."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.vision.image_sampling import bilinear
 from craternav_fg.vision.rim_geometry import distorts, rim_points, through_lens
+from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
 
 # Largest relative brightness step that counts: one deep shadow must not outweigh the other rims.
 _MAX_STEP = 0.4

@@ -6,14 +6,11 @@ brightness steps across the rims, signed by the slope contrast (see `shift_kerne
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.ellipse import semi_minor_bound
 from craternav_fg.vision import shift_kernel
 from craternav_fg.vision.predicted_rims import PredictedRims
-
-FloatArray = npt.NDArray[np.float64]
-ImageArray = npt.NDArray[np.float32]
+from factors.arrays import FloatArray, ImageArray
 
 # Rims of largest size and contrast that vote for the common shift: more do not make it surer.
 _MAX_RIMS = 60

@@ -24,8 +24,7 @@ from craternav_fg.measurements import SunTilt
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.grey import GreyArray
 from craternav_fg.vision.wall_shading import sun_azimuth_offset
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Largest standard deviation of the predicted attitude, rad, that decides the sense of the axis.
 _MAX_SENSE_SIGMA_RAD = 0.5

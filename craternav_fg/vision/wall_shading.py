@@ -15,8 +15,7 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
 from craternav_fg.vision.robust_scale import robust_sigma
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Rings on the wall, in radii: below the rim crest, where texture and the outline count, and above the flat
 # floor.

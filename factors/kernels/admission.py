@@ -1,11 +1,9 @@
 """Checks of the numbers that a factor is built from, at the cost of a few craters' residuals."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Smallest pivot of a matrix of unit diagonal: a smaller one is rounding of a singular matrix.
 _LEAST_PIVOT = 1e-12

@@ -10,12 +10,9 @@ a global, singularity-free parametrisation of all ellipses.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy")

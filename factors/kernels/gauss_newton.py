@@ -4,11 +4,9 @@ Written out in loops: numba takes seconds to compile the library's linear algebr
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,8 +13,8 @@ pose is that of p alone. Formed as printed, D S_q D' has a condition number of u
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import (
     body_columns,
@@ -27,8 +27,6 @@ from factors.kernels.conic import (
 )
 from factors.kernels.robust import apply_loss
 from factors.kernels.validity import unseen
-
-FloatArray = npt.NDArray[np.float64]
 
 # Cosine of the largest angle between the measured and the predicted conic, as vectors of R^6: 84 deg, near
 # the residual's pole at 90 deg.

@@ -1,11 +1,9 @@
 """Line of sight of the true crater centre from its image conic, eqs. (8), (9), (11)."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")

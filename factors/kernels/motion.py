@@ -16,11 +16,9 @@ classical Runge-Kutta method, the rotation in closed form.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 COAST, WHITE_ACCELERATION, WHITE_JERK = 0, 1, 2
 SIZE = 15

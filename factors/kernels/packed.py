@@ -6,8 +6,8 @@ the factor, and in between everything is a scalar.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.admission import (
     SOUND,
     first_bad_axes,
@@ -20,9 +20,6 @@ from factors.kernels.compiled import njit
 from factors.kernels.conic import chart_slopes, moments
 from factors.kernels.robust import loss_and_weight
 from factors.kernels.validity import UNSEEN
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Sums may be fused and reordered; NaN and infinity keep their meaning, but are not to be tested for in here.
 _FUSED = {"contract", "reassoc", "arcp", "nsz"}

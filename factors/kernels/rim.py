@@ -7,15 +7,12 @@ fitted with.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose, chart, chart_and_jacobian, rim_in_camera
 from factors.kernels.robust import apply_loss
 from factors.kernels.validity import unseen
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Radius, in units of the rim's, within which a point counts as its centre, where the distance has no
 # derivative.

@@ -1,16 +1,13 @@
 """Time-correlated errors of rims: how errors on the ground move an image, and the residual with them."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.admission import sum_of_squares
 from factors.kernels.compiled import njit
 from factors.kernels.conic import camera_pose, moments, rim_in_camera
 from factors.kernels.packed import CRATER, HEADER, shape_residuals
 from factors.kernels.robust import NONE, loss_and_weight
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @njit(cache=True, error_model="numpy")

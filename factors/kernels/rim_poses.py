@@ -1,15 +1,12 @@
 """Maximum a posteriori poses from matched rims, and the matches that a pose implies."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import conic
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import move, prior_terms, solve
 from factors.kernels.sun import sun_tilt, wrap
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Gate of a match's squared distance: the 99.97 % quantile of chi-square with 5 degrees of freedom.
 PAIR_GATE = 23.0

@@ -1,11 +1,9 @@
 """Robust losses on the norm of one crater's whitened residual."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 NONE, HUBER, CAUCHY, GEMAN_MCCLURE, TRUNCATED = 0, 1, 2, 3, 4
 

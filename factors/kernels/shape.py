@@ -7,13 +7,10 @@ zeros").
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import BoolArray, FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy")

@@ -5,14 +5,12 @@ Every kernel writes the residual e and, when `linearise` is set, the Jacobian J 
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import camera_pose
 from factors.kernels.los import los_residual
 from factors.kernels.validity import unseen, whiten
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @njit(cache=True, error_model="numpy")

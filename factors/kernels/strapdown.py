@@ -6,11 +6,9 @@ angular velocity is that of the last gyro row.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 SIZE = 18
 ATTITUDE, POSITION, VELOCITY, RATE, GYRO_BIAS, ACCELEROMETER_BIAS = (

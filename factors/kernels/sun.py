@@ -1,12 +1,10 @@
 """Tilt of the sun in the image, eq. (24), in its perspective form."""
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns, camera_pose
-
-FloatArray = npt.NDArray[np.float64]
 
 # Length of the image direction (of a unit vector) below which the tilt is undefined: within 3 deg of the line
 # of sight, where an attitude error of a degree turns it by tens of degrees.

@@ -22,13 +22,11 @@ holds NaN sees nothing.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import body_columns
 from factors.kernels.robust import apply_loss
-
-FloatArray = npt.NDArray[np.float64]
 
 # Whitened residual of a crater that the pose cannot see, see above.
 UNSEEN = 1e5

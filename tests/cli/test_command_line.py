@@ -10,7 +10,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -27,9 +26,8 @@ from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.pipeline.reconstruct import reconstruct as reconstruct_in_process
 from craternav_fg.runs.read import read_run
 from craternav_fg.simulation.scenario_file import load_scenario
+from factors.arrays import FloatArray
 from tests.cli.calls import call, craternav
-
-FloatArray = npt.NDArray[np.float64]
 
 FIELDS = {
     "position_rms_m",

@@ -6,13 +6,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from factors.arrays import FloatArray
 from factors.kernels import compiled
 from factors.kernels.compiled import sources_digest
-
-FloatArray = npt.NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNELS = ROOT / "factors/kernels"

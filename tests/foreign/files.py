@@ -4,13 +4,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from tests.foreign import motion as m
 from tests.foreign.ground import MOON_RADIUS_M
 from tests.foreign.worlds import World
-
-FloatArray = npt.NDArray[np.float64]
 
 _ATTITUDE_SIGMA_RAD, _POSITION_SIGMA_M, _VELOCITY_SIGMA_M_S = 0.01, 60.0, 1.0
 _RATE_HZ = 50.0

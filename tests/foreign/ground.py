@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from factors.arrays import FloatArray
 from tests.foreign.profiles import FAMILIES, draw_profile
 
-FloatArray = npt.NDArray[np.float64]
 MapArray = npt.NDArray[np.float32]
 
 MOON_RADIUS_M = 1737400.0

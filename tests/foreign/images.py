@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from tests.foreign.ground import Ground
 
-FloatArray = npt.NDArray[np.float64]
 MapArray = npt.NDArray[np.float32]
 ImageArray = npt.NDArray[np.uint8]
 

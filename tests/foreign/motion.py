@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from tests.foreign.ground import MOON_RADIUS_M
-
-FloatArray = npt.NDArray[np.float64]
 
 MU_M3_S2 = 4.9028e12
 SPIN_RAD_S = np.array([0.0, 0.0, 2.6616995e-6])

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 FAMILIES = ("polynomial", "exponential", "flat floor", "terraced")
 _STEP, _LAST = 0.0025, 3.0

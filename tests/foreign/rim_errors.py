@@ -6,10 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.measurements import RimSet
+from factors.arrays import FloatArray
 from tests.foreign.motion import BODY_CAMERA
 from tests.foreign.worlds import World
-
-FloatArray = npt.NDArray[np.float64]
 
 # Squared distance per dimension of rims that are another crater's, or another ring of it.
 _OUTLIER = 100.0

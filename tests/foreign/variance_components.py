@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from rich.console import Console
 
 from craternav_fg.dataset import Dataset
@@ -21,13 +20,11 @@ from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
 from tests.foreign.files import write
 from tests.foreign.worlds import KINDS, draw_world
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 SEEDS = (1, 2, 3)
 ESTIMATORS = ("smoother", "centre_smoother")

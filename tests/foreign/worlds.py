@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from tests.foreign.ground import Ground, GroundKind, make_ground
 from tests.foreign.images import ImageArray, Optics, Photographer
 from tests.foreign.motion import BODY_CAMERA, Motion, Site, draw_motion
-
-FloatArray = npt.NDArray[np.float64]
 
 LAWS = ("lambert", "lommel-seeliger", "minnaert")
 HIGH_M, LOW_M, DURATION_S, FRAMES = 5000.0, 3000.0, 60.0, 16

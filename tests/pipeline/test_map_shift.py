@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.stats import chi2
 
@@ -18,9 +17,9 @@ from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.pipeline.map_shift import common_covariance
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
+from factors.arrays import FloatArray
 from tests.descents import scenario
 
-FloatArray = npt.NDArray[np.float64]
 ESTIMATORS = ["smoother", "online", "fixed_lag", "ekf"]
 PLACE_M, HEIGHT_M, TRIALS = 150.0, 100.0, 20
 

@@ -3,16 +3,14 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_covariance, pixel_chart, points_and_normals
 from craternav_fg.resection.edge_fit import fit_edges
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from factors.arrays import FloatArray
 from factors.kernels.conic import project_rims
-
-FloatArray = npt.NDArray[np.float64]
 
 FOCAL_PX = 512 / np.tan(np.radians(22))
 # Turned and off the body's origin: a mistake in the mounting shows.

@@ -1,15 +1,13 @@
 """A descent over the Moon, its craters and its camera, for the tests of terrain and images."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.simulation.relief import Relief, ReliefOptions
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 MOON = Body("Moon", 1737400.0, 4.9028e12, (0.0, 0.0, 2.6617e-6))
 FOCAL = 512.0 / np.tan(np.radians(22.0))

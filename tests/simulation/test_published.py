@@ -19,11 +19,11 @@ from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
 from craternav_fg.simulation.scenario_tables import PublishedCraters
 from craternav_fg.simulation.world import World, make_world
+from factors.arrays import FloatArray
 from tests.catalogs.test_dem import hills, write
 from tests.shared_data import shared
 
 pytest.importorskip("rasterio")
-FloatArray = npt.NDArray[np.float64]
 
 # The bowls that the fine model has, and the catalogue does not know well: centre and radius in deg.
 BOWLS = [(-40.4 - 0.6 * i, -17.6 + 0.4 * j, 0.05) for i in range(3) for j in range(4)]

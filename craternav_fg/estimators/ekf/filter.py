@@ -28,8 +28,8 @@ from craternav_fg.estimators.sensor_bank import SensorBank, innovation_weight, l
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Fusion = Literal["paper", "paper-fed-back", "exact", "covariance-intersection"]
 NOISE_MODELS: tuple[NoiseModel, ...] = get_args(NoiseModel)
 FUSIONS: tuple[Fusion, ...] = get_args(Fusion)

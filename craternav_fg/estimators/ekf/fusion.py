@@ -10,13 +10,12 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.estimators import filter_kernel
 from craternav_fg.estimators.linearisation import LinearMeasurement
 from craternav_fg.linalg import whitening
+from factors.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Rule = Literal["paper-fed-back", "exact", "covariance-intersection"]
 
 

@@ -8,7 +8,6 @@ is an ordinary measurement of those poses.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
 from craternav_fg.camera import Camera
@@ -24,9 +23,8 @@ from craternav_fg.estimators.point_features import (
 )
 from craternav_fg.frames import rotation_exp
 from craternav_fg.sensors.point_features import FeatureTracks
+from factors.arrays import FloatArray
 from factors.kernels.strapdown import ATTITUDE
-
-FloatArray = npt.NDArray[np.float64]
 
 # Past poses that the state holds.
 WINDOW = 12

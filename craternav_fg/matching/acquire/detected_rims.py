@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import normalised_chart
@@ -11,8 +10,7 @@ from craternav_fg.vision.detect import BlindOptions
 from craternav_fg.vision.ellipse_fit import FitOptions
 from craternav_fg.vision.grey import GreyArray
 from craternav_fg.vision.network_detect import find_rims_network
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Detection for acquisition: larger standard deviations than for navigation, so that a wrong rim cannot
 # outweigh right ones, and craters of up to about a third of the image across.

@@ -8,14 +8,11 @@ the range.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.linalg import scaled_inverse, triads
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import rim_poses
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Numbers of rims, those that agree best, by which a pose is estimated in the rounds of its expansion: few
 # while the pose is uncertain, then all.

@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammaln
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import half_sides, pixel_chart, semi_minor_bound
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A rim agrees with a crater when its centre is within these of the predicted one, added: px, and semi-minor
 # axes; and the other elements of its chart within the third.

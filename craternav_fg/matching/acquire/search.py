@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import ground_points
 from craternav_fg.camera import Camera
@@ -24,10 +23,8 @@ from craternav_fg.matching.acquire.score import log10_improbability
 from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.detect import BlindOptions
 from craternav_fg.vision.grey import on_8_bit_scale, undistorted
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Craters are taken to be at no less than this share of their range from the predicted position.
 _MIN_RANGE_SHARE = 0.2

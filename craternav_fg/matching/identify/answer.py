@@ -4,7 +4,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
@@ -22,10 +21,8 @@ from craternav_fg.resection.intrinsics import (
     intrinsics_warnings,
 )
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.gauss_newton import screw
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Squared shift of the pose without a pair, in standard deviations, less its expectation, that is usual:
 # chosen. Few right answers over rendered real ground have more; two that wrong pairs had moved, 20 and 100.

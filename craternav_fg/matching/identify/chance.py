@@ -8,15 +8,13 @@ often found where the foreshortening is right, and then other craters are foresh
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.matching.identify.noise import CHI2_2_MEDIAN, median
 from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import chart, rim_in_camera
-
-FloatArray = npt.NDArray[np.float64]
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 # Exponent of the size distribution of rims: their number above a size falls with its square, as that of small

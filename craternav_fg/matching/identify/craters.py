@@ -3,12 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.model import Catalog
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Step of the table of densities in the logarithm of the size; the table is interpolated.
 _LOG_SIZE_STEP = 0.05

@@ -11,7 +11,6 @@ with a probability of at most 1 / L.
 from math import lgamma
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.ellipse import half_sides_kernel
@@ -27,11 +26,9 @@ from craternav_fg.matching.identify.noise import (
 )
 from craternav_fg.matching.identify.pose_fit import chart_errors
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.conic import chart, rim_in_camera
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Shares of false rims that are considered, all equally probable.
 _FALSE_SHARES = np.array([0.1, 0.3, 0.6, 0.9])

@@ -1,7 +1,6 @@
 """From a hypothesis to all rims that agree with it: fit the pose, associate rims and craters anew, repeat."""
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.matching.identify.craters import Craters
@@ -26,11 +25,9 @@ from craternav_fg.matching.identify.pose_fit import (
     pack_rims,
 )
 from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Rounds of fit and association at most; in the first ones, the noise stays as assumed, and unchanged pairs do
 # not end the expansion.

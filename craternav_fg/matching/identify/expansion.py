@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.camera import Camera
@@ -28,9 +27,7 @@ from craternav_fg.matching.identify.triple_search import image_order, largest, l
 from craternav_fg.matching.identify.view import View
 from craternav_fg.measurements import KnownAttitude
 from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.arrays import FloatArray, IntArray
 
 # A hypothesis is formed from a triple.
 MIN_RIMS = 3

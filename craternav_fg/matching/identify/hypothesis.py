@@ -14,9 +14,9 @@ from craternav_fg.catalogs.sphere_index import SphereIndex, within
 from craternav_fg.matching.identify.craters import Craters, density
 from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
 
 SCORE, ROTATION, POSITION, SPHERE, RIMS, CRATERS, HYPOTHESIS = 0, 1, 10, 13, 14, 17, 20

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Points = npt.NDArray[np.uint16]
 Codes = npt.NDArray[np.uint32]
 Dims = npt.NDArray[np.uint8]

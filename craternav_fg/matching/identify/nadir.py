@@ -5,14 +5,11 @@ It places each rim on the sphere and predicts its foreshortening; the misfit is 
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.matching.identify.sphere import distance_to_sphere
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Expected anisotropy (a^2 - b^2)/(a^2 + b^2) of craters and of their fitted rims; the median of the craters
 # alone is 0.07 in the catalogue of Robbins (2018).

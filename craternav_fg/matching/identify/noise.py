@@ -11,12 +11,10 @@ come from maps and irregular outlines; which of the two prevails is estimated fr
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, View
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 # Standard deviations of centres that are considered, px: from a well-fitted rim to a poor one.
 CENTRE_SIGMA_RANGE_PX = (0.25, 8.0)

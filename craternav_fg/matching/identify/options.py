@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.matching.identify.view import CENTRE_SHARE, SIZE_SHARE
 from craternav_fg.resection.intrinsics import FOCAL_SIGMA, PRINCIPAL_SIGMA_PX, IntrinsicsPrior
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Altitudes that are searched for craters of kilometres. Smaller ones are seen from lower: the smallest crater
 # of the catalogue must fit so many times into the image's shorter side, as several must be seen; and the

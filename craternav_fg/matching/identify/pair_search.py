@@ -26,10 +26,9 @@ from craternav_fg.matching.identify.hypothesis import (
 )
 from craternav_fg.matching.identify.triple_search import LEVER, PAIR_NOISE, SIDE_ERROR, Projection
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
 # Gate on the squared error of a pair's two sizes, over its distance: 99 % of true pairs pass.

@@ -6,19 +6,16 @@ The residuals and their derivatives are those of the smoother's conic-shape fact
 from contextlib import suppress
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import packed
 from factors.kernels.compiled import njit
 from factors.kernels.conic import chart, rim_in_camera
 from factors.kernels.gauss_newton import prior_terms, screw, solve
 from factors.kernels.robust import HUBER
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Gauss-Newton steps of one fit.
 STEPS = 3

@@ -7,7 +7,6 @@ mixture's mean and covariance.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.noise import (
@@ -19,11 +18,9 @@ from craternav_fg.matching.identify.noise import (
 )
 from craternav_fg.matching.identify.pose_fit import fit_pose, pack_rims
 from craternav_fg.matching.identify.view import AXIS_SIGMA_PX, View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import packed
 from factors.kernels.gauss_newton import prior_terms, screw
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Noise levels of the centres that are considered, px: the range in steps of the root of 2.
 _CENTRE_LEVELS_PX = CENTRE_SIGMA_RANGE_PX[0] * 2.0 ** np.arange(

@@ -30,10 +30,10 @@ from craternav_fg.matching.identify.triple_search import (
 from craternav_fg.matching.identify.view import distinct_rows, view_of
 from craternav_fg.measurements import KnownAttitude
 from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
+from factors.arrays import FloatArray
 
 __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
 
-FloatArray = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
 
 # Images with at least so many rims determine the vertical well: one estimate is used, and all noise levels

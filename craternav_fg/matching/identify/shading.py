@@ -7,18 +7,15 @@ factor of 4 at most. Over images of other places the ratio has the mean 1, as th
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.catalogs.sphere_index import SphereIndex
 from craternav_fg.matching.identify.craters import Craters
 from craternav_fg.matching.identify.evidence import visible_craters
 from craternav_fg.matching.identify.view import View
 from craternav_fg.vision.shading_maps import LEAST_RADIUS_PX, ShadingMaps, shading_density
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 from factors.kernels.gauss_newton import invert
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Shares of the predicted craters that are seen, all equally probable.
 _SEEN_SHARES = np.array([0.0, 0.3, 0.6, 0.9])

@@ -25,9 +25,9 @@ from craternav_fg.matching.identify.hypothesis import (
 from craternav_fg.matching.identify.noise import shape_scale
 from craternav_fg.matching.identify.pose_fit import chart_errors
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
 
 # Gate on the squared error of a rim's shape, three degrees of freedom: 99.9 % of true rims pass.

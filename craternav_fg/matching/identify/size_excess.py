@@ -5,14 +5,11 @@ A large rim measures best, so hypotheses would be formed from such rims first.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.matching.identify.chance import LOG_SIZE_MARGIN, SIZE_EXPONENT
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Steps of expectation maximisation.
 _STEPS = 20

@@ -22,10 +22,9 @@ from craternav_fg.errors import InputError
 from craternav_fg.files import SizeLimit, open_input, replacing
 from craternav_fg.matching.identify import kd_tree
 from craternav_fg.matching.identify.craters import Craters, craters_of, log_sizes
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
 # Version of the file's format: to be raised when the triples or the tree change.

@@ -27,10 +27,9 @@ from craternav_fg.matching.identify.kd_tree import Tree, nearest
 from craternav_fg.matching.identify.nadir import place
 from craternav_fg.matching.identify.triple_index import SIDE_UNIT, SIZE_UNIT, SMALLEST, describe
 from craternav_fg.matching.identify.view import View
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.compiled import njit
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Int32Array = npt.NDArray[np.int32]
 
 # Squared distance in the index, in standard deviations, up to which a triple of craters is a candidate: with

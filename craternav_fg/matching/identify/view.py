@@ -8,8 +8,7 @@ from scipy.spatial import cKDTree
 
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_of_axes, matrix_of_chart, seen_through_lens
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Points along each side of the image, by which its undistorted bounds are found.
 _BORDER_POINTS = 9

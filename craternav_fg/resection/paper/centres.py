@@ -3,14 +3,12 @@
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg import frames
 from craternav_fg.resection.least_squares import EVERYTHING, ROTATION, TRANSLATION, minimise, pseudo_inverse
 from craternav_fg.resection.paper import equations
 from craternav_fg.resection.paper.equations import PaperRims
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 
 def centre_pose(seen: PaperRims, start: FloatArray, free: slice = EVERYTHING) -> tuple[FloatArray, bool]:

@@ -16,17 +16,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from craternav_fg.ellipse import conics_of_charts
 from craternav_fg.measurements import SunTilt
 from craternav_fg.resection.problem import MatchedRims
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import los, shape
 from factors.kernels.sun import sun_tilt, wrap
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # The paper's unit of length.
 _UNIT_M = 1e3

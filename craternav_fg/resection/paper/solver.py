@@ -14,7 +14,6 @@ from enum import Enum
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
 from craternav_fg import frames
@@ -39,9 +38,8 @@ from craternav_fg.resection.problem import (
     ResectionResult,
     Status,
 )
+from factors.arrays import FloatArray
 from factors.kernels import conic
-
-FloatArray = npt.NDArray[np.float64]
 
 # Squared distance from the prior beyond which the pose from a single crater is rejected: the quantile
 # 1 - 1e-4 of the chi-square distribution of six degrees of freedom.

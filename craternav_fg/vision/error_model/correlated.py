@@ -11,17 +11,14 @@ profile unlike the canonical one makes all rims too large or too small.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SHARED_SIZE
 from craternav_fg.vision.error_model.systematic import RimErrors
+from factors.arrays import FloatArray, IntArray
 from factors.kernels.rim_errors import ground_slopes
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
 # growth along l2. The other column is a shift along the normal.

@@ -1,10 +1,9 @@
 """Scatter of a frame's rims about their common pose, beyond what their covariances claim."""
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # With fewer rims the scatter about a pose of six unknowns shows little of the covariances.
 _MIN_RIMS = 6

@@ -1,9 +1,8 @@
 """Deviation of crater outlines from ellipses, as the rims of one frame show it together."""
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # A frame's outlines count as irregular if their median deviation is this many times the expected one: with
 # the 0.03 % of `GuidedOptions`, above 0.3 % of the radius. On rendered ground the median is 0.03 % with

@@ -11,15 +11,13 @@ at about the same size and foreshortening.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import shape_change
 from craternav_fg.measurements import RimSet
 from craternav_fg.vision.error_model.correlated import in_plane_slopes
-
-FloatArray = npt.NDArray[np.float64]
+from factors.arrays import FloatArray
 
 # Weight, in frames, of the mean covariance of a frame's rims in the pool of a crater that is new: one frame
 # determines that of a single rim poorly. Chosen, see `craternav_fg.calibration.pooling`.
