@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from craternav_fg.errors import EstimationError as EstimationError
     from craternav_fg.errors import InputError as InputError
     from craternav_fg.estimators.base import Estimator as Estimator
-    from craternav_fg.estimators.batch import BatchOptions as BatchOptions
     from craternav_fg.estimators.batch import BatchSmoother as BatchSmoother
+    from craternav_fg.estimators.batch_options import BatchOptions as BatchOptions
     from craternav_fg.estimators.ekf.filter import DistributedEkf as DistributedEkf
     from craternav_fg.estimators.ekf.filter import EkfOptions as EkfOptions
     from craternav_fg.estimators.graph import GraphOptions as GraphOptions
@@ -61,7 +61,7 @@ __version__ = "0.1.0"
 
 # Public name: module, and its name there where that is another.
 _PUBLIC = {
-    "BatchOptions": "estimators.batch",
+    "BatchOptions": "estimators.batch_options",
     "BatchSmoother": "estimators.batch",
     "Body": "body",
     "Camera": "camera",

@@ -13,7 +13,8 @@ from craternav_fg.bench.problems import Bench
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.bench.timing import cpu_and_wall_s, seconds_of
 from craternav_fg.estimators.base import Estimator, Problem
-from craternav_fg.estimators.batch import BatchOptions, build_graph
+from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, add_frame, add_prior
 from craternav_fg.estimators.incremental import FixedLagIsam, Isam

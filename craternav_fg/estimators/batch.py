@@ -12,8 +12,8 @@ from gtsam.symbol_shorthand import B, V, X, Y
 from craternav_fg.body import Body
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.calibration import (
-    Calibration,
     add_calibration,
     add_exposure,
     calibrated,
@@ -78,50 +78,6 @@ CHECKED_POSES = 8
 # An optimum is suspect when its chi-square exceeds this many times its degrees of freedom, and these standard
 # deviations more.
 SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
-# Fitted to rims on real ground against a published map by `craternav_fg.calibration.common_shift`.
-CRATER_FREEDOM = 4.0
-
-
-@dataclass(frozen=True)
-class BatchOptions(GraphOptions):
-    """What the graph of the batch smoother consists of: `GraphOptions`, and what only it estimates.
-
-    Attributes
-    ----------
-    calibration : Calibration
-        What is estimated beside the trajectory.
-    crater_freedom : float or None
-        Degrees of freedom of Student's t distribution that the errors which craters keep follow, see
-        `crater_scatter`; None for a normal one. Needs `rim_errors`.
-    """
-
-    calibration: Calibration = Calibration()
-    crater_freedom: float | None = CRATER_FREEDOM
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.rims != "chart" and self.calibration.of_charts:
-            raise EstimationError(
-                f"calibration: errors of the map and of the intrinsics need rims='chart', found {self.rims!r}"
-            )
-        if self.crater_freedom is not None and not 0.0 < self.crater_freedom < np.inf:
-            raise EstimationError(f"crater_freedom: expected a positive number, found {self.crater_freedom}")
-        if self.rim_error_states is None and self.crater_freedom not in (None, CRATER_FREEDOM):
-            raise EstimationError("crater_freedom: needs rims='chart' and rim_errors")
-
-    @classmethod
-    def of(cls, options: GraphOptions) -> "BatchOptions":
-        """Return these options, with the defaults of what they do not have.
-
-        Parameters
-        ----------
-        options : GraphOptions
-
-        Returns
-        -------
-        BatchOptions
-        """
-        return cls(**vars(options))
 
 
 @dataclass(frozen=True)

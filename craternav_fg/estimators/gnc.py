@@ -15,7 +15,8 @@ from scipy.special import chdtri
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchOptions, build_graph, optimum, trajectory
+from craternav_fg.estimators.batch import build_graph, optimum, trajectory
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.consensus import Track, robust_track
 from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.ekf.filter import DistributedEkf, EkfOptions, ekf, ekf_paper

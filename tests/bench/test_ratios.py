@@ -17,7 +17,8 @@ from craternav_fg.bench import detect, floors, images, pipeline, ratios, report
 from craternav_fg.bench.problems import Bench, make, tracked
 from craternav_fg.bench.sessions import Reference
 from craternav_fg.cli.app import app
-from craternav_fg.estimators.batch import BatchOptions, build_graph
+from craternav_fg.estimators.batch import build_graph
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.graph import add_prior
 from craternav_fg.estimators.incremental import Isam
 from craternav_fg.estimators.online import OnlineSmoother

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.evaluation.residuals import rim_residuals

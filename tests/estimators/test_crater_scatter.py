@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.crater_scatter import variance_factors, with_variance_factors
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 
 from craternav_fg.bench.problems import tracked
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph
+from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.elimination import CholeskyOrder
 from craternav_fg.estimators.initial_values import initial_values

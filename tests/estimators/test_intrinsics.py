@@ -11,7 +11,8 @@ from craternav_fg.ellipse import pixel_chart, points_and_normals, points_on
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph, trajectory
+from craternav_fg.estimators.batch import BatchSmoother, build_graph, trajectory
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.calibration import Calibration
 from craternav_fg.estimators.initial_values import initial_values
 from craternav_fg.estimators.intrinsics import intrinsic_slopes

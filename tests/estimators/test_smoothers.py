@@ -15,7 +15,8 @@ from craternav_fg import frames
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph, optimum
+from craternav_fg.estimators.batch import BatchSmoother, build_graph, optimum
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.correlated_errors import RimErrorOptions
 from craternav_fg.estimators.ekf.filter import DistributedEkf
 from craternav_fg.estimators.filter_state import FilterState

@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother, build_graph
+from craternav_fg.estimators.batch import BatchSmoother, build_graph
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import insert_state, state_stamps
 from craternav_fg.estimators.online import OnlineSmoother

@@ -13,7 +13,8 @@ from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.dataset import Dataset
 from craternav_fg.ellipse import points_on
-from craternav_fg.estimators.batch import BatchOptions, BatchSmoother
+from craternav_fg.estimators.batch import BatchSmoother
+from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.calibration import Calibration, map_sigmas
 from craternav_fg.mapping.apply_errors import RunOutcome, apply_errors
 from craternav_fg.simulation.scenario import simulate
