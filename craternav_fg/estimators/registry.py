@@ -4,6 +4,7 @@ import difflib
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Estimator
@@ -43,71 +44,88 @@ def _ekf_of(measurement: RimModel, name: str) -> Callable[[], Estimator]:
     return lambda: DistributedEkf(name, EkfOptions(measurement=measurement))
 
 
-ESTIMATORS: dict[str, Callable[[], Estimator]] = {
-    "smoother": BatchSmoother,
-    "gnc_smoother": GncSmoother,
-    "self_calibrating_smoother": _self_calibrating_smoother,
-    "map_refining_smoother": _map_refining_smoother,
-    "smoother_eq19": _smoother_of("eq19", "smoother_eq19"),
-    "smoother_los": _smoother_of("los", "smoother_los"),
-    "online": OnlineSmoother,
-    "online_eq19": _online_of("eq19", "online_eq19"),
-    "online_los": _online_of("los", "online_los"),
-    "fixed_lag": FixedLagSmoother,
-    "ekf": ekf,
-    "ekf_eq19": _ekf_of("eq19", "ekf_eq19"),
-    "ekf_los": _ekf_of("los", "ekf_los"),
-    "ekf_paper": ekf_paper,
-    "centre_smoother": _smoother_of("centre", "centre_smoother"),
-    "dead_reckoning": DeadReckoning,
+@dataclass(frozen=True)
+class _Shipped:
+    """An estimator of this package.
+
+    Attributes
+    ----------
+    make : callable
+    description : str
+        What it is, for people who choose.
+    retrospective : bool
+        Whether its estimate at a frame uses later data as well.
+    on_request : bool
+        Whether it runs only when asked for: each extra parameter raises the variance.
+    """
+
+    make: Callable[[], Estimator]
+    description: str
+    retrospective: bool = False
+    on_request: bool = False
+
+
+_SHIPPED = {
+    "smoother": _Shipped(
+        BatchSmoother, "batch: all states from all data, Levenberg-Marquardt", retrospective=True
+    ),
+    "gnc_smoother": _Shipped(
+        GncSmoother, "batch for many wrong matches: graduated non-convexity", retrospective=True
+    ),
+    "self_calibrating_smoother": _Shipped(
+        _self_calibrating_smoother,
+        "batch, with the camera's mounting and time offset estimated along",
+        retrospective=True,
+        on_request=True,
+    ),
+    "map_refining_smoother": _Shipped(
+        _map_refining_smoother,
+        "batch, with the craters' errors on the map estimated along",
+        retrospective=True,
+        on_request=True,
+    ),
+    "smoother_eq19": _Shipped(
+        _smoother_of("eq19", "smoother_eq19"),
+        "batch on eq. (19) of Tian et al. (2019)",
+        retrospective=True,
+        on_request=True,
+    ),
+    "smoother_los": _Shipped(
+        _smoother_of("los", "smoother_los"),
+        "batch on lines of sight, eq. (11) of Tian et al. (2019)",
+        retrospective=True,
+        on_request=True,
+    ),
+    "online": _Shipped(OnlineSmoother, "iSAM2: the estimate at a frame uses the data up to it"),
+    "online_eq19": _Shipped(_online_of("eq19", "online_eq19"), "iSAM2 on eq. (19)", on_request=True),
+    "online_los": _Shipped(_online_of("los", "online_los"), "iSAM2 on lines of sight", on_request=True),
+    "fixed_lag": _Shipped(FixedLagSmoother, "iSAM2 over the last 30 s: bounded cost and memory"),
+    "ekf": _Shipped(ekf, "extended Kalman filter, one sub-filter per crater, fused exactly"),
+    "ekf_eq19": _Shipped(
+        _ekf_of("eq19", "ekf_eq19"), "extended Kalman filter on eq. (19), whitened", on_request=True
+    ),
+    "ekf_los": _Shipped(
+        _ekf_of("los", "ekf_los"), "extended Kalman filter on lines of sight", on_request=True
+    ),
+    "ekf_paper": _Shipped(ekf_paper, "distributed EKF as published by Tian et al. (2019)"),
+    "centre_smoother": _Shipped(
+        _smoother_of("centre", "centre_smoother"),
+        "batch on the centres of image ellipses, taken for the craters'",
+        retrospective=True,
+    ),
+    "dead_reckoning": _Shipped(DeadReckoning, "the IMU alone"),
 }
-# What each is, for people who choose.
-DESCRIPTIONS = {
-    "smoother": "batch: all states from all data, Levenberg-Marquardt",
-    "gnc_smoother": "batch for many wrong matches: graduated non-convexity",
-    "self_calibrating_smoother": "batch, with the camera's mounting and time offset estimated along",
-    "map_refining_smoother": "batch, with the craters' errors on the map estimated along",
-    "smoother_eq19": "batch on eq. (19) of Tian et al. (2019)",
-    "smoother_los": "batch on lines of sight, eq. (11) of Tian et al. (2019)",
-    "online": "iSAM2: the estimate at a frame uses the data up to it",
-    "online_eq19": "iSAM2 on eq. (19)",
-    "online_los": "iSAM2 on lines of sight",
-    "fixed_lag": "iSAM2 over the last 30 s: bounded cost and memory",
-    "ekf": "extended Kalman filter, one sub-filter per crater, fused exactly",
-    "ekf_eq19": "extended Kalman filter on eq. (19), whitened",
-    "ekf_los": "extended Kalman filter on lines of sight",
-    "ekf_paper": "distributed EKF as published by Tian et al. (2019)",
-    "centre_smoother": "batch on the centres of image ellipses, taken for the craters'",
-    "dead_reckoning": "the IMU alone",
-}
+ESTIMATORS: dict[str, Callable[[], Estimator]] = {name: one.make for name, one in _SHIPPED.items()}
+DESCRIPTIONS = {name: one.description for name, one in _SHIPPED.items()}
+ON_REQUEST = tuple(name for name, one in _SHIPPED.items() if one.on_request)
+DEFAULT = tuple(name for name, one in _SHIPPED.items() if not one.on_request)
+RETROSPECTIVE = tuple(name for name, one in _SHIPPED.items() if one.retrospective)
 GROUP = "craternav_fg.estimators"
 # Names of version 0.1, accepted until 0.3.
 FORMER_NAMES = {
     "calibrating_smoother": "self_calibrating_smoother",
     "mapping_smoother": "map_refining_smoother",
 }
-# Run only when asked for: each extra parameter raises the variance.
-ON_REQUEST = (
-    "self_calibrating_smoother",
-    "map_refining_smoother",
-    "smoother_eq19",
-    "smoother_los",
-    "online_eq19",
-    "online_los",
-    "ekf_eq19",
-    "ekf_los",
-)
-DEFAULT = tuple(name for name in ESTIMATORS if name not in ON_REQUEST)
-# Their estimate at a frame uses later data as well; that of the others only the data up to it.
-RETROSPECTIVE = (
-    "smoother",
-    "gnc_smoother",
-    "self_calibrating_smoother",
-    "map_refining_smoother",
-    "smoother_eq19",
-    "smoother_los",
-    "centre_smoother",
-)
 
 
 def estimators() -> dict[str, Callable[[], Estimator]]:

@@ -1,6 +1,7 @@
 """What all figures share: the look of each estimator's line, and how a figure is saved."""
 
 import itertools
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -28,11 +29,9 @@ COLOURS = {
     "centre_smoother": "#D55E00",
     "dead_reckoning": "#7F7F7F",
 }
-# For lines of anything but our estimators.
-OTHER_COLOUR = "#8C510A"
-# For several of them in a figure; Tol's.
-_MORE_COLOURS = ("#117733", "#999933", "#44AA99", "#AA4499", "#661100")
-_DASHES = ("-", "--", "-.", ":")
+# For lines of others; the first is Brewer's, the rest are Tol's.
+_OTHER_COLOURS = ("#8C510A", "#117733", "#999933", "#44AA99", "#AA4499", "#661100")
+_OTHER_LOOKS = tuple(itertools.product(("-", "--", "-.", ":"), _OTHER_COLOURS))
 # These lines often coincide with that of the EKF or the smoother: dashed and on top, both remain visible.
 _DASHED = frozenset({"online", "gnc_smoother"})
 # Ends of the names of estimators with another measurement: the colour of the one without, in another dash.
@@ -43,18 +42,16 @@ _COMPRESSION = 2
 
 def colour(name: str) -> str:
     """Colour of an estimator, the same in all figures; variants of an estimator share it."""
-    base, _ = _base_and_dash(name)
-    return COLOURS.get(base, OTHER_COLOUR)
+    return _look(name)[1]
 
 
 def line_style(name: str) -> dict[str, Any]:
     """Colour, dash and drawing order of an estimator's line, the same in all figures."""
-    _, dash = _base_and_dash(name)
-    return {"color": colour(name), "ls": dash, "zorder": 2 if dash == "-" else 3}
+    return _style(*_look(name))
 
 
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return the lines of the estimators of one figure: as `line_style`, but those of others differ too.
+    """Return the lines of the estimators of one figure: as `line_style`, but no two of others are alike.
 
     Parameters
     ----------
@@ -66,12 +63,31 @@ def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     dict of str to dict
         Keyword arguments of matplotlib's `plot`, by name.
     """
-    styles = {name: line_style(name) for name in names}
-    others = [name for name, style in styles.items() if style["color"] == OTHER_COLOUR]
-    looks = itertools.cycle(itertools.product(_DASHES, (OTHER_COLOUR, *_MORE_COLOURS)))
-    for name, (dash, hue) in zip(others, looks, strict=False):
-        styles[name] |= {"color": hue, "ls": dash}
-    return styles
+    looks: dict[str, tuple[str, str]] = {}
+    for name in dict.fromkeys(names):
+        look = _look(name)
+        if _is_other(name):
+            start = _OTHER_LOOKS.index(look)
+            following = (*_OTHER_LOOKS[start:], *_OTHER_LOOKS[:start])
+            look = next((one for one in following if one not in looks.values()), look)
+        looks[name] = look
+    return {name: _style(*look) for name, look in looks.items()}
+
+
+def _style(dash: str, hue: str) -> dict[str, Any]:
+    return {"color": hue, "ls": dash, "zorder": 2 if dash == "-" else 3}
+
+
+def _is_other(name: str) -> bool:
+    return _base_and_dash(name)[0] not in COLOURS
+
+
+def _look(name: str) -> tuple[str, str]:
+    """Dash and colour of a line; those of other estimators follow from the letters of their names."""
+    if _is_other(name):
+        return _OTHER_LOOKS[zlib.crc32(name.encode()) % len(_OTHER_LOOKS)]
+    base, dash = _base_and_dash(name)
+    return dash, COLOURS[base]
 
 
 def _base_and_dash(name: str) -> tuple[str, str]:

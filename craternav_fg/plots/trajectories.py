@@ -18,7 +18,7 @@ from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.plots.ground_track import GroundTrack
 from craternav_fg.plots.overlays import draw_rims
-from craternav_fg.plots.style import colour, finish, line_style, seconds_since_first
+from craternav_fg.plots.style import colour, finish, line_styles, seconds_since_first
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
 
@@ -83,9 +83,10 @@ def _draw_series(
     figure = Figure(figsize=(9, 10), layout="constrained")
     *panels, count = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 1])
     t = seconds_since_first(stamps_ns)
+    styles = line_styles(series)
     for name, values in series.items():
         for axes, value in zip(panels, values, strict=True):
-            axes.semilogy(t, value, **line_style(name), label=name)
+            axes.semilogy(t, value, **styles[name], label=name)
     for axes, label in zip(panels, ("position {}, m", "velocity {}, m/s", "attitude {}, deg"), strict=True):
         axes.set_ylabel(label.format(what))
     figure.legend(*panels[0].get_legend_handles_labels(), ncols=6, loc="outside upper center", fontsize=9)
@@ -116,12 +117,13 @@ def draw_consistency(trajectories: Mapping[str, Trajectory], truth: Trajectory) 
     axes = figure.subplots()
     low, high = (float(chdtri(6, p)) for p in (0.975, 0.025))
     axes.axhspan(low, high, color="k", alpha=0.1, label="95 % interval, 6 dof")
+    styles = line_styles(trajectories)
     for name, trajectory in trajectories.items():
         if trajectory.pose_covariance is None:
             continue
         values = nees(errors(trajectory, truth).pose, trajectory.pose_covariance)
         label = f"{name} (mean {values.mean():.3g})"
-        axes.semilogy(seconds_since_first(trajectory.stamps_ns), values, **line_style(name), label=label)
+        axes.semilogy(seconds_since_first(trajectory.stamps_ns), values, **styles[name], label=label)
     axes.set_xlabel("time, s")
     axes.set_ylabel("NEES of the pose")
     finish(axes)
@@ -148,14 +150,15 @@ def draw_bounds(trajectories: Mapping[str, Trajectory], truth: Trajectory) -> Fi
     figure = Figure(figsize=(9, 6), layout="constrained")
     grid = figure.subplots(3, 2, sharex=True)
     drawn = {name: t for name, t in trajectories.items() if t.pose_covariance is not None}
+    styles = line_styles(drawn)
     largest = np.zeros((3, 2))
     for name, trajectory in drawn.items():
         t = seconds_since_first(trajectory.stamps_ns)
         for column, (error, sigma) in enumerate(error_components(trajectory, truth)):
             for i, axes in enumerate(grid[:, column]):
                 bound = 3.0 * sigma[:, i]
-                axes.fill_between(t, -bound, bound, color=colour(name), alpha=0.2)
-                axes.plot(t, error[:, i], lw=1.3, **line_style(name), label=name)
+                axes.fill_between(t, -bound, bound, color=styles[name]["color"], alpha=0.2)
+                axes.plot(t, error[:, i], lw=1.3, **styles[name], label=name)
                 limit = max(np.percentile(bound, 95), np.abs(error[:, i]).max())
                 largest[i, column] = max(largest[i, column], limit)
                 axes.set_ylim(-1.15 * largest[i, column], 1.15 * largest[i, column])
@@ -311,6 +314,7 @@ def draw_overview(
         rims = "rim" if len(frame.rims) == 1 else "rims"
         axes.set_title(f"{_length(altitude_m[frame.stamp_ns])}, {len(frame.rims)} {rims}", fontsize=10)
     axes = bottom.subplots()
+    styles = line_styles(trajectories)
     for name, trajectory in trajectories.items():
         if truth is not None:
             value = np.linalg.norm(errors(trajectory, truth).position_m, axis=1)
@@ -318,7 +322,7 @@ def draw_overview(
             value = np.sqrt(np.trace(trajectory.pose_covariance[:, 3:, 3:], axis1=1, axis2=2))
         else:
             continue
-        axes.semilogy(seconds_since_first(trajectory.stamps_ns), value, **line_style(name), label=name)
+        axes.semilogy(seconds_since_first(trajectory.stamps_ns), value, **styles[name], label=name)
     axes.set_xlabel("time, s")
     axes.set_ylabel("position sigma, m" if truth is None else "position error, m")
     finish(axes)

@@ -40,8 +40,20 @@ def test_each_estimator_has_a_line_of_its_own() -> None:
 
 
 def test_variants_of_an_estimator_share_its_colour() -> None:
-    assert style.colour("ekf_los") == style.colour("ekf") != style.OTHER_COLOUR
+    assert style.colour("ekf_los") == style.colour("ekf")
     assert style.line_style("ekf_los")["ls"] != style.line_style("ekf")["ls"]
+
+
+def test_own_estimators_of_a_run_have_lines_of_their_own() -> None:
+    t, truth = straight_down(9, off=1.0), straight_down(9)
+    mine = {f"mine_{k}": t for k in range(8)}
+    for figure in (
+        trajectories.draw_errors(mine, truth, [0] * 9),
+        trajectories.draw_consistency(mine, truth),
+        trajectories.draw_bounds(mine, truth),
+    ):
+        lines = [line for line in figure.axes[0].get_lines() if line.get_label().startswith("mine")]
+        assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 8
 
 
 @pytest.mark.parametrize("frames_count", [1, 2, 9])
