@@ -221,8 +221,10 @@ class Isam:
     def _apply(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, time_s: float, drop: Sequence[int]
     ) -> None:
-        self._tree.update(graph, values, drop, _order(graph, values))
         self._count(values)
+        # Only errors of rims, which no snapshot hands on, ask for an order of ours.
+        order = None if self._bounded else _order(graph, values)
+        self._tree.update(graph, values, drop, order)
 
     def _count(self, added: gtsam.Values) -> None:
         """Count tracked points, and see whether a snapshot can hand on all other variables."""
