@@ -98,12 +98,12 @@ class RefinedRims:
         of the fit, of the others what the catalogue states, or what the refined ones show of it.
     outcomes : tuple of Outcome, length n
     covariance : ndarray, shape (n, 5, 5)
-        Covariance of the rim's chart in the tangent plane, east and north from the rim's centre: m, and
-        logarithms.
+        Covariance of the rim's chart in the tangent plane, along east and north at the catalogue's centre:
+        m, and logarithms.
     height_sigma_m : ndarray, shape (n,)
         Standard deviation of the rim's height.
     tilt_rad : ndarray, shape (n, 2)
-        Slope of the rim's plane towards east and north.
+        Slope of the rim's plane towards east and north at the catalogue's centre.
     scatter_m : ndarray, shape (n,)
         Root mean square deviation of the crest's height from that plane.
     depth_m : ndarray, shape (n,)
@@ -357,7 +357,11 @@ def _collected(catalog: Catalog, enu: FloatArray, found: list[Found]) -> Refined
         latitude, longitude = frames.latitude_longitude(centre)
         values["latitude_rad"][row], values["longitude_rad"][row] = latitude, longitude
         values["semi_major_m"][row], values["semi_minor_m"][row] = a, b
-        values["angle_rad"][row], values["height_m"][row] = angle, rim.height_m
+        # East at the refined centre is another direction than at the catalogue's, near a pole very much so.
+        major = enu[row, :, :2] @ np.array([np.cos(angle), np.sin(angle)])
+        east, north = major @ frames.east_north_up(latitude, longitude)[:, :2]
+        values["angle_rad"][row] = np.remainder(np.arctan2(north, east), np.pi)
+        values["height_m"][row] = rim.height_m
         covariance[row], tilt[row], shift[row] = rim.covariance, rim.tilt_rad, (x, y)
         log_size[row] = 0.5 * np.log(a * b / (catalog.semi_major_m[row] * catalog.semi_minor_m[row]))
         height_sigma[row], scatter[row], depth[row] = rim.height_sigma_m, rim.scatter_m, rim.depth_m

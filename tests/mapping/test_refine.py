@@ -19,8 +19,9 @@ from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.catalogs.store import read_parquet, write_parquet
 from craternav_fg.ellipse import chart_of_axes
-from craternav_fg.frames import up
-from craternav_fg.mapping.refine import Outcome, RefineOptions, refine_on_dem
+from craternav_fg.frames import east_north_up, up
+from craternav_fg.mapping.measured_rim import MeasuredRim
+from craternav_fg.mapping.refine import Outcome, RefineOptions, collect, refine_on_dem
 from tests.cli.calls import call
 from tests.shared_data import shared
 
@@ -190,6 +191,18 @@ def test_the_plane_of_a_large_rim_lies_below_its_crest(tmp_path):
     refined = refine_on_dem(one, read_dem(path))
     assert refined.refined.all()
     assert refined.catalog.height_m[0] == pytest.approx(300.0 - 115.0, abs=25.0)
+
+
+def test_a_refined_rim_near_a_pole_keeps_its_direction():
+    """The rim of the catalogue entry is the ellipse that was measured in the old tangent plane."""
+    given = catalog(*(np.array([one]) for one in (np.radians(-89.9), 0.3, 2000.0, 2000.0, 0.0)))
+    measured = chart_of_axes([400.0, 300.0, 2000.0, 1400.0, 0.4])
+    rim = MeasuredRim(measured, np.eye(5), 0.0, 1.0, np.zeros(2), 1.0, 1.0, 1.0)
+    # A catalogue with heights needs no model for them.
+    refined = collect(given, None, [rim]).catalog
+    expected = east_north_up(given.latitude_rad, given.longitude_rad)[0, :, :2] @ [np.cos(0.4), np.sin(0.4)]
+    major = refined.axes[0, 0] / 2000.0
+    assert abs(major @ expected) > 1.0 - 1e-5
 
 
 def test_a_catalogue_without_heights_gets_those_of_the_model(worlds):
