@@ -125,7 +125,7 @@ class AttitudeSection(Section):
 class TrajectorySection(Section):
     """A descent along a great circle to the landing site."""
 
-    site_latitude_deg: Annotated[float, Field(gt=-89.0, lt=89.0)]
+    site_latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)]
     site_longitude_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
     heading_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
     """At the site, from north towards east."""
