@@ -12,7 +12,7 @@ from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 
 
-@pytest.mark.parametrize("latitude_deg", [-90.0, 89.95])
+@pytest.mark.parametrize("latitude_deg", [-90.0, pytest.param(89.95, marks=pytest.mark.slow)])
 def test_a_descent_to_a_pole_is_reconstructed_as_well_as_any(tmp_path: Path, latitude_deg: float) -> None:
     case = load_scenario("measured_descent")
     trajectory = case.trajectory.model_copy(update={"site_latitude_deg": latitude_deg})
