@@ -85,6 +85,7 @@ SCENARIO_HEAD = """# Scenario file
 
 A scenario is a TOML file that `craternav simulate`, `demo` and `montecarlo` read. Copy a built-in one from
 the folder `scenarios`, or write `base = "NAME"` and only the differences. Units are in the names of the keys.
+Keys without one are shares, ratios or counts, unless the description has the unit.
 
 """
 
