@@ -24,6 +24,7 @@ from craternav_fg.sensors.ranging import Ranging
 
 ROOT = Path(__file__).resolve().parents[1]
 pytest.importorskip("mkdocs", reason="needs the extra docs")
+griffe = pytest.importorskip("griffe")
 GitIgnoreSpec = pytest.importorskip("pathspec.gitignore").GitIgnoreSpec
 
 
@@ -103,6 +104,29 @@ def test_every_column_of_the_results_is_described() -> None:
     tables = (schemas.STATES, schemas.COVARIANCES, schemas.RESIDUALS, schemas.RESIDUALS_OF_IMAGES, SCHEMA)
     names = {name for table in tables for name in table.names} | {field.name for field in fields(Metrics)}
     assert not [name for name in sorted(names) if f"`{name}`" not in text]
+
+
+def test_types_in_docstrings_stay_as_they_are() -> None:
+    """Without the extension, griffe reads choices as a sum of names, and a shape as a call."""
+    options = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["plugins"][2]
+    (extension,) = options["mkdocstrings"]["handlers"]["python"]["options"]["extensions"]
+    code = '''
+def measure(rims, P):
+    """Measure.
+
+    Parameters
+    ----------
+    rims : {"chart", "los+shape"}
+    P : ndarray, shape (n, 3)
+        Places.
+    """
+'''
+    extensions = griffe.load_extensions(str(ROOT / extension))
+    module = griffe.visit("measuring", Path("measuring.py"), code, extensions=extensions)
+    parameters = module["measure"].docstring.parse("numpy")[1].value
+    assert [str(parameter.annotation) for parameter in parameters] == [
+        'one of "chart", "los+shape"', "ndarray of shape (n, 3)",
+    ]  # fmt: skip
 
 
 def test_no_module_becomes_a_page() -> None:
