@@ -99,9 +99,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_content(content: str, **_: object) -> str:
-    """Turn equations, which pymdownx.arithmatex has marked, into MathML, so that no script is needed."""
+    """Turn equations into MathML, so that no script is needed, and let names in tables break.
+
+    Equations are marked by pymdownx.arithmatex.
+    """
+    content = re.sub(r"<td[^>]*>.*?</td>", _breaking, content, flags=re.DOTALL)
     content = re.sub(r'<span class="arithmatex">\\\((.*?)\\\)</span>', _inline, content, flags=re.DOTALL)
     return re.sub(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', _block, content, flags=re.DOTALL)
+
+
+def _breaking(cell: re.Match[str]) -> str:
+    """Allow breaks behind the marks in the code of a cell, for narrow screens."""
+    return re.sub(
+        r"<code>[^<]*</code>",
+        lambda code: re.sub(r"(?<=\w[_/.])(?=\w)", "<wbr>", code.group()),
+        cell.group(),
+    )
 
 
 def _inline(found: re.Match[str]) -> str:

@@ -43,6 +43,12 @@ def pages(generate: types.ModuleType) -> dict[str, str]:
     return generate.pages()
 
 
+def test_names_in_tables_may_break(generate: types.ModuleType) -> None:
+    text = "<p><code>a_b</code></p><td>x_y <code>ab_c/d.csv</code> <code>_e</code></td>"
+    expected = "<p><code>a_b</code></p><td>x_y <code>ab_<wbr>c/<wbr>d.<wbr>csv</code> <code>_e</code></td>"
+    assert generate.on_page_content(text) == expected
+
+
 def test_every_public_name_is_in_the_reference(pages: dict[str, str]) -> None:
     named = re.findall(r"^::: craternav_fg\.(\w+)$", pages["reference/api.md"], flags=re.MULTILINE)
     assert sorted(named) == sorted(set(craternav_fg.__all__) - {"__version__"})
