@@ -109,11 +109,12 @@ def on_page_content(content: str, **_: object) -> str:
 
 
 def _breaking(cell: re.Match[str]) -> str:
-    """Allow breaks behind the marks in the code of a cell, for narrow screens."""
+    """Allow breaks behind the marks in the code of a cell, for narrow screens, but none within an option."""
+    text = re.sub(r"<code>(--[\w-]+)</code>", r'<code class="option">\1</code>', cell.group())
     return re.sub(
         r"<code>[^<]*</code>",
         lambda code: re.sub(r"(?<=\w[_/.])(?=\w)", "<wbr>", code.group()),
-        cell.group(),
+        text,
     )
 
 

@@ -47,6 +47,8 @@ def test_names_in_tables_may_break(generate: types.ModuleType) -> None:
     text = "<p><code>a_b</code></p><td>x_y <code>ab_c/d.csv</code> <code>_e</code></td>"
     expected = "<p><code>a_b</code></p><td>x_y <code>ab_<wbr>c/<wbr>d.<wbr>csv</code> <code>_e</code></td>"
     assert generate.on_page_content(text) == expected
+    option = "<td><code>--a-b</code></td>"
+    assert generate.on_page_content(option) == '<td><code class="option">--a-b</code></td>'
 
 
 def test_every_public_name_is_in_the_reference(pages: dict[str, str]) -> None:
