@@ -85,6 +85,7 @@ SCENARIO_HEAD = """# Scenario file
 
 A scenario is a TOML file that `craternav simulate`, `demo` and `montecarlo` read. Copy a built-in one from
 the folder `scenarios`, or write `base = "NAME"` and only the differences. Units are in the names of the keys.
+Keys without one are shares, ratios or counts, unless the description has the unit.
 
 """
 
@@ -98,9 +99,23 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_content(content: str, **_: object) -> str:
-    """Turn equations, which pymdownx.arithmatex has marked, into MathML, so that no script is needed."""
+    """Turn equations into MathML, so that no script is needed, and let names in tables break.
+
+    Equations are marked by pymdownx.arithmatex.
+    """
+    content = re.sub(r"<td[^>]*>.*?</td>", _breaking, content, flags=re.DOTALL)
     content = re.sub(r'<span class="arithmatex">\\\((.*?)\\\)</span>', _inline, content, flags=re.DOTALL)
     return re.sub(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', _block, content, flags=re.DOTALL)
+
+
+def _breaking(cell: re.Match[str]) -> str:
+    """Allow breaks behind the marks in the code of a cell, for narrow screens, but none within an option."""
+    text = re.sub(r"<code>(--[\w-]+)</code>", r'<code class="option">\1</code>', cell.group())
+    return re.sub(
+        r"<code>[^<]*</code>",
+        lambda code: re.sub(r"(?<=\w[_/.])(?=\w)", "<wbr>", code.group()),
+        text,
+    )
 
 
 def _inline(found: re.Match[str]) -> str:

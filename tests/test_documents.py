@@ -11,7 +11,7 @@ import pytest
 from craternav_fg.cli.app import every_command
 from craternav_fg.estimators.registry import ESTIMATORS
 from craternav_fg.reproduce.run import OTHERS
-from craternav_fg.simulation.scenario_file import built_in_scenarios
+from craternav_fg.simulation.scenario_file import built_in_scenarios, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [
@@ -117,6 +117,20 @@ def test_estimators_and_scenarios() -> None:
     text = (ROOT / "docs/hard_cases.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(hard_\w+)`", text))
     assert named == {name for name in built_in_scenarios() if name.startswith("hard_")}
+
+
+def test_hard_cases_are_as_their_scenarios_expect() -> None:
+    """The page states two digits of the smoother's position RMS and ANEES, at least one behind the point."""
+    text = (ROOT / "docs/hard_cases.md").read_text(encoding="utf-8")
+    compared = 0
+    for name, smoother in re.findall(r"^\| `(\w+)` \|[^|]*\| ([^|]+) \|", text, flags=re.MULTILINE):
+        stated = [float(number) for number in re.findall(r"[\d.]+", smoother)[:2]]
+        found = load_scenario(name).expected["smoother"]
+        for number, figure in zip(stated, (found.position_rms_m, found.anees), strict=True):
+            if figure is not None:
+                assert abs(number - figure.mean) <= max(0.05 * figure.mean, 0.0051), name
+                compared += 1
+    assert compared >= 15
 
 
 def test_figures_that_can_be_reproduced() -> None:

@@ -78,7 +78,7 @@ def bench(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure speed against GTSAM's own C++ factors, or detection against annotated images."""
+    """Measure speed against GTSAM's own C++ factors, detection, or identification on real ground."""
     require_unused(context, _OPTIONS - _USED[subject], f"for bench {subject.value}")
     if subject is Subject.DETECT_REAL:
         _detect_real(_given(data, "--data, the folder of the annotated images"), as_json)

@@ -67,7 +67,7 @@ COMMANDS = {
         ("warm_up",),
     ),
     "bench": Command(
-        "Measure speed against GTSAM's own C++ factors, or detection against annotated images.",
+        "Measure speed against GTSAM's own C++ factors, detection, or identification on real ground.",
         ("benchmark",),
     ),
 }

@@ -142,7 +142,7 @@ def reconstruct(
         bool, typer.Option("--overlays", help="Draw the rims on every frame, into RUN/overlays.")
     ] = False,
     overlay_every: Annotated[
-        int | None, typer.Option(min=1, help="Draw them on every Nth frame only.", metavar="N")
+        int | None, typer.Option(min=1, help="Draw the rims on every Nth frame only.", metavar="N")
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -240,7 +240,9 @@ def _values(options: Any) -> Iterator[str]:
 
 
 def _comment(sentence: str | None) -> list[str]:
-    return wrap(sentence, WIDTH, initial_indent="# ", subsequent_indent="# ") if sentence else []
+    """Write a sentence of a docstring in the words of a file."""
+    said = re.sub(r"\bNone\b", f'"{NONE}"', sentence or "")
+    return wrap(said, WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
 def _hints(cls: type) -> dict[str, Any]:

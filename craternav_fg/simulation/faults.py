@@ -30,16 +30,16 @@ def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generato
     n = len(catalog)
     east, north, height = rng.standard_normal((3, n)) * catalog.semi_major_m
     distance_m = catalog.body.radius_m + catalog.height_m
-    sizes = np.exp(faults.map_size * rng.standard_normal((2, n)))
+    sizes = np.exp(faults.map_size_share * rng.standard_normal((2, n)))
     axes = np.stack([catalog.semi_major_m, catalog.semi_minor_m]) * sizes
     # In a nearly round crater the minor axis may become the longer one.
     turned = axes[0] < axes[1]
     return replace(
         catalog,
-        latitude_rad=catalog.latitude_rad + faults.map_place * north / distance_m,
+        latitude_rad=catalog.latitude_rad + faults.map_place_share * north / distance_m,
         longitude_rad=catalog.longitude_rad
-        + faults.map_place * east / (distance_m * np.cos(catalog.latitude_rad)),
-        height_m=catalog.height_m + faults.map_height * height,
+        + faults.map_place_share * east / (distance_m * np.cos(catalog.latitude_rad)),
+        height_m=catalog.height_m + faults.map_height_share * height,
         semi_major_m=axes.max(axis=0),
         semi_minor_m=axes.min(axis=0),
         angle_rad=catalog.angle_rad + 0.5 * np.pi * turned,
@@ -67,7 +67,7 @@ def swap_matches(
     FrameMeasurement
     """
     craters = frame.rims.craters.copy()
-    wrong = np.flatnonzero(rng.random(len(craters)) < faults.wrong_matches)
+    wrong = np.flatnonzero(rng.random(len(craters)) < faults.wrong_match_share)
     if len(wrong) == 1:
         away = np.linalg.norm(catalog.centres - catalog.centres[craters[wrong[0]]], axis=1)
         away[frame.rims.craters] = np.inf

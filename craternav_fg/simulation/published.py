@@ -59,8 +59,8 @@ def published_craters(
     catalog = catalog.take(rows)
     if catalog.errors is None:
         radius_m = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
-        place_m = np.hypot(section.place_sigma_m, section.place_sigma * radius_m)
-        size = np.full(len(catalog), section.size_sigma)
+        place_m = np.hypot(section.place_sigma_m, section.place_sigma_share * radius_m)
+        size = np.full(len(catalog), section.size_sigma_share)
         shift = CommonShift.of_source(
             len(catalog), section.common_place_sigma_m, section.common_height_sigma_m
         )

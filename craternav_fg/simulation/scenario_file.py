@@ -13,6 +13,7 @@ from craternav_fg.config import BodySection, Section, read_toml, validate
 from craternav_fg.errors import InputError
 from craternav_fg.motion.settings import MotionSection
 from craternav_fg.simulation.scenario_tables import (
+    FORMER,
     CameraSection,
     CraterFile,
     CraterList,
@@ -40,6 +41,7 @@ class Scenario(Section):
     """One simulated case."""
 
     seed: Annotated[int, Field(ge=0)]
+    """With the number of a trial, it determines all random numbers."""
     body: BodySection
     camera: CameraSection
     imu: ImuSection | None = None
@@ -84,9 +86,9 @@ class Scenario(Section):
         if self.terrain is None and (self.render is not None or self.craters.source == "random"):
             raise ValueError("expected a table [terrain] for [render] and for random craters")
         if self.measurements is None and (
-            self.faults.wrong_matches > 0.0 or self.faults.without_sun or self.faults.craterless_s
+            self.faults.wrong_match_share > 0.0 or self.faults.without_sun or self.faults.craterless_s
         ):
-            raise ValueError("wrong_matches, without_sun and craterless_s need a table [measurements]")
+            raise ValueError("wrong_match_share, without_sun and craterless_s need a table [measurements]")
         return self
 
     def files(self) -> tuple[str, ...]:
@@ -149,7 +151,9 @@ class Scenario(Section):
                 return str((folder / file).resolve())
             where = "no data folder is given" if folder is None else f"not in {folder}"
             problem = f"the scenario needs {self.data[file]}: {where} (--data FOLDER or {DATA_VARIABLE}"
-            raise InputError(Path(file), f"{problem}; the documentation's page Public data tells more)")
+            raise InputError(
+                Path(file), f"{problem}; the documentation's page 'Real ground from public data' tells more)"
+            )
 
         return self.located(found)
 
@@ -214,8 +218,20 @@ def _with_base(path: Path) -> Scenario:
         for given, other in (("measurements", "render"), ("render", "measurements")):
             if given in data:
                 under.pop(other, None)
+        _drop_other_names(under, data)
         data = _merged(under, data)
     return validate(path, data, Scenario, text=text)
+
+
+def _drop_other_names(under: dict[str, Any], over: dict[str, Any]) -> None:
+    """Remove keys of a base that a scenario states under their former or present names."""
+    for table, names in FORMER.items():
+        below, above = under.get(table), over.get(table)
+        if isinstance(below, dict) and isinstance(above, dict):
+            for present, former in names.items():
+                for given, other in ((present, former), (former, present)):
+                    if given in above:
+                        below.pop(other, None)
 
 
 def _locate(tables: dict[str, Any], folder: Path, public: set[str]) -> None:

@@ -1,7 +1,7 @@
 """Tables of a scenario file and their keys."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AliasChoices, Field, model_validator
@@ -15,8 +15,24 @@ from craternav_fg.imu import ImuNoise
 STANDARD_GRAVITY_M_S2 = 9.80665
 
 NotNegative = Annotated[float, Field(ge=0.0)]
+# Former names of keys, by table and present name: files with them are read.
+FORMER = {
+    "craters": {"place_sigma_share": "place_sigma", "size_sigma_share": "size_sigma"},
+    "faults": {
+        "wrong_match_share": "wrong_matches",
+        "map_place_share": "map_place",
+        "map_size_share": "map_size",
+        "map_height_share": "map_height",
+        "time_offset_s": "image_delay_s",
+    },
+}
 # Relative to the scenario file, or a key of the scenario's table [data].
 FilePath = Annotated[str, Field(min_length=1)]
+
+
+def _or_former(table: str, key: str) -> Any:
+    """Describe a field that may stand under its former name."""
+    return Field(validation_alias=AliasChoices(key, FORMER[table][key]))
 
 
 class CameraSection(Section):
@@ -222,10 +238,10 @@ class PublishedCraters(Section):
     """Half-width of the corridor along the ground track whose craters are in the map, in altitudes."""
     place_sigma_m: NotNegative
     """Standard deviation of the positions per axis, where the catalogue states no errors."""
-    place_sigma: NotNegative
+    place_sigma_share: Annotated[NotNegative, _or_former("craters", "place_sigma_share")]
     """The part of it that grows with the radius, as a share of the radius."""
-    size_sigma: NotNegative
-    """Standard deviation of the semi-axes, relative, where the catalogue states no errors."""
+    size_sigma_share: Annotated[NotNegative, _or_former("craters", "size_sigma_share")]
+    """Standard deviation of the semi-axes, as a share of them, where the catalogue states no errors."""
     common_place_sigma_m: NotNegative = 0.0
     """Standard deviation per axis of a shift that all positions have in common, as above."""
     common_height_sigma_m: NotNegative = 0.0
@@ -360,20 +376,20 @@ class MeasurementSection(Section):
 class FaultsSection(Section):
     """Faults that the data set does not state."""
 
-    wrong_matches: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    wrong_match_share: Annotated[float, Field(ge=0.0, lt=1.0), _or_former("faults", "wrong_match_share")] = (
+        0.0
+    )
     """Share of the measured rims that are matched to a wrong crater; not with images."""
-    map_place: NotNegative = 0.0
-    """Standard deviation of the catalogue's positions, east and north, over the semi-major axis."""
-    map_size: NotNegative = 0.0
-    """Standard deviation of the catalogue's semi-axes, relative."""
-    map_height: NotNegative = 0.0
-    """Standard deviation of the catalogue's rim heights, over the semi-major axis."""
+    map_place_share: Annotated[NotNegative, _or_former("faults", "map_place_share")] = 0.0
+    """Standard deviation of the catalogue's positions, east and north, as a share of the semi-major axis."""
+    map_size_share: Annotated[NotNegative, _or_former("faults", "map_size_share")] = 0.0
+    """Standard deviation of the catalogue's semi-axes, as a share of them."""
+    map_height_share: Annotated[NotNegative, _or_former("faults", "map_height_share")] = 0.0
+    """Standard deviation of the catalogue's rim heights, as a share of the semi-major axis."""
     mounting_deg: NotNegative = 0.0
     """Angle by which the camera is rotated from its mounting in the data set, about a random axis."""
-    time_offset_s: Annotated[
-        float, Field(validation_alias=AliasChoices("time_offset_s", "image_delay_s"))
-    ] = 0.0
-    """Camera-IMU time offset: an image is exposed this much after its stamp; formerly `image_delay_s`."""
+    time_offset_s: Annotated[float, _or_former("faults", "time_offset_s")] = 0.0
+    """Camera-IMU time offset: an image is exposed this much after its stamp."""
     outages_s: tuple[tuple[NotNegative, Positive], ...] = ()
     """Start and end times of intervals without images; the first image always exists."""
     craterless_s: tuple[tuple[NotNegative, Positive], ...] = ()

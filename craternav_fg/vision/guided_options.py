@@ -50,8 +50,8 @@ class GuidedOptions:
     gate_probability : float
         Probability with which a correct rim passes the chi-square gate.
     full_arc_share : float
-        Share of a rim that its edge points must cover, where at least three rims of the frame have as much;
-        of the others, the edge points are measured.
+        Share of a rim that its edge points must cover to be measured as an ellipse, if at least three rims of
+        the frame reach it. The others are measured as arcs.
     edges : EdgeOptions
         Options of the edge points.
     fit : FitOptions

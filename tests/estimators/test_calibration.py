@@ -115,7 +115,7 @@ def test_errors_of_the_map_are_found_and_the_pose_is_consistent_again(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     share = 0.02
-    faults = FaultsSection(map_place=share, map_size=share, map_height=share)
+    faults = FaultsSection(map_place_share=share, map_size_share=share, map_height_share=share)
     folder = tmp_path_factory.mktemp("map")
     calibration = Calibration(map_place_sigma=share, map_height_sigma=share, map_size_sigma=share)
     poses, untold, believed = [], [], []

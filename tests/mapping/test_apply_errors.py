@@ -25,7 +25,7 @@ from tests.descents import problem, scenario
 
 SHARE = 0.02
 TRIALS = 4
-FAULTS = FaultsSection(map_place=SHARE, map_size=SHARE, map_height=SHARE)
+FAULTS = FaultsSection(map_place_share=SHARE, map_size_share=SHARE, map_height_share=SHARE)
 
 
 @pytest.fixture(scope="module")

@@ -111,7 +111,7 @@ def test_a_fault_that_is_answered_costs_little_beside_a_smoother_without_it(
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.2, 0.3, 0.4])
 def test_wrong_matches_cost_the_robust_smoother_nothing(share: float, tmp_path: Path) -> None:
     case = load_scenario("measured_descent")
-    wrong = case.model_copy(update={"faults": FaultsSection(wrong_matches=share)})
+    wrong = case.model_copy(update={"faults": FaultsSection(wrong_match_share=share)})
     rms_m = []
     for trial in range(3):
         row = []

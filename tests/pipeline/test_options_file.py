@@ -1,6 +1,7 @@
 """Options from a TOML file: all of them, each to its place; what is wrong is one clear line."""
 
 import itertools
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict, fields, is_dataclass
@@ -60,6 +61,13 @@ def test_every_option_is_printed_below_a_comment() -> None:
         if "=" in line and not line.startswith("#") and not before.startswith("#")
     ]  # fmt: skip
     assert bare == []
+
+
+def test_comments_have_the_words_of_the_file() -> None:
+    """A docstring's None is "none" in a file."""
+    comments = [line for line in default_options().splitlines() if line.startswith("#")]
+    assert not [line for line in comments if re.search(r"\bNone\b", line)]
+    assert [line for line in comments if '"none": never' in line]
 
 
 @pytest.mark.parametrize(("path", "value"), list(leaves(GuidedOptions())), ids=lambda v: str(v)[:40])

@@ -31,7 +31,7 @@ def catalogue(n: int) -> Catalog:
 
 def test_a_perturbed_map_has_the_errors_asked_for() -> None:
     true = catalogue(4000)
-    faults = FaultsSection(map_place=0.02, map_size=0.01, map_height=0.05)
+    faults = FaultsSection(map_place_share=0.02, map_size_share=0.01, map_height_share=0.05)
     told = perturb_map(true, faults, np.random.default_rng(2))
     gRe = frames.east_north_up(true.latitude_rad, true.longitude_rad)
     off = np.einsum("nji,nj->ni", gRe, told.centres - true.centres) / true.semi_major_m[:, None]
@@ -46,7 +46,7 @@ def test_a_perturbed_map_has_the_errors_asked_for() -> None:
 
 def test_errors_of_size_alone_keep_the_directions_of_the_axes() -> None:
     true = catalogue(500)
-    told = perturb_map(true, FaultsSection(map_size=0.1), np.random.default_rng(3))
+    told = perturb_map(true, FaultsSection(map_size_share=0.1), np.random.default_rng(3))
     swapped = told.angle_rad != true.angle_rad
     assert 0.1 < swapped.mean() < 0.6
     # The direction of each true axis is still one of the axes.
@@ -63,7 +63,7 @@ def test_wrong_names_are_wrong_as_often_as_asked_and_never_there_twice(n: int) -
     catalog, rng = catalogue(20), np.random.default_rng(4)
     wrong = []
     for _ in range(2000):
-        craters = swap_matches(frame(n), catalog, FaultsSection(wrong_matches=0.3), rng).rims.craters
+        craters = swap_matches(frame(n), catalog, FaultsSection(wrong_match_share=0.3), rng).rims.craters
         assert len(set(craters.tolist())) == n
         wrong.append(np.mean(craters != np.arange(n)))
     assert np.mean(wrong) == pytest.approx(0.3, abs=0.03)

@@ -6,6 +6,7 @@ import pytest
 
 from craternav_fg.errors import InputError
 from craternav_fg.simulation.scenario_file import Scenario, built_in_scenarios, load_scenario
+from craternav_fg.simulation.scenario_tables import FORMER
 
 DEMO = files("scenarios").joinpath("lunar_descent.toml").read_text()
 CASE3 = files("scenarios").joinpath("paper_case3.toml").read_text()
@@ -174,10 +175,22 @@ def test_a_base_may_stand_beside_and_have_a_base_and_rims_take_the_place_of_imag
     assert case.measurements == load_scenario("paper_case3").measurements
 
 
-@pytest.mark.parametrize("key", ["time_offset_s", "image_delay_s"])
-def test_the_time_offset_has_a_former_name(key, tmp_path):
-    text = f'base = "measured_descent"\n[faults]\n{key} = 0.015\n'
-    assert load_scenario(write(tmp_path, "a.toml", text)).faults.time_offset_s == 0.015
+@pytest.mark.parametrize(
+    ("base", "table", "present", "former"),
+    [
+        (base, table, present, former)
+        for table, base in (("craters", "gld100_mare"), ("faults", "measured_descent"))
+        for present, former in FORMER[table].items()
+    ],
+)
+def test_keys_have_former_names(base, table, present, former, tmp_path):
+    """A file with either name is read, and so is one whose base has the other name."""
+    for key in (present, former):
+        text = f'base = "{base}"\n[{table}]\n{key} = 0.015\n'
+        assert getattr(getattr(load_scenario(write(tmp_path, f"{key}.toml", text)), table), present) == 0.015
+    for key, other in ((present, former), (former, present)):
+        text = f'base = "{other}.toml"\n[{table}]\n{key} = 0.025\n'
+        assert getattr(getattr(load_scenario(write(tmp_path, "a.toml", text)), table), present) == 0.025
 
 
 def test_an_error_names_the_key_of_the_file(tmp_path):
