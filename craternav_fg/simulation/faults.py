@@ -28,17 +28,22 @@ def perturb_map(catalog: Catalog, faults: FaultsSection, rng: np.random.Generato
         The same craters under the same names.
     """
     n = len(catalog)
-    east, north, height = rng.standard_normal((3, n)) * catalog.semi_major_m
-    distance_m = catalog.body.radius_m + catalog.height_m
+    *place, height = rng.standard_normal((3, n)) * catalog.semi_major_m
+    latitude_rad, longitude_rad = catalog.latitude_rad, catalog.longitude_rad
+    if faults.map_place_share:
+        enu = frames.east_north_up(latitude_rad, longitude_rad)
+        shift = faults.map_place_share * np.stack(place) / (catalog.body.radius_m + catalog.height_m)
+        # In space: near a pole, metres are no fixed angles of longitude.
+        moved = enu[:, :, 2] + np.einsum("nij,jn->ni", enu[:, :, :2], shift)
+        latitude_rad, longitude_rad = frames.latitude_longitude(moved)
     sizes = np.exp(faults.map_size_share * rng.standard_normal((2, n)))
     axes = np.stack([catalog.semi_major_m, catalog.semi_minor_m]) * sizes
     # In a nearly round crater the minor axis may become the longer one.
     turned = axes[0] < axes[1]
     return replace(
         catalog,
-        latitude_rad=catalog.latitude_rad + faults.map_place_share * north / distance_m,
-        longitude_rad=catalog.longitude_rad
-        + faults.map_place_share * east / (distance_m * np.cos(catalog.latitude_rad)),
+        latitude_rad=latitude_rad,
+        longitude_rad=longitude_rad,
         height_m=catalog.height_m + faults.map_height_share * height,
         semi_major_m=axes.max(axis=0),
         semi_minor_m=axes.min(axis=0),

@@ -1,5 +1,6 @@
 """Hard cases: what is wrong is wrong by as much as asked, in the data set alone, and nothing else changes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,13 @@ def catalogue(n: int) -> Catalog:
     )  # fmt: skip
 
 
-def test_a_perturbed_map_has_the_errors_asked_for() -> None:
+@pytest.mark.parametrize("colatitude_rad", [None, 2e-3])
+def test_a_perturbed_map_has_the_errors_asked_for(colatitude_rad: float | None) -> None:
     true = catalogue(4000)
+    if colatitude_rad is not None:
+        # About a pole: the nearest is a hundredth of its radius away from it.
+        off_pole = colatitude_rad * np.sqrt(np.linspace(1e-6, 1.0, 4000))
+        true = replace(true, latitude_rad=off_pole - 0.5 * np.pi)
     faults = FaultsSection(map_place_share=0.02, map_size_share=0.01, map_height_share=0.05)
     told = perturb_map(true, faults, np.random.default_rng(2))
     gRe = frames.east_north_up(true.latitude_rad, true.longitude_rad)
