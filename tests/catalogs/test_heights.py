@@ -54,7 +54,7 @@ def rim_points(catalog: Catalog, turn: float) -> np.ndarray:
 
 def test_rims_lie_on_the_ground_in_the_mean_around(catalog: Catalog) -> None:
     # Waves of 270 km: bent across their crests only.
-    ground = Ground(lambda u: 300.0 * np.sin(40.0 * u @ [0.36, -0.48, 0.8]))
+    ground = Ground(lambda u: 500.0 + 300.0 * np.sin(40.0 * u @ [0.36, -0.48, 0.8]))
     found = with_rim_heights(catalog, ground)
     assert found.has_heights
     off = []
@@ -69,11 +69,12 @@ def test_slopes_leave_heights_sure_and_bends_do_not(catalog: Catalog) -> None:
     direction = np.array([0.36, 0.48, 0.8])
     _, sigma_m = along_rims(catalog, Ground(lambda u: 1e4 * u @ direction))
     assert (sigma_m < 0.01 * catalog.semi_major_m * 1e4 / BODY.radius_m).all()
-    # A saddle of 100 m at the rim: its heights are +-71 m, and a quarter as many count as points.
+    # A saddle of 100 m at the rim, on a slope: its heights are +-71 m, and a quarter as many count as points.
     one = catalog.take(np.array([5]))
     one = replace(one, semi_minor_m=one.semi_major_m)
     x, y = (BODY.radius_m / one.semi_major_m[0] * one.gRl[0, :, i] for i in (0, 1))
-    mean_m, sigma_m = along_rims(one, Ground(lambda u: 100.0 * ((u @ x) ** 2 - (u @ y) ** 2)))
+    saddle = Ground(lambda u: 100.0 * ((u @ x) ** 2 - (u @ y) ** 2) + 200.0 * (u @ x) - 90.0 * (u @ y))
+    mean_m, sigma_m = along_rims(one, saddle)
     assert_allclose(mean_m, 0.0, atol=0.5)
     assert_allclose(sigma_m, 100.0 / np.sqrt(2.0) / 2.0, rtol=0.01)
 
