@@ -76,6 +76,9 @@ def test_what_was_estimated_beside_the_states_is_applied(trajectory: Trajectory,
     told = replace(trajectory, calibrated=calibrated)
     assert_allclose(poses_at_exposure(told), gTb, atol=1e-6)
     assert_allclose(poses_at_exposure(trajectory), trajectory.gTb)
+    mounted = poses_at_exposure(replace(trajectory, calibrated=Calibrated(mounting_rad=(turn, NONE))))
+    assert_allclose(mounted[:, :3, :3], trajectory.gRb @ frames.rotation_exp(turn))
+    assert_allclose(mounted[:, :3, 3], trajectory.gP)
     # One frame tells no angular velocity.
     one = poses_at_exposure(
         replace(told.take(np.array([1])), calibrated=Calibrated(time_offset_s=(late_s, 0.0)))
