@@ -250,3 +250,30 @@ def test_a_prediction_that_says_nothing_is_searched_in_bounded_memory_and_time()
     assert not (found.craters >= 0).any()
     assert peak < 1 << 28
     assert time.process_time() - began < 30.0
+
+
+def test_a_view_of_one_of_two_places_that_look_alike_is_of_neither():
+    rng = np.random.default_rng(21)
+    group = field(rng, 25, 0.012)
+    between_rad = 0.004
+    twin = Catalog(
+        tuple(f"T{k}" for k in range(25)), group.latitude_rad + between_rad, group.longitude_rad,
+        group.semi_major_m, group.semi_minor_m, group.angle_rad, group.height_m, MOON,
+    )  # fmt: skip
+    gTb = view(rng)
+    truth, charts = group.visible(CAMERA, gTb, min_semi_minor_px=10.0)
+    covariances = noise_of(charts)
+    # Half-way to where the twin looks the same.
+    middle = gTb.copy()
+    middle[:3] = frames.rotation_exp(np.array([0.0, -0.5 * between_rad, 0.0])) @ gTb[:3]
+    covariance = np.diag([0.01**2] * 3 + [3000.0**2] * 3)
+    alone = match_rims(charts, covariances, CAMERA, group, middle, covariance)
+    np.testing.assert_array_equal(alone.craters, truth)
+    both = Catalog.joined([group, twin])
+    found = match_rims(charts, covariances, CAMERA, both, middle, covariance)
+    assert (found.craters == -1).all()
+    assert found.ambiguous.all()
+    np.testing.assert_array_equal(found.gTb, middle)
+    # A better prediction tells them apart.
+    near = match_rims(charts, covariances, CAMERA, both, gTb, np.diag([0.01**2] * 3 + [500.0**2] * 3))
+    np.testing.assert_array_equal(near.craters, truth)
