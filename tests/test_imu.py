@@ -51,6 +51,7 @@ def test_what_the_log_does_not_cover_is_refused(ends: tuple[int, int | None]) ->
 def test_a_lander_without_an_imu_turns_evenly(length_ns: int) -> None:
     begin = 10**15
     log = ImuLog.constant(begin, begin + length_ns, (0.1, -0.2, 0.3))
+    assert begin < log.stamps_ns[0] < log.stamps_ns[1] <= begin + length_ns + 1
     dt_s, gyro, force = log.between(begin, begin + length_ns)
     assert dt_s.sum() == pytest.approx(1e-9 * length_ns)
     assert (gyro == [0.1, -0.2, 0.3]).all()

@@ -33,6 +33,11 @@ def test_each_mark_is_found_once_by_the_best() -> None:
         np.array([[112.0, 80.0, 26.0, 26.0, 0.0]]), np.ones(1), np.add(circle[::-1], [0.0, 0.0, 6.0])
     )
     assert between.found_by.tolist() == [-1, 0]
+    # Of two marks about one centre, the one of its size.
+    nested = np.array([[100.0, 80.0, 25.0], [100.0, 80.0, 20.0]])
+    assert match_circles(
+        np.array([[100.0, 80.0, 21.0, 21.0, 0.0]]), np.ones(1), nested
+    ).found_by.tolist() == [-1, 0]
 
 
 def matches(quality: list[float], right: list[bool], marked: int) -> Matches:

@@ -103,6 +103,8 @@ def samples(nis: np.ndarray, dimension: int = 1) -> Innovations:
         (np.full(20, 1.3), 1, False, ""),
         (np.full(200, 0.9), 3, False, "the stated noise is too large or in another unit"),
         (np.full(200, 0.9), 3, True, ""),
+        # Improbable, but nothing to worry about.
+        (np.full(30000, 0.9), 1, False, ""),
         (np.repeat([1.0, 100.0], [190, 10]), 1, False, "5 % of its samples are outliers (beyond 7 sigma)"),
         # So many are no outliers.
         (np.repeat([1.0, 100.0], [120, 80]), 1, False, "contradicts what ekf predicts"),
