@@ -1,12 +1,22 @@
 """Distances from the prior, and mean squares that chance does not explain."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from craternav_fg import frames
-from craternav_fg.evaluation.sensor_consistency import improbable, prior_sigmas, summarise
+from craternav_fg.evaluation.sensor_consistency import (
+    improbable,
+    prior_sigmas,
+    smoothed_residuals,
+    summarise,
+)
 from craternav_fg.trajectory import InitialState, Trajectory
+from tests.descents import problem, scenario
 
 
 def test_the_first_state_is_measured_in_sigmas_of_its_prior() -> None:
@@ -41,3 +51,26 @@ def test_chance_explains_all_but_one_mean_square_in_ten_million(dimension: int) 
     for limit, beyond in zip(limits, (1.001, 0.999), strict=True):
         assert improbable(limit * beyond, dimension)
         assert not improbable(limit / beyond, dimension)
+
+
+def test_residuals_at_the_truth_are_as_large_as_the_noise(tmp_path: Path) -> None:
+    sensors = {"altimeter": {"rate_hz": 0.5, "bias_sigma_m": 1000.0}, "velocimeter": {"rate_hz": 0.5}}
+    p, truth = problem(tmp_path, scenario(duration_s=60.0, sensors=sensors), 0)
+    found = smoothed_residuals([p], truth)
+    k = len(p.frames)
+    shapes = {name: residuals.shape for name, residuals in found.items()}
+    rims = sum(len(frame.rims) for frame in p.frames)
+    assert shapes == {"rims": (rims, 5), "sun": (k, 1), "altimeter": (k, 1), "velocimeter": (k, 4)}
+    for name, residuals in found.items():
+        low, high = chi2.ppf([1e-5, 1.0 - 1e-5], residuals.size)
+        assert low < np.sum(residuals**2) < high, name
+    # A bias that its prior allows is no residual; samples of other stamps have none.
+    biased = type(p.sensors[0])(
+        p.sensors[0].settings, p.sensors[0].stamps_ns, p.sensors[0].values + 700.0, p.sensors[0].surroundings
+    )
+    again = smoothed_residuals([replace(p, sensors=(biased,))], truth.take(np.arange(5, 15)))
+    assert set(again) == {"rims", "sun", "altimeter"}
+    assert again["altimeter"].shape == (10, 1)
+    assert_allclose(again["altimeter"].mean(), 0.0, atol=0.01)
+    off = found["altimeter"][5:15] - found["altimeter"][5:15].mean()
+    assert_allclose(again["altimeter"], off, atol=0.01)
