@@ -277,3 +277,24 @@ def test_a_view_of_one_of_two_places_that_look_alike_is_of_neither():
     # A better prediction tells them apart.
     near = match_rims(charts, covariances, CAMERA, both, gTb, np.diag([0.01**2] * 3 + [500.0**2] * 3))
     np.testing.assert_array_equal(near.craters, truth)
+
+
+def test_rims_that_all_scatter_more_than_they_state_are_their_craters_all_the_same():
+    rng = np.random.default_rng(31)
+    catalog = field(rng)
+    gTb = view(rng)
+    truth, charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=15.0)
+    assert len(truth) > 12
+    covariances = noise_of(charts)
+    # Half as much again as what they state.
+    off = 1.5 * np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), rng.standard_normal(charts.shape))
+    prior, covariance = wrong_prior(rng, gTb, np.radians(0.5), 200.0)
+    options = GateOptions(floor_share=0.0)
+    found = match_rims(charts + off, covariances, CAMERA, catalog, prior, covariance, options)
+    assert ((found.craters == truth) | (found.craters == -1)).all()
+    assert np.count_nonzero(found.craters == truth) >= len(truth) - 2
+    # Among rims that are as good as they state, one such is left out.
+    one = charts.copy()
+    one[4] += 6.0 * np.linalg.cholesky(covariances[4]) @ np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+    found = match_rims(one, covariances, CAMERA, catalog, prior, covariance, options)
+    assert np.flatnonzero(found.craters != truth).tolist() == [4]
