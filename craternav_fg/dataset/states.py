@@ -110,8 +110,9 @@ def _require_outside(table: Table, P: FloatArray, body: Body) -> None:
 
 def _require_one_motion(path: Path, stamps: IntArray, P: FloatArray, V: FloatArray, body: Body) -> None:
     """Refuse velocities that are not those of the positions, on average over all rows."""
-    step_s = np.diff(stamps) * 1e-9
-    used = (step_s > 0.0) & (step_s <= MAX_STATE_GAP_S)
+    # Divided, as thirty seconds are more than 30.0 once multiplied by 1e-9.
+    step_s = np.diff(stamps) / 1e9
+    used = step_s <= MAX_STATE_GAP_S
     if len(stamps) < _MIN_ROWS_OF_MOTION or not used.any():
         return
     duration_s = step_s[used].sum()

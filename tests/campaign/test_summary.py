@@ -11,7 +11,7 @@ from craternav_fg.campaign import run
 from craternav_fg.campaign.read import Campaign, failed_trials, read_campaign
 from craternav_fg.campaign.run import montecarlo
 from craternav_fg.campaign.store import trial_name
-from craternav_fg.campaign.summary import of_estimator, rms_over_bound, summarise, summarise_folder
+from craternav_fg.campaign.summary import of_estimator, rms_over_bound, summarise, summarise_folder, with_nees
 from craternav_fg.campaign.trial import FILTERED_BOUND, SCHEMA, SMOOTHED_BOUND, failed
 from craternav_fg.evaluation.consistency import over_altitude
 from craternav_fg.files import write_whole
@@ -155,3 +155,8 @@ def test_values_by_trial_and_frame() -> None:
     assert of_estimator(found, "online", "altitude_m").tolist() == [ALTITUDES_M, ALTITUDES_M]
     assert np.isnan(of_estimator(found, FILTERED_BOUND, "position_error_m")).all()
     assert of_estimator(found, "ekf", "position_error_m").shape == (0, 0, 3)
+
+
+def test_trials_count_for_the_anees_if_all_their_frames_have_a_covariance() -> None:
+    nees = np.array([[5.0, 7.0], [np.nan, 6.0], [6.0, np.inf], [np.nan, np.nan]])
+    assert with_nees(nees).tolist() == [True, False, False, False]

@@ -46,7 +46,8 @@ def test_a_truth_deep_in_the_body_is_refused(tmp_path):
             read(tmp_path, t, wrong, V, one_motion=False)
 
 
-@pytest.mark.parametrize("given", [{}, {"step_s": 1.0, "noise_m": 1.0}])
+# The last: rows at the largest distance that counts.
+@pytest.mark.parametrize("given", [{}, {"step_s": 1.0, "noise_m": 1.0}, {"step_s": 30.0}])
 def test_velocities_that_contradict_the_positions_are_refused(tmp_path, given):
     t, P, V = descent(**given)
     with pytest.raises(InputError, match=r"data\.csv: v_RS_R_x,.*rotation beside it, .* in inertial space\?"):
@@ -56,3 +57,9 @@ def test_velocities_that_contradict_the_positions_are_refused(tmp_path, given):
             read(tmp_path, t, P, wrong)
     # A-priori states may be of several solutions.
     assert len(read(tmp_path, t, P, -V, one_motion=False)) == len(t)
+
+
+def test_a_file_without_rows_is_refused(tmp_path):
+    write_table(tmp_path / "data.csv", layout.TRUTH_COLUMNS, np.empty((17, 0)))
+    with pytest.raises(InputError, match=r"data\.csv: expected at least one row, found none"):
+        read_states(tmp_path / "data.csv", np.array([0, 10**9]), CERES, one_motion=True)

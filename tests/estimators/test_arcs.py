@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from craternav_fg import frames
 from craternav_fg.ellipse import pixel_chart, points_and_normals
 from craternav_fg.estimators.base import Estimator, Problem
 from craternav_fg.estimators.batch import BatchSmoother
@@ -14,7 +15,7 @@ from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import ArcSet
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.conic import project_rims
 from tests.descents import problem, scenario
@@ -99,3 +100,24 @@ def test_an_arc_far_off_its_rim_does_not_move_the_filter(
     assert nees(errors(estimate, truth).pose, estimate.pose_covariance)[k] < 20.0
     sigma_m = np.sqrt(np.trace(sound.pose_covariance[k, 3:, 3:]))
     assert np.linalg.norm(estimate.gP[k] - sound.gP[k]) < sigma_m
+
+
+def test_a_frame_with_arcs_alone_measures(trials: list[tuple[Problem, Problem, Trajectory]]) -> None:
+    _, with_arcs, truth = trials[0]
+    before, last = with_arcs.frames[:4], with_arcs.frames[4]
+    arcs, nothing = (
+        FrameMeasurement(last.stamp_ns, RimSet.empty(), None, of_frame)
+        for of_frame in (last.arcs, ArcSet.empty())
+    )
+    # An IMU that leaves something to tell.
+    noise = replace(
+        with_arcs.imu_noise, accelerometer_density=1000.0 * with_arcs.imu_noise.accelerometer_density
+    )
+    told, untold = (
+        ekf().states(replace(with_arcs, frames=[*before, frame], imu_noise=noise))[-1]
+        for frame in (arcs, nothing)
+    )
+    ratio = np.linalg.det(told.covariance[:6, :6]) / np.linalg.det(untold.covariance[:6, :6])
+    assert ratio ** (1 / 12) < 0.8
+    error = frames.rotation_log(told.gTb[:3, :3].T @ truth.gRb[4]), truth.gP[4] - told.gTb[:3, 3]
+    assert nees(np.concatenate(error)[None], told.covariance[None, :6, :6])[0] < chi2.ppf(0.9999, 6)

@@ -72,6 +72,24 @@ def test_white_errors_count_as_estimators_take_them(descents: list[tuple[Problem
     assert factors[1].get(row, 1.0) < 0.8 * factors[0][row]
 
 
+def test_what_all_rims_share_explains_a_crater(descents: list[tuple[Problem, Trajectory]]) -> None:
+    """An error that rims state to have in common is no sign of a bad crater."""
+    p, truth = descents[0]
+    row = int(p.frames[0].rims.craters[0])
+    moved = with_kept_errors(p, truth, {row: np.array([8.0 * KEPT, 0.0])})
+    frames = []
+    for frame, gTb in zip(moved.frames, truth.gTb, strict=True):
+        rims, rows = frame.rims, frame.rims.craters
+        slopes = ground_slopes(
+            np.ascontiguousarray(gTb), p.camera.bTc, p.catalog.centres[rows], p.catalog.axes[rows]
+        )
+        shared = np.zeros((len(rims), 5, SHARED_SIZE))
+        shared[:, :, 0] = 8.0 * KEPT * slopes[:, :, 0]
+        covariance = rims.covariance + shared @ np.swapaxes(shared, 1, 2)
+        frames.append(replace(frame, rims=replace(rims, covariance=covariance, shared=shared)))
+    assert variance_factors(frames, list(truth.gTb), p.camera, p.catalog, 4.0) == {}
+
+
 def test_rims_without_kept_errors_are_as_stated(descents: list[tuple[Problem, Trajectory]]) -> None:
     p, truth = descents[0]
     poses = [gTb.copy() for gTb in truth.gTb]

@@ -14,8 +14,10 @@ from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph
 from craternav_fg.estimators.batch_options import BatchOptions
+from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.graph import insert_state, state_stamps
+from craternav_fg.estimators.linearisation import linearise_sun
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.frames import rotate_position_block
@@ -144,6 +146,47 @@ def test_tracked_points_count(tmp_path: Path) -> None:
         ratio = position_rms_m(claimed) / position_rms_m(of_bound)
         assert_allclose(ratio[8:], 1.0, atol=off)
         assert (position_rms_m(of_bound) < share * position_rms_m(of_less))[15:26].all()
+
+
+def test_sensors_and_the_sun_count_with_the_biases_of_sensors(tmp_path: Path) -> None:
+    """Rims at the beginning only: ranges, velocities and tilts of the sun tell what they tell estimators."""
+    sensors = {
+        "altimeter": {"rate_hz": 0.5, "noise_m": 2.0, "bias_sigma_m": 300.0},
+        "velocimeter": {"rate_hz": 0.5, "noise_m_s": 0.05, "bias_sigma_m_s": 0.5},
+    }
+    p, truth = problem(tmp_path, scenario(duration_s=24.0, sensors=sensors), 0)
+    frames = []
+    for k, (frame, gTb) in enumerate(zip(p.frames, truth.gTb, strict=True)):
+        at_truth = linearise_sun(gTb, frame.sun, p.camera)
+        assert frame.sun is not None
+        assert at_truth is not None
+        # Tilts as at the truth, and better than they usually are: they decide.
+        tilt_rad = frame.sun.tilt_rad - float(at_truth.residual[0]) * frame.sun.sigma_rad
+        sun = dataclasses.replace(frame.sun, tilt_rad=tilt_rad, sigma_rad=3e-4)
+        frames.append(FrameMeasurement(frame.stamp_ns, frame.rims if k < 3 else RimSet.empty(), sun))
+    # An IMU that needs help.
+    noise = dataclasses.replace(
+        p.imu_noise,
+        gyro_density=100.0 * p.imu_noise.gyro_density,
+        accelerometer_density=1000.0 * p.imu_noise.accelerometer_density,
+    )
+    p = dataclasses.replace(p, frames=frames, imu_noise=noise)
+    bound = posterior_bound(p, p.frames, truth)
+    for of_bound, claimed in (
+        (bound.smoothed, BatchSmoother(NO_LOSS).estimate(p).pose_covariance),
+        (bound.filtered, ekf().estimate(p).pose_covariance),
+    ):
+        assert claimed is not None
+        # The filter begins at the prior's mean, far from the truth for such tilts.
+        found, expected = correlation(claimed, of_bound)[1:], correlation(of_bound, of_bound)[1:]
+        assert_allclose(found, expected, atol=0.05)
+    dark = [dataclasses.replace(frame, sun=None) for frame in frames]
+    for less, block, share in (
+        (posterior_bound(dataclasses.replace(p, sensors=()), frames, truth), slice(3, 6), 0.5),
+        (posterior_bound(p, dark, truth), slice(0, 3), 0.8),
+    ):
+        one, other = (np.sqrt(np.trace(each.smoothed[-1, block, block])) for each in (bound, less))
+        assert one < share * other
 
 
 def test_what_was_read_does_not_matter(descent: tuple[Problem, Trajectory]) -> None:

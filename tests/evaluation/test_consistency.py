@@ -79,6 +79,7 @@ def test_anees_is_of_the_frames_of_each_bin() -> None:
     bins = anees_by_altitude(values, altitude, [101e3, 80e3, 70e3, 40e3, 0.0])
     assert [one.mean for one in bins] == [6.5, 6.0, 1.5]
     assert [one.frames for one in bins] == [2, 2, 2]
+    assert all(one.highest_m > one.lowest_m and one.low < 6.0 < one.high for one in bins)
     assert [one.consistent for one in bins] == [True, True, False]
 
 
@@ -92,3 +93,27 @@ def test_rms_is_over_trials_and_the_altitude_weighs_frames() -> None:
     assert over_altitude(np.array([1.0, 1.0, 4.0]), np.array([100.0, 60.0, 55.0])) == pytest.approx(
         (40.0 + 22.5 + 4.0 * 5.0) / 67.5
     )
+
+
+def test_innovations_of_sensors_and_of_segments() -> None:
+    one = Innovations(
+        (RIMS, "altimeter", RIMS, SUN), np.array([10, 10, 20, 20]), np.array([6.0, 2.0, 4.0, 0.0]),
+        np.array([5, 1, 5, 0]),
+    )  # fmt: skip
+    other = Innovations(("altimeter", "beacon"), np.array([30, 40]), np.array([1.0, 8.0]), np.array([1, 2]))
+    every = Innovations.joined([one, other])
+    found = every.of("altimeter")
+    assert found.sensor == ("altimeter", "altimeter")
+    assert found.stamps_ns.tolist() == [10, 30]
+    assert found.nis.tolist() == [2.0, 1.0]
+    assert found.dimension.tolist() == [1, 1]
+    figures = every.as_dict()
+    assert list(figures) == [RIMS, SUN, "altimeter", "beacon"]
+    assert figures[RIMS]["mean"] == pytest.approx(1.0)
+    assert figures[RIMS]["dimension"] == 10
+    # A chi-square of one degree of freedom is below 5.02 with a probability of 97.5 %, of two below 7.38.
+    assert figures["altimeter"]["high"] == pytest.approx(7.378 / 2.0, rel=1e-3)
+    assert figures["beacon"]["low"] == pytest.approx(0.0506 / 2.0, rel=1e-2)
+    assert np.isnan(every.of(SUN).mean)
+    assert every.of(SUN).interval[1] == pytest.approx(5.024, rel=1e-3)
+    assert np.isnan(every.of("star").mean)

@@ -78,3 +78,43 @@ def test_correlation_ignores_what_changes_slowly():
     holes = detail.copy()
     holes[:10] = np.nan
     assert correlate(detail, holes) == pytest.approx(1.0, abs=0.02)
+
+
+class Bump:
+    """Stands for an elevation model: a plain 5 km above the sphere, with a hill at a place (3,) on it."""
+
+    step_rad = 1e-4
+
+    def __init__(self, place, hill_m):
+        self.place, self.hill_m = place, hill_m
+
+    def heights_m(self, directions):
+        away_m = RADIUS * np.linalg.norm(directions - self.place, axis=1)
+        return 5e3 + self.hill_m * np.exp(-0.5 * (away_m / 900.0) ** 2)
+
+
+def test_a_hill_is_seen_where_it_stands_and_lit_from_the_sun():
+    camera = Camera(200, 120, 256.0, 256.0, 99.5, 59.5)
+    pose = frames.pose(POSE[:3, :3] @ frames.rotation_exp(np.array([0.5, 0.2, 0.0])), POSE[:3, 3])
+    pixel = np.array([[131.0, 71.0]])
+    ray = pose[:3, :3] @ [*camera.normalised(pixel)[0], 1.0]
+    ray /= np.linalg.norm(ray)
+    # Where the ray meets the plain, a sphere.
+    down = -(ray @ pose[:3, 3])
+    far = down - np.sqrt(down**2 - pose[:3, 3] @ pose[:3, 3] + (RADIUS + 5e3) ** 2)
+    place = pose[:3, 3] + far * ray
+    place /= np.linalg.norm(place)
+    for step_px in (1, 2):
+        hill, plain = (shaded(camera, pose, SUN, Bump(place, h), RADIUS, step_px) for h in (150.0, 0.0))
+        change = hill - plain
+        assert change.shape == (120 // step_px, 200 // step_px)
+        weight = np.abs(change) / np.abs(change).sum()
+        y, x = (step_px * axis + 0.5 * (step_px - 1) for axis in np.indices(change.shape))
+        assert [(weight * x).sum(), (weight * y).sum()] == pytest.approx(pixel[0], abs=1.0)
+        # Brighter on the side of the sun.
+        bright, dark = (
+            np.array([(part * x).sum(), (part * y).sum()]) / part.sum()
+            for part in (np.maximum(change, 0.0), np.maximum(-change, 0.0))
+        )
+        to_sun = pose[:3, :3].T @ SUN
+        assert (bright - dark) @ to_sun[:2] > 0.9 * np.linalg.norm(bright - dark) * np.linalg.norm(to_sun[:2])

@@ -48,6 +48,9 @@ def test_angle_is_symmetric_and_knows_no_rotation_of_the_image(one, other):
     assert 0.0 <= angle <= 0.5 * np.pi + 1e-12
     assert gaussian_angle(other, one) == pytest.approx(angle, abs=1e-7)
     assert gaussian_angle(one, one) == pytest.approx(0.0, abs=1e-6)
+    # Rounding does not take the overlap of equal ellipses beyond 1.
+    alike = np.tile(one, (50, 1)) * np.linspace(0.9, 1.1, 50)[:, None]
+    assert np.isfinite(gaussian_angle(alike, alike)).all()
     turned = [np.array([-e[1], e[0], e[2], e[3], e[4] + 0.5 * np.pi]) for e in (one, other)]
     assert gaussian_angle(*turned) == pytest.approx(angle, abs=1e-6)
 

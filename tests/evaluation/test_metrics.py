@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
-from craternav_fg.evaluation.metrics import errors, metrics, nees
+from craternav_fg.evaluation.metrics import errors, metrics, nees, step_errors
 from craternav_fg.trajectory import Trajectory
 
 
@@ -89,3 +89,19 @@ def test_other_stamps_are_refused() -> None:
     truth = trajectory(np.random.default_rng(4))
     with pytest.raises(EstimationError, match="different stamps"):
         errors(dataclasses.replace(truth, stamps_ns=truth.stamps_ns + 1), truth)
+
+
+def test_a_single_frame_has_no_motion() -> None:
+    rng = np.random.default_rng(2)
+    m = metrics(trajectory(rng, 1), trajectory(rng, 1))
+    assert m.rpe_m is None
+    assert m.rpe_deg is None
+    assert m.frames == 1
+
+
+def test_steps_are_those_of_the_estimate_seen_from_the_true_ones() -> None:
+    rng = np.random.default_rng(6)
+    found, true = trajectory(rng, 3).gTb, trajectory(rng, 3).gTb
+    for k, step in enumerate(step_errors(found, true)):
+        after_true_step = np.linalg.inv(true[k]) @ true[k + 1] @ step
+        assert_allclose(found[k] @ after_true_step, found[k + 1], rtol=1e-9, atol=1e-6)

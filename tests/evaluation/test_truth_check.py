@@ -54,6 +54,15 @@ def test_the_order_of_quaternions(truth: Trajectory, estimate: Trajectory) -> No
     assert "seems to give the attitude of g in b" in warning
 
 
+def test_small_errors_of_attitude_are_the_estimates(truth: Trajectory) -> None:
+    """Near the axes of g, an attitude and its inverse differ by little."""
+    gTb, of_truth = (np.tile(np.eye(4), (33, 1, 1)) for _ in range(2))
+    gTb[:, :3, :3] = frames.rotation_exp(np.full((33, 3), 0.03))
+    of_truth[:, :3, :3] = frames.rotation_exp(np.full((33, 3), -0.03))
+    gTb[:, :3, 3] = of_truth[:, :3, 3] = truth.gP
+    assert doubted_truth(replace(truth, gTb=gTb), replace(truth, gTb=of_truth), SPIN) == []
+
+
 @pytest.mark.parametrize("first_rad", [0.0, 2.5])
 def test_inertial_space(truth: Trajectory, estimate: Trajectory, first_rad: float) -> None:
     (warning,) = doubted_truth(estimate, turned(truth, first_rad + SPIN[2] * SECONDS), SPIN)

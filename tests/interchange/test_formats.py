@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 
 from craternav_fg import frames
 from craternav_fg.body import Body
@@ -72,6 +73,9 @@ def test_kalibr_reads_back(tmp_path: Path, camera: Camera) -> None:
     (tmp_path / "camchain.yaml").write_text(camchain_yaml(camera, "/cam0/image_raw"))
     found, shift_s = read_camchain(tmp_path / "camchain.yaml")
     assert shift_s == 0.0
+    # Kalibr's lenses have four coefficients.
+    written = yaml.safe_load((tmp_path / "camchain.yaml").read_text())["cam0"]
+    assert written["distortion_coeffs"] == list(camera.distortion[:4])
     np.testing.assert_array_equal(found.lens, camera.lens)
     np.testing.assert_allclose(found.bTc, camera.bTc, atol=1e-15)
     (tmp_path / "imu.yaml").write_text(kalibr_imu_yaml(NOISE, 200.0, "/imu0"))
@@ -237,6 +241,11 @@ def test_maps_hold_track_and_footprints(tmp_path: Path) -> None:
         (CAMERA.pinhole, "PINHOLE", 4),
         (FISHEYE, "OPENCV_FISHEYE", 8),
         (replace(CAMERA, distortion=(-0.28, 0.07, 0.0, 0.0, 0.01)), "FULL_OPENCV", 12),
+        (
+            replace(CAMERA, distortion=(-0.28, 0.07, *3 * [0.0], 0.01, 0.0, 0.0), lens_model="rational"),
+            "FULL_OPENCV",
+            12,
+        ),
     ],
 )
 def test_colmap(tmp_path: Path, camera: Camera, model: str, count: int) -> None:

@@ -250,3 +250,51 @@ def test_a_prediction_that_says_nothing_is_searched_in_bounded_memory_and_time()
     assert not (found.craters >= 0).any()
     assert peak < 1 << 28
     assert time.process_time() - began < 30.0
+
+
+def test_a_view_of_one_of_two_places_that_look_alike_is_of_neither():
+    rng = np.random.default_rng(21)
+    group = field(rng, 25, 0.012)
+    between_rad = 0.004
+    twin = Catalog(
+        tuple(f"T{k}" for k in range(25)), group.latitude_rad + between_rad, group.longitude_rad,
+        group.semi_major_m, group.semi_minor_m, group.angle_rad, group.height_m, MOON,
+    )  # fmt: skip
+    gTb = view(rng)
+    truth, charts = group.visible(CAMERA, gTb, min_semi_minor_px=10.0)
+    covariances = noise_of(charts)
+    # Half-way to where the twin looks the same.
+    middle = gTb.copy()
+    middle[:3] = frames.rotation_exp(np.array([0.0, -0.5 * between_rad, 0.0])) @ gTb[:3]
+    covariance = np.diag([0.01**2] * 3 + [3000.0**2] * 3)
+    alone = match_rims(charts, covariances, CAMERA, group, middle, covariance)
+    np.testing.assert_array_equal(alone.craters, truth)
+    both = Catalog.joined([group, twin])
+    found = match_rims(charts, covariances, CAMERA, both, middle, covariance)
+    assert (found.craters == -1).all()
+    assert found.ambiguous.all()
+    np.testing.assert_array_equal(found.gTb, middle)
+    # A better prediction tells them apart.
+    near = match_rims(charts, covariances, CAMERA, both, gTb, np.diag([0.01**2] * 3 + [500.0**2] * 3))
+    np.testing.assert_array_equal(near.craters, truth)
+
+
+def test_rims_that_all_scatter_more_than_they_state_are_their_craters_all_the_same():
+    rng = np.random.default_rng(31)
+    catalog = field(rng)
+    gTb = view(rng)
+    truth, charts = catalog.visible(CAMERA, gTb, min_semi_minor_px=15.0)
+    assert len(truth) > 12
+    covariances = noise_of(charts)
+    # Half as much again as what they state.
+    off = 1.5 * np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), rng.standard_normal(charts.shape))
+    prior, covariance = wrong_prior(rng, gTb, np.radians(0.5), 200.0)
+    options = GateOptions(floor_share=0.0)
+    found = match_rims(charts + off, covariances, CAMERA, catalog, prior, covariance, options)
+    assert ((found.craters == truth) | (found.craters == -1)).all()
+    assert np.count_nonzero(found.craters == truth) >= len(truth) - 2
+    # Among rims that are as good as they state, one such is left out.
+    one = charts.copy()
+    one[4] += 6.0 * np.linalg.cholesky(covariances[4]) @ np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+    found = match_rims(one, covariances, CAMERA, catalog, prior, covariance, options)
+    assert np.flatnonzero(found.craters != truth).tolist() == [4]

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from craternav_fg.catalogs.heights import chord_depths_m
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
+from craternav_fg.measurements import RimSet
 from craternav_fg.pipeline import rim_planes
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
@@ -76,8 +78,20 @@ def test_a_filter_that_fails_does_not_decide(high: Dataset, monkeypatch: pytest.
         def run(self, problem: Problem) -> None:
             raise EstimationError("no pose")
 
-    monkeypatch.setattr(rim_planes, "ekf", Fails)
-    assert not rim_planes.heights_of_points(frames)
+    # Of the points' heights the filter would be sure.
+    catalog = frames[0].catalog
+    raised = replace(catalog, height_m=catalog.height_m + chord_depths_m(catalog))
+    of_points = [replace(problem, catalog=raised) for problem in frames]
+    assert rim_planes.heights_of_points(of_points)
+    for failing in (1, 2):
+        filters = iter([*(failing - 1) * [rim_planes.ekf()], Fails(), rim_planes.ekf()])
+        with monkeypatch.context() as patched:
+            patched.setattr(rim_planes, "ekf", lambda left=filters: next(left))
+            assert not rim_planes.heights_of_points(of_points)
+    bare = [
+        replace(one, frames=[replace(frame, rims=RimSet.empty()) for frame in one.frames]) for one in frames
+    ]
+    assert not rim_planes.heights_of_points(bare)
 
 
 def test_rims_that_contradict_either_meaning_do_not_decide(high: Dataset) -> None:

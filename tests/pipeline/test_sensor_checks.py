@@ -20,7 +20,12 @@ from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 
 ESTIMATORS = ("smoother", "ekf")
-MODEL = {"altimeter": {}, "velocimeter": {"noise_m_s": 0.02}, "star_tracker": {}, "ranging": {}}
+MODEL = {
+    "altimeter": {},
+    "velocimeter": {"noise_m_s": 0.02, "bias_sigma_m_s": 0.02},
+    "star_tracker": {},
+    "ranging": {},
+}
 
 
 @pytest.fixture(scope="module")

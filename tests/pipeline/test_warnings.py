@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from craternav_fg.evaluation.innovations import Innovations
-from craternav_fg.pipeline import warnings
+from craternav_fg.evaluation.sensor_consistency import ResidualSummary
+from craternav_fg.pipeline import input_warnings, warnings
 
 
 def innovations(**nis: float) -> Innovations:
@@ -84,3 +85,127 @@ def test_frames_without_rims_are_counted(
     assert len(found) == len(said)
     for text, part in zip(found, said, strict=True):
         assert part in text
+
+
+def samples(nis: np.ndarray, dimension: int = 1) -> Innovations:
+    """Innovations of an altimeter."""
+    n = len(nis)
+    return Innovations(("altimeter",) * n, np.arange(n), nis, np.full(n, dimension))
+
+
+@pytest.mark.parametrize(
+    ("nis", "dimension", "images", "said"),
+    [
+        (np.full(3000, 1.3), 1, False, "contradicts what ekf predicts from the other sensors (NIS per dim"),
+        (np.full(3000, 1.3), 1, True, ""),
+        (np.full(3000, 1.6), 1, True, "NIS per dimension 1.6, expected 1"),
+        # Chance makes twenty samples this large.
+        (np.full(20, 1.3), 1, False, ""),
+        (np.full(200, 0.9), 3, False, "the stated noise is too large or in another unit"),
+        (np.full(200, 0.9), 3, True, ""),
+        # Improbable, but nothing to worry about.
+        (np.full(30000, 0.9), 1, False, ""),
+        (np.repeat([1.0, 100.0], [190, 10]), 1, False, "5 % of its samples are outliers (beyond 7 sigma)"),
+        # So many are no outliers.
+        (np.repeat([1.0, 100.0], [120, 80]), 1, False, "contradicts what ekf predicts"),
+        (np.zeros(5), 0, False, "100 % of its samples cannot be from where ekf predicts the lander"),
+    ],
+)
+def test_what_innovations_say_of_a_sensor(nis: np.ndarray, dimension: int, images: bool, said: str) -> None:
+    found = warnings.inconsistent_sensors("ekf", samples(nis, dimension), {}, images=images)
+    assert len(found) == (said != "")
+    for text in found:
+        assert text.startswith("altimeter: ")
+        assert said in text
+        assert text.endswith("check its units, T_BS and noise in sensor.yaml")
+
+
+@pytest.mark.parametrize(
+    ("sensor", "summary", "images", "said"),
+    [
+        ("rims", ResidualSummary(200, np.array([0.1, -0.6, 0.0]), 1.0), False, "a mean of 0.6 sigma"),
+        # The errors of rims in images have a mean; those of other sensors have none there, either.
+        ("rims", ResidualSummary(200, np.array([0.1, -0.6, 0.0]), 1.0), True, ""),
+        ("altimeter", ResidualSummary(200, np.array([0.6]), 1.0), True, "a mean of 0.6 sigma"),
+        ("altimeter", ResidualSummary(64, np.array([0.7]), 1.0), False, ""),
+        ("altimeter", ResidualSummary(200, np.array([0.0]), 4.0), False, "are 2 times their noise"),
+        ("rims", ResidualSummary(2000, np.zeros(5), 1.3), True, ""),
+        ("rims", ResidualSummary(2000, np.zeros(5), 1.3), False, "are 1.1 times their noise"),
+        ("altimeter", ResidualSummary(3000, np.zeros(3), 1.3), True, "are 1.1 times their noise"),
+    ],
+)
+def test_what_residuals_say_of_a_sensor(
+    sensor: str, summary: ResidualSummary, images: bool, said: str
+) -> None:
+    found = warnings.inconsistent_sensors("ekf", None, {sensor: summary}, images=images)
+    assert len(found) == (said != "")
+    for text in found:
+        assert text.startswith(f"{sensor}: its residuals at the smoothed trajectory ")
+        assert said in text
+
+
+def test_a_sensor_is_told_once() -> None:
+    residuals = {"altimeter": ResidualSummary(200, np.array([2.0]), 9.0)}
+    (text,) = warnings.inconsistent_sensors("ekf", samples(np.full(3000, 1.3)), residuals, images=False)
+    assert "NIS per dimension" in text
+
+
+def test_without_rims_sensors_that_contradict_each_other_are_not_trusted() -> None:
+    assert warnings.contradicted_without_rims("ekf", None) == []
+    assert warnings.contradicted_without_rims("ekf", samples(np.ones(3000))) == []
+    (text,) = warnings.contradicted_without_rims("ekf", samples(np.full(3000, 1.3)))
+    assert "ekf does not predict altimeter (NIS per dimension 1.3, expected 1)" in text
+
+
+def test_a_prior_that_the_data_contradict_is_told_with_what_to_check() -> None:
+    assert warnings.contradicted_prior({"attitude": 4.9, "gyro bias": 5.0}, 0.1) == []
+    attitude, bias = warnings.contradicted_prior({"attitude": 40.0, "gyro bias": 6.0}, 50.0)
+    assert attitude.startswith("the smoothed trajectory is 40 sigma from the initial attitude; check")
+    assert "T_BS" in attitude
+    assert bias.startswith("the smoothed trajectory is 6 sigma from the prior of the gyro bias; check")
+    for as_xyzw, blamed in ((4.0, True), (6.0, False)):
+        (text,) = warnings.contradicted_prior({"attitude": 40.0}, as_xyzw)
+        assert ("read as x, y, z, w it agrees" in text) == blamed
+    (text,) = warnings.contradicted_prior({"attitude": 6.0}, 4.0)
+    assert "it agrees" not in text
+
+
+def test_singular_covariances_are_counted() -> None:
+    sound = np.tile(np.eye(6), (4, 1, 1))
+    flat = sound.copy()
+    flat[[1, 3]] = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    (text,) = warnings.singular_covariances({"smoother": sound, "online": None, "ekf": flat})
+    assert text == "ekf: the covariance of its pose is singular in 2 of 4 frames, so it has no ANEES"
+
+
+def test_what_else_was_found_is_told() -> None:
+    assert warnings.contradicted_intrinsics(False) == warnings.lowered_rims(False) == []
+    (text,) = warnings.contradicted_intrinsics(True)
+    assert "intrinsics" in text
+    (text,) = warnings.lowered_rims(True)
+    assert "RIM_HEIGHT_M" in text
+    bTs = np.eye(4)
+    bTs[:3, 3] = 40.0
+    near = np.eye(4)
+    near[2, 3] = -49.0
+    (text,) = warnings.long_lever_arms({"camera": bTs, "altimeter": near})
+    assert text.startswith("camera: its lever arm in T_BS is 69.28 m; expected metres")
+    (text,) = warnings.replaced_states("replaced", (), "the camera is upside down")
+    assert text.endswith("; the camera is upside down")
+    (text,) = warnings.failed_estimators({"ekf": "ekf: singular"})
+    assert text == "no trajectory from ekf: singular"
+
+
+def test_what_a_data_set_holds_is_told() -> None:
+    assert input_warnings.unknown_sensors(()) == input_warnings.colour_images(0) == []
+    assert input_warnings.repeated_images({}) == input_warnings.disbelieved_frames({}) == []
+    (text,) = input_warnings.unknown_sensors(("radar0", "sonar0"))
+    assert text.startswith("not used: mav0/radar0, mav0/sonar0: unknown sensor")
+    (text,) = input_warnings.colour_images(7)
+    assert text.startswith("7 images")
+    for count, listed in ((5, "e.png (same pixels as 0.png);"), (7, "(same pixels as 0.png) and 2 more;")):
+        repeated = {f"{letter}.png": "0.png" for letter in "abcdefg"[:count]}
+        (text,) = input_warnings.repeated_images(repeated)
+        assert listed in text
+    (text,) = input_warnings.disbelieved_frames({3: "x.png", 8: "y.png"})
+    assert "in frame 3 (x.png), 8 (y.png) contradict" in text

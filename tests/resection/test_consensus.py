@@ -156,13 +156,14 @@ def test_too_small_a_sigma_is_found_from_the_residuals(
         assert any("times as widely as their standard deviations say" in text for text in result.warnings)
 
 
-def test_one_wrong_match_is_not_explained_by_a_larger_sigma(catalog: Catalog) -> None:
+@pytest.mark.parametrize("said_sigma_px", [1.0, 0.2])
+def test_one_wrong_match_is_not_explained_by_a_larger_sigma(catalog: Catalog, said_sigma_px: float) -> None:
+    """Nor are rims that have a wrong match and too small a sigma."""
     rng = np.random.default_rng(9)
     for k in range(10):
         view = draw(catalog, rng, k)
-        result = solve_all(
-            matched(catalog, view, rng, craters=some_swapped(view, rng, 2.0 / len(view.craters)))
-        )
+        craters = some_swapped(view, rng, 2.0 / len(view.craters))
+        result = solve_all(matched(catalog, view, rng, Faults(said_sigma_px=said_sigma_px), craters=craters))
         assert result.status is Status.NO_POSE
         assert "a wrong match, the wrong camera, or too small a sigma" in result.reason
 

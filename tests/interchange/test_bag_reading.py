@@ -1,0 +1,62 @@
+"""Messages of a bag that cannot be taken: stamps that go back, cameras without a calibration."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from craternav_fg import lens
+from craternav_fg.errors import InputError
+from craternav_fg.interchange.bag_reading import camera_of, increasing_stamps
+
+BAG: Any = SimpleNamespace(path=Path("flight"))
+
+
+def test_stamps_increase_or_the_first_that_does_not_is_named() -> None:
+    assert increasing_stamps(BAG, "/imu", [3, 5, 6]).tolist() == [3, 5, 6]
+    for stamps, found in (([3, 5, 5, 9], "found 5 after 5"), ([3, 9, 4, 5, 1], "found 4 after 9")):
+        with pytest.raises(InputError, match=f"^flight: /imu: expected stamps that increase, {found} ns"):
+            increasing_stamps(BAG, "/imu", stamps)
+
+
+def info(**changes: object) -> SimpleNamespace:
+    """`CameraInfo` as ROS 1 spells it."""
+    K = [800.0, 0.0, 330.0, 0.0, 801.0, 240.0, 0.0, 0.0, 1.0]
+    message = {"width": 640, "height": 480, "K": K, "D": [], "distortion_model": "", **changes}
+    return SimpleNamespace(**message)
+
+
+@pytest.mark.parametrize("spelling", [str.upper, str.lower])
+def test_a_calibration_of_either_version_is_a_camera(spelling: Any) -> None:
+    message = info(distortion_model="plumb_bob")
+    changed = {spelling("k"): message.K, spelling("d"): [-0.1, 0.02, 1e-3, -2e-3]}
+    message = SimpleNamespace(**{k: v for k, v in vars(message).items() if k not in "KD"}, **changed)
+    camera = camera_of(BAG.path, message, np.eye(4), 12)
+    assert (camera.width_px, camera.height_px, camera.bit_depth) == (640, 480, 12)
+    # The principal point is the image of the axis; a pixel of 1 / f beside it is one of 1 / f rad.
+    undistorted = camera_of(BAG.path, info(), np.eye(4), 8)
+    at = undistorted.normalised(np.array([[330.0, 240.0], [331.0, 240.0], [330.0, 241.0]]))
+    np.testing.assert_allclose(at, [[0.0, 0.0], [1.0 / 800.0, 0.0], [0.0, 1.0 / 801.0]], atol=1e-9)
+    assert camera.lens_model == undistorted.lens_model == lens.RADIAL_TANGENTIAL
+    # A third radial coefficient of zero.
+    five = info(distortion_model="plumb_bob", D=[-0.1, 0.02, 1e-3, -2e-3, 0.0])
+    pixel = np.array([[600.0, 20.0]])
+    expected = camera_of(BAG.path, five, np.eye(4), 12).normalised(pixel)
+    np.testing.assert_array_equal(camera.normalised(pixel), expected)
+    assert np.abs(expected - undistorted.normalised(pixel)).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"K": [0.0] * 9}, "expected a calibrated CameraInfo, found no focal length"),
+        ({"K": []}, "expected a calibrated CameraInfo, found no focal length"),
+        ({"distortion_model": "fancy"}, "expected a lens that is known, found 'fancy'"),
+        ({"distortion_model": "plumb_bob", "D": [0.1, 0.2]}, "CameraInfo: "),
+    ],
+)
+def test_a_camera_without_a_calibration_is_refused(changes: dict[str, object], problem: str) -> None:
+    with pytest.raises(InputError, match=f"^flight: {problem}"):
+        camera_of(BAG.path, info(**changes), np.eye(4), 8)
