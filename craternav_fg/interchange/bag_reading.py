@@ -339,10 +339,31 @@ def camera_of(path: Path, message: Any, bTc: FloatArray, bit_depth: int) -> Came
     coefficients = tuple(float(v) for v in D) or (0.0,) * 5
     if model == lens.RADIAL_TANGENTIAL and len(coefficients) == 4:
         coefficients = (*coefficients, 0.0)
+    (width, fx, cx), (height, fy, cy) = (
+        _of_image(int(size), float(focal), float(centre), *window)
+        for size, focal, centre, window in zip(
+            (message.width, message.height), (K[0], K[4]), (K[2], K[5]), _windows(message), strict=True
+        )
+    )
     try:
-        return Camera(
-            int(message.width), int(message.height), float(K[0]), float(K[4]), float(K[2]), float(K[5]), bTc,
-            coefficients, bit_depth=bit_depth, lens_model=model,
-        )  # fmt: skip
+        return Camera(width, height, fx, fy, cx, cy, bTc, coefficients, bit_depth=bit_depth, lens_model=model)
     except ValueError as error:
         raise InputError(path, f"CameraInfo: {error}") from None
+
+
+def _windows(message: Any) -> Iterator[tuple[int, int, int]]:
+    """First pixel and number of pixels that are read out, 0 for all, and how many become one: x, then y."""
+    region = getattr(message, "roi", None)
+    for axis, size in (("x", "width"), ("y", "height")):
+        first = int(getattr(region, f"{axis}_offset", 0))
+        yield first, int(getattr(region, size, 0)), max(int(getattr(message, f"binning_{axis}", 0)), 1)
+
+
+def _of_image(
+    size: int, focal: float, centre: float, first: int, read: int, binning: int
+) -> tuple[int, float, float]:
+    """Size, focal length and principal point of the image along one axis, from those of the whole sensor.
+
+    A binned pixel is the mean of its pixels, and its centre theirs.
+    """
+    return (read or size) // binning, focal / binning, (centre - first + 0.5) / binning - 0.5

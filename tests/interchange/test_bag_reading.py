@@ -60,3 +60,18 @@ def test_a_calibration_of_either_version_is_a_camera(spelling: Any) -> None:
 def test_a_camera_without_a_calibration_is_refused(changes: dict[str, object], problem: str) -> None:
     with pytest.raises(InputError, match=f"^flight: {problem}"):
         camera_of(BAG.path, info(**changes), np.eye(4), 8)
+
+
+def test_regions_and_binned_pixels_are_those_of_the_images() -> None:
+    """A ray falls where it does on the whole sensor, whatever part of it is read out and binned."""
+    region = SimpleNamespace(x_offset=100, y_offset=40, width=400, height=300)
+    whole = camera_of(BAG.path, info(), np.eye(4), 8)
+    part = camera_of(BAG.path, info(roi=region, binning_x=4, binning_y=2), np.eye(4), 8)
+    assert (part.width_px, part.height_px) == (100, 150)
+    # The corner of the first pixel that is read out, and of the last one.
+    on_sensor = np.array([[99.5, 39.5], [499.5, 339.5]])
+    in_image = np.array([[-0.5, -0.5], [99.5, 149.5]])
+    np.testing.assert_allclose(part.normalised(in_image), whole.normalised(on_sensor), atol=1e-12)
+    empty = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0)
+    same = camera_of(BAG.path, info(roi=empty, binning_x=0, binning_y=1), np.eye(4), 8)
+    assert (same.width_px, same.fu_px, same.cx_px) == (whole.width_px, whole.fu_px, whole.cx_px)
