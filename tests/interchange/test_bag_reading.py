@@ -74,4 +74,4 @@ def test_regions_and_binned_pixels_are_those_of_the_images() -> None:
     np.testing.assert_allclose(part.normalised(in_image), whole.normalised(on_sensor), atol=1e-12)
     empty = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0)
     same = camera_of(BAG.path, info(roi=empty, binning_x=0, binning_y=1), np.eye(4), 8)
-    assert (same.width_px, same.fu_px, same.cx_px) == (whole.width_px, whole.fu_px, whole.cx_px)
+    assert (same.width_px, same.fx_px, same.cx_px) == (whole.width_px, whole.fx_px, whole.cx_px)
