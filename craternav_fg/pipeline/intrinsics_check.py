@@ -13,8 +13,8 @@ from factors.arrays import FloatArray
 
 # Fewer rims leave no redundancy; fewer frames do not show how far their estimates scatter.
 _MIN_RIMS, _MIN_FRAMES = 6, 4
-# Deviation of a pooled intrinsic, in standard deviations. The scatter between frames does not show the errors
-# that their rims share.
+# Deviation of a pooled intrinsic, in standard deviations. Neither the scatter between frames nor their
+# covariances show errors that their rims share unstated.
 _MAX_SIGMAS = 6.0
 
 
@@ -42,10 +42,16 @@ def contradicted_intrinsics(
     prior = IntrinsicsPrior.of(camera)
     if not all(prior.sigmas):
         return False
+    each = zip((frame.rims for frame in frames), gTb, strict=True)
+    seen = [(rims, pose) for rims, pose in each if len(rims) >= _MIN_RIMS]
+    # What craters keep, as errors of the map, is the same in all frames: a mean does not average it out.
     fits = [
-        fit_intrinsics(ResectionProblem(MatchedRims.of(frame.rims, catalog), camera.bTc), pose, prior)
-        for frame, pose in zip(frames, gTb, strict=True)
-        if len(frame.rims) >= _MIN_RIMS
+        fit_intrinsics(
+            ResectionProblem(MatchedRims.of(rims.inflate_correlated(len(seen)), catalog), camera.bTc),
+            pose,
+            prior,
+        )
+        for rims, pose in seen
     ]
     told = [fit for fit in fits if fit.converged and np.isfinite(_sigmas(fit)).all()]
     if len(told) < _MIN_FRAMES:

@@ -18,6 +18,7 @@ from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
+from factors.kernels.rim_errors import ground_slopes
 
 ESTIMATORS = ("smoother", "ekf")
 MODEL = {"altimeter": {}, "velocimeter": {"noise_m_s": 0.02}, "star_tracker": {}, "ranging": {}}
@@ -128,6 +129,38 @@ def test_rims_name_the_intrinsics(measured: Dataset) -> None:
         assert frames_of.measurements is not None
         found = contradicted_intrinsics(frames_of.measurements, data.truth.gTb, data.camera, data.catalog)
         assert found == contradicted
+
+
+def with_errors_of_the_map(data: Dataset, share: float, seed: int) -> list[FrameMeasurement]:
+    """Rims of a map whose errors they state: the same ones in every frame, a share of the radius."""
+    assert data.truth is not None
+    assert data.measurements is not None
+    errors = share * np.random.default_rng(seed).normal(size=(len(data.catalog), 6))
+    out = []
+    for frame, gTb in zip(data.measurements, data.truth.gTb, strict=True):
+        rims, rows = frame.rims, frame.rims.craters
+        slopes = ground_slopes(
+            np.ascontiguousarray(gTb), data.camera.bTc, data.catalog.centres[rows], data.catalog.axes[rows]
+        )
+        root = share * slopes
+        stated = replace(
+            rims,
+            chart=rims.chart + np.einsum("nij,nj->ni", slopes, errors[rows]),
+            covariance=rims.covariance + root @ np.swapaxes(root, 1, 2),
+            correlated=root,
+        )
+        out.append(replace(frame, rims=stated))
+    return out
+
+
+def test_stated_errors_of_the_map_are_no_errors_of_the_intrinsics(measured: Dataset) -> None:
+    """They are the same in all frames, as of a lander that hovers, whose mean does not average them out."""
+    assert measured.truth is not None
+    row, count = 12, 60
+    gTb = np.tile(measured.truth.gTb[row], (count, 1, 1))
+    for seed in range(6):
+        hovering = [with_errors_of_the_map(measured, 0.03, seed)[row]] * count
+        assert not contradicted_intrinsics(hovering, gTb, measured.camera, measured.catalog)
 
 
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
