@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.images import write_image
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -118,6 +119,16 @@ def test_copies_of_images_are_left_out(
         path.write_bytes(content)
     assert repeated_images(paths) == {2: 0, 5: 1}
     assert repeated_images([*paths[:2], tmp_path / "missing.png"]) == {}
+
+
+def test_images_of_one_grey_level_are_no_copies(tmp_path: Path) -> None:
+    """The night side is black in every image; a lone bright pixel twice is a copy."""
+    star = np.zeros((8, 8), np.uint8)
+    star[3, 4] = 9
+    paths = [tmp_path / f"{k}.png" for k in range(4)]
+    for path, image in zip(paths, (np.zeros_like(star), star, np.zeros_like(star), star), strict=True):
+        write_image(path, image)
+    assert repeated_images(paths) == {3: 1}
 
 
 def test_no_velocity_is_taken_from_a_copy(data: Dataset) -> None:
