@@ -163,6 +163,22 @@ def test_stated_errors_of_the_map_are_no_errors_of_the_intrinsics(measured: Data
         assert not contradicted_intrinsics(hovering, gTb, measured.camera, measured.catalog)
 
 
+def test_rims_out_of_sight_tell_nothing_of_the_intrinsics(measured: Dataset) -> None:
+    """One is matched with a crater on the far side; poses that diverged see none of them."""
+    assert measured.measurements is not None
+    assert measured.truth is not None
+    catalog, row = measured.catalog, int(measured.measurements[0].rims.craters[0])
+    longitude_rad = catalog.longitude_rad.copy()
+    longitude_rad[row] += np.pi
+    far = replace(catalog, longitude_rad=longitude_rad)
+    gTb = measured.truth.gTb
+    assert not contradicted_intrinsics(measured.measurements, gTb, measured.camera, far)
+    for factor in (-1.0, 0.5, 1e6):
+        diverged = gTb.copy()
+        diverged[:, :3, 3] *= factor
+        assert not contradicted_intrinsics(measured.measurements, diverged, measured.camera, catalog)
+
+
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
     for data in (measured, Dataset.open(sensors)):
         assert reconstruct(data, ESTIMATORS).warnings == ()
