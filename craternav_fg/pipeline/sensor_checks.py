@@ -11,7 +11,7 @@ from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.filter_state import FilterState
-from craternav_fg.estimators.instruments import IMU
+from craternav_fg.estimators.instruments import IMU, RIMS
 from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.evaluation.innovations import innovations
 from craternav_fg.imu import ImuLog
@@ -96,16 +96,23 @@ def check_imu(problems: Sequence[Problem], folder: Path) -> None:
 
 
 def _median_nis_of_imu(problems: Sequence[Problem], imu: ImuLog) -> float:
-    """NIS per dimension of what a log predicts, median over the frames; infinite when the filter fails."""
-    found = []
+    """NIS per dimension of what a log predicts, median over the frames; infinite when the filter is lost."""
+    found, shown, in_sight = [], 0, 0
     for problem in problems:
         assumed = replace(problem, imu=imu)
         try:
             run = ekf().run(assumed)
-            every = innovations(assumed, run.states, run.predictions).of(IMU)
+            every = innovations(assumed, run.states, run.predictions)
         except (EstimationError, *NUMERICAL_ERRORS):
             return float("inf")
-        found += list(every.nis[every.dimension > 0] / every.dimension[every.dimension > 0])
+        later = problem.frames[problem.start.frame + 1 :]
+        shown += sum(len(frame.rims) + len(frame.arcs) for frame in later)
+        in_sight += len(every.of(RIMS).nis)
+        of_imu = every.of(IMU)
+        found += list(of_imu.nis[of_imu.dimension > 0] / of_imu.dimension[of_imu.dimension > 0])
+    # Rims that are out of sight have no innovation; the sun's tilt alone would confirm any log.
+    if 2 * in_sight < shown:
+        return float("inf")
     return float(np.median(found)) if found else float("nan")
 
 

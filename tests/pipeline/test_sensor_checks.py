@@ -19,6 +19,7 @@ from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from factors.kernels.rim_errors import ground_slopes
+from tests.descents import scenario as descent_of
 
 ESTIMATORS = ("smoother", "ekf")
 MODEL = {"altimeter": {}, "velocimeter": {"noise_m_s": 0.02}, "star_tracker": {}, "ranging": {}}
@@ -311,6 +312,15 @@ def test_an_imu_in_another_unit_is_refused(
         with pytest.raises(InputError) as caught:
             reconstruct(replace(data, imu=imu), ["dead_reckoning"])
         assert f"mav0/imu0/data.csv: {said} (the other sensors confirm it)" in str(caught.value)
+
+
+def test_an_imu_that_loses_the_rims_is_in_no_other_unit(tmp_path: Path) -> None:
+    """With no rim in sight of the predictions, the sun's tilt agrees with any accelerometer."""
+    data = Dataset.open(simulate(descent_of(duration_s=20.0), tmp_path / "data"))
+    assert data.imu is not None
+    imu = replace(data.imu, accelerometer=data.imu.accelerometer + 500.0)
+    result = reconstruct(replace(data, imu=imu), ["ekf"])
+    assert any("imu: contradicts what ekf predicts" in text for text in result.warnings)
 
 
 @pytest.mark.parametrize(
