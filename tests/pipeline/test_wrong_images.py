@@ -106,6 +106,29 @@ def test_a_track_that_is_lost_is_replaced_once_two_frames_confirm(
     assert with_rims(result) == [k for k in range(len(data)) if shown[k] != DARK]
 
 
+@pytest.mark.parametrize("sigma_m", [4000.0, 30.0])
+def test_a_first_image_with_few_rims_that_later_ones_contradict_is_left_out(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch, sigma_m: float
+) -> None:
+    """Near a wide prior, chance finds a few; all frames are then one track, with the prior if that fits."""
+    assert data.initial is not None
+    assert data.truth is not None
+    every = range(len(data))
+    initial = data.initial
+    if sigma_m < 1000.0:
+        gTb = data.truth.gTb[5].copy()
+        initial = dataclasses.replace(initial, gTb=gTb, position_sigma_m=sigma_m, attitude_sigma_rad=1e-3)
+    wrong = dataclasses.replace(data, initial=initial)
+    result = tracked(wrong, [5 if k == 0 else k for k in every], monkeypatch)
+    assert 3 <= len(result.disbelieved[0].rims) < 7
+    assert list(result.disbelieved) == [0]
+    assert with_rims(result)[0] <= 2
+    assert [segment.first for segment in result.segments] == [0]
+    assert (result.segments[0].initial is initial) == (sigma_m > 1000.0)
+    off_m = np.linalg.norm(result.segments[0].initial.gTb[:3, 3] - data.truth.gP[0])
+    assert off_m < 3.0 * np.sqrt(3.0) * result.segments[0].initial.position_sigma_m
+
+
 def test_copies_of_images_are_left_out(
     data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
