@@ -1,5 +1,6 @@
 """Logs in a wrong unit or order: the other sensors contradict them, and confirm them once corrected."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -96,8 +97,8 @@ def check_imu(problems: Sequence[Problem], folder: Path) -> None:
 
 
 def _median_nis_of_imu(problems: Sequence[Problem], imu: ImuLog) -> float:
-    """NIS per dimension of what a log predicts, median over the frames; infinite when the filter is lost."""
-    found, shown, in_sight = [], 0, 0
+    """NIS per dimension of what a log predicts, median over the frames; infinite where the rims are lost."""
+    found: list[float] = []
     for problem in problems:
         assumed = replace(problem, imu=imu)
         try:
@@ -105,14 +106,17 @@ def _median_nis_of_imu(problems: Sequence[Problem], imu: ImuLog) -> float:
             every = innovations(assumed, run.states, run.predictions)
         except (EstimationError, *NUMERICAL_ERRORS):
             return float("inf")
-        later = problem.frames[problem.start.frame + 1 :]
-        shown += sum(len(frame.rims) + len(frame.arcs) for frame in later)
-        in_sight += len(every.of(RIMS).nis)
+        in_sight = Counter(every.of(RIMS).stamps_ns.tolist())
         of_imu = every.of(IMU)
-        found += list(of_imu.nis[of_imu.dimension > 0] / of_imu.dimension[of_imu.dimension > 0])
-    # Rims that are out of sight have no innovation; the sun's tilt alone would confirm any log.
-    if 2 * in_sight < shown:
-        return float("inf")
+        each = zip(of_imu.nis, of_imu.dimension, strict=True)
+        judged = dict(zip(of_imu.stamps_ns.tolist(), each, strict=True))
+        for frame in problem.frames[problem.start.frame + 1 :]:
+            nis, size = judged.get(frame.stamp_ns, (0.0, 0))
+            # Rims that are out of sight have no innovation; the sun's tilt alone would confirm any log.
+            if 2 * in_sight[frame.stamp_ns] < len(frame.rims) + len(frame.arcs):
+                found.append(float("inf"))
+            elif size:
+                found.append(float(nis) / int(size))
     return float(np.median(found)) if found else float("nan")
 
 
