@@ -12,7 +12,8 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say, three_digits, warn
 from craternav_fg.dataset import Dataset
-from craternav_fg.pipeline.input_warnings import colour_images, unknown_sensors
+from craternav_fg.pipeline import input_warnings
+from craternav_fg.pipeline.repeated_images import repeated_images
 
 
 @app.command(epilog=example("check runs/data"))
@@ -56,11 +57,20 @@ def _summary(data: Dataset) -> dict[str, Any]:
         "truth": data.truth is not None,
         "apriori_states": data.apriori is not None,
         "warnings": [
-            *unknown_sensors(data.ignored),
-            *colour_images(data.in_colour),
+            *input_warnings.unknown_sensors(data.ignored),
+            *input_warnings.colour_images(data.in_colour),
+            *input_warnings.repeated_images(_repeated(data)),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),
         ],
     }
+
+
+def _repeated(data: Dataset) -> dict[str, str]:
+    """Names of images that are copies, and of what they are copies of."""
+    if data.measurements is not None:
+        return {}
+    names = [path.name for path in data.image_paths]
+    return {names[k]: names[first] for k, first in repeated_images(data.image_paths).items()}
 
 
 def _show(values: dict[str, Any]) -> None:

@@ -88,7 +88,8 @@ class Dataset(Recording):
         has_imu = _has_imu(folder, motion is not None)
         imu_noise = read_imu_noise(folder / layout.IMU_SENSOR) if has_imu else None
         catalog = read_catalog(_catalog_path(folder), body)
-        stamps, names = _read_frames(folder / layout.CAMERA_DATA)
+        are_measured = exists(folder / layout.RIMS)
+        stamps, names = _read_frames(folder / layout.CAMERA_DATA, are_images=not are_measured)
         if initial is not None and initial.stamp_ns != stamps[0]:
             raise InputError(
                 folder / layout.DESCRIPTION,
@@ -102,7 +103,7 @@ class Dataset(Recording):
         truth = read_states(folder / layout.TRUTH, stamps, body, one_motion=True)
         measurements, in_colour = None, 0
         image_paths = tuple(folder / layout.IMAGES / name for name in names)
-        if exists(folder / layout.RIMS):
+        if are_measured:
             prior_gP = None if initial is None else initial.gTb[:3, 3]
             measurements = read_measurements(folder, stamps, catalog, camera, sun, prior_gP)
         else:
@@ -208,7 +209,7 @@ def _catalog_path(folder: Path) -> Path:
     return large if exists(large) else small
 
 
-def _read_frames(path: Path) -> tuple[IntArray, list[str]]:
+def _read_frames(path: Path, *, are_images: bool) -> tuple[IntArray, list[str]]:
     table = read_table(path, layout.CAMERA_COLUMNS)
     if not len(table):
         raise InputError(path, "expected at least one frame, found none")
@@ -218,7 +219,8 @@ def _read_frames(path: Path) -> tuple[IntArray, list[str]]:
     for row, name in enumerate(names):
         if Path(name).name != name:
             table.fail(row, "filename", f"expected a name without folders, found {name!r}")
-        if seen.setdefault(name, row) != row:
+        # Of rims that are measured already, no image is read.
+        if are_images and seen.setdefault(name, row) != row:
             problem = f"expected each image once, found {name!r} of line {table.line(seen[name])} again"
             table.fail(row, "filename", problem)
     return table.columns[layout.STAMP], names

@@ -16,7 +16,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.linalg import squared_distance
-from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement
 from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
@@ -89,13 +89,17 @@ def _on_ground(
         charts, seen = project_rims(pose, camera.bTc, centres, axes)
         slopes = ground_slopes(pose, camera.bTc, centres, axes)[seen][:, :, _IN_PLANE]
         inverse = np.linalg.inv(slopes)
-        roots = [rims.correlated[seen]] + ([] if rims.shared is None else [rims.shared[seen]])
+        # Frames may differ in the parts that they state.
+        roots = np.zeros((int(seen.sum()), 5, CORRELATED_SIZE + SHARED_SIZE))
+        roots[:, :, : rims.correlated.shape[2]] = rims.correlated[seen]
+        if rims.shared is not None:
+            roots[:, :, CORRELATED_SIZE:] = rims.shared[seen]
         white = rims.fused_white_covariance[seen]
         parts.append(
             (
                 rims.craters[seen],
                 (inverse @ (rims.chart - charts)[seen][:, :, None])[:, :, 0],
-                inverse @ np.concatenate(roots, axis=2),
+                inverse @ roots,
                 inverse @ white @ np.swapaxes(inverse, 1, 2),
             )
         )

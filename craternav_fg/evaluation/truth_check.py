@@ -53,7 +53,8 @@ def _attitudes(estimate: Trajectory, truth: Trajectory) -> Iterator[str]:
 
 def _positions(estimate: Trajectory, truth: Trajectory, spin: FloatArray) -> Iterator[str]:
     rate = float(np.linalg.norm(spin))
-    if rate == 0.0:
+    # At a single time, a turn about the axis is any error in longitude.
+    if rate == 0.0 or len(truth) < 2:
         return
     axis, seconds = spin / rate, 1e-9 * (truth.stamps_ns - truth.stamps_ns[0])
     lead_rad = _lead_rad(estimate.gP, truth.gP, axis)

@@ -79,7 +79,7 @@ def disbelieved_frames(disbelieved: Mapping[int, str]) -> list[str]:
         return []
     names = [f"{frame} ({name})" for frame, name in disbelieved.items()]
     return [
-        f"the craters identified in frame {_listed(names)} contradict the IMU and the frames before, and no "
+        f"the craters identified in frame {_listed(names)} contradict the IMU and other frames, and no "
         "later frame confirms them: their rims are left out; check that the image is the one of its stamp, "
         "and if this happens often, the IMU's units and axes"
     ]

@@ -119,7 +119,11 @@ def reconstruct(
     repeated = {} if dataset.measurements is not None else repeated_images(dataset.image_paths)
     initial = _initial_state(dataset, relocaliser, report, repeated)
     measured = _measure(dataset, initial, relocaliser, report, front_end or GuidedOptions(), repeated)
-    measured = replace(measured, frames=tuple(_left_out(frame, without) for frame in measured.frames))
+    measured = replace(
+        measured,
+        frames=tuple(_left_out(frame, without) for frame in measured.frames),
+        disbelieved={k: _left_out(frame, without) for k, frame in measured.disbelieved.items()},
+    )
     descent = Descent.of(dataset, initial)
     if dataset.features is None and measured.limits is not None and measured.limits.points.count:
         descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))

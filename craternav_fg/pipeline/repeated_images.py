@@ -4,11 +4,15 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 
 def repeated_images(paths: Sequence[Path]) -> dict[int, int]:
     """Find the images whose files are the same, byte for byte, as an earlier one's.
 
-    The noise of a camera makes any two of its images differ: a copy was not taken at its stamp.
+    The noise of a camera makes any two of its images differ: a copy was not taken at its stamp. Images of one
+    grey level, as of the night side or wholly overexposed, are alike without being copies.
 
     Parameters
     ----------
@@ -28,7 +32,14 @@ def repeated_images(paths: Sequence[Path]) -> dict[int, int]:
     repeated: dict[int, int] = {}
     for same_size in by_size.values():
         for index in same_size if len(same_size) > 1 else ():
-            digest = hashlib.sha256(paths[index].read_bytes()).digest()
-            if first.setdefault(digest, index) != index:
+            content = paths[index].read_bytes()
+            digest = hashlib.sha256(content).digest()
+            if first.setdefault(digest, index) != index and not _is_uniform(content):
                 repeated[index] = first[digest]
     return dict(sorted(repeated.items()))
+
+
+def _is_uniform(content: bytes) -> bool:
+    """Whether a file is an image of a single grey level."""
+    image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if content else None
+    return image is not None and bool(image.min() == image.max())

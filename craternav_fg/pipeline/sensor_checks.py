@@ -1,5 +1,6 @@
 """Logs in a wrong unit or order: the other sensors contradict them, and confirm them once corrected."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.filter_state import FilterState
-from craternav_fg.estimators.instruments import IMU
+from craternav_fg.estimators.instruments import IMU, RIMS
 from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.evaluation.innovations import innovations
 from craternav_fg.imu import ImuLog
@@ -96,16 +97,26 @@ def check_imu(problems: Sequence[Problem], folder: Path) -> None:
 
 
 def _median_nis_of_imu(problems: Sequence[Problem], imu: ImuLog) -> float:
-    """NIS per dimension of what a log predicts, median over the frames; infinite when the filter fails."""
-    found = []
+    """NIS per dimension of what a log predicts, median over the frames; infinite where the rims are lost."""
+    found: list[float] = []
     for problem in problems:
         assumed = replace(problem, imu=imu)
         try:
             run = ekf().run(assumed)
-            every = innovations(assumed, run.states, run.predictions).of(IMU)
+            every = innovations(assumed, run.states, run.predictions)
         except (EstimationError, *NUMERICAL_ERRORS):
             return float("inf")
-        found += list(every.nis[every.dimension > 0] / every.dimension[every.dimension > 0])
+        in_sight = Counter(every.of(RIMS).stamps_ns.tolist())
+        of_imu = every.of(IMU)
+        each = zip(of_imu.nis, of_imu.dimension, strict=True)
+        judged = dict(zip(of_imu.stamps_ns.tolist(), each, strict=True))
+        for frame in problem.frames[problem.start.frame + 1 :]:
+            nis, size = judged.get(frame.stamp_ns, (0.0, 0))
+            # Rims that are out of sight have no innovation; the sun's tilt alone would confirm any log.
+            if 2 * in_sight[frame.stamp_ns] < len(frame.rims) + len(frame.arcs):
+                found.append(float("inf"))
+            elif size:
+                found.append(float(nis) / int(size))
     return float(np.median(found)) if found else float("nan")
 
 

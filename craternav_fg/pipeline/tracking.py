@@ -105,8 +105,9 @@ class _Track:
     pooled: PooledErrors
     segments: list[Segment]
     measured: list[_Guided]
-    # Frames that agreed since its last segment began.
+    # Frames that agreed since its last segment began, and the identified pose that it began from.
     agreeing: int = 0
+    fix: PoseFix | None = None
 
     @property
     def supported(self) -> list[int]:
@@ -205,7 +206,7 @@ class Tracker:
         if former is not None and self._agrees(guided):
             track.agreeing += 1
             if track.agreeing == CONFIRMING_FRAMES:
-                self._former = None
+                self._leave(former)
 
     def _take(self, track: _Track, index: int, guided: _Guided) -> None:
         """Update the smoother of a track with an image's measurements."""
@@ -241,6 +242,32 @@ class Tracker:
         """Continue the former track: what contradicted it was wrong."""
         self._disbelieve(former)
         self._track, self._former, self._poor_frames = former, None, 0
+
+    def _leave(self, former: _Track) -> None:
+        """Give up the former track, which later frames do not confirm.
+
+        If it rests on one frame with few rims, which chance explains, that is left out, too.
+        """
+        self._former = None
+        track, supported = self._track, former.supported
+        rims = [len(former.measured[k].frame.rims) for k in supported]
+        if len(former.segments) > 1 or len(rims) != 1 or rims[0] >= ENOUGH_RIMS or track.fix is None:
+            return
+        began = track.segments[-1]
+        stamps = self.dataset.stamps_ns
+        self._disbelieved[supported[0]] = former.measured[supported[0]].frame
+        track.measured[: began.first] = [
+            self._nothing(k, one.gTb) for k, one in enumerate(track.measured[: began.first])
+        ]
+        prior = filter_state.propagate(
+            filter_state.prior(self.descent), self.descent, int(stamps[0]), int(stamps[began.first])
+        )
+        initial = self.descent.initial
+        if _contradicts(prior, track.fix):
+            initial = propagated_back(
+                replace(self.descent, initial=began.initial), began.initial, int(stamps[0])
+            )
+        track.segments = [Segment(0, initial)]
 
     def _disbelieve(self, former: _Track) -> None:
         """Note the frames whose rims only the present track holds."""
@@ -381,7 +408,7 @@ class Tracker:
             earlier = [self._nothing(k, one.gTb) for k, one in enumerate(earlier)]
         # What rims near a wrong pose have shown of their craters' errors goes with it.
         pooled = PooledErrors(self.dataset.camera, self.dataset.catalog)
-        track = _Track(OnlineSession(descent), pooled, segments, earlier)
+        track = _Track(OnlineSession(descent), pooled, segments, earlier, fix=fix)
         frame = self._shared_sun(_pool(track, _Guided(frame, fix.gTb)))
         track.session.begin(frame, Start(fix.gTb, fix.pose_covariance, 0))
         track.measured.append(_Guided(frame, fix.gTb))

@@ -21,6 +21,14 @@ def test_a_data_set_with_images_is_summarised(folder):  # noqa: F811
     assert "warning: not used: mav0/radar0: unknown sensor" in done.err
 
 
+def test_copies_of_images_are_told(folder):  # noqa: F811
+    first, second, _ = sorted((folder.path / layout.IMAGES).glob("*.png"))
+    second.write_bytes(first.read_bytes())
+    done = call("check", folder.path)
+    assert done.code == 0
+    assert f"{second.name} (same pixels as {first.name})" in done.err
+
+
 def test_a_data_set_with_rims_as_json(rims_folder):  # noqa: F811
     done = call("check", rims_folder.path, "--json")
     values = json.loads(done.out)

@@ -436,6 +436,12 @@ def test_bad_rims_are_named(case, rims_folder):
         assert part in text
 
 
+def test_names_of_images_that_are_not_read_may_be_alike(rims_folder):
+    for line in (2, 3, 4):
+        cell(CAM, line, 1, "none.png")(rims_folder)
+    assert Dataset.open(rims_folder.path).measurements is not None
+
+
 def test_a_rim_may_lie_outside_the_image_in_part(rims_folder):
     # By its end only: the centre is far beyond the right border.
     set_cell(1, "chart", [1.4, 0.0, 0.0, 0.0, -1.0])(rims_folder)

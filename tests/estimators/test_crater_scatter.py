@@ -90,6 +90,25 @@ def test_what_all_rims_share_explains_a_crater(descents: list[tuple[Problem, Tra
     assert variance_factors(frames, list(truth.gTb), p.camera, p.catalog, 4.0) == {}
 
 
+def test_frames_may_state_other_parts_of_the_covariance(descents: list[tuple[Problem, Trajectory]]) -> None:
+    """A file may have the shared part for some of its frames, and roots of five columns or six."""
+    p, truth = descents[0]
+    row = int(p.frames[0].rims.craters[0])
+    moved = with_kept_errors(p, truth, {row: np.array([8.0 * KEPT, 0.0])})
+    mixed = []
+    for k, frame in enumerate(moved.frames):
+        rims = frame.rims
+        if k % 2 and rims.correlated is not None:
+            wider = np.concatenate([rims.correlated, np.zeros((len(rims), 5, 1))], axis=2)
+            rims = replace(rims, correlated=wider, shared=np.zeros((len(rims), 5, SHARED_SIZE)))
+        mixed.append(replace(frame, rims=rims))
+    alike, others = (
+        variance_factors(frames, list(truth.gTb), p.camera, p.catalog, 4.0)
+        for frames in (moved.frames, mixed)
+    )
+    assert others == pytest.approx(alike)
+
+
 def test_rims_without_kept_errors_are_as_stated(descents: list[tuple[Problem, Trajectory]]) -> None:
     p, truth = descents[0]
     poses = [gTb.copy() for gTb in truth.gTb]

@@ -74,6 +74,15 @@ def test_another_prime_meridian(truth: Trajectory, estimate: Trajectory) -> None
     assert "another prime meridian" in warning
 
 
+def test_a_single_frame_tells_nothing_of_frames(truth: Trajectory, estimate: Trajectory) -> None:
+    other = turned(truth, np.full(33, 0.2))
+    first = [
+        replace(one, **{name: getattr(one, name)[:1] for name in ("stamps_ns", "gTb", "gV", "bias")})
+        for one in (estimate, other)
+    ]
+    assert not [text for text in doubted_truth(*first, SPIN) if "about the body's axis" in text]
+
+
 def test_a_failed_estimator_is_not_excused(truth: Trajectory, estimate: Trajectory) -> None:
     rng = np.random.default_rng(2)
     drift_m = SECONDS[:, None] * rng.normal(0.0, 30.0, 3)

@@ -13,7 +13,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.measurements import RimSet, SunTilt
 from craternav_fg.pipeline.reconstruct import reconstruct
-from craternav_fg.pipeline.tracking import shared_error
+from craternav_fg.pipeline.tracking import Segment, shared_error
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.trajectory import Trajectory
 from factors.sun_tilt import sun_tilt_factor
@@ -133,3 +133,22 @@ def test_tracked_points_and_frames_without_rims_suit_every_filter(tmp_path: Path
     assert result.problems[0].features is not None
     assert set(result.trajectories) == {"ekf", "ekf_paper"}
     assert np.all(np.isfinite(result.trajectories["ekf_paper"].gTb))
+
+
+def test_what_is_left_out_is_left_out_of_disbelieved_frames_too(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert data.measurements is not None
+    assert data.initial is not None
+    every = data.measurements
+    nothing = dataclasses.replace(every[1], rims=RimSet.empty())
+    measured = module._Measured(
+        (every[0], nothing, *every[2:]), (Segment(0, data.initial),), disbelieved={1: every[1]}
+    )
+    monkeypatch.setattr(module, "_measure", lambda *_: measured)
+    seen: list[int] = []
+    monkeypatch.setattr(
+        module, "check_imu", lambda problems, _: seen.extend(len(f.rims) for f in problems[0].frames)
+    )
+    reconstruct(data, ["dead_reckoning"], without=["rims"])
+    assert seen == [0] * len(every)

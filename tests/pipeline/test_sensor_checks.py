@@ -17,7 +17,9 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
-from craternav_fg.simulation.scenario_file import load_scenario
+from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from factors.kernels.rim_errors import ground_slopes
+from tests.descents import scenario as descent_of
 
 ESTIMATORS = ("smoother", "ekf")
 MODEL = {
@@ -33,20 +35,32 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return Dataset.open(simulate("measured_descent", tmp_path_factory.mktemp("m") / "data"))
 
 
-@pytest.fixture(scope="module")
-def sensors(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The last minute of the demo's descent, with every sensor."""
+def with_sensors(duration_s: float) -> Scenario:
+    """The end of the demo's descent, with every sensor."""
     case = load_scenario("measured_descent")
     trajectory = case.trajectory.model_copy(
         update={
-            "duration_s": 80.0,
+            "duration_s": duration_s,
             "start": case.trajectory.start.model_copy(
                 update={"altitude_m": 12e3, "downrange_m": -16e3, "ground_speed_m_s": 370.0}
             ),
         }
     )
-    case = case.model_copy(update={"trajectory": trajectory, "sensors": MODEL})
-    return simulate(case, tmp_path_factory.mktemp("s") / "data")
+    return case.model_copy(update={"trajectory": trajectory, "sensors": MODEL})
+
+
+@pytest.fixture(scope="module")
+def sensors(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate(with_sensors(80.0), tmp_path_factory.mktemp("s") / "data")
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, Dataset]:
+    """Eleven frames of descents without and with other sensors."""
+    folder = tmp_path_factory.mktemp("few")
+    cases = descent_of(duration_s=20.0), with_sensors(40.0)
+    one, other = (Dataset.open(simulate(case, folder / f"{k}")) for k, case in enumerate(cases))
+    return one, other
 
 
 def moved_rims(frame: FrameMeasurement, shift: float) -> FrameMeasurement:
@@ -133,6 +147,54 @@ def test_rims_name_the_intrinsics(measured: Dataset) -> None:
         assert frames_of.measurements is not None
         found = contradicted_intrinsics(frames_of.measurements, data.truth.gTb, data.camera, data.catalog)
         assert found == contradicted
+
+
+def with_errors_of_the_map(data: Dataset, share: float, seed: int) -> list[FrameMeasurement]:
+    """Rims of a map whose errors they state: the same ones in every frame, a share of the radius."""
+    assert data.truth is not None
+    assert data.measurements is not None
+    errors = share * np.random.default_rng(seed).normal(size=(len(data.catalog), 6))
+    out = []
+    for frame, gTb in zip(data.measurements, data.truth.gTb, strict=True):
+        rims, rows = frame.rims, frame.rims.craters
+        slopes = ground_slopes(
+            np.ascontiguousarray(gTb), data.camera.bTc, data.catalog.centres[rows], data.catalog.axes[rows]
+        )
+        root = share * slopes
+        stated = replace(
+            rims,
+            chart=rims.chart + np.einsum("nij,nj->ni", slopes, errors[rows]),
+            covariance=rims.covariance + root @ np.swapaxes(root, 1, 2),
+            correlated=root,
+        )
+        out.append(replace(frame, rims=stated))
+    return out
+
+
+def test_stated_errors_of_the_map_are_no_errors_of_the_intrinsics(measured: Dataset) -> None:
+    """They are the same in all frames, as of a lander that hovers, whose mean does not average them out."""
+    assert measured.truth is not None
+    row, count = 12, 60
+    gTb = np.tile(measured.truth.gTb[row], (count, 1, 1))
+    for seed in range(6):
+        hovering = [with_errors_of_the_map(measured, 0.03, seed)[row]] * count
+        assert not contradicted_intrinsics(hovering, gTb, measured.camera, measured.catalog)
+
+
+def test_rims_out_of_sight_tell_nothing_of_the_intrinsics(measured: Dataset) -> None:
+    """One is matched with a crater on the far side; poses that diverged see none of them."""
+    assert measured.measurements is not None
+    assert measured.truth is not None
+    catalog, row = measured.catalog, int(measured.measurements[0].rims.craters[0])
+    longitude_rad = catalog.longitude_rad.copy()
+    longitude_rad[row] += np.pi
+    far = replace(catalog, longitude_rad=longitude_rad)
+    gTb = measured.truth.gTb
+    assert not contradicted_intrinsics(measured.measurements, gTb, measured.camera, far)
+    for factor in (-1.0, 0.5, 1e6):
+        diverged = gTb.copy()
+        diverged[:, :3, 3] *= factor
+        assert not contradicted_intrinsics(measured.measurements, diverged, measured.camera, catalog)
 
 
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
@@ -267,6 +329,31 @@ def test_an_imu_in_another_unit_is_refused(
         with pytest.raises(InputError) as caught:
             reconstruct(replace(data, imu=imu), ["dead_reckoning"])
         assert f"mav0/imu0/data.csv: {said} (the other sensors confirm it)" in str(caught.value)
+
+
+def accelerometer_offset(data: Dataset) -> Dataset:
+    assert data.imu is not None
+    return replace(data, imu=replace(data.imu, accelerometer=data.imu.accelerometer + 500.0))
+
+
+def far_side(data: Dataset) -> Dataset:
+    assert data.initial is not None
+    gTb = data.initial.gTb.copy()
+    gTb[:3, 3] *= -1.0
+    return replace(data, initial=replace(data.initial, gTb=gTb))
+
+
+def far_off_rims(data: Dataset) -> Dataset:
+    return with_frames(data, lambda frame: moved_rims(frame, 0.3))
+
+
+@pytest.mark.parametrize("mistake", [accelerometer_offset, far_side, far_off_rims])
+def test_another_mistake_is_no_unit_of_the_imu(
+    mistake: Callable[[Dataset], Dataset], few: tuple[Dataset, Dataset]
+) -> None:
+    """In another unit, predictions fly away; where they see no rim, the sun's tilt alone agrees with them."""
+    for data in few:
+        assert reconstruct(mistake(data), ["ekf"]).warnings
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.dataset import Dataset
+from craternav_fg.dataset.images import write_image
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Descent
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -105,6 +106,29 @@ def test_a_track_that_is_lost_is_replaced_once_two_frames_confirm(
     assert with_rims(result) == [k for k in range(len(data)) if shown[k] != DARK]
 
 
+@pytest.mark.parametrize("sigma_m", [4000.0, 30.0])
+def test_a_first_image_with_few_rims_that_later_ones_contradict_is_left_out(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch, sigma_m: float
+) -> None:
+    """Near a wide prior, chance finds a few; all frames are then one track, with the prior if that fits."""
+    assert data.initial is not None
+    assert data.truth is not None
+    every = range(len(data))
+    initial = data.initial
+    if sigma_m < 1000.0:
+        gTb = data.truth.gTb[5].copy()
+        initial = dataclasses.replace(initial, gTb=gTb, position_sigma_m=sigma_m, attitude_sigma_rad=1e-3)
+    wrong = dataclasses.replace(data, initial=initial)
+    result = tracked(wrong, [5 if k == 0 else k for k in every], monkeypatch)
+    assert 3 <= len(result.disbelieved[0].rims) < 7
+    assert list(result.disbelieved) == [0]
+    assert with_rims(result)[0] <= 2
+    assert [segment.first for segment in result.segments] == [0]
+    assert (result.segments[0].initial is initial) == (sigma_m > 1000.0)
+    off_m = np.linalg.norm(result.segments[0].initial.gTb[:3, 3] - data.truth.gP[0])
+    assert off_m < 3.0 * np.sqrt(3.0) * result.segments[0].initial.position_sigma_m
+
+
 def test_copies_of_images_are_left_out(
     data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +142,16 @@ def test_copies_of_images_are_left_out(
         path.write_bytes(content)
     assert repeated_images(paths) == {2: 0, 5: 1}
     assert repeated_images([*paths[:2], tmp_path / "missing.png"]) == {}
+
+
+def test_images_of_one_grey_level_are_no_copies(tmp_path: Path) -> None:
+    """The night side is black in every image; a lone bright pixel twice is a copy."""
+    star = np.zeros((8, 8), np.uint8)
+    star[3, 4] = 9
+    paths = [tmp_path / f"{k}.png" for k in range(4)]
+    for path, image in zip(paths, (np.zeros_like(star), star, np.zeros_like(star), star), strict=True):
+        write_image(path, image)
+    assert repeated_images(paths) == {3: 1}
 
 
 def test_no_velocity_is_taken_from_a_copy(data: Dataset) -> None:
