@@ -47,7 +47,24 @@ def contradicted_intrinsics(
     # A wrong match may be with a crater beyond the horizon.
     seen = [(rims.take(_in_sight(rims, pose, camera, catalog)), pose) for rims, pose in each]
     seen = [(rims, pose) for rims, pose in seen if len(rims) >= _MIN_RIMS]
-    told = [fit for rims, pose in seen for fit in _fits(rims, pose, len(seen), camera, catalog, prior)]
+    return contradicted_by(
+        [fit for rims, pose in seen for fit in _fits(rims, pose, len(seen), camera, catalog, prior)]
+    )
+
+
+def contradicted_by(fits: Sequence[IntrinsicsFit]) -> bool:
+    """Whether the intrinsics of several frames, pooled, are others than the camera's.
+
+    Parameters
+    ----------
+    fits : sequence of IntrinsicsFit
+
+    Returns
+    -------
+    bool
+        False also when too few frames tell them.
+    """
+    told = [fit for fit in fits if fit.converged and np.isfinite(_sigmas(fit)).all()]
     if len(told) < _MIN_FRAMES:
         return False
     values = np.array([[np.log(fit.focal_scale), *fit.principal_shift_px] for fit in told])
@@ -69,9 +86,7 @@ def _fits(
     except np.linalg.LinAlgError:
         return []
     # Rims that the fit has lost cost nothing there.
-    if not fit.converged or not _in_sight(rims, fit.gTb, camera, catalog).all():
-        return []
-    return [fit] if np.isfinite(_sigmas(fit)).all() else []
+    return [fit] if _in_sight(rims, fit.gTb, camera, catalog).all() else []
 
 
 def _in_sight(rims: RimSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -> BoolArray:

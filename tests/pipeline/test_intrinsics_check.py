@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from craternav_fg.pipeline import intrinsics_check
-
-CAMERA: Any = SimpleNamespace(bTc=np.eye(4))
+from craternav_fg.pipeline.intrinsics_check import contradicted_by
 
 
 def fit(
@@ -46,24 +44,5 @@ SOUND = [fit(1.0 + 0.005 * x, (3.0 * y, 3.0 * z)) for x, y, z in RNG.standard_no
         ([fit(1.03, focal_scale_sigma=0.5)] * 5 + [fit(1.0)] * 5, False),
     ],
 )
-def test_frames_contradict_intrinsics_together(
-    monkeypatch: pytest.MonkeyPatch, fits: list[SimpleNamespace], contradicted: bool
-) -> None:
-    left = iter(fits)
-    monkeypatch.setattr(intrinsics_check, "fit_intrinsics", lambda *_: next(left))
-    monkeypatch.setattr(intrinsics_check.MatchedRims, "of", lambda *_: None)
-    monkeypatch.setattr(intrinsics_check, "ResectionProblem", lambda *_: None)
-    prior = SimpleNamespace(sigmas=(0.01, 5.0, 5.0))
-    monkeypatch.setattr(intrinsics_check.IntrinsicsPrior, "of", lambda _: prior)
-    # Frames with few rims are not asked.
-    rims = [np.zeros(count) for count in [6] * len(fits) + [5]]
-    frames: Any = [SimpleNamespace(rims=one) for one in rims]
-    catalog: Any = None
-    found = intrinsics_check.contradicted_intrinsics(
-        frames, np.tile(np.eye(4), (len(frames), 1, 1)), CAMERA, catalog
-    )
-    assert found == contradicted
-    prior.sigmas = (0.0, 5.0, 5.0)
-    assert not intrinsics_check.contradicted_intrinsics(
-        frames, np.tile(np.eye(4), (len(frames), 1, 1)), CAMERA, catalog
-    )
+def test_frames_contradict_intrinsics_together(fits: Any, contradicted: bool) -> None:
+    assert contradicted_by(fits) == contradicted
