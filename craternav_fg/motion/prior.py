@@ -9,7 +9,7 @@ from craternav_fg.trajectory import InitialState
 def with_motion_prior(initial: InitialState, motion: Motion, *, has_gyro: bool) -> InitialState:
     """Give the biases of an initial state the sigmas of what they stand for under a motion model.
 
-    Its own are those of an IMU: as the prior of the angular velocity, a gyro's bias is a thousand times too sure.
+    Its own are those of an IMU: as the prior of the angular velocity, the bias of a gyro is much too sure.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.resection.intrinsics import IntrinsicsFit, IntrinsicsPrior, fit_intrinsics
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from factors.arrays import FloatArray
+from factors.kernels.conic import project_rims
 
 # Fewer rims leave no redundancy; fewer frames do not show how far their estimates scatter.
 _MIN_RIMS, _MIN_FRAMES = 6, 4
@@ -37,7 +38,8 @@ def contradicted_intrinsics(
     Returns
     -------
     bool
-        False also when it does not show.
+        False also when it does not show. Frames whose pose does not see all of their rims do not count, as
+        those of a filter that has diverged.
     """
     prior = IntrinsicsPrior.of(camera)
     if not all(prior.sigmas):
@@ -45,7 +47,7 @@ def contradicted_intrinsics(
     fits = [
         fit_intrinsics(ResectionProblem(MatchedRims.of(frame.rims, catalog), camera.bTc), pose, prior)
         for frame, pose in zip(frames, gTb, strict=True)
-        if len(frame.rims) >= _MIN_RIMS
+        if len(frame.rims) >= _MIN_RIMS and _sees(pose, frame, camera, catalog)
     ]
     told = [fit for fit in fits if fit.converged and np.isfinite(_sigmas(fit)).all()]
     if len(told) < _MIN_FRAMES:
@@ -56,6 +58,14 @@ def contradicted_intrinsics(
     scatter = np.sum(weights * (values - mean) ** 2, axis=0) / (len(told) - 1)
     sigma = np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
     return bool((np.abs(mean) > _MAX_SIGMAS * sigma).any())
+
+
+def _sees(gTb: FloatArray, frame: FrameMeasurement, camera: Camera, catalog: Catalog) -> bool:
+    rows = frame.rims.craters
+    _, visible = project_rims(
+        np.ascontiguousarray(gTb), camera.bTc, catalog.centres[rows], catalog.axes[rows]
+    )
+    return bool(visible.all())
 
 
 def _sigmas(fit: IntrinsicsFit) -> FloatArray:

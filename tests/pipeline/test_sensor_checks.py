@@ -130,6 +130,16 @@ def test_rims_name_the_intrinsics(measured: Dataset) -> None:
         assert found == contradicted
 
 
+def test_poses_that_do_not_see_the_rims_tell_nothing_of_the_intrinsics(measured: Dataset) -> None:
+    """Those of a filter that has diverged: the system of normal equations was singular."""
+    assert measured.truth is not None
+    assert measured.measurements is not None
+    antipodes = measured.truth.gTb.copy()
+    antipodes[:, :3, 3] *= -1.0
+    camera, catalog = measured.camera, measured.catalog
+    assert not contradicted_intrinsics(measured.measurements, antipodes, camera, catalog)
+
+
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
     for data in (measured, Dataset.open(sensors)):
         assert reconstruct(data, ESTIMATORS).warnings == ()
