@@ -235,10 +235,20 @@ def scaled(columns: slice) -> Callable[[list[str]], list[str]]:
         (
             "star_tracker",
             lambda row: [row[0], *row[2:], row[1]],
-            "q_IS_w: expected the order w, x, y, z, found x, y, z, w",
+            "q_IS_w: expected the order w, x, y, z, found x, y, z, w (",
+        ),
+        (
+            "star_tracker",
+            lambda row: [*row[:2], *(repr(-float(value)) for value in row[2:])],
+            "q_IS_w: expected the attitude of the sensor in the inertial frame, found the inverse (",
+        ),
+        (
+            "star_tracker",
+            lambda row: [row[0], *(repr(-float(value)) for value in row[2:]), row[1]],
+            "found x, y, z, w, and the inverse of the attitude of the sensor in the inertial frame (",
         ),
     ],
-    ids=["altimeter", "velocimeter", "ranging", "star_tracker"],
+    ids=["altimeter", "velocimeter", "ranging", "scalar last", "inverse", "inverse, scalar last"],
 )
 def test_a_log_in_a_wrong_unit_or_order_is_refused(
     sensors: Path, tmp_path: Path, name: str, change: Callable[[list[str]], list[str]], said: str
