@@ -20,6 +20,8 @@ Faults = dict[int, tuple[str, str]]
 _MAX_COVERAGE = 5.0
 # Cells of equal area in which the coverage is counted: rows in sine of latitude, columns in longitude.
 _CELLS = (36, 72)
+# Median height over the body's radius above which heights are distances from its centre.
+_MAX_MEDIAN_HEIGHT = 0.5
 # Share of rows with latitudes beyond the poles from which the columns are taken to be swapped; in tables of
 # fewer rows, half of them.
 _SWAPPED_SHARE, _SWAPPED_MIN_ROWS = 0.2, 20
@@ -50,7 +52,9 @@ class Overlaps:
     duplicates: IntArray
 
 
-def row_faults(values: Sequence[FloatArray], names: Sequence[str], radius_m: float) -> Faults:
+def row_faults(
+    values: Sequence[FloatArray], names: Sequence[str], radius_m: float, height_name: str = HEIGHT
+) -> Faults:
     """Find rows whose values no rim on a body can have.
 
     Parameters
@@ -61,6 +65,8 @@ def row_faults(values: Sequence[FloatArray], names: Sequence[str], radius_m: flo
         Names of the first five columns, or of latitude, longitude and diameter for a catalogue of circles.
     radius_m : float
         Radius of the body.
+    height_name : str
+        Name of the column of heights.
 
     Returns
     -------
@@ -77,7 +83,7 @@ def row_faults(values: Sequence[FloatArray], names: Sequence[str], radius_m: flo
         (names[2], (major > 0.0) & (major_km < largest_km), f"expected 0 to {largest_km:g} km", major_km),
         (names[3], minor > 0.0, "expected a positive diameter", minor_km),
         (names[3], minor <= major, "expected at most the major diameter", minor_km),
-        (HEIGHT, height > -radius_m, "expected a rim above the body's centre", height),
+        (height_name, height > -radius_m, "expected a rim above the body's centre", height),
     ]
     faults: Faults = {}
     for column, good, expected, found in tests:
@@ -170,6 +176,29 @@ def swapped(
     row = int(np.flatnonzero(beyond)[0])
     found = f"expected -90 to 90 deg, found {latitude_deg[row]:g}, and in {longitude_name} no more than 90"
     return row, f"{found}: latitude and longitude are swapped"
+
+
+def distances_for_heights(height_m: FloatArray, radius_m: float) -> str | None:
+    """Detect distances from the body's centre in place of heights above its sphere.
+
+    Parameters
+    ----------
+    height_m : ndarray, shape (n,)
+    radius_m : float
+        Radius of the body.
+
+    Returns
+    -------
+    str or None
+        The problem; None when they may be heights.
+    """
+    middle_m = float(np.median(height_m))
+    if not middle_m > _MAX_MEDIAN_HEIGHT * radius_m:
+        return None
+    return (
+        f"expected heights above the sphere of {radius_m:g} m, found a median of {middle_m:g} m: are they "
+        "distances from the body's centre?"
+    )
 
 
 def implausible_sizes(

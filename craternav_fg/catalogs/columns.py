@@ -63,6 +63,8 @@ class ImportOptions:
         Unit of the sizes; by default the one in the column's name, else km.
     west_longitudes : bool
         Whether longitudes are positive west.
+    height : str, optional
+        Column of the heights of the rims above the body's sphere, m; by default `RIM_HEIGHT_M`.
     """
 
     latitude: str | None = None
@@ -71,6 +73,7 @@ class ImportOptions:
     identifier: str | None = None
     unit: str | None = None
     west_longitudes: bool = False
+    height: str | None = None
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,8 @@ class Columns:
         unit = "deg of radius" if self.angular else half[self.size_m]
         sizes = " and ".join(names[2:4])
         positive = "west" if self.west else "east"
-        return f"latitude {names[0]}, longitude {names[1]} ({positive}), size {sizes} ({unit})"
+        height = f", height {self.height} (m)" if self.height else ""
+        return f"latitude {names[0]}, longitude {names[1]} ({positive}), size {sizes} ({unit}){height}"
 
 
 def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: int = 1) -> Columns:
@@ -169,13 +173,14 @@ def _sigmas(path: Path, names: Sequence[str], ours: Iterable[str], line: int) ->
 def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -> Columns:
     """Recognise the columns of the rims."""
     given = (options.latitude, options.longitude, options.diameter)
-    for name in (*given, options.identifier):
+    for name in (*given, options.identifier, options.height):
         if name is not None and name not in names:
             raise InputError(path, f"expected this column, found {_listed(names)}", line=line, column=name)
     written = {name.upper(): name for name in names}
     identifier = options.identifier or _one_of(names, _IDENTIFIERS)
     others = (
-        identifier, written.get(HEIGHT), next((name for name in names if is_body_column(name)), None),
+        identifier, options.height or written.get(HEIGHT),
+        next((name for name in names if is_body_column(name)), None),
         written.get(BODY_RADIUS),
     )  # fmt: skip
     unit = None if options.unit is None else _METRES_PER[options.unit]

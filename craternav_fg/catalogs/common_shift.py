@@ -15,13 +15,16 @@ import numpy as np
 from craternav_fg import frames
 from factors.arrays import FloatArray, IntArray
 
-# Standard deviation of the ground's height above the sphere, in radii, where a catalogue states no heights.
-# Chosen: on the Moon and on Mars ground differs from the sphere by kilometres, about a thousandth of it.
-UNKNOWN_HEIGHT_SIGMA_RADII = 1e-3
-# Standard deviation of the ground's slope, per axis, in radii over the radius of the ground in view, and the
-# largest. Planes fitted to discs of 20, 40, 80 and 160 km of the Moon's elevation model GLD100 slope by 4e-4
-# to 4.5e-4 of its radius over theirs.
-_UNKNOWN_TILT_RADII, _MAX_TILT = 4e-4, 0.1
+# Standard deviation of the ground's height above the sphere where a catalogue states no heights. Chosen: on
+# the Moon and on Mars ground differs from the sphere by kilometres, about a thousandth of the radius. Smaller
+# bodies are less round, as their gravity is weaker. The axes of the IAU's ellipsoids (Archinal et al. 2018)
+# differ from spheres by 0.2 % (rms, Dione), 0.9 % (Enceladus), 2.3 % (Mimas), 2.2 % (Ceres), 7 % (Vesta) and
+# 9 % (Phobos); those of Bennu by 3 %. The power gives 0.5, 1.8, 2.6, 0.7, 1.8, 10 and 10 %.
+_HEIGHT_RADII, _HEIGHT_BODY_M, _HEIGHT_POWER, _MAX_HEIGHT_RADII = 1e-3, 1737400.0, 1.5, 0.1
+# Standard deviation of the ground's slope, per axis, over that of the height, times the radius of the ground
+# in view; and the largest. Planes fitted to discs of 20, 40, 80 and 160 km of the Moon's elevation model
+# GLD100 slope by 4e-4 to 4.5e-4 of its radius over theirs.
+_UNKNOWN_TILT_HEIGHTS, _MAX_TILT = 0.4, 0.1
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,23 @@ def shift_covariance(gTb: FloatArray, place_m: float, height_m: float, radius_m:
     return np.asarray((J * np.array([place_m, place_m, height_m]) ** 2) @ np.swapaxes(J, 1, 2))
 
 
+def unknown_height_sigma_m(radius_m: float) -> float:
+    """Return the standard deviation of the ground's height above the sphere, if nothing is known of it.
+
+    Parameters
+    ----------
+    radius_m : float
+        Of the body.
+
+    Returns
+    -------
+    float
+        In m: 0.1 % of the radius of the Moon and of larger bodies, up to 10 % below 80 km.
+    """
+    share = _HEIGHT_RADII * max(1.0, _HEIGHT_BODY_M / radius_m) ** _HEIGHT_POWER
+    return min(share, _MAX_HEIGHT_RADII) * radius_m
+
+
 def tilt_covariance(gTb: FloatArray, centres: FloatArray, radius_m: float) -> FloatArray:
     """Compute the covariance of an image's pose that the slope of ground of unknown heights causes.
 
@@ -197,9 +217,9 @@ def tilt_covariance(gTb: FloatArray, centres: FloatArray, radius_m: float) -> Fl
     middle = centres.mean(axis=0)
     # The radius of a disc is sqrt(2) times the RMS distance from its middle.
     disc_m = np.sqrt(2.0 * np.mean(np.sum((centres - middle) ** 2, axis=1)))
-    sigma_rad = _MAX_TILT
-    if _MAX_TILT * disc_m > _UNKNOWN_TILT_RADII * radius_m:
-        sigma_rad = _UNKNOWN_TILT_RADII * radius_m / disc_m
+    sigma_rad, rise_m = _MAX_TILT, _UNKNOWN_TILT_HEIGHTS * unknown_height_sigma_m(radius_m)
+    if _MAX_TILT * disc_m > rise_m:
+        sigma_rad = rise_m / disc_m
     level = frames.east_north_up(*frames.latitude_longitude(middle[None]))[0, :, :2]
     J = np.empty((6, 2))
     J[:3] = gTb[:3, :3].T @ level
@@ -244,6 +264,6 @@ def unknown_height_warnings(sigma_m: float) -> tuple[str, ...]:
         return ()
     return (
         "the catalogue has no RIM_HEIGHT_M: its rims are taken to lie on the sphere. A height that all have "
-        f"in common cannot be observed; {sigma_m:.0f} m of it are in the covariance of positions. Take the "
+        f"in common cannot be observed; {sigma_m:.4g} m of it are in the covariance of positions. Take the "
         "heights from an elevation model (craternav catalog import --dem)",
     )

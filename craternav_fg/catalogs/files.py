@@ -104,6 +104,9 @@ def read_catalog(path: Path, body: Body) -> Catalog:
     if faults:
         row = min(faults)
         table.fail(row, *faults[row])
+    problem_of_heights = checks.distances_for_heights(height, body.radius_m)
+    if problem_of_heights is not None:
+        raise InputError(path, problem_of_heights, column=HEIGHT)
     errors = _sigmas(table, ERROR_COLUMNS)
     return Catalog(
         errors=None if errors is None else MapErrors(**errors),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII, CommonShift
+from craternav_fg.catalogs.common_shift import CommonShift, unknown_height_sigma_m
 from craternav_fg.catalogs.dem import Dem
 from craternav_fg.catalogs.model import Catalog
 from factors.arrays import BoolArray, FloatArray
@@ -189,7 +189,7 @@ def unknown_beyond(catalog: Catalog, dem: Dem) -> Catalog:
     # The model may cover a plain only.
     unknown_m = max(
         float(np.sqrt(np.mean(catalog.height_m[inside] ** 2))),
-        UNKNOWN_HEIGHT_SIGMA_RADII * catalog.body.radius_m,
+        unknown_height_sigma_m(catalog.body.radius_m),
     )
     shift = catalog.common_shift or CommonShift.unknown(len(catalog))
     return replace(catalog, common_shift=replace(shift, height_m=np.where(inside, shift.height_m, unknown_m)))

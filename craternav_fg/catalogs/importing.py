@@ -9,7 +9,14 @@ import numpy as np
 
 from craternav_fg.body import Body
 from craternav_fg.catalogs import bodies, checks, columns
-from craternav_fg.catalogs.columns import COMMON_COLUMNS, COMMON_SOURCE, ERROR_COLUMNS, Columns, ImportOptions
+from craternav_fg.catalogs.columns import (
+    COMMON_COLUMNS,
+    COMMON_SOURCE,
+    ERROR_COLUMNS,
+    HEIGHT,
+    Columns,
+    ImportOptions,
+)
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.foreign_table import (
     ForeignTable,
@@ -114,7 +121,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     problem = checks.swapped(values[0], values[1], used[1])
     if problem is not None:
         table.fail(problem[0], used[0], problem[1])
-    faults = checks.row_faults(values, used, body.radius_m)
+    faults = checks.row_faults(values, used, body.radius_m, found.height or HEIGHT)
     if found.identifier is None:
         identifiers = [str(line) for line in table.lines(range(len(table)))]
     else:
@@ -130,6 +137,9 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     odd = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
     if odd is not None:
         raise InputError(path, odd, column=used[2])
+    odd = checks.distances_for_heights(height, body.radius_m)
+    if odd is not None:
+        raise InputError(path, odd, column=found.height)
     errors = _sigmas(table, found, ERROR_COLUMNS, keep)
     catalog = Catalog(
         identifiers=tuple(np.array(identifiers, dtype=object)[keep]),

@@ -10,10 +10,10 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.common_shift import (
-    UNKNOWN_HEIGHT_SIGMA_RADII,
     CommonShift,
     shift_covariance,
     tilt_covariance,
+    unknown_height_sigma_m,
 )
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.rim_kernel import rim_geometry, visible_rims
@@ -268,7 +268,7 @@ class Catalog:
     @property
     def unknown_height_sigma_m(self) -> float:
         """Standard deviation of the height that all rims have in common, m; 0 when the heights are known."""
-        return 0.0 if self.has_heights else UNKNOWN_HEIGHT_SIGMA_RADII * self.body.radius_m
+        return 0.0 if self.has_heights else unknown_height_sigma_m(self.body.radius_m)
 
     def visible(
         self,

@@ -79,6 +79,13 @@ class Columns:
     identifier: Annotated[
         str | None, typer.Option(help="Column of unique identifiers.", show_default="found by its name")
     ] = None
+    height: Annotated[
+        str | None,
+        typer.Option(
+            help="Column of the rims' heights above the body's sphere, m.",
+            show_default="RIM_HEIGHT_M, if there is one",
+        ),
+    ] = None
     unit: Annotated[
         Unit | None,
         typer.Option(help="Unit of the diameters.", show_default="that of the column's name, else km"),
@@ -88,8 +95,9 @@ class Columns:
         """As the reader expects them."""
         unit = self.unit and self.unit.value
         return ImportOptions(
-            self.latitude, self.longitude, self.diameter, self.identifier, unit, self.west_longitudes
-        )
+            self.latitude, self.longitude, self.diameter, self.identifier, unit, self.west_longitudes,
+            self.height,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

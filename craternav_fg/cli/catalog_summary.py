@@ -49,6 +49,7 @@ def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, A
         "latitude_deg": np.degrees([catalog.latitude_rad.min(), catalog.latitude_rad.max()]).tolist(),
         "longitude_deg": _longitudes_deg(catalog),
         "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
+        "heights": catalog.has_heights,
         "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
         "errors": _errors(catalog),
         "crossed_rims": len(np.unique(overlaps.crossings)),
@@ -77,7 +78,9 @@ def show(values: dict[str, Any]) -> None:
     say(f"  latitudes   {south:.2f} to {north:.2f} deg")
     around = east - west == 360.0
     say("  longitudes  all around" if around else f"  longitudes  {west:.2f} to {east:.2f} deg, eastwards")
-    heights = f"{bottom:.0f} to {top:.0f} m above the sphere" if bottom or top else "none: all on the sphere"
+    heights = "none: all on the sphere"
+    if values["heights"]:
+        heights = f"{three_digits(bottom)} to {three_digits(top)} m above the sphere"
     say(f"  rim heights {heights}")
     for line in _told(values["errors"]):
         say(line)

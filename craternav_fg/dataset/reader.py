@@ -21,6 +21,7 @@ from craternav_fg.dataset.sun import SunVectors
 from craternav_fg.errors import InputError
 from craternav_fg.files import entries, exists
 from craternav_fg.imu import ImuLog
+from craternav_fg.motion.prior import with_motion_prior
 from craternav_fg.sensors.files import folder_of, read_sensor
 from craternav_fg.sensors.point_features import read_features
 from craternav_fg.sensors.protocol import Sensor, Surroundings
@@ -96,6 +97,8 @@ class Dataset(Recording):
                 f"expected the first frame's stamp {stamps[0]}, found {initial.stamp_ns}",
                 column="initial.stamp_ns",
             )
+        if initial is not None and motion is not None:
+            initial = with_motion_prior(initial, motion, has_gyro=has_imu)
         sun = _read_sun(folder / layout.SUN, stamps)
         imu = None
         if has_imu:

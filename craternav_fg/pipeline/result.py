@@ -165,7 +165,11 @@ class Reconstruction:
         """What to know before trusting the trajectories, one sentence each."""
         descent = self.problems[0]
         of_sensors = warnings.inconsistent_sensors(
-            FILTER, self.innovations, self.consistency, images=self.predicted is not None
+            FILTER,
+            self.innovations,
+            self.consistency,
+            images=self.predicted is not None,
+            motion=descent.motion is not None,
         )
         return (
             *warnings.failed_estimators(self.failures),

@@ -35,12 +35,14 @@ MAX_LEVER_ARM_M = 50.0
 _STAMPS = (
     "stamps (time offset between camera and IMU; -e self_calibrating_smoother estimates one of tens of ms)"
 )
+_PREDICTION_CHECKS = (
+    "the body's spin and gravity, T_BS, pixel coordinates, intrinsics and lens of the camera, " + _STAMPS
+)
+# What to check in place of the IMU where a motion model predicts.
+_MOTION_CHECKS = f"[motion] in dataset.toml (its densities, rate_rad_s and rate_walk), {_PREDICTION_CHECKS}"
 # What to check when the innovations of a sensor are too large.
 _SENSOR_CHECKS = {
-    "imu": (
-        "its units and noise, the body's spin and gravity, T_BS, pixel coordinates, intrinsics and lens of "
-        f"the camera, {_STAMPS}"
-    ),
+    "imu": f"its units and noise, {_PREDICTION_CHECKS}",
     "rims": (
         "heights and sizes in the catalogue, intrinsics, lens and T_BS of the camera, the body's spin, the "
         f"matches, {_STAMPS}"
@@ -195,7 +197,12 @@ def contradicted_without_rims(name: str, innovations: Innovations | None) -> lis
 
 
 def inconsistent_sensors(
-    name: str, innovations: Innovations | None, residuals: Mapping[str, ResidualSummary], *, images: bool
+    name: str,
+    innovations: Innovations | None,
+    residuals: Mapping[str, ResidualSummary],
+    *,
+    images: bool,
+    motion: bool = False,
 ) -> list[str]:
     """Warn of sensors whose innovations or residuals are not what their noise says.
 
@@ -210,6 +217,8 @@ def inconsistent_sensors(
     images : bool
         Whether rims and sun tilts were measured in images. Most of their errors are common to all frames;
         so their innovations are smaller than their noise, and their residuals have a mean.
+    motion : bool
+        Whether a motion model predicts, which may be what is wrong, in place of an IMU.
 
     Returns
     -------
@@ -220,16 +229,16 @@ def inconsistent_sensors(
     seen = sorted(set(innovations.sensor)) if innovations is not None else []
     for sensor in seen:
         assert innovations is not None
-        problem = _of_innovations(innovations.of(sensor), name, images=images)
+        problem = _of_innovations(innovations.of(sensor), name, images=images, motion=motion)
         if problem:
             found[sensor] = problem
     for sensor, summary in residuals.items():
         problem = _of_residuals(summary, images=images and sensor in ("rims", "sun"))
         if problem and sensor not in found:
             found[sensor] = problem
+    checks = {**_SENSOR_CHECKS, "imu": _MOTION_CHECKS} if motion else _SENSOR_CHECKS
     return [
-        f"{sensor}: {problem}; check {_SENSOR_CHECKS.get(sensor, _OTHER_CHECKS)}"
-        for sensor, problem in found.items()
+        f"{sensor}: {problem}; check {checks.get(sensor, _OTHER_CHECKS)}" for sensor, problem in found.items()
     ]
 
 
@@ -253,7 +262,7 @@ def contradicted_intrinsics(contradicted: bool) -> list[str]:
     ]
 
 
-def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
+def _of_innovations(part: Innovations, name: str, *, images: bool, motion: bool) -> str:
     without = float(np.mean(part.dimension == 0))
     if without > MAX_SHARE_WITHOUT:
         return f"{100.0 * without:.3g} % of its samples cannot be from where {name} predicts the lander"
@@ -270,9 +279,12 @@ def _of_innovations(part: Innovations, name: str, *, images: bool) -> str:
             "expected 1)"
         )
     if part.mean < MIN_SQUARE and not images and improbable(part.mean, size):
+        too_wide = (
+            "the stated noise, or a density of [motion] in dataset.toml," if motion else "the stated noise"
+        )
         return (
             f"agrees with what {name} predicts better than the stated noise allows (NIS per dimension "
-            f"{part.mean:.3g}, expected 1): the stated noise is too large or in another unit"
+            f"{part.mean:.3g}, expected 1): {too_wide} is too large or in another unit"
         )
     return ""
 

@@ -152,7 +152,7 @@ def fit_intrinsics(problem: ResectionProblem, gTb: FloatArray, prior: Intrinsics
     ----------
     problem : ResectionProblem
     gTb : ndarray, shape (4, 4)
-        Initial pose.
+        Initial pose; it sees the rims.
     prior : IntrinsicsPrior
 
     Returns
@@ -191,7 +191,11 @@ def _minimised(problem: ResectionProblem, gTb: FloatArray, sigmas: FloatArray) -
     own = 6 - first
     start = at = _linearised(problem, np.array(gTb, dtype=np.float64), np.zeros(3), sigmas)
     for _ in range(_STEPS):
-        step = -np.linalg.solve(at.A, at.gradient)
+        try:
+            step = -np.linalg.solve(at.A, at.gradient)
+        except np.linalg.LinAlgError:
+            # The last step led to where the rims are not seen.
+            return start, False
         if -at.gradient @ step < _MIN_GAIN:
             return (at, True) if at.cost <= start.cost else (start, False)
         if sigmas[0]:

@@ -127,14 +127,25 @@ class StarTracker(Sensor):
         return ",".join(QUATERNION), f"expected a unit quaternion, its length is {length:.9g}"
 
     def misreadings(self) -> dict[str, FloatArray]:
-        """Quaternions with the scalar last; see `Sensor.misreadings`.
+        """Quaternions with the scalar last, and those of the inertial frame in the sensor.
+
+        See `Sensor.misreadings`.
 
         Returns
         -------
         dict of str to ndarray, each of shape (n, 4)
         """
-        text = f"{QUATERNION[0]}: expected the order w, x, y, z, found x, y, z, w"
-        return {text: np.roll(self.values, 1, axis=1)}
+        first, last = self.values, np.roll(self.values, 1, axis=1)
+        inverse = np.array([1.0, -1.0, -1.0, -1.0])
+        order, attitude = (
+            "expected the order w, x, y, z, found x, y, z, w",
+            "of the sensor in the inertial frame",
+        )
+        return {
+            f"{QUATERNION[0]}: {order}": last,
+            f"{QUATERNION[0]}: expected the attitude {attitude}, found the inverse": first * inverse,
+            f"{QUATERNION[0]}: {order}, and the inverse of the attitude {attitude}": last * inverse,
+        }
 
     @property
     def _sigmas(self) -> FloatArray:

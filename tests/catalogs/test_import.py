@@ -62,6 +62,20 @@ def test_rows_without_a_height_are_not_put_on_the_sphere(tmp_path):
     assert (catalog.height_m.tolist(), catalog.has_heights, report.skipped) == ([0.0, 0.0], False, ())
 
 
+def test_heights_in_a_column_of_another_name_are_read(tmp_path):
+    body = Body("Bennu", 245.03, 4.892, (0.0, 0.0, 4.06e-4))
+    path = written(tmp_path, "lat,lon,diameter_m,elevation\n10,20,30,-12.5\n-40,50,20,8\n")
+    assert not import_catalog(path, body)[0].has_heights
+    catalog, report = import_catalog(path, body, ImportOptions(height="elevation"))
+    assert (catalog.height_m.tolist(), catalog.has_heights) == ([-12.5, 8.0], True)
+    assert report.columns.endswith("height elevation (m)")
+    refused(path, "altitude: expected this column, found lat, lon", body, height="altitude")
+    path = written(tmp_path, "lat,lon,diameter_m,r\n10,20,30,240.5\n-40,50,20,253.03\n")
+    refused(
+        path, "r: expected heights above the sphere .* distances from the body's centre", body, height="r"
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "radius_m"),
     [

@@ -7,7 +7,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from craternav_fg.catalogs.common_shift import UNKNOWN_HEIGHT_SIGMA_RADII
+from craternav_fg.catalogs.common_shift import unknown_height_sigma_m
 from craternav_fg.catalogs.files import import_catalog
 from tests.catalogs.test_dem import write
 from tests.cli.calls import call
@@ -200,7 +200,7 @@ def test_craters_beyond_an_elevation_model_get_no_heights_from_it(north):
     assert found.height_m[b] == 0.0
     # The model shows that heights are as large as 2 km.
     assert found.common_shift.height_m[b] == pytest.approx(found.height_m[a], rel=1e-6)
-    assert found.common_shift.height_m[b] > UNKNOWN_HEIGHT_SIGMA_RADII * found.body.radius_m
+    assert found.common_shift.height_m[b] > unknown_height_sigma_m(found.body.radius_m)
     assert not found.common_shift.height_m[a] > 0.0
 
 

@@ -76,3 +76,22 @@ def test_an_unknown_motion_model_is_refused(tmp_path):
         stream.write('\n[motion]\nmodel = "ballistic"\n')
     with pytest.raises(InputError, match=r"dataset.toml:\d+: motion"):
         Dataset.open(folder)
+
+
+@pytest.mark.parametrize("stated", [None, (1e-3, 2e-3, 3e-3)])
+def test_without_a_gyro_its_bias_is_not_the_prior_of_the_rate(tmp_path, stated):
+    given = _given()
+    initial = dataclasses.replace(given.initial, angular_velocity_rad_s=stated, gyro_bias_sigma_rad_s=5e-6)
+    motion = white_jerk(1e-3, acceleration_sigma_m_s2=0.3, rate_sigma_rad_s=0.02)
+    given = dataclasses.replace(given, imu=None, imu_noise=None, motion=motion, initial=initial)
+    found = Dataset.open(write_dataset(tmp_path / "data", given)).initial
+    sigma = 0.02 if stated is None else initial.angular_velocity_sigma_rad_s
+    assert found.gyro_bias_sigma_rad_s == found.angular_velocity_sigma_rad_s == sigma
+    assert found.accelerometer_bias_sigma_m_s2 == 0.3
+
+
+def test_a_gyro_keeps_its_bias_under_a_motion_model(tmp_path):
+    given = dataclasses.replace(_given(), motion=coast(4e-5))
+    found = Dataset.open(write_dataset(tmp_path / "data", given)).initial
+    assert found.gyro_bias_sigma_rad_s == given.initial.gyro_bias_sigma_rad_s
+    assert found.accelerometer_bias_sigma_m_s2 == given.motion.acceleration_sigma_m_s2

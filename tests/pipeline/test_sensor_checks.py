@@ -197,6 +197,16 @@ def test_rims_out_of_sight_tell_nothing_of_the_intrinsics(measured: Dataset) -> 
         assert not contradicted_intrinsics(measured.measurements, diverged, measured.camera, catalog)
 
 
+def test_poses_that_do_not_see_the_rims_tell_nothing_of_the_intrinsics(measured: Dataset) -> None:
+    """Those of a filter that has diverged: the system of normal equations was singular."""
+    assert measured.truth is not None
+    assert measured.measurements is not None
+    antipodes = measured.truth.gTb.copy()
+    antipodes[:, :3, 3] *= -1.0
+    camera, catalog = measured.camera, measured.catalog
+    assert not contradicted_intrinsics(measured.measurements, antipodes, camera, catalog)
+
+
 def test_nothing_is_told_of_sound_data(measured: Dataset, sensors: Path) -> None:
     for data in (measured, Dataset.open(sensors)):
         assert reconstruct(data, ESTIMATORS).warnings == ()
@@ -292,10 +302,20 @@ def scaled(columns: slice) -> Callable[[list[str]], list[str]]:
         (
             "star_tracker",
             lambda row: [row[0], *row[2:], row[1]],
-            "q_IS_w: expected the order w, x, y, z, found x, y, z, w",
+            "q_IS_w: expected the order w, x, y, z, found x, y, z, w (",
+        ),
+        (
+            "star_tracker",
+            lambda row: [*row[:2], *(repr(-float(value)) for value in row[2:])],
+            "q_IS_w: expected the attitude of the sensor in the inertial frame, found the inverse (",
+        ),
+        (
+            "star_tracker",
+            lambda row: [row[0], *(repr(-float(value)) for value in row[2:]), row[1]],
+            "found x, y, z, w, and the inverse of the attitude of the sensor in the inertial frame (",
         ),
     ],
-    ids=["altimeter", "velocimeter", "ranging", "star_tracker"],
+    ids=["altimeter", "velocimeter", "ranging", "scalar last", "inverse", "inverse, scalar last"],
 )
 def test_a_log_in_a_wrong_unit_or_order_is_refused(
     sensors: Path, tmp_path: Path, name: str, change: Callable[[list[str]], list[str]], said: str

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from craternav_fg.catalogs.common_shift import unknown_height_sigma_m, unknown_height_warnings
 from craternav_fg.catalogs.files import read_catalog, write_catalog
 from craternav_fg.dataset import Dataset
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -39,3 +40,18 @@ def test_an_unknown_height_is_in_the_covariance_of_the_height_alone(tmp_path: Pa
     np.testing.assert_allclose(np.einsum("kij,kj->ki", more[:, 3:, 3:], along), 0.0, atol=1e-3)
     alone = [one.trajectories["dead_reckoning"].pose_covariance for one in (known, unknown)]
     np.testing.assert_array_equal(*alone)
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "height_m", "least", "most"),
+    # RMS heights of the IAU's ellipsoids above their spheres, and of the Moon's ground.
+    [(1737400.0, 1900.0, 0.5, 2.0), (561400.0, 980.0, 0.5, 4.0), (198200.0, 4500.0, 0.5, 4.0),
+     (11080.0, 1000.0, 0.5, 4.0), (245.03, 6.6, 0.5, 4.0)],
+)  # fmt: skip
+def test_small_bodies_are_less_round(radius_m: float, height_m: float, least: float, most: float) -> None:
+    assert least < unknown_height_sigma_m(radius_m) / height_m < most
+
+
+def test_the_height_that_is_unknown_on_an_asteroid_is_told_in_full() -> None:
+    (told,) = unknown_height_warnings(unknown_height_sigma_m(2.5))
+    assert "0.25 m of it" in told

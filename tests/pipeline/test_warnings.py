@@ -56,6 +56,17 @@ def test_camera_and_stamps_are_among_the_things_to_check() -> None:
         assert "time offset between camera and IMU" in text
 
 
+def test_a_motion_model_is_among_the_things_to_check() -> None:
+    """Its densities are guesses: they may be wrong where no IMU is, and too wide beside a sound sensor."""
+    texts = warnings.inconsistent_sensors(
+        "ekf", innovations(imu=3.0, star_tracker=0.4), {}, images=False, motion=True
+    )
+    assert len(texts) == 2
+    for text in texts:
+        assert "[motion] in dataset.toml" in text
+    assert "units and noise" not in texts[0]
+
+
 def test_replaced_initial_states_and_new_segments_are_told() -> None:
     replaced, lost = warnings.replaced_states("replaced", (12, 40))
     assert "initial state" in replaced
