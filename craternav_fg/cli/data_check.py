@@ -12,7 +12,7 @@ from craternav_fg.cli.app import app, example
 from craternav_fg.cli.options import JsonOption
 from craternav_fg.cli.terminal import out, say, three_digits, warn
 from craternav_fg.dataset import Dataset
-from craternav_fg.pipeline.input_warnings import colour_images, unknown_sensors
+from craternav_fg.pipeline.input_warnings import colour_images, departing_sun, unknown_sensors
 
 
 @app.command(epilog=example("check runs/data"))
@@ -58,6 +58,7 @@ def _summary(data: Dataset) -> dict[str, Any]:
         "warnings": [
             *unknown_sensors(data.ignored),
             *colour_images(data.in_colour),
+            *departing_sun(data.sun_departure_rad),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),
         ],
     }
