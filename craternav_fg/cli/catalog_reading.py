@@ -87,7 +87,8 @@ def warn_of(path: Path, report: ImportReport) -> None:
     if report.skipped:
         warn(f"{path}: {'; '.join(skipped_lines(report))}")
     if not report.body_by:
-        warn(assumed_body(path, "--body-radius-m"))
+        # Some commands have no option for the body: all read what is imported with one.
+        warn(assumed_body(path, "craternav catalog import --body"))
 
 
 def warn_of_lost_heights(paths: Sequence[Path], parts: Sequence[Catalog], joined: Catalog) -> None:
@@ -107,9 +108,9 @@ def warn_of_exact_rims(paths: Sequence[Path], parts: Sequence[Catalog]) -> None:
         )
 
 
-def assumed_body(path: Path, option: str) -> str:
-    """Say that a catalogue is assumed to be the Moon's, and which option says otherwise."""
-    return f"{path}: does not name its body, the Moon is assumed ({option} gives another)"
+def assumed_body(path: Path, what: str) -> str:
+    """Say that a catalogue is assumed to be the Moon's, and what says otherwise."""
+    return f"{path}: does not name its body, the Moon is assumed ({what} gives another)"
 
 
 def skipped_lines(report: ImportReport) -> list[str]:

@@ -60,6 +60,7 @@ def _summary(data: Dataset) -> dict[str, Any]:
             *input_warnings.unknown_sensors(data.ignored),
             *input_warnings.colour_images(data.in_colour),
             *input_warnings.repeated_images(_repeated(data)),
+            *input_warnings.departing_sun(data.sun_departure_rad),
             *unknown_height_warnings(catalog.unknown_height_sigma_m),
         ],
     }

@@ -135,6 +135,13 @@ class Dataset(Recording):
             apriori=_read_apriori(folder, stamps, body),
         )
 
+    @property
+    def sun_departure_rad(self) -> float:
+        """See `SunVectors.departure_rad`; 0 where no shade is looked at, in measured rims without tilts."""
+        if self.measurements is not None and not any(frame.sun for frame in self.measurements):
+            return 0.0
+        return self.sun.departure_rad(int(self.stamps_ns[0]), int(self.stamps_ns[-1]), self.body.spin_rad_s)
+
     def truth_at(self, stamps_ns: IntArray) -> Trajectory | None:
         """Read the truth at given stamps, interpolated where the file has others; None without truth.
 

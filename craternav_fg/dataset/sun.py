@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craternav_fg import frames
 from factors.arrays import FloatArray, IntArray
 
 
@@ -41,3 +42,22 @@ class SunVectors:
         share = (stamp_ns - self.stamps_ns[k]) / (self.stamps_ns[k + 1] - self.stamps_ns[k])
         between = (1.0 - share) * self.vectors[k] + share * self.vectors[k + 1]
         return np.asarray(between / np.linalg.norm(between))
+
+    def departure_rad(self, begin_ns: int, end_ns: int, spin_rad_s: tuple[float, float, float]) -> float:
+        """Angle by which the sun leaves its place among the stars, as seen from a body that spins.
+
+        Parameters
+        ----------
+        begin_ns, end_ns : int
+            Stamps.
+        spin_rad_s : tuple of float
+            Inertial angular velocity of g, in g.
+
+        Returns
+        -------
+        float
+            0 to pi; for a true sun, at most a degree a day.
+        """
+        turn = frames.rotation_exp(-1e-9 * (end_ns - begin_ns) * np.array(spin_rad_s))
+        expected, found = turn @ self.at(begin_ns), self.at(end_ns)
+        return float(np.arctan2(np.linalg.norm(np.cross(expected, found)), expected @ found))

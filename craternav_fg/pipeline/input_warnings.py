@@ -1,7 +1,10 @@
 """Warnings of what a data set holds: logs that are not used, and images that are not what they should be."""
 
+import math
 from collections.abc import Mapping, Sequence
 
+# Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
+_MAX_DEPARTURE_RAD = math.radians(2.0)
 # Images that a warning names.
 _MAX_LISTED = 5
 
@@ -40,6 +43,26 @@ def colour_images(count: int) -> list[str]:
     if not count:
         return []
     return [f"{count} images are in colour: their luma is used"]
+
+
+def departing_sun(departure_rad: float) -> list[str]:
+    """Warn of a sun that does not keep its place among the stars, as one direction on a spinning body.
+
+    Parameters
+    ----------
+    departure_rad : float
+        See `SunVectors.departure_rad`, from the first frame to the last.
+
+    Returns
+    -------
+    list of str
+    """
+    if departure_rad < _MAX_DEPARTURE_RAD:
+        return []
+    return [
+        f"sun.csv: at the last frame the sun is {math.degrees(departure_rad):.3g} deg from where the body's "
+        "spin takes it from the first one: give a row for each frame, in g, and check spin_rad_s"
+    ]
 
 
 def repeated_images(repeated: Mapping[str, str]) -> list[str]:

@@ -68,6 +68,8 @@ class Reconstruction:
         Folders below `mav0` of the data set that no sensor known here reads.
     in_colour : int
         Images of the data set that are in colour.
+    sun_departure_rad : float
+        See `Dataset.sun_departure_rad`.
     repeated : mapping of str to str
         Images whose files are copies of an earlier one, and the earlier one.
     disbelieved : mapping of int to str
@@ -93,6 +95,7 @@ class Reconstruction:
     predicted: FloatArray | None
     ignored: tuple[str, ...] = ()
     in_colour: int = 0
+    sun_departure_rad: float = 0.0
     repeated: Mapping[str, str] = field(default_factory=dict)
     disbelieved: Mapping[int, str] = field(default_factory=dict)
     mistake: str = ""
@@ -186,6 +189,7 @@ class Reconstruction:
             ),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.colour_images(self.in_colour),
+            *input_warnings.departing_sun(self.sun_departure_rad),
             *input_warnings.repeated_images(self.repeated),
             *input_warnings.disbelieved_frames(self.disbelieved),
             # A catalogue without heights says itself that its rims lie on the sphere.

@@ -199,8 +199,8 @@ def test_what_was_skipped_and_assumed_of_a_catalogue_is_said(files: Files, run: 
     warnings = run("--catalog", str(path)).err
     assert f"warning: {path}: 1 row skipped: lat: expected -90 to 90 deg, line" in warnings
     assert (
-        f"warning: {path}: does not name its body, the Moon is assumed (--body-radius-m gives another)"
-        in warnings
+        f"warning: {path}: does not name its body, the Moon is assumed (craternav catalog import --body "
+        "gives another)" in warnings
     )
     assert "the Moon is assumed" not in run("--catalog", str(path), "--body-radius-m", "1737400").err
     done = run("--catalog", str(path), "--body-radius-m", "1737.4")
