@@ -79,7 +79,7 @@ def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, m
     examined = []
 
     def noted(*args):
-        examined.append(args[9])
+        examined.append(args[11])
         search_triples(*args)
 
     monkeypatch.setattr("craternav_fg.matching.identify.search.search_triples", noted)
@@ -156,6 +156,7 @@ def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatc
 def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeypatch) -> None:
     """Among many false rims, the neighbours of a crater's rim are no craters."""
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._widely", lambda *_: [])
     options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.9, missing=0.8, sigma_px=1.5)
     few = IdentifyOptions(deep=True, noise_levels_px=(1.0,), candidates=(16,), triples=1)
     rng = np.random.default_rng(1)
@@ -174,6 +175,30 @@ def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeyp
     with_them, without_them = np.sum(answered, axis=0)
     assert with_them == 4
     assert without_them <= 1
+
+
+def test_right_craters_far_from_the_nearest_are_found_by_wide_search(synthetic, monkeypatch) -> None:
+    """Rims that are larger than the map's, and off by a tenth of their size, among as many false ones."""
+    monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
+    options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.7, missing=0.7, sigma_px=1.0)
+    coarse = IdentifyOptions(
+        deep=True, noise_levels_px=(1.0, 3.0), candidates=(16, 48), triples=1, size_sigma=0.1,
+        centre_share=0.12,
+    )  # fmt: skip
+    for seed in (10, 7):
+        rng = np.random.default_rng(seed)
+        view = random_view(synthetic.catalog, options, rng, true_rims=(12, 16))
+        n = len(view.craters)
+        quality = np.where(view.craters >= 0, 0.8, rng.uniform(0.1, 0.8, n))
+        rims = view.ellipses_px.copy()
+        rims[:, 2:4] *= np.exp(rng.normal(0.15, 0.1, n))[:, None]
+        rims[:, :2] += rng.normal(0.0, 0.1, (n, 2)) * np.sqrt(rims[:, 2] * rims[:, 3])[:, None]
+        found = identify(rims, view.camera, synthetic, options=coarse, quality=quality)
+        assert found.identified
+        assert view.agrees(found.rows)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._widely", lambda *_: [])
+    assert not identify(rims, view.camera, synthetic, options=coarse, quality=quality).identified
 
 
 def test_the_optical_axis_meets_the_ground_in_nine_of_ten_images(synthetic) -> None:
@@ -230,6 +255,7 @@ def test_altitudes_follow_the_sizes_of_the_craters() -> None:
 def test_pairs_of_large_rims_are_tried_where_the_map_has_many_more_craters(synthetic, monkeypatch) -> None:
     """Few neighbours of a crater are shown: the index has no triples of those that are."""
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
+    monkeypatch.setattr("craternav_fg.matching.identify.search._widely", lambda *_: [])
     options = ViewOptions(altitudes_m=(200e3, 500e3), missing=0.85, sigma_px=3.0)
     few = IdentifyOptions(deep=True, triples=1)
     for seed in (2, 5, 9):

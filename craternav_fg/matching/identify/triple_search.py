@@ -385,8 +385,8 @@ def _crowding(craters: Craters, neighbours: Int32Array, crater: int) -> float:
 @njit(cache=True, error_model="numpy")
 def search_triples(
     view: View, index: SphereIndex, craters: Craters, neighbours: Int32Array, tree: Tree,
-    projection: Projection, triples: Int32Array, order: Int32Array, sigma: float, candidates: int,
-    limits: PoseLimits, best: FloatArray,
+    projection: Projection, triples: Int32Array, order: Int32Array, sigma: float, asked_sigma: float,
+    lever: float, candidates: int, limits: PoseLimits, best: FloatArray,
 ) -> None:  # fmt: skip
     """Look up triples of rims in the index and keep the best hypotheses.
 
@@ -405,7 +405,10 @@ def search_triples(
     order : ndarray of int32, shape (n, l)
         From `image_order`.
     sigma : float
-        Noise of the centres, px.
+        Noise of the triples' centres, px.
+    asked_sigma, lever : float
+        Noise of the other rims' centres, px, and share of their distance, by which a pose is scored: see
+        `hypothesis.support`.
     candidates : int
         Largest number of triples of craters that are examined per triple of rims.
     limits : PoseLimits
@@ -455,7 +458,7 @@ def search_triples(
                 continue
             crowding = _crowding(craters, neighbours, triple[0])
             score = support(
-                view, index, craters, order[rims[0]], pose, extent_px, LEVER, sigma, _PATIENCE, crowding
+                view, index, craters, order[rims[0]], pose, extent_px, lever, asked_sigma, _PATIENCE, crowding
             )
             pose[SCORE] = score - 0.5 * found_d2[h] + rarity
             if pose[SCORE] > 0.0:
