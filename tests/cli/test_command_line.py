@@ -316,19 +316,29 @@ def test_simulate_and_one_estimator_from_measured_rims(case3: Path, tmp_path: Pa
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_imu_in_units_of_g_is_warned_of(case3: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("factor", "code", "told"),
+    [
+        (1.0 / 9.81, 2, r"mav0/imu0/data.csv: a_RS_S_x: expected m/s\^2, found g"),
+        # No unit: nothing but the poses tells.
+        (0.4, 0, r"at the poses of ekf \(\d+ %\), which cannot be trusted; check the units"),
+    ],
+)
+def test_an_imu_of_another_scale_is_told(
+    case3: Path, tmp_path: Path, factor: float, code: int, told: str
+) -> None:
     data = tmp_path / "data"
     shutil.copytree(case3, data)
     imu = data / "mav0/imu0/data.csv"
     header, *rows = imu.read_text().splitlines()
     cells = [row.split(",") for row in rows]
-    lines = [",".join([*row[:4], *(repr(float(a) / 9.81) for a in row[4:])]) for row in cells]
+    lines = [",".join([*row[:4], *(repr(factor * float(a)) for a in row[4:])]) for row in cells]
     imu.write_text("\n".join([header, *lines]) + "\n")
     # Without the truth nothing else tells.
     shutil.rmtree(data / "mav0/state_groundtruth_estimate0")
     done = call("reconstruct", data, "-o", tmp_path / "run", "-e", "ekf", "-e", "dead_reckoning")
-    assert done.code == 0, done.err
-    assert re.search(r"at the poses of ekf \(\d+ %\), which cannot be trusted; check the units", done.err)
+    assert done.code == code, done.err
+    assert re.search(told, done.err)
 
 
 def test_help_tells_defaults_that_are_not_values() -> None:
