@@ -78,7 +78,10 @@ def bag(
     ] = None,
     sun: Annotated[
         str | None,
-        typer.Option(help="Direction towards the sun in g: x,y,z.", show_default="a topic of Vector3Stamped"),
+        typer.Option(
+            help="Direction towards the sun at the first image, in g: x,y,z.",
+            show_default="a topic of Vector3Stamped",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

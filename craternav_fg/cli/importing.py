@@ -140,7 +140,10 @@ def images(
     output: OutputOption,
     camera: CameraOption,
     catalog: CatalogOption,
-    sun: Annotated[str, typer.Option(help="Direction towards the sun in the body-fixed frame: x,y,z.")],
+    sun: Annotated[
+        str,
+        typer.Option(help="Direction towards the sun at the first image, in g: x,y,z."),
+    ],
     times: TimesOption = None,
     mu_m3_s2: MuOption = None,
     spin_rad_s: SpinOption = None,

@@ -23,6 +23,32 @@ class SunVectors:
     stamps_ns: IntArray
     vectors: FloatArray
 
+    @classmethod
+    def among_stars(
+        cls, vector: FloatArray, begin_ns: int, stamps_ns: IntArray, spin_rad_s: tuple[float, float, float]
+    ) -> "SunVectors":
+        """Turn one direction with the spin of the body, which the sun does not follow.
+
+        Parameters
+        ----------
+        vector : ndarray, shape (3,)
+            Direction towards the sun at a stamp, in g, of any length.
+        begin_ns : int
+            That stamp.
+        stamps_ns : ndarray of int, shape (n,)
+            Stamps for which the direction is wanted.
+        spin_rad_s : tuple of float
+            Inertial angular velocity of g, in g.
+
+        Returns
+        -------
+        SunVectors
+            At these stamps.
+        """
+        seconds = 1e-9 * (stamps_ns - begin_ns)
+        turn = frames.rotation_exp(-seconds[:, None] * np.array(spin_rad_s))
+        return cls(stamps_ns, turn @ (vector / np.linalg.norm(vector)))
+
     def at(self, stamp_ns: int) -> FloatArray:
         """Interpolate the direction.
 
@@ -58,6 +84,7 @@ class SunVectors:
         float
             0 to pi; for a true sun, at most a degree a day.
         """
-        turn = frames.rotation_exp(-1e-9 * (end_ns - begin_ns) * np.array(spin_rad_s))
-        expected, found = turn @ self.at(begin_ns), self.at(end_ns)
+        begin = self.at(begin_ns)
+        expected = SunVectors.among_stars(begin, begin_ns, np.array([end_ns]), spin_rad_s).vectors[0]
+        found = self.at(end_ns)
         return float(np.arctan2(np.linalg.norm(np.cross(expected, found)), expected @ found))

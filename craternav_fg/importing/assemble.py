@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
@@ -18,7 +17,7 @@ from craternav_fg.errors import InputError
 from craternav_fg.motion.coast import coast
 from craternav_fg.motion.model import Motion
 from craternav_fg.trajectory import Trajectory
-from factors.arrays import FloatArray
+from factors.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Imported:
     position_sigma_m, attitude_sigma_rad : float
         Stated standard deviations per axis of the frames' states.
     sun : ndarray, shape (3,), or None
-        Direction towards the sun in g, where the frames' states do not give it.
+        Direction towards the sun in g at the first frame, where the frames' states do not give it.
     """
 
     frames: Sequence[ImportedFrame]
@@ -155,7 +154,7 @@ def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) 
         imu=None,
         imu_noise=None,
         initial=None,
-        sun=_sun(frames, stamps, given.sun),
+        sun=_sun(frames, stamps, given),
         stamps_ns=stamps,
         motion=given.motion,
         apriori=None
@@ -197,19 +196,19 @@ def states_at(frames: Sequence[ImportedFrame], body: Body) -> Trajectory | None:
     return Trajectory(stamps, gTb, gV, bias)
 
 
-def _sun(
-    frames: Sequence[ImportedFrame], stamps: npt.NDArray[np.int64], given: FloatArray | None
-) -> SunVectors:
-    """Directions towards the sun: those of the states, else the given one."""
+def _sun(frames: Sequence[ImportedFrame], stamps: IntArray, given: Imported) -> SunVectors:
+    """Directions towards the sun: from the nearest states, else the given one, as the body turns."""
+    spin = given.body.spin_rad_s
     known = [k for k, frame in enumerate(frames) if frame.state is not None]
     if not known:
-        if given is None:
+        if given.sun is None:
             raise InputError(frames[0].path, "expected the direction towards the sun, found none")
-        return SunVectors(stamps[:1], given[None] / np.linalg.norm(given))
+        return SunVectors.among_stars(given.sun, int(stamps[0]), stamps, spin)
     vectors = []
-    for stamp in stamps:
+    for k, stamp in enumerate(stamps):
         nearest = min(known, key=lambda j: abs(int(stamps[j] - stamp)))
         state = frames[nearest].state
         assert state is not None
-        vectors.append(state.sun)
+        then = int(stamps[nearest])
+        vectors.append(SunVectors.among_stars(state.sun, then, stamps[k : k + 1], spin).vectors[0])
     return SunVectors(stamps, np.array(vectors))

@@ -59,7 +59,7 @@ class BagOptions:
     time_shift_s : float
         Added to the images' stamps.
     sun : ndarray, shape (3,), or None
-        Unit vector towards the sun, in g. Without it, a topic of `Vector3Stamped` gives it.
+        Direction towards the sun at the first image, in g; without it, a topic of `Vector3Stamped` gives it.
     image, imu, truth, sun_topic : str or None
         Topics, needed where several carry messages of a type. `truth` is "none" to take no poses.
     """
@@ -159,7 +159,7 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
             imu=imu,
             imu_noise=options.imu_noise,
             initial=options.initial,
-            sun=_sun(bag, topics["sun"], options.sun, stamps),
+            sun=_sun(bag, topics["sun"], options, stamps),
             stamps_ns=stamps,
             truth=truth,
         )
@@ -270,9 +270,9 @@ def _camera(bag: Bag, images: str | None, frame: str, imu_frame: str, depth: int
     return camera_of(bag.path, message, bTc, depth), topic
 
 
-def _sun(bag: Bag, topic: str | None, given: FloatArray | None, stamps: IntArray) -> SunVectors:
-    if given is not None:
-        return SunVectors(stamps[:1], given[None] / np.linalg.norm(given))
+def _sun(bag: Bag, topic: str | None, options: BagOptions, stamps: IntArray) -> SunVectors:
+    if options.sun is not None:
+        return SunVectors.among_stars(options.sun, int(stamps[0]), stamps, options.body.spin_rad_s)
     found, rows = [], []
     for message in bag.messages(topic):
         found.append(stamp_ns(message))
