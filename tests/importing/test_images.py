@@ -46,7 +46,7 @@ def test_images_become_a_data_set_in_the_order_of_time(tmp_path):
     data = Dataset.open(tmp_path / "data")
     assert [path.name for path in data.image_paths] == ["0.png", "1.png"]
     assert np.diff(data.stamps_ns).tolist() == [1_000_000_000]
-    np.testing.assert_allclose(data.sun.at(0), [0.0, 0.6, 0.8])
+    np.testing.assert_allclose(data.sun.at(int(data.stamps_ns[0])), [0.0, 0.6, 0.8])
     np.testing.assert_array_equal(data.image(1), cv2.imread(str(paths[1]), cv2.IMREAD_GRAYSCALE))
     assert data.motion.name == "coast"
     assert data.apriori is None
