@@ -376,8 +376,9 @@ def test_the_commands(tmp_path: Path) -> None:
     assert (found["truth"], found["topics"]["truth"]) == (False, None)
     # A direction of any length.
     assert call(*arguments, "--force", "--sun", "0,0,2").code == 0
-    along_the_axis = Dataset.open(tmp_path / "again").sun.vectors
-    np.testing.assert_allclose(along_the_axis, [[0.0, 0.0, 1.0]] * 3, atol=1e-12)
+    sun = Dataset.open(tmp_path / "again").sun.vectors
+    # It turns with the spin, here hardly.
+    np.testing.assert_allclose(sun, [[0.0, 0.0, 1.0]] * 3, atol=1e-6)
     done = call(*arguments, "--force", "--sun", "0,0,0")
     assert (done.code, done.err.count("\n")) == (2, 1)
 
