@@ -16,8 +16,9 @@ BODY_RADIUS = "BODY_RADIUS_M"
 # Columns that name the body, in lower-case letters: ours, the USGS Gazetteer's, that of EPN-TAP.
 BODY_NAMES = ("body", "target", "targetname")
 # Mean radii of the IAU (Archinal et al. 2018, Celest. Mech. 130, 22): planets and dwarf planets, moons,
-# asteroids. Vesta's is that of Dawn's maps. A catalogue on another sphere, as most of Mars are (3396190 m),
-# states its radius or is read with --body-radius-m.
+# asteroids. Vesta's is that of Dawn's maps; Bennu's and Ryugu's are those of Lauretta et al. (2019, Nature
+# 568, 55) and Watanabe et al. (2019, Science 364, 268). A catalogue on another sphere, as most of Mars are
+# (3396190 m), states its radius or is read with --body-radius-m.
 SPHERES_M = {
     "Moon": 1737400.0,
     "Mercury": 2439400.0,
@@ -51,6 +52,8 @@ SPHERES_M = {
     "Ida": 15650.0,
     "Mathilde": 26500.0,
     "Eros": 8450.0,
+    "Bennu": 245.03,
+    "Ryugu": 448.0,
 }
 _ALSO_CALLED = {"lunar": "Moon", "luna": "Moon"}
 _BY_NAME = {**{name.lower(): name for name in SPHERES_M}, **_ALSO_CALLED}

@@ -7,7 +7,8 @@ from craternav_fg.body import Body
 from craternav_fg.errors import InputError
 
 # Gravitational parameters, km^3/s^2: DE440 (Park et al. 2021) and the satellite ephemerides of JPL. Bodies
-# whose values differ by percents between these are left out.
+# whose values differ by percents between these are left out. Bennu: Scheeres et al. (2019), Nature Astronomy
+# 3, 352; Ryugu: Watanabe et al. (2019), Science 364, 268.
 _GM_KM3_S2 = {
     "Moon": 4902.800118,
     "Mercury": 22031.868551,
@@ -17,6 +18,8 @@ _GM_KM3_S2 = {
     "Ceres": 62.62889,
     "Vesta": 17.28823,
     "Eros": 4.463e-4,
+    "Bennu": 4.892e-9,
+    "Ryugu": 3.0e-8,
     "Phobos": 7.0875e-4,
     "Deimos": 9.616e-5,
     "Io": 5959.9155,
@@ -35,7 +38,7 @@ _GM_KM3_S2 = {
     "Charon": 105.88,
 }
 # Rotation about the pole of the IAU, deg/day (Archinal et al. 2018, Celest. Mech. 130, 22); retrograde ones
-# are negative.
+# are negative. Bennu: 4.296057 h (Lauretta et al. 2019); Ryugu: 7.63262 h (Watanabe et al. 2019).
 _ROTATION_DEG_DAY = {
     "Moon": 13.17635815,
     "Mercury": 6.1385108,
@@ -45,6 +48,8 @@ _ROTATION_DEG_DAY = {
     "Ceres": 952.1532,
     "Vesta": 1617.3329428,
     "Eros": 1639.38864745,
+    "Bennu": 2011.1464,
+    "Ryugu": 1131.98,
     "Phobos": 1128.844585,
     "Deimos": 285.161897,
     "Io": 203.4889538,
