@@ -45,6 +45,10 @@ def exists(dotted: str) -> bool:
     return True
 
 
+def test_no_merge_is_left_half_done(text: str) -> None:
+    assert not re.findall(r"^(?:<{7}|={7}|>{7})(?: .*)?$", text, re.MULTILINE)
+
+
 def test_dotted_names(text: str) -> None:
     names = set(re.findall(r"`((?:\w+\.)+\w+)(?:\([^`]*\))?`", text))
     ours = {name for name in names if name.split(".")[0] in {"craternav_fg", "factors", *PACKAGES, *MODULES}}
