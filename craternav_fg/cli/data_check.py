@@ -58,6 +58,7 @@ def _summary(data: Dataset) -> dict[str, Any]:
         "apriori_states": data.apriori is not None,
         "warnings": [
             *input_warnings.unknown_sensors(data.ignored),
+            *input_warnings.empty_logs({one.name: len(one) for one in data.sensors}),
             *input_warnings.colour_images(data.in_colour),
             *input_warnings.repeated_images(_repeated(data)),
             *input_warnings.departing_sun(data.sun_departure_rad),

@@ -28,6 +28,25 @@ def unknown_sensors(ignored: Sequence[str]) -> list[str]:
     ]
 
 
+def empty_logs(samples: Mapping[str, int]) -> list[str]:
+    """Warn of sensors whose logs hold nothing.
+
+    Parameters
+    ----------
+    samples : mapping of str to int
+        Number of samples of each sensor.
+
+    Returns
+    -------
+    list of str
+    """
+    return [
+        f"the log of {name} has no sample between the first image and the last"
+        for name, count in samples.items()
+        if not count
+    ]
+
+
 def colour_images(count: int) -> list[str]:
     """Tell that images are in colour.
 

@@ -188,6 +188,7 @@ class Reconstruction:
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
             *input_warnings.unknown_sensors(self.ignored),
+            *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),
             *input_warnings.departing_sun(self.sun_departure_rad),
             *input_warnings.repeated_images(self.repeated),

@@ -212,6 +212,10 @@ def test_what_a_data_set_holds_is_told() -> None:
     assert input_warnings.repeated_images({}) == input_warnings.disbelieved_frames({}) == []
     (text,) = input_warnings.unknown_sensors(("radar0", "sonar0"))
     assert text.startswith("not used: mav0/radar0, mav0/sonar0: unknown sensor")
+    assert input_warnings.empty_logs({"altimeter": 3}) == []
+    (text,) = input_warnings.empty_logs({"altimeter": 0, "velocity": 9})
+    assert "altimeter" in text
+    assert "velocity" not in text
     (text,) = input_warnings.colour_images(7)
     assert text.startswith("7 images")
     for count, listed in ((5, "e.png (same pixels as 0.png);"), (7, "(same pixels as 0.png) and 2 more;")):
