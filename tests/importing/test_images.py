@@ -122,10 +122,10 @@ def test_gravity_and_spin_are_known_or_asked_for():
     turned = Body("Moon", 1.7e6, 1.0, (1e-9, 2e-9, 3e-6))
     assert with_gravity_and_spin(turned, None, None).spin_rad_s == turned.spin_rad_s
     assert with_gravity_and_spin(turned, None, 0.0).spin_rad_s == still
-    with pytest.raises(InputError, match="--mu-m3-s2: expected it for Bennu"):
-        with_gravity_and_spin(Body("Bennu", 245.0, 1.0, still), None, 4e-4)
-    with pytest.raises(InputError, match="--spin-rad-s: expected it for Bennu"):
-        with_gravity_and_spin(Body("Bennu", 245.0, 1.0, still), 4.9, None)
+    with pytest.raises(InputError, match="--mu-m3-s2: expected it for Itokawa"):
+        with_gravity_and_spin(Body("Itokawa", 165.0, 1.0, still), None, 4e-4)
+    with pytest.raises(InputError, match="--spin-rad-s: expected it for Itokawa"):
+        with_gravity_and_spin(Body("Itokawa", 165.0, 1.0, still), 4.9, None)
 
 
 def test_what_is_known_of_a_body_agrees_with_its_size_and_orbit():
