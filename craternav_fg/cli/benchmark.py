@@ -36,12 +36,12 @@ class Subject(StrEnum):
 
 
 # Options that not all subjects use, and those that each does.
-_OPTIONS = {"data", "views", "output", "full", "compare", "force"}
+_OPTIONS = {"data", "views", "seed", "fault", "output", "full", "compare", "force"}
 _USED = {
     Subject.SPEED: {"output", "full", "compare", "force"},
     Subject.SCALING: {"output", "force"},
     Subject.DETECT_REAL: {"data"},
-    Subject.IDENTIFY_GROUND: {"data", "views"},
+    Subject.IDENTIFY_GROUND: {"data", "views", "seed", "fault"},
 }
 
 
@@ -62,6 +62,15 @@ def bench(
         ),
     ] = None,
     views: Annotated[int, typer.Option(min=1, help="Number of images (identify-ground).")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the images (identify-ground).")] = 1,
+    fault: Annotated[
+        identify_ground.Fault | None,
+        typer.Option(
+            help="Mirror the images, or remove their region from the map: no answer is right"
+            " (identify-ground).",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Figure of cost against size: .png, .pdf or .svg.")
     ] = Path("runs/bench.png"),
@@ -84,7 +93,7 @@ def bench(
         _detect_real(_given(data, "--data, the folder of the annotated images"), as_json)
         return
     if subject is Subject.IDENTIFY_GROUND:
-        _identify_ground(_given(data, "--data, the folder of the public files"), views, as_json)
+        _identify_ground(_given(data, "--data, the folder of the public files"), views, seed, fault, as_json)
         return
     require_suffix(output, FIGURE_SUFFIXES)
     require_free(output, force=force)
@@ -189,11 +198,17 @@ def _detect_real(folder: Path, as_json: bool) -> None:
     out.print(by_wear)
 
 
-def _identify_ground(data: Path, views: int, as_json: bool) -> None:
+def _identify_ground(
+    data: Path, views: int, seed: int, fault: identify_ground.Fault | None, as_json: bool
+) -> None:
     """Identify rendered images of real ground."""
     with progress_bars() as report:
         answers = identify_ground.run(
-            data, views, lambda done, total: report("identified images", done, total)
+            data,
+            views,
+            lambda done, total: report("identified images", done, total),
+            seed=seed,
+            fault=fault,
         )
     groups = identify_ground.summaries(answers)
     if as_json:

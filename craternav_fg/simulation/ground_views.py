@@ -76,6 +76,11 @@ class RealGround:
         models = [Path(path) for path in terrain.models()]
         self._dem = read_nested_dem(models, terrain.dem_unit_m, self.body.radius_m)
 
+    @property
+    def middle(self) -> FloatArray:
+        """Middle of the finest elevation model, as a unit vector in g."""
+        return self._dem.models[0].middle
+
     def view(self, rng: np.random.Generator) -> GroundView:
         """Take an image.
 
@@ -88,7 +93,7 @@ class RealGround:
         -------
         GroundView
         """
-        latitude, longitude = frames.latitude_longitude(self._dem.models[0].middle)
+        latitude, longitude = frames.latitude_longitude(self.middle)
         off = np.radians(rng.uniform(-REACH_DEG, REACH_DEG, 2))
         site = frames.east_north_up(latitude + off[0], longitude + off[1] / np.cos(latitude))
         sun_deg = float(rng.uniform(*SUN_DEG))

@@ -1,14 +1,25 @@
 """Identification of images: which rims are detected where the first do not suffice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from craternav_fg.bench.identify_ground import Answer, run, summaries
+from craternav_fg.bench.identify_ground import (
+    REMOVED_DEG,
+    Answer,
+    Fault,
+    answer,
+    run,
+    summaries,
+    without_regions,
+)
 from craternav_fg.matching.identify import from_image
 from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
+from craternav_fg.simulation.ground_views import GroundView
 from craternav_fg.simulation.scenes import MOON
 from craternav_fg.vision.detect import FoundRims
 from tests.cli.calls import call
@@ -144,6 +155,34 @@ def test_answers_are_grouped():
     assert groups["all"][1:5] == (3, 2, 1, 20.0)
     assert groups["all"].error_m == 400.0
     assert np.isnan(groups["gld100_mixed"].error_m)
+
+
+@pytest.mark.parametrize("fault", [None, *Fault])
+def test_every_answer_is_wrong_where_no_right_one_exists(index, view, monkeypatch, fault):
+    given = []
+
+    def identified(image, camera, index):
+        given.append((image, camera.cx_px))
+        return rims_of(view.ellipses_px), identify(view.ellipses_px, view.camera, index)
+
+    monkeypatch.setattr("craternav_fg.bench.identify_ground.identify_image", identified)
+    image = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    camera = replace(view.camera, width_px=4, cx_px=1.0)
+    found = answer("gld100_mare", GroundView(image, view.gTb, 1e5, 45.0), camera, index, fault)
+    assert found.identified
+    assert found.wrong is (fault is not None)
+    mirrored = fault is Fault.MIRRORED
+    np.testing.assert_array_equal(given[0][0], image[:, ::-1] if mirrored else image)
+    assert given[0][1] == (2.0 if mirrored else 1.0)
+
+
+def test_regions_are_removed_from_the_map(index):
+    catalog = index.catalog
+    up = catalog.centres / np.linalg.norm(catalog.centres, axis=1, keepdims=True)
+    left = without_regions(catalog, up[:2])
+    near = np.degrees(np.arccos(np.clip(up @ up[:2].T, -1.0, 1.0))).min(axis=1) < REMOVED_DEG
+    assert 0 < near.sum() < len(catalog)
+    assert left.identifiers == tuple(np.array(catalog.identifiers)[~near])
 
 
 def test_the_benchmark_names_the_folder_it_needs(tmp_path):
