@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from craternav_fg.campaign.read import Campaign, each_trial, read_identity, read_wall_times
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
-from craternav_fg.estimators.registry import RETROSPECTIVE
+from craternav_fg.estimators.registry import is_retrospective
 from craternav_fg.evaluation.consistency import over_altitude, rms
 from craternav_fg.runs.columns import list_values
 from factors.arrays import FloatArray
@@ -163,7 +163,7 @@ def rms_over_bound(table: pa.Table, name: str) -> FloatArray:
 
 def _bound(name: str) -> str:
     """Name of the bound of an estimator."""
-    return SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND
+    return SMOOTHED_BOUND if is_retrospective(name) else FILTERED_BOUND
 
 
 class _Sums:

@@ -119,7 +119,6 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {name: one.make for name, one i
 DESCRIPTIONS = {name: one.description for name, one in _SHIPPED.items()}
 ON_REQUEST = tuple(name for name, one in _SHIPPED.items() if one.on_request)
 DEFAULT = tuple(name for name, one in _SHIPPED.items() if not one.on_request)
-RETROSPECTIVE = tuple(name for name, one in _SHIPPED.items() if one.retrospective)
 GROUP = "craternav_fg.estimators"
 # Names of version 0.1, accepted until 0.3.
 FORMER_NAMES = {
@@ -135,6 +134,8 @@ def estimators() -> dict[str, Callable[[], Estimator]]:
 
         [project.entry-points."craternav_fg.estimators"]
         my_estimator = "my_package:MyEstimator"
+
+    If its estimates use later data as well, it has an attribute `retrospective` that is true.
 
     Returns
     -------
@@ -186,6 +187,28 @@ def estimator(name: str) -> Estimator:
         hint = f" (did you mean {near[0]}?)" if near else ""
         raise EstimationError(f"unknown estimator {name!r}{hint}; expected one of {', '.join(known)}")
     return known[name]()
+
+
+def is_retrospective(name: str) -> bool:
+    """Whether the estimates of an estimator use later data as well: the smoothing bound applies to it.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+        False of an estimator that is not installed here.
+
+    Raises
+    ------
+    CraternavError
+        As `estimators`.
+    """
+    if name in _SHIPPED:
+        return _SHIPPED[name].retrospective
+    return bool(getattr(estimators().get(name), "retrospective", False))
 
 
 def present_name(name: str) -> str:

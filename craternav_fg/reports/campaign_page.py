@@ -21,7 +21,7 @@ from craternav_fg.campaign.summary import (
 )
 from craternav_fg.campaign.trial import FILTERED_BOUND, SMOOTHED_BOUND
 from craternav_fg.config import read_text
-from craternav_fg.estimators.registry import RETROSPECTIVE
+from craternav_fg.estimators.registry import is_retrospective
 from craternav_fg.evaluation.consistency import anees_by_altitude, mean_interval, rms
 from craternav_fg.plots.style import colour, line_style
 from craternav_fg.reports.page import Block, Cell, Drawing, Page, Section, Table, Text, number_cell
@@ -115,7 +115,7 @@ def _summary(campaign: Campaign, summary: dict[str, Any]) -> list[Block]:
             concern = concern and not low <= value <= high
             cells.append(number_cell(value, concern=concern))
         rows.append((name, cells))
-    smoothed = ", ".join(name for name in summary["estimators"] if name in RETROSPECTIVE)
+    smoothed = ", ".join(name for name in summary["estimators"] if is_retrospective(name))
     caption = (
         f"Converged: final errors below {100.0 * CONVERGED_SHARE_OF_ALTITUDE:g} % of the altitude (of "
         f"{100.0 * LEAST_SHARE_OF_LARGEST_ALTITUDE:g} % of the largest altitude at least) and "

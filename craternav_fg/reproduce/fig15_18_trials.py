@@ -23,7 +23,7 @@ from craternav_fg.campaign.trial import (
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.base import Descent, Problem
-from craternav_fg.estimators.registry import RETROSPECTIVE
+from craternav_fg.estimators.registry import is_retrospective
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.reproduce.options import ReproduceOptions
 from craternav_fg.reproduce.pool import Progress, run_all
@@ -207,7 +207,7 @@ class Descents:
         trials = pc.unique(rows["trial"])
         numbers = np.array(trials.to_pylist(), dtype=np.int64)
         error = self._scale * np.linalg.norm(self._array(rows, self._column), axis=-1)
-        bound = self.bound(SMOOTHED_BOUND if name in RETROSPECTIVE else FILTERED_BOUND, trials)
+        bound = self.bound(SMOOTHED_BOUND if is_retrospective(name) else FILTERED_BOUND, trials)
         return Errors(numbers, error, self._array(rows, "nees"), bound)
 
     def bound(self, name: str, trials: pa.Array | None = None) -> FloatArray:

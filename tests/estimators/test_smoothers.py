@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import gtsam
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.stats import chi2
 
 from craternav_fg import frames
 from craternav_fg.errors import EstimationError
-from craternav_fg.estimators import filter_state
+from craternav_fg.estimators import filter_state, registry
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother, build_graph, optimum
 from craternav_fg.estimators.batch_options import BatchOptions
@@ -26,7 +27,7 @@ from craternav_fg.estimators.marginals import Marginals
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.optimise import LmOptions, gauss_newton, levenberg_marquardt
-from craternav_fg.estimators.registry import ESTIMATORS, RETROSPECTIVE, estimator
+from craternav_fg.estimators.registry import ESTIMATORS, estimator, is_retrospective
 from craternav_fg.estimators.start import find_start
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.measurements import FrameMeasurement, RimSet
@@ -373,6 +374,16 @@ def test_former_names_are_accepted_with_a_warning(former: str, present: str) -> 
     assert "\n" not in str(told[0].message)
 
 
+@pytest.mark.parametrize(("attributes", "expected"), [({}, False), ({"retrospective": True}, True)])
+def test_an_estimator_of_another_package_says_that_it_looks_back(
+    monkeypatch: pytest.MonkeyPatch, attributes: dict[str, bool], expected: bool
+) -> None:
+    made = SimpleNamespace(name="mine", value=type("Mine", (), attributes))
+    monkeypatch.setattr(registry, "plugins", lambda group: [made])
+    assert is_retrospective("mine") is expected
+    assert not is_retrospective("another, not installed here")
+
+
 @pytest.mark.parametrize("name", list(ESTIMATORS))
 def test_who_looks_back_uses_later_frames(name: str, trials: list[tuple[Problem, Trajectory]]) -> None:
     """The bound that an estimator is held against depends on it."""
@@ -380,7 +391,7 @@ def test_who_looks_back_uses_later_frames(name: str, trials: list[tuple[Problem,
     whole, part = (
         estimator(name).estimate(dataclasses.replace(p, frames=p.frames[:count])).gTb for count in (7, 5)
     )
-    assert (not np.array_equal(whole[:5], part)) == (name in RETROSPECTIVE)
+    assert (not np.array_equal(whole[:5], part)) == is_retrospective(name)
 
 
 def test_a_start_without_rims_waits_for_the_first_that_has_some(
