@@ -18,6 +18,8 @@ Faults = dict[int, tuple[str, str]]
 # Craters cannot cover the ground more often than this: those of 5 km and more cover two thirds of the Moon
 # (Robbins 2018), and new craters erase old ones long before this (equilibrium).
 _MAX_COVERAGE = 5.0
+# Steepest plane of a rim, deg: beyond it, hardly a camera sees the rim, and its slopes are ill-defined.
+MAX_TILT_DEG = 80.0
 # Cells of equal area in which the coverage is counted: rows in sine of latitude, columns in longitude.
 _CELLS = (36, 72)
 # Median height over the body's radius above which heights are distances from its centre.
@@ -91,6 +93,27 @@ def row_faults(
             shown = "none" if np.isnan(found[row]) else f"{found[row]:g}"
             faults.setdefault(row, (column, f"{expected}, found {shown}"))
     return faults
+
+
+def tilt_fault(tilts_deg: FloatArray) -> tuple[int, str] | None:
+    """Find the first slope that no rim's plane has.
+
+    Parameters
+    ----------
+    tilts_deg : ndarray, shape (n,)
+        Slopes towards east or north, deg.
+
+    Returns
+    -------
+    (int, str) or None
+        Row, and what is wrong with it.
+    """
+    wrong = np.flatnonzero(~(np.abs(tilts_deg) <= MAX_TILT_DEG))
+    if not len(wrong):
+        return None
+    found = tilts_deg[wrong[0]]
+    shown = "none" if np.isnan(found) else f"{found:g}"
+    return int(wrong[0]), f"expected a slope of at most {MAX_TILT_DEG:g} deg, found {shown}"
 
 
 def identifier_faults(identifiers: Sequence[str | None], name: str) -> Faults:

@@ -17,6 +17,8 @@ MAJOR = "DIAM_ELLI_MAJOR_IMG"
 MINOR = "DIAM_ELLI_MINOR_IMG"
 ANGLE = "DIAM_ELLI_ANGLE_IMG"
 HEIGHT = "RIM_HEIGHT_M"
+# Slopes of the rim's plane, see `Catalog.plane_tilt_rad`.
+TILTS = ("PLANE_TILT_EAST_DEG", "PLANE_TILT_NORTH_DEG")
 # Standard deviations, by the name in `MapErrors`.
 ERROR_COLUMNS = {"PLACE_SIGMA_M": "place_m", "SIZE_SIGMA": "size", "RIM_HEIGHT_SIGMA_M": "height_m"}
 # Standard deviations of what a source's craters have in common, by the name in `CommonShift`.
@@ -91,6 +93,8 @@ class Columns:
         Diameter in m for a size of 1; for angular sizes, on a sphere of 1 m.
     angular : bool
         Whether sizes are angles at the body's centre.
+    tilts : tuple of str
+        `TILTS`, or empty.
     sigmas : tuple of str
         Those of `ERROR_COLUMNS` and of `COMMON_COLUMNS`, and `COMMON_SOURCE`.
     west : bool
@@ -105,6 +109,7 @@ class Columns:
     body_radius: str | None
     size_m: float
     angular: bool = False
+    tilts: tuple[str, ...] = ()
     sigmas: tuple[str, ...] = ()
     west: bool = False
 
@@ -112,7 +117,7 @@ class Columns:
     def numbers(self) -> list[str]:
         """Columns to read as numbers."""
         others = [name for name in (self.height, self.body_radius) if name]
-        return list(dict.fromkeys([*self.ellipse, *self.circle, *others, *self.sigmas]))
+        return list(dict.fromkeys([*self.ellipse, *self.circle, *others, *self.tilts, *self.sigmas]))
 
     @property
     def texts(self) -> list[str]:
@@ -154,15 +159,18 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
         When a named column is not there, when one is missing (the error lists what was found), or when
         longitudes count to the west without `options` saying so.
     """
-    sigmas = [*_sigmas(path, names, ERROR_COLUMNS, line), *_sigmas(path, names, COMMON_COLUMNS, line)]
+    tilts = _all_or_none(path, names, TILTS, line)
+    sigmas = [
+        name for ours in (ERROR_COLUMNS, COMMON_COLUMNS) for name in _all_or_none(path, names, ours, line)
+    ]
     if COMMON_SOURCE in names and sigmas[-1:] == list(COMMON_COLUMNS)[-1:]:
         sigmas.append(COMMON_SOURCE)
     rims = _rims(path, names, options, line)
-    return replace(rims, sigmas=tuple(sigmas), west=options.west_longitudes)
+    return replace(rims, tilts=tuple(tilts), sigmas=tuple(sigmas), west=options.west_longitudes)
 
 
-def _sigmas(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
-    """Find our columns of standard deviations: all or none."""
+def _all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
+    """Find columns of ours that belong together."""
     there = [name for name in ours if name in names]
     for name in ours if there else ():
         if name not in there:

@@ -1,6 +1,6 @@
 """Catalogue files: tables with the columns of Robbins (2018), third-party tables, and our own store."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from craternav_fg.catalogs.columns import (
     LONGITUDE,
     MAJOR,
     MINOR,
+    TILTS,
     ImportOptions,
 )
 from craternav_fg.catalogs.common_shift import CommonShift
@@ -54,6 +55,7 @@ _COLUMNS: Sequence[Column] = (
     Column(ID, "text"),
     *(Column(name) for name in ELLIPSE),
     Column(HEIGHT, optional=True),
+    *(Column(name, optional=True) for name in TILTS),
     Column(BODY, "text", optional=True),
     Column(BODY_RADIUS, optional=True),
     *(Column(name, optional=True) for name in ERROR_COLUMNS),
@@ -70,8 +72,9 @@ def read_catalog(path: Path, body: Body) -> Catalog:
     path : Path
         Store, or table with the columns CRATER_ID, LAT_ELLI_IMG and LON_ELLI_IMG (deg, east positive),
         DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
-        north), and optionally RIM_HEIGHT_M (above the sphere; unknown without it), BODY and BODY_RADIUS_M
-        (the same in all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and
+        north), and optionally RIM_HEIGHT_M (above the sphere; unknown without it), PLANE_TILT_EAST_DEG and
+        PLANE_TILT_NORTH_DEG (both or none, see `Catalog.plane_tilt_rad`), BODY and BODY_RADIUS_M (the same in
+        all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and
         RIM_HEIGHT_SIGMA_M (all or none, see `MapErrors`), COMMON_PLACE_SIGMA_M and COMMON_HEIGHT_SIGMA_M
         (both or none, empty where unknown, see `CommonShift`), and COMMON_SOURCE beside them (without it, all
         craters are of one source). Other published columns are not read.
@@ -120,6 +123,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         height_m=height,
         body=body,
         has_heights=HEIGHT in table.columns,
+        plane_tilt_rad=_tilts(table),
     )
 
 
@@ -190,6 +194,10 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
     left_out = set() if catalog.body.name.strip() else {BODY}
     if not catalog.has_heights:
         left_out |= {HEIGHT}
+    if catalog.plane_tilt_rad is None:
+        left_out |= set(TILTS)
+    else:
+        data |= dict(zip(TILTS, np.degrees(catalog.plane_tilt_rad).T, strict=True))
     if catalog.errors is None:
         left_out |= set(ERROR_COLUMNS)
     else:
@@ -204,6 +212,16 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
         write_table(temporary, written, [data[column.name] for column in written])
 
 
+def _tilts(table: Table) -> FloatArray | None:
+    """Slopes (n, 2) of the rims' planes, rad; None where the table has none."""
+    there = _all_or_none(table, TILTS)
+    for name in there:
+        problem = checks.tilt_fault(table.columns[name])
+        if problem is not None:
+            table.fail(problem[0], name, problem[1])
+    return np.radians(np.stack([table.columns[name] for name in there], axis=-1)) if there else None
+
+
 def _common_shift(table: Table) -> CommonShift | None:
     sigmas = _sigmas(table, COMMON_COLUMNS)
     if sigmas is None:
@@ -215,15 +233,20 @@ def _common_shift(table: Table) -> CommonShift | None:
 
 def _sigmas(table: Table, names: Mapping[str, str]) -> dict[str, FloatArray] | None:
     """Read columns of standard deviations, by the name of each, None when the table has none of them."""
-    there = [name for name in names if name in table.columns]
-    if not there:
+    if not _all_or_none(table, names):
         return None
-    for name in names:
-        if name not in there:
-            raise InputError(table.path, f"expected this column beside {there[0]}", column=name)
     for name in names:
         # Empty cells are NaN, where the column may have any.
         wrong = np.flatnonzero(table.columns[name] < 0.0)
         if len(wrong):
             table.fail(int(wrong[0]), name, f"expected 0 or more, found {table.columns[name][wrong[0]]:g}")
     return {key: table.columns[name] for name, key in names.items()}
+
+
+def _all_or_none(table: Table, names: Iterable[str]) -> list[str]:
+    """Find columns that belong together; InputError where some are missing."""
+    there = [name for name in names if name in table.columns]
+    for name in names if there else ():
+        if name not in there:
+            raise InputError(table.path, f"expected this column beside {there[0]}", column=name)
+    return there

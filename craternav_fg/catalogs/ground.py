@@ -29,7 +29,7 @@ def ground_heights(catalog: Catalog) -> Callable[[FloatArray], float]:
     # Imported here: most commands that read a catalogue do not ask for the ground between its craters.
     from scipy.spatial import KDTree
 
-    tree = KDTree(catalog.normals)
+    tree = KDTree(catalog.up)
     count = min(NEIGHBOURS, len(catalog))
 
     def height_m(gP: FloatArray) -> float:

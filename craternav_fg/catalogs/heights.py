@@ -76,7 +76,7 @@ def rims_within(catalog: Catalog, dem: Dem) -> BoolArray:
     -------
     ndarray of bool, shape (n,)
     """
-    inside = dem.covers(catalog.normals)
+    inside = dem.covers(catalog.up)
     for turn in np.linspace(0.0, 2.0 * np.pi, _COVERED_POINTS, endpoint=False):
         inside &= dem.covers(_rim_directions(catalog, turn))
     return inside
@@ -85,10 +85,9 @@ def rims_within(catalog: Catalog, dem: Dem) -> BoolArray:
 def _rim_directions(catalog: Catalog, turn: float) -> FloatArray:
     """Directions of a point of each rim from the body's centre, shape (n, 3)."""
     gRl, radius_m = catalog.gRl, catalog.body.radius_m
-    # The rim's plane is level at its own centre.
     x = np.cos(turn) * catalog.semi_major_m / radius_m
     y = np.sin(turn) * catalog.semi_minor_m / radius_m
-    point = gRl[:, :, 2] + x[:, None] * gRl[:, :, 0] + y[:, None] * gRl[:, :, 1]
+    point = catalog.up + x[:, None] * gRl[:, :, 0] + y[:, None] * gRl[:, :, 1]
     return np.asarray(point / np.linalg.norm(point, axis=1, keepdims=True))
 
 

@@ -142,6 +142,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         raise InputError(path, odd, column=found.height)
     errors = _sigmas(table, found, ERROR_COLUMNS, keep)
     catalog = Catalog(
+        plane_tilt_rad=_tilts(table, found, keep),
         identifiers=tuple(np.array(identifiers, dtype=object)[keep]),
         errors=None if errors is None else MapErrors(**errors),
         common_shift=_common_shift(table, found, keep),
@@ -183,6 +184,17 @@ def _heights(table: ForeignTable, found: Columns) -> FloatArray | None:
     """Heights (n,) of the rims, NaN where one is missing; None without any."""
     heights: FloatArray | None = table.columns[found.height] if found.height else None
     return None if heights is None or np.isnan(heights).all() else heights
+
+
+def _tilts(table: ForeignTable, found: Columns, keep: BoolArray) -> FloatArray | None:
+    """Slopes (k, 2) of the planes of the rims that are kept, rad; None where the table has none."""
+    if not found.tilts:
+        return None
+    for name in found.tilts:
+        problem = checks.tilt_fault(np.where(keep, table.columns[name], 0.0))
+        if problem is not None:
+            table.fail(problem[0], name, problem[1])
+    return np.radians(np.stack([table.columns[name][keep] for name in found.tilts], axis=-1))
 
 
 def _values(table: ForeignTable, found: Columns) -> tuple[tuple[FloatArray, ...], BoolArray]:

@@ -290,7 +290,11 @@ def _replaced(catalog: Catalog, part: Catalog, pairs: IntArray) -> Catalog:
     shift = catalog.common_shift
     if shift is not None and part.common_shift is not None:
         shift = shift.replaced(pairs[:, 0], part.common_shift.take(pairs[:, 1]))
-    return replace(catalog, errors=errors, common_shift=shift, **values)
+    tilt = catalog.plane_tilt_rad
+    if tilt is not None or part.plane_tilt_rad is not None:
+        tilt = catalog.tilts_rad().copy()
+        tilt[pairs[:, 0]] = part.tilts_rad()[pairs[:, 1]]
+    return replace(catalog, errors=errors, common_shift=shift, plane_tilt_rad=tilt, **values)
 
 
 def _robust_sigma(values: FloatArray) -> FloatArray:

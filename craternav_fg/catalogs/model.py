@@ -31,7 +31,7 @@ _ANY_DIRECTION = 1e-3
 
 @dataclass(frozen=True)
 class Catalog:
-    """Craters of a catalogue. A rim is a planar ellipse, level at its centre, `height_m` above the sphere.
+    """Craters of a catalogue. A rim is a planar ellipse whose centre is `height_m` above the sphere.
 
     Attributes
     ----------
@@ -42,7 +42,8 @@ class Catalog:
     semi_major_m, semi_minor_m : ndarray, shape (n,)
         Semi-axes a >= b > 0 of the rim.
     angle_rad : ndarray, shape (n,)
-        Direction of the major axis, from local east towards north.
+        Direction of the major axis, from local east towards north, in the plane of a level rim; a tilted one
+        is turned from there by the smallest rotation.
     height_m : ndarray, shape (n,)
         Height of the rim's plane above the sphere, at the rim's centre.
     body : Body
@@ -53,6 +54,9 @@ class Catalog:
         False when the heights are unknown: `height_m` then puts all rims on the sphere.
     common_shift : CommonShift or None
         How far all rims of a source may be off together; None when the catalogue does not say.
+    plane_tilt_rad : ndarray, shape (n, 2), or None
+        Slopes of the rims' planes towards east and north, positive where the plane rises; None when all are
+        level, normal to the radius.
     """
 
     identifiers: tuple[str, ...]
@@ -66,6 +70,7 @@ class Catalog:
     errors: MapErrors | None = None
     has_heights: bool = True
     common_shift: CommonShift | None = None
+    plane_tilt_rad: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.identifiers)
@@ -89,6 +94,7 @@ class Catalog:
             None if self.errors is None else self.errors.take(rows),
             self.has_heights,
             None if self.common_shift is None else self.common_shift.take(rows),
+            None if self.plane_tilt_rad is None else self.plane_tilt_rad[rows],
         )
 
     @classmethod
@@ -100,7 +106,8 @@ class Catalog:
         parts : sequence of Catalog
             One or more; their identifiers must differ. Where only some state errors, the others are exact.
             Where only some state heights, all rims are put on the sphere. Where only some state a common
-            shift, that of the others stays unknown; equal numbers of sources are the same source.
+            shift, that of the others stays unknown; equal numbers of sources are the same source. Where only
+            some state tilts, the planes of the others are level.
         """
         numbers = {
             name: np.concatenate([getattr(part, name) for part in parts])
@@ -120,19 +127,46 @@ class Catalog:
             shift = CommonShift.joined(
                 [part.common_shift or CommonShift.unknown(len(part)) for part in parts]
             )
+        tilt = None
+        if any(part.plane_tilt_rad is not None for part in parts):
+            tilt = np.concatenate([part.tilts_rad() for part in parts])
         return cls(
             identifiers, body=parts[0].body, errors=errors, common_shift=shift,
-            has_heights=has_heights, **numbers,
+            has_heights=has_heights, plane_tilt_rad=tilt, **numbers,
         )  # fmt: skip
+
+    def tilts_rad(self) -> FloatArray:
+        """Return the slopes of the rims' planes towards east and north, also where all are level.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            rad.
+        """
+        return np.zeros((len(self), 2)) if self.plane_tilt_rad is None else self.plane_tilt_rad
 
     @cached_property
     def gRl(self) -> FloatArray:
-        """Rotations (n, 3, 3) from each crater's local frame l (x along a, y along b, z outward) to g."""
+        """Rotations (n, 3, 3) from each crater's local frame l (x along a, y along b, z outward) to g.
+
+        z is normal to the rim's plane.
+        """
+        if self.plane_tilt_rad is not None:
+            sizes = np.stack([self.semi_major_m, self.semi_minor_m], axis=-1)
+            units = self.axes / sizes[:, :, None]
+            return np.stack([units[:, 0], units[:, 1], self.normals], axis=-1)
         enu = frames.east_north_up(self.latitude_rad, self.longitude_rad)
         cos, sin = np.cos(self.angle_rad)[:, None], np.sin(self.angle_rad)[:, None]
         l1 = cos * enu[:, :, 0] + sin * enu[:, :, 1]
         l2 = -sin * enu[:, :, 0] + cos * enu[:, :, 1]
         return np.stack([l1, l2, enu[:, :, 2]], axis=-1)
+
+    @cached_property
+    def up(self) -> FloatArray:
+        """Unit vectors (n, 3) from the body's centre to the rims' centres, in g."""
+        if self.plane_tilt_rad is None:
+            return self.normals
+        return frames.up(self.latitude_rad, self.longitude_rad)
 
     @property
     def centres(self) -> FloatArray:
@@ -153,8 +187,14 @@ class Catalog:
     def _geometry(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         return rim_geometry(
             self.latitude_rad, self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad,
-            self.height_m, self.body.radius_m,
+            self._kernel_tilt, self.height_m, self.body.radius_m,
         )  # fmt: skip
+
+    @property
+    def _kernel_tilt(self) -> FloatArray:
+        """As `rim_kernel` takes it: without rows where all planes are level."""
+        tilt = self.plane_tilt_rad
+        return np.empty((0, 2)) if tilt is None else np.ascontiguousarray(tilt, dtype=np.float64)
 
     @cached_property
     def index(self) -> SphereIndex:
@@ -315,8 +355,8 @@ class Catalog:
             rows = rows[up @ sun_g >= np.sin(min_sun_elevation_rad)]
         charts, seen = visible_rims(
             np.ascontiguousarray(gTb, dtype=np.float64), camera.bTc, rows, self.latitude_rad,
-            self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad, self.height_m,
-            self.body.radius_m, camera.lens, float(min_semi_minor_px),
+            self.longitude_rad, self.semi_major_m, self.semi_minor_m, self.angle_rad, self._kernel_tilt,
+            self.height_m, self.body.radius_m, camera.lens, float(min_semi_minor_px),
         )  # fmt: skip
         rows, charts = rows[seen], charts[seen]
         if camera.distorts:

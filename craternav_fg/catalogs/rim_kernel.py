@@ -14,7 +14,7 @@ from factors.kernels.compiled import njit
 @njit(cache=True, nogil=True, error_model="numpy")
 def rim_geometry(
     latitude: FloatArray, longitude: FloatArray, semi_major: FloatArray, semi_minor: FloatArray,
-    angle: FloatArray, height: FloatArray, radius_m: float,
+    angle: FloatArray, tilt: FloatArray, height: FloatArray, radius_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Compute rims in g.
 
@@ -26,6 +26,8 @@ def rim_geometry(
         Semi-axes, m.
     angle : ndarray, shape (n,)
         Direction of the major axis, from local east towards north, rad.
+    tilt : ndarray, shape (n, 2) or (0, 2)
+        Slopes of the rims' planes towards east and north, rad; without rows all are level.
     height : ndarray, shape (n,)
         Height above the sphere, m.
     radius_m : float
@@ -42,22 +44,25 @@ def rim_geometry(
     """
     n = latitude.shape[0]
     centres, axes, normals = np.empty((n, 3)), np.empty((n, 2, 3)), np.empty((n, 3))
+    tilted = tilt.shape[0] > 0
     for i in range(n):
-        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], normals[i], axes[i])
-        for k in range(3):
-            centres[i, k] = (radius_m + height[i]) * normals[i, k]
+        _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], centres[i], axes[i])
+        normals[i] = centres[i]
+        if tilted:
+            _tilt(latitude[i], longitude[i], tilt[i], normals[i], axes[i])
+        centres[i] *= radius_m + height[i]
     return centres, axes, normals
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _place(
     latitude: float, longitude: float, semi_major: float, semi_minor: float, angle: float,
-    normal: FloatArray, axes: FloatArray,
+    up: FloatArray, axes: FloatArray,
 ) -> None:  # fmt: skip
-    """Write a rim's normal (3,) and semi-axes (2, 3) in g."""
+    """Write a rim's direction from the body's centre (3,) and its semi-axes (2, 3), if it is level, in g."""
     sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
     sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
-    normal[0], normal[1], normal[2] = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
+    up[0], up[1], up[2] = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
     sin, cos = np.sin(angle), np.cos(angle)
     # Along a and b, in east and north.
     for j, east, north in (
@@ -70,10 +75,28 @@ def _place(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _tilt(latitude: float, longitude: float, tilt: FloatArray, normal: FloatArray, axes: FloatArray) -> None:
+    """Tilt a level rim's normal (3,) and semi-axes (2, 3) by the smallest rotation between the normals."""
+    sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
+    sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
+    east, north = np.tan(tilt[0]), np.tan(tilt[1])
+    up = 1.0 / np.sqrt(1.0 + east * east + north * north)
+    level, tilted = normal.copy(), np.empty(3)
+    tilted[0] = up * (level[0] + east * sin_lon + north * sin_lat * cos_lon)
+    tilted[1] = up * (level[1] - east * cos_lon + north * sin_lat * sin_lon)
+    tilted[2] = up * (level[2] - north * cos_lat)
+    for j in range(2):
+        along = np.dot(tilted, axes[j]) / (1.0 + up)
+        for k in range(3):
+            axes[j, k] -= along * (level[k] + tilted[k])
+    normal[:] = tilted
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def visible_rims(
     gTb: FloatArray, bTc: FloatArray, rows: IntArray, latitude: FloatArray, longitude: FloatArray,
-    semi_major: FloatArray, semi_minor: FloatArray, angle: FloatArray, height: FloatArray, radius_m: float,
-    lens: FloatArray, least_px: float,
+    semi_major: FloatArray, semi_minor: FloatArray, angle: FloatArray, tilt: FloatArray, height: FloatArray,
+    radius_m: float, lens: FloatArray, least_px: float,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Project some rims into a camera.
 
@@ -87,6 +110,8 @@ def visible_rims(
         Rows of the catalogue.
     latitude, longitude, semi_major, semi_minor, angle, height : ndarray, shape (n,)
         Of all rims, see `rim_geometry`; rad and m.
+    tilt : ndarray, shape (n, 2) or (0, 2)
+        See `rim_geometry`.
     radius_m : float
         Radius of the sphere.
     lens : ndarray, shape (m,)
@@ -104,12 +129,16 @@ def visible_rims(
     R, P = conic.camera_pose(gTb, bTc)
     charts = np.empty((rows.shape[0], 5))
     seen = np.zeros(rows.shape[0], dtype=np.bool_)
-    centre, axes = np.empty(3), np.empty((2, 3))
+    centre, axes, normal = np.empty(3), np.empty((2, 3)), np.empty(3)
+    tilted = tilt.shape[0] > 0
     p, c = np.empty(3), np.empty((2, 3))
     fx, fy = lens[0], lens[1]
     for k in range(rows.shape[0]):
         i = rows[k]
         _place(latitude[i], longitude[i], semi_major[i], semi_minor[i], angle[i], centre, axes)
+        if tilted:
+            normal[:] = centre
+            _tilt(latitude[i], longitude[i], tilt[i], normal, axes)
         centre *= radius_m + height[i]
         conic.rim_in_camera(R, P, centre, axes, p, c)
         if not conic.chart(p, c, charts[k]):

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pa_compute
 
 from craternav_fg.body import Body
+from craternav_fg.catalogs import checks
 from craternav_fg.catalogs.bodies import StatedBody, resolve_body
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
@@ -36,8 +37,11 @@ _ERRORS = {"place_m": "sigma_place_m", "size": "sigma_size", "height_m": "sigma_
 _COMMON = {"place_m": "sigma_common_place_m", "height_m": "sigma_common_height_m"}
 # Beside those of a common shift; older files do not have it, and their craters are of one source.
 _SOURCE = "common_source"
-_SIGMA_SCHEMA = pa.schema(
+# Slopes of the rims' planes, both or none.
+_TILTS = ("plane_tilt_east_rad", "plane_tilt_north_rad")
+_OPTIONAL_SCHEMA = pa.schema(
     [
+        *(parquet.filled(name, pa.float64()) for name in _TILTS),
         *(parquet.filled(name, pa.float64()) for name in (*_ERRORS.values(), *_COMMON.values())),
         parquet.filled(_SOURCE, pa.int64()),
     ]
@@ -48,9 +52,10 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     """Write a catalogue; numbers read back exactly.
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
-    north; height_m, of the rim above the sphere; sigma_place_m, sigma_size and sigma_height_m where the
-    catalogue states errors; sigma_common_place_m, sigma_common_height_m (NaN where unknown) and common_source
-    where it states those of a common shift. Body, format, and whether the heights are known are in the file's
+    north; height_m, of the rim above the sphere; plane_tilt_east_rad and plane_tilt_north_rad where not all
+    planes are level; sigma_place_m, sigma_size and sigma_height_m where the catalogue states errors;
+    sigma_common_place_m, sigma_common_height_m (NaN where unknown) and common_source where it states those of
+    a common shift. Body, format, and whether the heights are known are in the file's
     metadata.
 
     Parameters
@@ -73,6 +78,8 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     arrays = [pa.array(ordered.identifiers, pa.string())]
     arrays += [pa.array(getattr(ordered, name)) for name in _NUMBERS]
     more: dict[str, pa.Array] = {}
+    if ordered.plane_tilt_rad is not None:
+        more |= {name: pa.array(tilt) for name, tilt in zip(_TILTS, ordered.plane_tilt_rad.T, strict=True)}
     for stated, names in (
         (ordered.errors, _ERRORS),
         (ordered.common_shift, {**_COMMON, "source": _SOURCE}),
@@ -106,7 +113,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     """
     about = _metadata(path)
     body, _ = resolve_body(path, body, _stated(path, about))
-    table = parquet.read_parquet(path, _SCHEMA, optional=_SIGMA_SCHEMA, other_columns=True)
+    table = parquet.read_parquet(path, _SCHEMA, optional=_OPTIONAL_SCHEMA, other_columns=True)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
     if pa_compute.count_distinct(table[_ID]).as_py() != len(table):
@@ -119,7 +126,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     return Catalog(
         identifiers=tuple(table[_ID].to_pylist()), body=body, has_heights=has_heights,
         errors=None if errors is None else MapErrors(**errors),
-        common_shift=_common_shift(path, table), **values,
+        common_shift=_common_shift(path, table), plane_tilt_rad=_tilts(path, table), **values,
     )  # fmt: skip
 
 
@@ -140,6 +147,22 @@ def is_store(path: Path) -> bool:
         When it cannot be opened, or is no Parquet file.
     """
     return parquet.read_parquet_metadata(path, _KEY) is not None
+
+
+def _tilts(path: Path, table: pa.Table) -> FloatArray | None:
+    there = [name for name in _TILTS if name in table.column_names]
+    if not there:
+        return None
+    columns = []
+    for name in _TILTS:
+        if name not in there:
+            raise InputError(path, f"expected this column beside {there[0]}", column=name)
+        tilt = arrow.numbers(table[name])
+        problem = checks.tilt_fault(np.degrees(tilt))
+        if problem is not None:
+            raise InputError(path, f"{problem[1]} in row {problem[0] + 1}", column=name)
+        columns.append(tilt)
+    return np.stack(columns, axis=-1)
 
 
 def _common_shift(path: Path, table: pa.Table) -> CommonShift | None:

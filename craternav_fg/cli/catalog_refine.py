@@ -53,6 +53,9 @@ class MeasureOptions:
     resolution_steps: Annotated[
         float, typer.Option(min=0.1, help="Shortest length that the model resolves, in grid steps.")
     ] = RefineOptions.resolution_steps
+    tilts: Annotated[
+        bool, typer.Option("--tilts", help="Tilt the rims' planes as measured, in place of level ones.")
+    ] = False
 
 
 @catalog_commands.command(
@@ -125,7 +128,7 @@ def refine(
             craters, model, options, kept, lambda done, total: report("refined craters", done, total), workers
         )
     _require_refined(rims, catalog, dem)
-    write_parquet(output, rims.catalog, rims.columns())
+    write_parquet(output, rims.tilted() if measured.tilts else rims.catalog, rims.columns())
     kept.remove()
     values = {"catalog": str(output), "craters": len(craters), "outcomes": _counts(rims), **_figures(rims)}
     if as_json:

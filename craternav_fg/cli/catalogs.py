@@ -170,6 +170,7 @@ def _place(latitude_deg: float | None, longitude_deg: float | None) -> tuple[flo
 
 def _crater(catalog: Catalog, row: int, distance_m: float) -> dict[str, Any]:
     """Return a crater as JSON can carry it."""
+    east, north = (0.0, 0.0) if catalog.plane_tilt_rad is None else catalog.plane_tilt_rad[row]
     return {
         "identifier": catalog.identifiers[row],
         "distance_km": 1e-3 * float(distance_m),
@@ -179,4 +180,6 @@ def _crater(catalog: Catalog, row: int, distance_m: float) -> dict[str, Any]:
         "minor_km": 2e-3 * float(catalog.semi_minor_m[row]),
         "angle_deg": math.degrees(catalog.angle_rad[row]),
         "height_m": float(catalog.height_m[row]),
+        "plane_tilt_east_deg": math.degrees(east),
+        "plane_tilt_north_deg": math.degrees(north),
     }

@@ -105,6 +105,8 @@ def apply_errors(catalog: Catalog, errors: Mapping[int, tuple[FloatArray, FloatA
         name: getattr(catalog, name).copy()
         for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
     }
+    if catalog.plane_tilt_rad is not None:
+        values["plane_tilt_rad"] = catalog.plane_tilt_rad.copy()
     stated = catalog.errors or MapErrors.zeros(n)
     left = [array.copy() for array in (stated.place_m, stated.size, stated.height_m)]
     limits = _limits(catalog, radius_m)
@@ -151,15 +153,19 @@ def _limits(catalog: Catalog, radius_m: FloatArray) -> FloatArray:
     return _MAX_SIGMAS * np.sqrt(catalog.errors.variances(radius_m))
 
 
-def _corrected(catalog: Catalog, row: int, radius_m: float, error: FloatArray) -> dict[str, float]:
+def _corrected(catalog: Catalog, row: int, radius_m: float, error: FloatArray) -> dict[str, Any]:
     """Return the columns of one corrected rim."""
     gRl = catalog.gRl[row]
     centre = catalog.centres[row] + radius_m * gRl @ error[:3]
     stretch = np.eye(2) + np.array([[error[3], error[4]], [error[4], error[5]]])
     axes, sizes, _ = np.linalg.svd(stretch @ np.diag([catalog.semi_major_m[row], catalog.semi_minor_m[row]]))
     latitude, longitude = frames.latitude_longitude(centre)
-    east, north = (gRl[:, :2] @ axes[:, 0]) @ frames.east_north_up(latitude, longitude)[:, :2]
-    return {
+    # In the directions at the old centre; those at the new one differ from them, near a pole very much so.
+    turned = catalog.angle_rad[row] + np.arctan2(axes[1, 0], axes[0, 0])
+    here = frames.east_north_up(catalog.latitude_rad[row], catalog.longitude_rad[row])[:, :2]
+    there = frames.east_north_up(latitude, longitude)[:, :2]
+    east, north = there.T @ here @ [np.cos(turned), np.sin(turned)]
+    corrected = {
         "latitude_rad": float(latitude),
         "longitude_rad": float(longitude),
         "height_m": float(np.linalg.norm(centre) - catalog.body.radius_m),
@@ -167,3 +173,7 @@ def _corrected(catalog: Catalog, row: int, radius_m: float, error: FloatArray) -
         "semi_minor_m": float(sizes[1]),
         "angle_rad": float(np.remainder(np.arctan2(north, east), np.pi)),
     }
+    if catalog.plane_tilt_rad is not None:
+        slope = there.T @ here @ np.tan(catalog.plane_tilt_rad[row])
+        corrected["plane_tilt_rad"] = np.arctan(slope)
+    return corrected

@@ -95,7 +95,8 @@ class RefinedRims:
     ----------
     catalog : Catalog
         Refined rims, and the others as they were, with errors and a common shift: of refined rims the errors
-        of the fit, of the others what the catalogue states, or what the refined ones show of it.
+        of the fit, of the others what the catalogue states, or what the refined ones show of it. Planes are
+        level unless the catalogue has tilts; refined rims have their measured ones then. See `tilted`.
     outcomes : tuple of Outcome, length n
     covariance : ndarray, shape (n, 5, 5)
         Covariance of the rim's chart in the tangent plane, along east and north at the catalogue's centre:
@@ -103,7 +104,7 @@ class RefinedRims:
     height_sigma_m : ndarray, shape (n,)
         Standard deviation of the rim's height.
     tilt_rad : ndarray, shape (n, 2)
-        Slope of the rim's plane towards east and north at the catalogue's centre.
+        Slope of the rim's plane towards east and north at the refined centre.
     scatter_m : ndarray, shape (n,)
         Root mean square deviation of the crest's height from that plane.
     depth_m : ndarray, shape (n,)
@@ -144,6 +145,12 @@ class RefinedRims:
             "shift_east_m": self.shift_m[:, 0],
             "shift_north_m": self.shift_m[:, 1],
         }
+
+    def tilted(self) -> Catalog:
+        """Return the catalogue with the measured tilts of the refined rims' planes."""
+        if self.catalog.plane_tilt_rad is not None:
+            return self.catalog
+        return _tilted(self.catalog, self.tilt_rad)
 
     @property
     def refined(self) -> BoolArray:
@@ -358,11 +365,12 @@ def _collected(catalog: Catalog, enu: FloatArray, found: list[Found]) -> Refined
         values["latitude_rad"][row], values["longitude_rad"][row] = latitude, longitude
         values["semi_major_m"][row], values["semi_minor_m"][row] = a, b
         # East at the refined centre is another direction than at the catalogue's, near a pole very much so.
-        major = enu[row, :, :2] @ np.array([np.cos(angle), np.sin(angle)])
-        east, north = major @ frames.east_north_up(latitude, longitude)[:, :2]
+        turn = frames.east_north_up(latitude, longitude)[:, :2].T @ enu[row, :, :2]
+        east, north = turn @ np.array([np.cos(angle), np.sin(angle)])
         values["angle_rad"][row] = np.remainder(np.arctan2(north, east), np.pi)
         values["height_m"][row] = rim.height_m
-        covariance[row], tilt[row], shift[row] = rim.covariance, rim.tilt_rad, (x, y)
+        covariance[row], shift[row] = rim.covariance, (x, y)
+        tilt[row] = np.arctan(turn @ np.tan(rim.tilt_rad))
         log_size[row] = 0.5 * np.log(a * b / (catalog.semi_major_m[row] * catalog.semi_minor_m[row]))
         height_sigma[row], scatter[row], depth[row] = rim.height_sigma_m, rim.scatter_m, rim.depth_m
     rows = np.flatnonzero(np.isfinite(log_size))
@@ -373,7 +381,29 @@ def _collected(catalog: Catalog, enu: FloatArray, found: list[Found]) -> Refined
     values["common_shift"] = _common_shift(catalog, rows, shift, rise)
     outcomes = tuple(Outcome.REFINED if isinstance(rim, MeasuredRim) else rim for rim in found)
     refined = replace(catalog, **values)
+    if catalog.plane_tilt_rad is not None:
+        refined = _tilted(refined, tilt)
     return RefinedRims(refined, outcomes, covariance, height_sigma, tilt, scatter, depth, shift, log_size)
+
+
+def _tilted(catalog: Catalog, tilt_rad: FloatArray) -> Catalog:
+    """Tilt the planes of rims that were measured in the tangent plane; of others tilts (n, 2) are NaN."""
+    tilts, axes = catalog.tilts_rad().copy(), [catalog.semi_major_m, catalog.semi_minor_m, catalog.angle_rad]
+    major, minor, angle = (values.copy() for values in axes)
+    for row in np.flatnonzero(np.isfinite(tilt_rad[:, 0])):
+        slope = np.tan(tilt_rad[row])
+        steepness = float(slope @ slope)
+        # Along the slope, the plane is longer than its projection.
+        stretch = np.eye(2)
+        if steepness > 0.0:
+            stretch += (np.sqrt(1.0 + steepness) - 1.0) / steepness * np.outer(slope, slope)
+        c, s = np.cos(angle[row]), np.sin(angle[row])
+        rim = stretch @ np.array([[c, -s], [s, c]]) @ np.diag([major[row], minor[row]])
+        U, sizes, _ = np.linalg.svd(rim)
+        major[row], minor[row] = sizes
+        angle[row] = np.remainder(np.arctan2(U[1, 0], U[0, 0]), np.pi)
+        tilts[row] = tilt_rad[row]
+    return replace(catalog, semi_major_m=major, semi_minor_m=minor, angle_rad=angle, plane_tilt_rad=tilts)
 
 
 def _errors(

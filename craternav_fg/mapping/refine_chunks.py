@@ -108,6 +108,8 @@ class KeptChunks:
             "height_m",
         ):
             digest.update(np.ascontiguousarray(getattr(catalog, name)).tobytes())
+        if catalog.plane_tilt_rad is not None:
+            digest.update(np.ascontiguousarray(catalog.plane_tilt_rad).tobytes())
         return cls(output.parent / f".{output.stem}.{digest.hexdigest()[:16]}.chunks")
 
     def read(self, key: int) -> list[Found] | None:

@@ -44,8 +44,8 @@ _MOTION_CHECKS = f"[motion] in dataset.toml (its densities, rate_rad_s and rate_
 _SENSOR_CHECKS = {
     "imu": f"its units and noise, {_PREDICTION_CHECKS}",
     "rims": (
-        "heights and sizes in the catalogue, intrinsics, lens and T_BS of the camera, the body's spin, the "
-        f"matches, {_STAMPS}"
+        "heights, sizes and slopes of the rims in the catalogue, intrinsics, lens and T_BS of the camera, "
+        f"the body's spin, the matches, {_STAMPS}"
     ),
     "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
 }

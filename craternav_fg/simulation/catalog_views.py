@@ -236,6 +236,6 @@ def _visible(
     """Rows and charts of the craters in view."""
     P = gTb[:3, 3]
     above = np.linalg.norm(P)
-    near = np.flatnonzero(catalog.normals @ (P / above) > catalog.body.radius_m / above)
+    near = np.flatnonzero(catalog.up @ (P / above) > catalog.body.radius_m / above)
     rows, charts = catalog.take(near).visible(camera, gTb, min_semi_minor_px=least_px)
     return near[rows], charts

@@ -107,11 +107,11 @@ def standing(catalog: Catalog, relief: Relief) -> Catalog:
     """Replace the heights of a catalogue's craters, largest first, by those of the terrain they stand in."""
     body = catalog.body
     radius = np.sqrt(catalog.semi_major_m * catalog.semi_minor_m)
-    xy = relief.plane(catalog.normals)
+    xy = relief.plane(catalog.up)
     level, gradient = relief.at(xy, radius)
     heights = np.full(len(catalog), np.nan)
     ground_levels(
-        catalog.normals,
+        catalog.up,
         catalog.axes,
         np.stack([depth_m(radius), rim_height_m(radius)], axis=-1),
         crest_height_over_centre_ground_m(catalog.semi_major_m, catalog.semi_minor_m, body),
@@ -157,12 +157,12 @@ def random_clutter(
     if len(catalog) and len(field.normals):
         free = np.ones(len(field.normals), dtype=np.bool_)
         tree = cKDTree(body.radius_m * field.normals)
-        centres = body.radius_m * catalog.normals
+        centres = body.radius_m * catalog.up
         margin = CREST_CLEARANCE * field.semi_major_m
         groups = tree.query_ball_point(centres, catalog.semi_major_m + margin.max())
         for i, group in enumerate(groups):
             near = np.asarray(group, dtype=np.int64)
-            distance = body.radius_m * np.linalg.norm(field.normals[near] - catalog.normals[i], axis=1)
+            distance = body.radius_m * np.linalg.norm(field.normals[near] - catalog.up[i], axis=1)
             cut = (distance > catalog.semi_minor_m[i] - margin[near]) & (
                 distance < catalog.semi_major_m[i] + margin[near]
             )

@@ -78,7 +78,7 @@ class RealGround:
 
     @property
     def middle(self) -> FloatArray:
-        """Middle of the finest elevation model, as a unit vector in g."""
+        """Unit vector (3,) in g to the middle of the finest elevation model."""
         return self._dem.models[0].middle
 
     def view(self, rng: np.random.Generator) -> GroundView:

@@ -131,7 +131,7 @@ def _around(
 ) -> npt.NDArray[np.int64]:
     """Rows of the craters that are large enough and within reach of the track."""
     large = np.flatnonzero(2.0 * catalog.semi_major_m >= section.min_diameter_m)
-    tree = cKDTree(catalog.normals[large])
+    tree = cKDTree(catalog.up[large])
     points = track[np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).astype(int))]
     angle = section.reach * body.altitude_m(points) / body.radius_m
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)

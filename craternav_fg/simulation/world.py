@@ -270,7 +270,12 @@ def _craters(
                 return catalog, None
             return catalog, random_clutter(rng, body, track, options, catalog)
         case CraterFile() as file:
-            return import_catalog(Path(file.path), body)[0], None
+            catalog = import_catalog(Path(file.path), body)[0]
+            if scenario.render is not None and np.any(catalog.tilts_rad()):
+                raise CraternavError(
+                    f"{file.path}: expected level rims, found tilted planes; rendered rims are level"
+                )
+            return catalog, None
         case PublishedCraters() as published:
             assert relief is not None
             assert scenario.terrain is not None

@@ -205,6 +205,32 @@ def test_a_refined_rim_near_a_pole_keeps_its_direction():
     assert abs(major @ expected) > 1.0 - 1e-5
 
 
+@pytest.mark.parametrize("latitude", [0.4, np.radians(-89.9)])
+def test_a_tilted_rim_is_the_ellipse_that_was_measured_from_above(latitude):
+    given = catalog(*(np.array([one]) for one in (latitude, 0.3, 2000.0, 2000.0, 0.0)))
+    tilt = np.radians([25.0, -10.0])
+    rim = MeasuredRim(
+        chart_of_axes([400.0, 300.0, 2000.0, 1400.0, 0.4]), np.eye(5), 0.0, 1.0, tilt, 1.0, 1.0, 1.0
+    )
+    rims = collect(given, None, [rim])
+    assert rims.catalog.plane_tilt_rad is None
+    level, tilted = rims.catalog, rims.tilted()
+    slope = np.tan(tilted.plane_tilt_rad[0])
+    here, there = (east_north_up(one.latitude_rad, one.longitude_rad)[0] for one in (given, tilted))
+    # The measured slope, in space.
+    gradient = here[:, :2] @ np.tan(tilt)
+    np.testing.assert_allclose(there[:, :2] @ slope, gradient, rtol=0.0, atol=1e-3)
+    # Points of the rim: on the plane, and seen from above on the ellipse of the level rim.
+    turn = np.linspace(0.0, 2.0 * np.pi, 30)
+    east, north, rise = there.T @ tilted.axes[0].T @ [np.cos(turn), np.sin(turn)]
+    np.testing.assert_allclose(rise, slope[0] * east + slope[1] * north, rtol=0.0, atol=1e-6)
+    inverse = np.linalg.inv((there.T @ level.axes[0].T)[:2])
+    np.testing.assert_allclose(np.linalg.norm(inverse @ [east, north], axis=0), 1.0, rtol=0.0, atol=1e-9)
+    # A catalogue that states tilts gets the measured ones.
+    stated = replace(given, plane_tilt_rad=np.array([[0.1, 0.1]]))
+    np.testing.assert_allclose(collect(stated, None, [rim]).catalog.axes, tilted.axes)
+
+
 def test_a_catalogue_without_heights_gets_those_of_the_model(worlds):
     one = worlds[0]
     east = one.circles.longitude_rad + np.where(np.arange(len(one.circles)) < 10, np.radians(5.0), 0.0)

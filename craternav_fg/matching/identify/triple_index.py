@@ -244,6 +244,7 @@ def fingerprint(catalog: Catalog) -> str:
     for values in (
         catalog.latitude_rad, catalog.longitude_rad, catalog.semi_major_m, catalog.semi_minor_m,
         catalog.angle_rad, catalog.height_m, np.array([catalog.body.radius_m]),
+        np.empty(0) if catalog.plane_tilt_rad is None else catalog.plane_tilt_rad,
     ):  # fmt: skip
         digest.update(np.ascontiguousarray(values, dtype=np.float64).tobytes())
     return digest.hexdigest()
