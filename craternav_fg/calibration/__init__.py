@@ -26,7 +26,7 @@ blind_quality        detect.QUALITY_WEIGHTS: correlation           32      22 ±
 candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036 ± 0.004, kept
 ..                   detect.CONTRAST_FACTOR                        1.3     1.58 ± 0.07, kept
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
-reference_brightness GuidedOptions.brightness_sigma                0.02    at least 0.011 ± 0.001
+reference_brightness GuidedOptions.brightness_sigma_share          0.02    at least 0.011 ± 0.001
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
 rim_floor            FitOptions.floor_px, px                       0.025   0.030 ± 0.007, confirmed
 ..                   FitOptions.floor_share, radii                 0.001   0.0010 ± 0.0002, confirmed
@@ -38,7 +38,7 @@ correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 
 ..                   stretch_share, radii                          0.004   0.0043 ± 0.0018, not contradicted
 ..                   size_px, px                                   0.05    0.069 ± 0.014, confirmed
 ..                   size_share, radii                             0.002   0.0020 ± 0.0003, confirmed
-..                   RimErrorOptions.decay                         0.8     1.1 ± 0.2, confirmed
+..                   RimErrorOptions.decay_shape_change            0.8     1.1 ± 0.2, confirmed
 outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.52 ± 0.13, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.06, not contradicted
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010, confirmed

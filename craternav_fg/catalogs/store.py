@@ -32,10 +32,12 @@ _SCHEMA = pa.schema(
 )
 # Optional: standard deviations, by the name in `MapErrors` and in `CommonShift`; of each all or none. NaN
 # stands for an unknown common shift.
-_ERRORS = {"place_m": "sigma_place_m", "size": "sigma_size", "height_m": "sigma_height_m"}
+_ERRORS = {"place_m": "sigma_place_m", "size_share": "sigma_size_share", "height_m": "sigma_height_m"}
 _COMMON = {"place_m": "sigma_common_place_m", "height_m": "sigma_common_height_m"}
 # Beside those of a common shift; older files do not have it, and their craters are of one source.
 _SOURCE = "common_source"
+# Present names of columns by the former ones.
+_FORMER = {"sigma_size": "sigma_size_share"}
 _SIGMA_SCHEMA = pa.schema(
     [
         *(parquet.filled(name, pa.float64()) for name in (*_ERRORS.values(), *_COMMON.values())),
@@ -48,7 +50,7 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
     """Write a catalogue; numbers read back exactly.
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
-    north; height_m, of the rim above the sphere; sigma_place_m, sigma_size and sigma_height_m where the
+    north; height_m, of the rim above the sphere; sigma_place_m, sigma_size_share and sigma_height_m where the
     catalogue states errors; sigma_common_place_m, sigma_common_height_m (NaN where unknown) and common_source
     where it states those of a common shift. Body, format, and whether the heights are known are in the file's
     metadata.
@@ -106,7 +108,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     """
     about = _metadata(path)
     body, _ = resolve_body(path, body, _stated(path, about))
-    table = parquet.read_parquet(path, _SCHEMA, optional=_SIGMA_SCHEMA, other_columns=True)
+    table = parquet.read_parquet(path, _SCHEMA, optional=_SIGMA_SCHEMA, renamed=_FORMER, other_columns=True)
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
     if pa_compute.count_distinct(table[_ID]).as_py() != len(table):

@@ -106,7 +106,7 @@ def apply_errors(catalog: Catalog, errors: Mapping[int, tuple[FloatArray, FloatA
         for name in ("latitude_rad", "longitude_rad", "semi_major_m", "semi_minor_m", "angle_rad", "height_m")
     }
     stated = catalog.errors or MapErrors.zeros(n)
-    left = [array.copy() for array in (stated.place_m, stated.size, stated.height_m)]
+    left = [array.copy() for array in (stated.place_m, stated.size_share, stated.height_m)]
     limits = _limits(catalog, radius_m)
     for row, (error, sigma) in sorted(errors.items()):
         if np.any(np.abs(error) > limits[row]):
