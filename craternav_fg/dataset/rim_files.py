@@ -48,6 +48,7 @@ _RIM_PARTS = pa.schema(
 # Present names of columns by the former ones.
 _FORMER_COLUMNS = {
     "persistent": "correlated",
+    "gain": "slope_contrast",
     "points": "points_normalised",
     "sigmas": "sigmas_normalised",
     "correlated_sigma": "correlated_sigma_normalised",

@@ -24,6 +24,8 @@ COLUMNS = {
     (layout.ARCS, "points_normalised"): "points",
     (layout.ARCS, "sigmas_normalised"): "sigmas",
     (layout.ARCS, "correlated_sigma_normalised"): "correlated_sigma",
+    (layout.RIMS, "correlated"): "persistent",
+    (layout.RIMS, "slope_contrast"): "gain",
 }
 
 
@@ -49,9 +51,15 @@ def _values(folder: Path) -> list[np.ndarray]:
     frames = Dataset.open(folder).measurements
     tilts = [np.array([f.sun.tilt_rad, f.sun.sigma_rad, *f.sun.point]) for f in frames if f.sun is not None]
     arcs = [part for f in frames for part in (*f.arcs.points, *f.arcs.sigmas, f.arcs.correlated_sigmas)]
+    sets = [f.rims for f in frames]
+    rims = [
+        *(one.correlated for one in sets if one.correlated is not None),
+        *(one.quality.slope_contrast for one in sets if one.quality is not None),
+    ]
+    assert rims
     assert tilts
     assert arcs
-    return [*tilts, *arcs]
+    return [*tilts, *arcs, *rims]
 
 
 @pytest.mark.parametrize(("file", "name"), COLUMNS)
