@@ -276,8 +276,9 @@ def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> 
         first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     keys = _keys_in(data, first["loc"], missing=first["type"] == "missing")
     problem = _problem(first)
-    if first["type"] == "extra_forbidden" and keys[-1] in (names := _former_names(model)):
-        problem = f"is the former name of {names[keys[-1]]}, which is given, too"
+    present = _former_names(model).get(keys[-1]) if first["type"] == "extra_forbidden" else None
+    if present is not None and _keys_in(data, (*keys[:-1], present), missing=False) == [*keys[:-1], present]:
+        problem = f"is the former name of {present}, which is given, too"
     if first["type"].startswith("union_tag"):
         keys.append(first["ctx"]["discriminator"].strip("'"))
     raise InputError(path, problem, line=line_of(text, keys), column=".".join(keys) or None) from None

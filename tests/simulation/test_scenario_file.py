@@ -216,6 +216,13 @@ def test_keys_have_former_names(base, table, present, former, tmp_path):
         read("a.toml", both)
 
 
+def test_a_former_name_where_there_is_no_such_key_is_unknown(tmp_path):
+    """It is not said to be given twice."""
+    text = 'base = "lunar_descent"\n[sun]\nreach = 1.0\n'
+    with pytest.raises(InputError, match=r"a\.toml:3: sun\.reach: unknown key"):
+        load_scenario(write(tmp_path, "a.toml", text))
+
+
 def test_an_error_names_the_key_of_the_file(tmp_path):
     text = 'base = "measured_descent"\n[faults]\nimage_delay_s = "0.01"\n'
     with pytest.raises(InputError, match=r"a\.toml:3: faults\.(time_offset_s|image_delay_s): .*number"):
