@@ -5,10 +5,11 @@ import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     BaseModel,
     ConfigDict,
     Field,
@@ -57,6 +58,21 @@ class ResultSection(Section):
     """A part of a results file: further keys are passed over, and numbers may be NaN or infinite."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=True)
+
+
+def or_former(present: str, former: str) -> Any:
+    """Describe a field whose key may stand under the name that an earlier version gave it.
+
+    Parameters
+    ----------
+    present, former : str
+
+    Returns
+    -------
+    pydantic.fields.FieldInfo
+        For the annotation of the field `present`.
+    """
+    return Field(validation_alias=AliasChoices(present, former))
 
 
 class BodySection(Section):
@@ -259,9 +275,13 @@ def validate(path: Path, data: dict[str, Any], model: type[M], *, text: str) -> 
         # A misspelt key is both unknown and missing; only the former error tells where it is.
         first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     keys = _keys_in(data, first["loc"], missing=first["type"] == "missing")
+    problem = _problem(first)
+    present = _former_names(model).get(keys[-1]) if first["type"] == "extra_forbidden" else None
+    if present is not None and _keys_in(data, (*keys[:-1], present), missing=False) == [*keys[:-1], present]:
+        problem = f"is the former name of {present}, which is given, too"
     if first["type"].startswith("union_tag"):
         keys.append(first["ctx"]["discriminator"].strip("'"))
-    raise InputError(path, _problem(first), line=line_of(text, keys), column=".".join(keys) or None) from None
+    raise InputError(path, problem, line=line_of(text, keys), column=".".join(keys) or None) from None
 
 
 def _check_sizes(path: Path, data: Any, keys: tuple[str, ...], text: str) -> None:
@@ -275,6 +295,18 @@ def _check_sizes(path: Path, data: Any, keys: tuple[str, ...], text: str) -> Non
     ):
         problem = f"expected 0, or {_SIZES[0]:g} to {_SIZES[1]:g} in size, found {data:g}"
         raise InputError(path, problem, line=line_of(text, list(keys)), column=".".join(keys))
+
+
+def _former_names(kind: Any) -> dict[str, str]:
+    """Present names of a model's keys by their former ones, with those of the tables in it."""
+    if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        return {old: new for part in get_args(kind) for old, new in _former_names(part).items()}
+    names: dict[str, str] = {}
+    for key, field in kind.model_fields.items():
+        if isinstance(field.validation_alias, AliasChoices):
+            names |= {str(name): key for name in field.validation_alias.choices if name != key}
+        names |= _former_names(field.annotation)
+    return names
 
 
 def _keys_in(data: Any, location: tuple[str | int, ...], *, missing: bool) -> list[str]:

@@ -21,15 +21,15 @@ class ImuLog:
     ----------
     stamps_ns : ndarray of int, shape (n,)
         Strictly increasing. The first interval is assumed to be as long as the second.
-    gyro : ndarray, shape (n, 3)
+    gyro_rad_s : ndarray, shape (n, 3)
         Mean inertial angular velocity in b, rad/s.
-    accelerometer : ndarray, shape (n, 3)
+    accelerometer_m_s2 : ndarray, shape (n, 3)
         Mean specific force, m/s^2: of its components along the axes of b as they turn during the interval.
     """
 
     stamps_ns: IntArray
-    gyro: FloatArray
-    accelerometer: FloatArray
+    gyro_rad_s: FloatArray
+    accelerometer_m_s2: FloatArray
 
     @classmethod
     def constant(cls, begin_ns: int, end_ns: int, rate_rad_s: tuple[float, float, float]) -> "ImuLog":
@@ -80,4 +80,4 @@ class ImuLog:
         edges = np.empty(hi - lo + 2, dtype=np.int64)
         edges[0], edges[1:-1], edges[-1] = begin_ns, self.stamps_ns[lo:hi], end_ns
         dt_s = (edges[1:] - edges[:-1]).astype(np.float64) * 1e-9
-        return dt_s, self.gyro[lo : hi + 1], self.accelerometer[lo : hi + 1]
+        return dt_s, self.gyro_rad_s[lo : hi + 1], self.accelerometer_m_s2[lo : hi + 1]

@@ -99,7 +99,7 @@ def conic_shape_factor(
     charts = validation.charts("charts", charts, n)
     W = validation.whitening("covariances", covariances, n, 5)
     mounting = constant_mounting(key, bTc, mounting_key)
-    data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale)
+    data = packed.pack(mounting, centres, axes, charts, W, loss.kind, loss.scale_sigmas)
     return _of_packed(key, n, data, mounting_key, ahead, reduced=reduced)
 
 
@@ -204,7 +204,7 @@ def pack_with_errors(
             charts,
             validation.whitening("covariances", covariances, n, 5),
             loss.kind,
-            loss.scale,
+            loss.scale_sigmas,
         )
     apart = rim_errors.pack_apart(data, charts, roots)
     if not len(apart):
@@ -214,7 +214,9 @@ def pack_with_errors(
 
 def _packed(n: int, fields: tuple[npt.ArrayLike | None, ...], loss: Loss) -> FloatArray:
     """Check all fields at once, and pack them; empty where one is to be looked at by itself."""
-    return packed.pack_if_sound(*fields, loss.kind, loss.scale) if _are_plain(n, fields) else np.empty(0)
+    return (
+        packed.pack_if_sound(*fields, loss.kind, loss.scale_sigmas) if _are_plain(n, fields) else np.empty(0)
+    )
 
 
 def _are_plain(n: int, fields: tuple[npt.ArrayLike | None, ...]) -> bool:

@@ -59,7 +59,7 @@ def crater_centre_factor(
     centres = validation.array("centres", centres, (n, 3))
     points = validation.array("points", points, (n, 2))
     W = validation.whitening("covariances", covariances, n, 2)
-    kind, scale = loss.kind, loss.scale
+    kind, scale = loss.kind, loss.scale_sigmas
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         stacked.centre_residuals(gTb, bTc, centres, points, W, kind, scale, linearise, e, J)

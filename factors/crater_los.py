@@ -133,7 +133,7 @@ def crater_los_factor(
         tangent_covariances[i] = bases[i].T @ S @ bases[i]
     tangent_covariances = 0.5 * (tangent_covariances + np.swapaxes(tangent_covariances, 1, 2))
     W = validation.whitening("covariances", tangent_covariances, n, 2)
-    kind, scale = loss.kind, loss.scale
+    kind, scale = loss.kind, loss.scale_sigmas
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         stacked.los_residuals(gTb, bTc, centres, normals, conics, bases, W, kind, scale, linearise, e, J)

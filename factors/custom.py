@@ -41,20 +41,20 @@ class Loss:
     ----------
     kind : int
         `robust.NONE`, `HUBER`, `CAUCHY`, `GEMAN_MCCLURE` or `TRUNCATED`.
-    scale : float
+    scale_sigmas : float
         Norm, in sigmas, beyond which a crater loses weight; the truncated loss leaves it none.
     """
 
     kind: int = NONE
-    scale: float = 1.0
+    scale_sigmas: float = 1.0
 
     def __post_init__(self) -> None:
         if self.kind not in (NONE, HUBER, CAUCHY, GEMAN_MCCLURE, TRUNCATED):
             raise FactorError(
                 f"loss.kind: expected NONE, HUBER, CAUCHY, GEMAN_MCCLURE or TRUNCATED, found {self.kind}"
             )
-        if not (isinstance(self.scale, int | float) and 0.0 < self.scale < np.inf):
-            raise FactorError(f"loss.scale: expected a positive number, found {self.scale}")
+        if not (isinstance(self.scale_sigmas, int | float) and 0.0 < self.scale_sigmas < np.inf):
+            raise FactorError(f"loss.scale_sigmas: expected a positive number, found {self.scale_sigmas}")
 
 
 def constant_mounting(key: int, bTc: npt.ArrayLike | None, mounting_key: int | None) -> FloatArray:
@@ -358,7 +358,7 @@ def state_factor(
         whole = np.array(np.hstack(jacobians), dtype=np.float64)
         if whole.shape != (rows, 15 + len(bias)) or not np.isfinite(whole).all():
             raise _not_finite(pose_key)
-        apply_loss(e, whole, loss.kind, loss.scale, H is not None)
+        apply_loss(e, whole, loss.kind, loss.scale_sigmas, H is not None)
         if H is not None:
             ends = (0, 6, 9, 15, 15 + len(bias))
             for k in range(len(every)):

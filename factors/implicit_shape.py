@@ -76,7 +76,7 @@ def implicit_shape_factor(
     for i in range(n):
         conics[i] = conic.chart_to_conic(charts[i])
         projections[i] = W[i] @ np.linalg.pinv(conic.chart_to_conic_jacobian(charts[i]))
-    kind, scale = loss.kind, loss.scale
+    kind, scale = loss.kind, loss.scale_sigmas
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         implicit.implicit_residuals(

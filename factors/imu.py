@@ -48,10 +48,10 @@ def parameters(
     """
     params = gtsam.PreintegrationCombinedParams(validation.array("gravity", gravity, (3,)))
     eye = np.eye(3)
-    params.setGyroscopeCovariance(noise.gyro_density**2 * eye)
-    params.setAccelerometerCovariance(noise.accelerometer_density**2 * eye)
-    params.setBiasOmegaCovariance(noise.gyro_walk**2 * eye)
-    params.setBiasAccCovariance(noise.accelerometer_walk**2 * eye)
+    params.setGyroscopeCovariance(noise.gyro_density_rad_s_sqrt_hz**2 * eye)
+    params.setAccelerometerCovariance(noise.accelerometer_density_m_s2_sqrt_hz**2 * eye)
+    params.setBiasOmegaCovariance(noise.gyro_walk_rad_s2_sqrt_hz**2 * eye)
+    params.setBiasAccCovariance(noise.accelerometer_walk_m_s3_sqrt_hz**2 * eye)
     params.setIntegrationCovariance(INTEGRATION_VARIANCE * eye)
     params.setOmegaCoriolis(validation.array("spin", spin, (3,)))
     return params

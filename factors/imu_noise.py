@@ -18,13 +18,13 @@ class ImuNoise:
 
     Attributes
     ----------
-    gyro_density : float
+    gyro_density_rad_s_sqrt_hz : float
         Angular random walk, rad/s/sqrt(Hz).
-    accelerometer_density : float
+    accelerometer_density_m_s2_sqrt_hz : float
         Velocity random walk, m/s^2/sqrt(Hz).
-    gyro_walk : float
+    gyro_walk_rad_s2_sqrt_hz : float
         Bias random walk, rad/s^2/sqrt(Hz).
-    accelerometer_walk : float
+    accelerometer_walk_m_s3_sqrt_hz : float
         Bias random walk, m/s^3/sqrt(Hz).
 
     Raises
@@ -33,10 +33,10 @@ class ImuNoise:
         When one is not positive: a bias without any walk makes the factor's information infinite.
     """
 
-    gyro_density: float
-    accelerometer_density: float
-    gyro_walk: float
-    accelerometer_walk: float
+    gyro_density_rad_s_sqrt_hz: float
+    accelerometer_density_m_s2_sqrt_hz: float
+    gyro_walk_rad_s2_sqrt_hz: float
+    accelerometer_walk_m_s3_sqrt_hz: float
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -48,5 +48,10 @@ class ImuNoise:
     def densities(self) -> FloatArray:
         """All four (4,), in the order and units of the fields: what `kernels.strapdown` takes."""
         return np.array(
-            [self.gyro_density, self.accelerometer_density, self.gyro_walk, self.accelerometer_walk]
+            [
+                self.gyro_density_rad_s_sqrt_hz,
+                self.accelerometer_density_m_s2_sqrt_hz,
+                self.gyro_walk_rad_s2_sqrt_hz,
+                self.accelerometer_walk_m_s3_sqrt_hz,
+            ]
         )

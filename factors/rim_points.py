@@ -53,7 +53,7 @@ def rim_points_factor(
         Standard deviations along the rim's normal, normalised coordinates.
     loss : Loss
         Applied to each crater as a whole; it bites where the root mean square of the crater's whitened
-        distances exceeds `loss.scale`.
+        distances exceeds `loss.scale_sigmas`.
     mounting_key : int, optional
         Key of the mounting as a variable (`Pose3`), to be estimated.
 
@@ -85,7 +85,7 @@ def rim_points_factor(
         stacked_sigmas.append(np.broadcast_to(sigma, (m,)))
     u = np.concatenate(stacked_points)
     sigma_u = np.concatenate(stacked_sigmas)
-    kind, scale = loss.kind, loss.scale
+    kind, scale = loss.kind, loss.scale_sigmas
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         rim.rim_residuals(gTb, bTc, centres, axes, offsets, u, sigma_u, kind, scale, linearise, e, J)

@@ -87,7 +87,7 @@ def shape_beside_los_factor(
         D = basis.T @ los.line_of_sight_jacobian(q, n_c) @ A @ np.linalg.inv(W[i])
         beside = np.linalg.svd(D)[2][2:]
         projections[i] = beside @ W[i] @ np.linalg.pinv(A)
-    kind, scale = loss.kind, loss.scale
+    kind, scale = loss.kind, loss.scale_sigmas
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
         implicit.implicit_residuals(

@@ -15,7 +15,7 @@ FIRST = int(STAMPS[0] - (STAMPS[1] - STAMPS[0]))
 def turned(until_ns: int) -> np.ndarray:
     """Integral (3,) of the angular velocity from the log's beginning, rad."""
     edges = np.append(FIRST, STAMPS)
-    whole = np.vstack([np.zeros(3), np.cumsum(1e-9 * np.diff(edges)[:, None] * LOG.gyro, axis=0)])
+    whole = np.vstack([np.zeros(3), np.cumsum(1e-9 * np.diff(edges)[:, None] * LOG.gyro_rad_s, axis=0)])
     return np.array([np.interp(until_ns - FIRST, edges - FIRST, column) for column in whole.T])
 
 
@@ -35,8 +35,8 @@ def test_the_parts_of_rows_add_up() -> None:
         assert dt_s.sum() == pytest.approx(1e-9 * (end - begin), rel=1e-12)
         assert_allclose(dt_s @ gyro, turned(end) - turned(begin), atol=1e-12)
         # Both logs are cut alike.
-        rows = [np.flatnonzero((LOG.gyro == one).all(axis=1))[0] for one in gyro]
-        assert_allclose(force, LOG.accelerometer[rows])
+        rows = [np.flatnonzero((LOG.gyro_rad_s == one).all(axis=1))[0] for one in gyro]
+        assert_allclose(force, LOG.accelerometer_m_s2[rows])
 
 
 @pytest.mark.parametrize("ends", [(-1, 10**7), (10**7, None), (10**7, 10**7), (2 * 10**7, 10**7)])

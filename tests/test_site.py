@@ -67,7 +67,7 @@ def test_every_command_is_in_the_reference(pages: dict[str, str]) -> None:
 def test_keys_have_their_kind_limits_default_and_description(pages: dict[str, str]) -> None:
     scenario = pages["reference/scenario.md"]
     assert "| `seed` | integer ≥ 0 | required |" in scenario
-    assert "| `irregularity` | number ≥ 0, ≤ 0.1 | `0.0` | RMS deviation of the rims" in scenario
+    assert "| `irregularity_share` | number ≥ 0, ≤ 0.1 | `0.0` | RMS deviation of the rims" in scenario
     assert '## `[craters]`, source = "random"' in scenario
     assert "## `[trajectory.start]`" in scenario
 

@@ -208,6 +208,7 @@ def _imu(rng: np.random.Generator, end_s: float, orbit: float, hz: int) -> ImuLo
     return ImuLog(
         (np.arange(1, rows + 1) * (10**9 // hz)).astype(np.int64),
         # The inertial rotation is about north, which is -y of b.
-        np.array([0.0, -orbit, 0.0]) + rng.normal(size=(rows, 3)) * NOISE.gyro_density / np.sqrt(dt),
-        rng.normal(size=(rows, 3)) * NOISE.accelerometer_density / np.sqrt(dt),
+        np.array([0.0, -orbit, 0.0])
+        + rng.normal(size=(rows, 3)) * NOISE.gyro_density_rad_s_sqrt_hz / np.sqrt(dt),
+        rng.normal(size=(rows, 3)) * NOISE.accelerometer_density_m_s2_sqrt_hz / np.sqrt(dt),
     )

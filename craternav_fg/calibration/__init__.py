@@ -26,7 +26,7 @@ blind_quality        detect.QUALITY_WEIGHTS: correlation           32      22 ±
 candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036 ± 0.004, kept
 ..                   detect.CONTRAST_FACTOR                        1.3     1.58 ± 0.07, kept
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
-reference_brightness GuidedOptions.brightness_sigma                0.02    at least 0.011 ± 0.001
+reference_brightness GuidedOptions.brightness_sigma_share          0.02    at least 0.011 ± 0.001
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
 rim_floor            FitOptions.floor_px, px                       0.025   0.030 ± 0.007, confirmed
 ..                   FitOptions.floor_share, radii                 0.001   0.0010 ± 0.0002, confirmed
@@ -38,7 +38,7 @@ correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.61 
 ..                   stretch_share, radii                          0.004   0.0043 ± 0.0018, not contradicted
 ..                   size_px, px                                   0.05    0.069 ± 0.014, confirmed
 ..                   size_share, radii                             0.002   0.0020 ± 0.0003, confirmed
-..                   RimErrorOptions.decay                         0.8     1.1 ± 0.2, confirmed
+..                   RimErrorOptions.decay_shape_change            0.8     1.1 ± 0.2, confirmed
 outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.52 ± 0.13, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.09 ± 0.06, not contradicted
 ..                   arc_share, radii                              0.004   0.0053 ± 0.0010, confirmed
@@ -64,8 +64,9 @@ crest_heights        heights.CREST_SHARE                           0.021   0.023
 `crest_heights` is measured on real ground: `python -m craternav_fg.calibration crest_heights FOLDER` with the
 folder of the public files. So are `common_shift`, which gives `estimators.batch_options.CRATER_FREEDOM` (4)
 and the scenarios' `common_place_sigma_m`, and `posed_images`, which gives
-`mapping.posed_images.IMAGES_PER_VIEW` (3), both without standard errors, and `pull_of_prediction`, which
-shows what `GuidedOptions.recentrings` is for.
+`mapping.posed_images.IMAGES_PER_VIEW` (3), both without standard errors, `catalogue_errors`, which gives the
+errors of a published map as an elevation model shows them, and `pull_of_prediction`, which shows what
+`GuidedOptions.recentrings` is for.
 
 `GuidedOptions.brightness_slope_per_px` is not regenerated: it was set by the chi-square of single rims above
 100 px, whose median is right with it (0.99 over 25 rims) and hardly changes with three times of it (1.00).

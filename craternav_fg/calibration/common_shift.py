@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from craternav_fg import frames
+from craternav_fg.calibration.catalogue_errors import place_errors
 from craternav_fg.dataset import Dataset
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.reconstruct import reconstruct
@@ -76,7 +77,7 @@ def common_shift(folder: Path) -> None:
     folder : Path
         Of the public files, see `Scenario.with_data`.
     """
-    found, deviations, console = [], [], Console()
+    found, deviations, shifts_m, radii_m, console = [], [], [], [], Console(soft_wrap=True)
     for name in SCENARIOS:
         shifts, sigmas_m = [], []
         for trial in _TRIALS:
@@ -86,9 +87,13 @@ def common_shift(folder: Path) -> None:
                 by_crater = crater_shifts_m(data, reconstruct(data, ["ekf"]).frames)
                 assert data.catalog.errors is not None
                 shifts += list(by_crater.values())
-                sigmas_m += data.catalog.errors.place_m[list(by_crater)].tolist()
+                rows = list(by_crater)
+                sigmas_m += data.catalog.errors.place_m[rows].tolist()
+                axes_m = data.catalog.semi_major_m[rows], data.catalog.semi_minor_m[rows]
+                radii_m += np.sqrt(axes_m[0] * axes_m[1]).tolist()
         found.append(np.median(shifts, axis=0))
-        deviations.append((np.array(shifts) - found[-1]) / np.array(sigmas_m)[:, None])
+        shifts_m.append(np.array(shifts) - found[-1])
+        deviations.append(shifts_m[-1] / np.array(sigmas_m)[:, None])
         console.print(f"{name}: east {found[-1][0]:.0f}, north {found[-1][1]:.0f} m, {len(shifts)} craters")
     for name, others in zip(SCENARIOS, without_each(np.array(found)), strict=True):
         console.print(f"{name}: common_place_sigma_m {others:.0f}")
@@ -96,6 +101,7 @@ def common_shift(folder: Path) -> None:
     console.print(
         f"Student's t: {freedom:.1f} degrees of freedom, {scale:.2f} times the stated errors of places"
     )
+    console.print(place_errors(np.concatenate(shifts_m), np.array(radii_m)).told(len(radii_m)))
 
 
 def student(deviations: FloatArray) -> tuple[float, float]:

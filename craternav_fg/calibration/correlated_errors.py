@@ -56,14 +56,14 @@ class Tracks:
 
 
 def correlated_errors() -> list[Regenerated]:
-    """Regenerate `CorrelatedErrorOptions` and `RimErrorOptions.decay`.
+    """Regenerate `CorrelatedErrorOptions` and `RimErrorOptions.decay_shape_change`.
 
     Returns
     -------
     list of Regenerated
     """
     descents = [tracks_of(descent) for descent in measured_descents()]
-    shipped, decay = CorrelatedErrorOptions(), RimErrorOptions().decay
+    shipped, decay = CorrelatedErrorOptions(), RimErrorOptions().decay_shape_change
     start = [Parameter(getattr(shipped, name), Scale.LOGIT) for name in _SHARES]
     start += [Parameter(getattr(shipped, name)) for name in _SIZES]
 
@@ -74,7 +74,7 @@ def correlated_errors() -> list[Regenerated]:
     units = {"px": ", px", "share": ""}
     names = [f"CorrelatedErrorOptions.{name}{units[name.rsplit('_')[-1]]}" for name in (*_SHARES, *_SIZES)]
     given = [getattr(shipped, name) for name in (*_SHARES, *_SIZES)]
-    rows = zip([*names, "RimErrorOptions.decay"], [*given, decay], values, errors, strict=True)
+    rows = zip([*names, "RimErrorOptions.decay_shape_change"], [*given, decay], values, errors, strict=True)
     return [Regenerated(name, known, float(value), float(error)) for name, known, value, error in rows]
 
 
@@ -87,7 +87,9 @@ def outline_brightness() -> list[Regenerated]:
     """
     descents = [tracks_of(descent) for descent in measured_descents()]
     shipped = CorrelatedErrorOptions()
-    others = np.array([*(getattr(shipped, name) for name in (*_SHARES, *_SIZES)), RimErrorOptions().decay])
+    others = np.array(
+        [*(getattr(shipped, name) for name in (*_SHARES, *_SIZES)), RimErrorOptions().decay_shape_change]
+    )
 
     def costs(values: FloatArray) -> FloatArray:
         factor = values[0] / BRIGHTNESS_ERROR_PER_OUTLINE

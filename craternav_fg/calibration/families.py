@@ -5,6 +5,7 @@ from pathlib import Path
 
 from craternav_fg.calibration.arcs import arcs
 from craternav_fg.calibration.blind_detection import blind_quality, candidates
+from craternav_fg.calibration.catalogue_errors import catalogue_errors
 from craternav_fg.calibration.common_shift import common_shift
 from craternav_fg.calibration.correlated_errors import correlated_errors, outline_brightness
 from craternav_fg.calibration.crest_blur import crest_blur
@@ -36,6 +37,7 @@ FAMILIES: Mapping[str, Callable[[], list[Regenerated]]] = {
 }
 # Those that need the folder of the public files; they print what they find.
 ON_REAL_GROUND: Mapping[str, Callable[[Path], None]] = {
+    "catalogue_errors": catalogue_errors,
     "common_shift": common_shift,
     "posed_images": posed_images,
     "pull_of_prediction": pull_of_prediction,

@@ -19,7 +19,7 @@ from factors.arrays import FloatArray
 
 
 def reference_brightness() -> list[Regenerated]:
-    """Regenerate `GuidedOptions.brightness_sigma` and `blind_fit.BRIGHTNESS_SIGMA`.
+    """Regenerate `GuidedOptions.brightness_sigma_share` and `blind_fit.BRIGHTNESS_SIGMA`.
 
     Returns
     -------
@@ -27,9 +27,9 @@ def reference_brightness() -> list[Regenerated]:
     """
     every = [_errors(one) for ground in GROUNDS for one in scenes(ground)]
     mapped, rings = ([errors[k] for errors in every] for k in (0, 1))
-    shipped = GuidedOptions().brightness_sigma
+    shipped = GuidedOptions().brightness_sigma_share
     return [
-        Regenerated("GuidedOptions.brightness_sigma", shipped, *_sigma(mapped), Relation.AT_LEAST),
+        Regenerated("GuidedOptions.brightness_sigma_share", shipped, *_sigma(mapped), Relation.AT_LEAST),
         Regenerated("blind_fit.BRIGHTNESS_SIGMA", BRIGHTNESS_SIGMA, *_sigma(rings)),
     ]
 

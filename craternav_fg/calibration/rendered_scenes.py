@@ -71,4 +71,4 @@ def true_reference_brightness(one: Scene) -> FloatArray:
     mu0 = normals @ one.sun_g
     mu = np.append(np.sum(normals[:-1] * view, axis=1), 1.0)
     law = mu0 * (2.0 * light.lunar_lambert / (mu0 + mu) + 1.0 - light.lunar_lambert)
-    return np.asarray(_FULL_SCALE * light.flat_level * law[:-1] / law[-1])
+    return np.asarray(_FULL_SCALE * light.flat_level_share * law[:-1] / law[-1])

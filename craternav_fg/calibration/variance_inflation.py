@@ -114,7 +114,7 @@ def _with_correlated_errors(dataset: Dataset, rng: np.random.Generator) -> list[
             state = np.asarray(rng.standard_normal(STATE_SIZE))
             if crater in states:
                 before, chart = states[crater]
-                F = transition(float(shape_change(chart, charts[i])), RimErrorOptions().decay)
+                F = transition(float(shape_change(chart, charts[i])), RimErrorOptions().decay_shape_change)
                 state = F @ before + square_root(np.eye(STATE_SIZE) - F @ F.T) @ state
             states[crater] = state, charts[i]
             error[i] += kept[i] @ state[: kept.shape[2]]

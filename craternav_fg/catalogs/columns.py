@@ -20,7 +20,13 @@ HEIGHT = "RIM_HEIGHT_M"
 # Slopes of the rim's plane, see `Catalog.plane_tilt_rad`.
 TILTS = ("PLANE_TILT_EAST_DEG", "PLANE_TILT_NORTH_DEG")
 # Standard deviations, by the name in `MapErrors`.
-ERROR_COLUMNS = {"PLACE_SIGMA_M": "place_m", "SIZE_SIGMA": "size", "RIM_HEIGHT_SIGMA_M": "height_m"}
+ERROR_COLUMNS = {
+    "PLACE_SIGMA_M": "place_m",
+    "SIZE_SIGMA_SHARE": "size_share",
+    "RIM_HEIGHT_SIGMA_M": "height_m",
+}
+# Former names of these columns: tables with them are read.
+FORMER = {"SIZE_SIGMA_SHARE": "SIZE_SIGMA"}
 # Standard deviations of what a source's craters have in common, by the name in `CommonShift`.
 COMMON_COLUMNS = {"COMMON_PLACE_SIGMA_M": "place_m", "COMMON_HEIGHT_SIGMA_M": "height_m"}
 # Number of the source, an optional column beside them.
@@ -96,7 +102,7 @@ class Columns:
     tilts : tuple of str
         `TILTS`, or empty.
     sigmas : tuple of str
-        Those of `ERROR_COLUMNS` and of `COMMON_COLUMNS`, and `COMMON_SOURCE`.
+        Those of `ERROR_COLUMNS`, or their former names, and of `COMMON_COLUMNS`, and `COMMON_SOURCE`.
     west : bool
         Whether longitudes are positive west.
     """
@@ -170,12 +176,20 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
 
 
 def _all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
-    """Find columns of ours that belong together."""
-    there = [name for name in ours if name in names]
-    for name in ours if there else ():
-        if name not in there:
-            raise InputError(path, f"expected this column beside {there[0]}", line=line, column=name)
-    return there
+    """Find columns of ours that belong together, under their present or former names."""
+    written: dict[str, str] = {}
+    for name in ours:
+        either = [one for one in dict.fromkeys((name, FORMER.get(name, name))) if one in names]
+        if len(either) > 1:
+            problem = f"is the former name of {name}, which is given, too"
+            raise InputError(path, problem, line=line, column=either[1])
+        written |= dict.fromkeys(either, name)
+    for name in ours if written else ():
+        if name not in written.values():
+            raise InputError(
+                path, f"expected this column beside {next(iter(written))}", line=line, column=name
+            )
+    return list(written)
 
 
 def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -> Columns:

@@ -14,6 +14,7 @@ from craternav_fg.catalogs.columns import (
     COMMON_SOURCE,
     ELLIPSE,
     ERROR_COLUMNS,
+    FORMER,
     HEIGHT,
     ID,
     LATITUDE,
@@ -58,7 +59,7 @@ _COLUMNS: Sequence[Column] = (
     *(Column(name, optional=True) for name in TILTS),
     Column(BODY, "text", optional=True),
     Column(BODY_RADIUS, optional=True),
-    *(Column(name, optional=True) for name in ERROR_COLUMNS),
+    *(Column(name, optional=True, former=FORMER.get(name)) for name in ERROR_COLUMNS),
     *(Column(name, optional=True, may_be_empty=True) for name in COMMON_COLUMNS),
     Column(COMMON_SOURCE, "integer", optional=True),
 )
@@ -74,7 +75,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         DIAM_ELLI_MAJOR_IMG and DIAM_ELLI_MINOR_IMG (km), DIAM_ELLI_ANGLE_IMG (deg from local east towards
         north), and optionally RIM_HEIGHT_M (above the sphere; unknown without it), PLANE_TILT_EAST_DEG and
         PLANE_TILT_NORTH_DEG (both or none, see `Catalog.plane_tilt_rad`), BODY and BODY_RADIUS_M (the same in
-        all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA (a share) and
+        all rows), and the standard deviations PLACE_SIGMA_M, SIZE_SIGMA_SHARE (a share) and
         RIM_HEIGHT_SIGMA_M (all or none, see `MapErrors`), COMMON_PLACE_SIGMA_M and COMMON_HEIGHT_SIGMA_M
         (both or none, empty where unknown, see `CommonShift`), and COMMON_SOURCE beside them (without it, all
         craters are of one source). Other published columns are not read.

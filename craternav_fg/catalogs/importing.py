@@ -13,6 +13,7 @@ from craternav_fg.catalogs.columns import (
     COMMON_COLUMNS,
     COMMON_SOURCE,
     ERROR_COLUMNS,
+    FORMER,
     HEIGHT,
     Columns,
     ImportOptions,
@@ -239,10 +240,11 @@ def _sigmas(
     may_be_empty: bool = False,
 ) -> dict[str, FloatArray] | None:
     """Take the standard deviations of the rows that are kept; None when the table has none."""
-    if not set(ours) <= set(found.sigmas):
-        return None
     out = {}
-    for name, key in ours.items():
+    for present, key in ours.items():
+        name = next((one for one in (present, FORMER.get(present)) if one in found.sigmas), None)
+        if name is None:
+            return None
         values = table.columns[name]
         good = (values >= 0.0) & (values < np.inf)
         wrong = np.flatnonzero(keep & ~(good | np.isnan(values) if may_be_empty else good))

@@ -19,14 +19,14 @@ class MapErrors:
     ----------
     place_m : ndarray, shape (n,)
         Sigma of the centre, per axis along the ground, m.
-    size : ndarray, shape (n,)
+    size_share : ndarray, shape (n,)
         Sigma of each semi-axis, as a share of itself: size and shape.
     height_m : ndarray, shape (n,)
         Sigma of the height of the rim's plane, m.
     """
 
     place_m: FloatArray
-    size: FloatArray
+    size_share: FloatArray
     height_m: FloatArray
 
     @classmethod
@@ -47,7 +47,7 @@ class MapErrors:
         ----------
         rows : ndarray of int, shape (k,)
         """
-        return MapErrors(self.place_m[rows], self.size[rows], self.height_m[rows])
+        return MapErrors(self.place_m[rows], self.size_share[rows], self.height_m[rows])
 
     def replaced(self, rows: IntArray, others: "MapErrors") -> "MapErrors":
         """Replace the errors of some craters.
@@ -88,6 +88,10 @@ class MapErrors:
         ndarray, shape (n, 6)
             Shifts along both axes and the normal in radii, growth along l1, shear, growth along l2.
         """
-        place2, height2, size2 = (self.place_m / radius_m) ** 2, (self.height_m / radius_m) ** 2, self.size**2
+        place2, height2, size2 = (
+            (self.place_m / radius_m) ** 2,
+            (self.height_m / radius_m) ** 2,
+            self.size_share**2,
+        )
         # The shear of independent errors of axes whose directions are arbitrary.
         return np.stack([place2, place2, height2, size2, 0.5 * size2, size2], axis=-1)

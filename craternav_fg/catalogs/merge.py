@@ -208,7 +208,7 @@ def _with_errors(parts: Sequence[Catalog], options: MergeOptions) -> list[Catalo
 def _error_share(part: Catalog, errors: MapErrors) -> tuple[float, float]:
     """Median errors that a catalogue states: of places in radii, and of sizes as a share."""
     radius_m = np.sqrt(part.semi_major_m * part.semi_minor_m)
-    return float(np.median(errors.place_m / radius_m)), float(np.median(errors.size))
+    return float(np.median(errors.place_m / radius_m)), float(np.median(errors.size_share))
 
 
 def _with_own_sources(parts: Sequence[Catalog]) -> list[Catalog]:

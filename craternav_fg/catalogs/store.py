@@ -33,12 +33,14 @@ _SCHEMA = pa.schema(
 )
 # Optional: standard deviations, by the name in `MapErrors` and in `CommonShift`; of each all or none. NaN
 # stands for an unknown common shift.
-_ERRORS = {"place_m": "sigma_place_m", "size": "sigma_size", "height_m": "sigma_height_m"}
+_ERRORS = {"place_m": "sigma_place_m", "size_share": "sigma_size_share", "height_m": "sigma_height_m"}
 _COMMON = {"place_m": "sigma_common_place_m", "height_m": "sigma_common_height_m"}
 # Beside those of a common shift; older files do not have it, and their craters are of one source.
 _SOURCE = "common_source"
 # Slopes of the rims' planes, both or none.
 _TILTS = ("plane_tilt_east_rad", "plane_tilt_north_rad")
+# Present names of columns by the former ones.
+_FORMER = {"sigma_size": "sigma_size_share"}
 _OPTIONAL_SCHEMA = pa.schema(
     [
         *(parquet.filled(name, pa.float64()) for name in _TILTS),
@@ -53,7 +55,7 @@ def write_parquet(path: Path, catalog: Catalog, beside: Mapping[str, npt.ArrayLi
 
     Columns: crater_id; latitude_rad, longitude_rad; semi_major_m, semi_minor_m; angle_rad, from east towards
     north; height_m, of the rim above the sphere; plane_tilt_east_rad and plane_tilt_north_rad where not all
-    planes are level; sigma_place_m, sigma_size and sigma_height_m where the catalogue states errors;
+    planes are level; sigma_place_m, sigma_size_share and sigma_height_m where the catalogue states errors;
     sigma_common_place_m, sigma_common_height_m (NaN where unknown) and common_source where it states those of
     a common shift. Body, format, and whether the heights are known are in the file's
     metadata.
@@ -113,7 +115,9 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     """
     about = _metadata(path)
     body, _ = resolve_body(path, body, _stated(path, about))
-    table = parquet.read_parquet(path, _SCHEMA, optional=_OPTIONAL_SCHEMA, other_columns=True)
+    table = parquet.read_parquet(
+        path, _SCHEMA, optional=_OPTIONAL_SCHEMA, renamed=_FORMER, other_columns=True
+    )
     if not len(table):
         raise InputError(path, "expected at least one crater, found none")
     if pa_compute.count_distinct(table[_ID]).as_py() != len(table):

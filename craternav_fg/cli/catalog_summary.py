@@ -104,7 +104,7 @@ def _errors(catalog: Catalog) -> dict[str, Any]:
     if own is not None:
         found |= {
             "place_sigma_m": float(np.median(own.place_m)),
-            "size_sigma": float(np.median(own.size)),
+            "size_sigma_share": float(np.median(own.size_share)),
             "height_sigma_m": float(np.median(own.height_m)),
         }
     if shift is not None:
@@ -127,7 +127,7 @@ def _told(errors: dict[str, Any]) -> list[str]:
     if "place_sigma_m" in errors:
         lines.append(
             f"  errors      each crater: place {errors['place_sigma_m']:.0f} m, size "
-            f"{100.0 * errors['size_sigma']:.1f} %, height {errors['height_sigma_m']:.0f} m (medians)"
+            f"{100.0 * errors['size_sigma_share']:.1f} %, height {errors['height_sigma_m']:.0f} m (medians)"
         )
     lines += [
         f"              {one['craters']:,} craters of source {one['source']} in common: place "

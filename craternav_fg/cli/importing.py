@@ -75,7 +75,7 @@ class _Stated:
 
     mu_m3_s2: MuOption = None
     spin_rad_s: SpinOption = None
-    acceleration_density: AccelerationOption = ACCELERATION_DENSITY
+    acceleration_density_m_s2_sqrt_hz: AccelerationOption = ACCELERATION_DENSITY
     position_sigma_m: PositionSigmaOption = 1000.0
     attitude_sigma_deg: AttitudeSigmaOption = 0.1
 
@@ -123,7 +123,7 @@ def isis(
     body = with_gravity_and_spin(read[0].body, stated.mu_m3_s2, stated.spin_rad_s)
     craters, _ = read_any_catalog(catalog, body.radius_m)
     given = Imported(
-        frames, camera, body, craters, coast(stated.acceleration_density),
+        frames, camera, body, craters, coast(stated.acceleration_density_m_s2_sqrt_hz),
         stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     _finish(write_imported(output, given, pixels), as_json)
@@ -147,7 +147,7 @@ def images(
     times: TimesOption = None,
     mu_m3_s2: MuOption = None,
     spin_rad_s: SpinOption = None,
-    acceleration_density: AccelerationOption = ACCELERATION_DENSITY,
+    acceleration_density_m_s2_sqrt_hz: AccelerationOption = ACCELERATION_DENSITY,
     as_json: JsonOption = False,
 ) -> None:
     """Import plain images with a table of their times, or images of PDS4 products."""
@@ -156,7 +156,7 @@ def images(
     direction = sun_direction(sun)
     craters, _ = read_any_catalog(catalog, None)
     body = with_gravity_and_spin(craters.body, mu_m3_s2, spin_rad_s)
-    given = Imported(frames, sensor, body, craters, coast(acceleration_density), sun=direction)
+    given = Imported(frames, sensor, body, craters, coast(acceleration_density_m_s2_sqrt_hz), sun=direction)
     _finish(write_imported(output, given, _images(frames, sensor)), as_json)
 
 
@@ -188,7 +188,7 @@ def spice(
     frames = [ImportedFrame(f.path, f.stamp_ns, s) for f, s in zip(frames, states, strict=True)]
     body = with_gravity_and_spin(known, stated.mu_m3_s2, stated.spin_rad_s)
     given = Imported(
-        frames, sensor, body, craters, coast(stated.acceleration_density),
+        frames, sensor, body, craters, coast(stated.acceleration_density_m_s2_sqrt_hz),
         stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     _finish(write_imported(output, given, _images(frames, sensor)), as_json)

@@ -34,12 +34,12 @@ gyro, or without an IMU random-walks from a prior. [initial] may then have angul
 
     [motion]
     model = "coast"
-    acceleration_density = 1e-05             # m/s^2/sqrt(Hz), of what the gravity field lacks
+    acceleration_density_m_s2_sqrt_hz = 1e-05  # of what the gravity field lacks
     j2 = 0.0                                 # unnormalised; or gravity_field = "gravity.tab" (SHADR)
     c22 = 0.0
     rate_rad_s = [0.0, 0.0, 0.0]             # in b, inertial
     rate_sigma_rad_s = 0.01
-    rate_walk = 1e-05                        # rad/s^2/sqrt(Hz)
+    rate_walk_rad_s2_sqrt_hz = 1e-05
 
 `craters.csv`: the catalogue, with the names of Robbins (2018), deg (longitude to the east, angle of the
 major axis from local east towards north) and km (diameters). RIM_HEIGHT_M, of the rim's plane above
@@ -50,8 +50,8 @@ columns of the published file may be there and are not read::
     CRATER_ID,LAT_ELLI_IMG,LON_ELLI_IMG,DIAM_ELLI_MAJOR_IMG,DIAM_ELLI_MINOR_IMG,DIAM_ELLI_ANGLE_IMG,RIM_HEIGHT_M
     01-1-000002,60.81,183.047,27.32,26.98,81.36,12.5
 
-PLACE_SIGMA_M, SIZE_SIGMA (a share) and RIM_HEIGHT_SIGMA_M, all or none, say how far each rim may be off. A
-large catalogue may be given as `craters.parquet` in its place, as `craternav catalog import` writes it.
+PLACE_SIGMA_M, SIZE_SIGMA_SHARE and RIM_HEIGHT_SIGMA_M, all or none, say how far each rim may be off. A large
+catalogue may be given as `craters.parquet` in its place, as `craternav catalog import` writes it.
 
 `sun.csv`: unit vectors towards the sun in g; one row, or rows over all frames, interpolated between::
 
@@ -126,15 +126,16 @@ larger, `fused_white` (5 x 5 doubles); and how well the rim was seen (doubles, a
 may be null for all rims of a frame.
 
 `arcs.parquet` (optional, beside it): edge points of rims that are seen in part, one row per rim. Columns:
-`timestamp`, `crater_id`, `points` (a list of pairs of doubles, normalised image coordinates), `sigmas` (a
-list of doubles, one for each point) and, optionally, `correlated_sigma` (double), see `ArcSet`.
+`timestamp`, `crater_id`, `points_normalised` (a list of pairs of doubles, image coordinates),
+`sigmas_normalised` (a list of doubles, one for each point) and, optionally, `correlated_sigma_normalised`
+(double), see `ArcSet`.
 
 `sun_tilts.csv` (optional, beside it), at most one row for a frame: the tilt of the sun's direction along the
 ground, its standard deviation, the image point, normalised, at which it holds, and the direction in g whose
 image it is. Without the last three columns the direction is the sun's along the locally flat terrain amid
 the frame's craters::
 
-    #timestamp [ns],tilt [rad],sigma [rad],u,v,direction_x,direction_y,direction_z
+    #timestamp [ns],tilt_rad,sigma_rad,x_normalised,y_normalised,direction_x,direction_y,direction_z
     0,0.945,0.1745,0.0123,-0.0456,0.36,0.48,0.0
 """
 
@@ -194,12 +195,13 @@ TRUTH_COLUMNS = (
 SUN_VECTOR = ("s_x", "s_y", "s_z")
 SUN_COLUMNS = (_STAMP_NS, *(Column(name) for name in SUN_VECTOR))
 
+TILT = ("tilt_rad", "sigma_rad")
+# In normalised coordinates.
+TILT_POINT = ("x_normalised", "y_normalised")
 TILT_DIRECTION = ("direction_x", "direction_y", "direction_z")
 TILT_COLUMNS = (
     _STAMP_NS,
-    Column("tilt", unit="rad"),
-    Column("sigma", unit="rad"),
-    Column("u"),
-    Column("v"),
+    *(Column(name, unit="rad", former=former) for name, former in zip(TILT, ("tilt", "sigma"), strict=True)),
+    *(Column(name, former=former) for name, former in zip(TILT_POINT, ("u", "v"), strict=True)),
     *(Column(name, optional=True) for name in TILT_DIRECTION),
 )

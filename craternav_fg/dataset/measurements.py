@@ -142,9 +142,10 @@ def _read_tilts(path: Path, frames_ns: IntArray) -> dict[int, SunTilt]:
         return {}
     table = read_table(path, layout.TILT_COLUMNS)
     table.require_increasing(layout.STAMP)
-    bad = np.flatnonzero(table.columns["sigma"] <= 0.0)
+    sigma_rad = table.columns[layout.TILT[1]]
+    bad = np.flatnonzero(sigma_rad <= 0.0)
     if len(bad):
-        table.fail(int(bad[0]), "sigma", f"expected more than 0, found {table.columns['sigma'][bad[0]]}")
+        table.fail(int(bad[0]), layout.TILT[1], f"expected more than 0, found {sigma_rad[bad[0]]}")
     stamps = table.columns[layout.STAMP]
     frames = np.minimum(np.searchsorted(frames_ns, stamps), len(frames_ns) - 1)
     for row in np.flatnonzero(frames_ns[frames] != stamps).tolist():
@@ -158,5 +159,6 @@ def _read_tilts(path: Path, frames_ns: IntArray) -> dict[int, SunTilt]:
         directions = table.numbers(*layout.TILT_DIRECTION)
         for row in np.flatnonzero(~directions.any(axis=1)).tolist():
             table.fail(row, layout.TILT_DIRECTION[0], "expected a direction, found zero")
-    numbers = zip(frames.tolist(), table.numbers("tilt", "sigma", "u", "v"), directions, strict=True)
-    return {k: SunTilt(float(t), float(s), np.array([u, v]), d) for k, (t, s, u, v), d in numbers}
+    values = table.numbers(*layout.TILT, *layout.TILT_POINT)
+    numbers = zip(frames.tolist(), values, directions, strict=True)
+    return {k: SunTilt(float(t), float(s), np.array([x, y]), d) for k, (t, s, x, y), d in numbers}

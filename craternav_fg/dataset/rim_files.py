@@ -21,6 +21,7 @@ from craternav_fg.tables.sizes import LARGEST
 from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels import admission
 
+_POINTS, _SIGMAS, _SHARED_SIGMA = "points_normalised", "sigmas_normalised", "correlated_sigma_normalised"
 _KEYS = [filled("timestamp", pa.int64()), filled("crater_id", pa.string())]
 _RIMS = pa.schema(
     [
@@ -44,16 +45,22 @@ _RIM_PARTS = pa.schema(
         for name, shape in _PART_SHAPES.items()
     ]
 )
-# Names of columns in files of version 0.1.
-_FORMER_COLUMNS = {"persistent": "correlated"}
+# Present names of columns by the former ones.
+_FORMER_COLUMNS = {
+    "persistent": "correlated",
+    "gain": "slope_contrast",
+    "points": "points_normalised",
+    "sigmas": "sigmas_normalised",
+    "correlated_sigma": "correlated_sigma_normalised",
+}
 _ARCS = pa.schema(
     [
         *_KEYS,
-        filled("points", pa.list_(pa.list_(pa.float64(), 2))),
-        filled("sigmas", pa.list_(pa.float64())),
+        filled(_POINTS, pa.list_(pa.list_(pa.float64(), 2))),
+        filled(_SIGMAS, pa.list_(pa.float64())),
     ]
 )
-_ARC_PARTS = pa.schema([("correlated_sigma", pa.float64())])
+_ARC_PARTS = pa.schema([(_SHARED_SIGMA, pa.float64())])
 # Largest asymmetry of a covariance, in products of standard deviations: components that are nearly
 # independent have cross terms of rounding errors.
 _MAX_ASYMMETRY = 1e-9
@@ -183,8 +190,8 @@ def write_arcs(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
     sigmas = [sigmas.tolist() for arcs in sets for sigmas in arcs.sigmas]
     columns = {
         **_key_columns(frames, [arcs.craters for arcs in sets], catalog),
-        "points": pa.array(points, _ARCS.field("points").type),
-        "sigmas": pa.array(sigmas, _ARCS.field("sigmas").type),
+        _POINTS: pa.array(points, _ARCS.field(_POINTS).type),
+        _SIGMAS: pa.array(sigmas, _ARCS.field(_SIGMAS).type),
     }
     shared = [arcs.correlated_sigmas for arcs in sets]
     if any(sigmas is not None for sigmas in shared):
@@ -193,7 +200,7 @@ def write_arcs(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
             for arcs, sigmas in zip(sets, shared, strict=True)
         ]
         mask = _unknown(sets, shared)
-        columns["correlated_sigma"] = pa.array(np.concatenate(values), pa.float64(), mask=mask)
+        columns[_SHARED_SIGMA] = pa.array(np.concatenate(values), pa.float64(), mask=mask)
     write_parquet(path, pa.table(columns))
 
 
@@ -221,22 +228,22 @@ def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     """
     table = read_parquet(path, _ARCS, optional=_ARC_PARTS, renamed=_FORMER_COLUMNS)
     rows, craters = _frame_rows(path, table, stamps_ns), _craters(path, table, catalog)
-    points = _lists(path, table, "points", 2)
-    sigmas = _lists(path, table, "sigmas", 1)
+    points = _lists(path, table, _POINTS, 2)
+    sigmas = _lists(path, table, _SIGMAS, 1)
     for row, (places, deviations) in enumerate(zip(points, sigmas, strict=True)):
         if not len(places) or len(places) != len(deviations):
             found = f"{len(deviations)} for {len(places)} points"
-            raise InputError(path, f"row {row + 1}: expected one per point, found {found}", column="sigmas")
+            raise InputError(path, f"row {row + 1}: expected one per point, found {found}", column=_SIGMAS)
         if deviations.min() <= 0.0:
             problem = f"row {row + 1}: expected more than 0, found {deviations.min():g}"
-            raise InputError(path, problem, column="sigmas")
+            raise InputError(path, problem, column=_SIGMAS)
     if points:
         low, high = (np.array([end(one, axis=0) for one in points]) for end in (np.min, np.max))
-        _check_inside(path, "points", low, high, camera)
+        _check_inside(path, _POINTS, low, high, camera)
     shared = None
-    if "correlated_sigma" in table.column_names:
-        shared = _part(path, table, "correlated_sigma", (), rows)
-        _require(path, "correlated_sigma", shared.values >= 0.0, shared.values, "at least 0")
+    if _SHARED_SIGMA in table.column_names:
+        shared = _part(path, table, _SHARED_SIGMA, (), rows)
+        _require(path, _SHARED_SIGMA, shared.values >= 0.0, shared.values, "at least 0")
     return [
         ArcSet(
             craters[own],

@@ -147,10 +147,10 @@ def read_imu_noise(path: Path) -> ImuNoise:
             column="T_BS",
         )
     return ImuNoise(
-        gyro_density=model.gyroscope_noise_density,
-        accelerometer_density=model.accelerometer_noise_density,
-        gyro_walk=model.gyroscope_random_walk,
-        accelerometer_walk=model.accelerometer_random_walk,
+        gyro_density_rad_s_sqrt_hz=model.gyroscope_noise_density,
+        accelerometer_density_m_s2_sqrt_hz=model.accelerometer_noise_density,
+        gyro_walk_rad_s2_sqrt_hz=model.gyroscope_random_walk,
+        accelerometer_walk_m_s3_sqrt_hz=model.accelerometer_random_walk,
     )
 
 
@@ -228,10 +228,10 @@ def imu_yaml(noise: ImuNoise, rate_hz: float) -> str:
             "comment": "each row is the mean over the interval that ends at its stamp",
             "T_BS": matrix(np.eye(4)),
             "rate_hz": rate_hz,
-            "gyroscope_noise_density": noise.gyro_density,
-            "gyroscope_random_walk": noise.gyro_walk,
-            "accelerometer_noise_density": noise.accelerometer_density,
-            "accelerometer_random_walk": noise.accelerometer_walk,
+            "gyroscope_noise_density": noise.gyro_density_rad_s_sqrt_hz,
+            "gyroscope_random_walk": noise.gyro_walk_rad_s2_sqrt_hz,
+            "accelerometer_noise_density": noise.accelerometer_density_m_s2_sqrt_hz,
+            "accelerometer_random_walk": noise.accelerometer_walk_m_s3_sqrt_hz,
         }
     )
 

@@ -96,7 +96,7 @@ def _write_logs(folder: Path, recording: Recording) -> None:
     imu, noise, sun, motion = recording.imu, recording.imu_noise, recording.sun, recording.motion
     if imu is not None and noise is not None:
         (folder / layout.IMU_SENSOR).write_text(imu_yaml(noise, _rate_hz(imu.stamps_ns)))
-        rows = [imu.stamps_ns, *imu.gyro.T, *imu.accelerometer.T]
+        rows = [imu.stamps_ns, *imu.gyro_rad_s.T, *imu.accelerometer_m_s2.T]
         write_table(folder / layout.IMU_DATA, layout.IMU_COLUMNS, rows, comment=True)
     if motion is not None and len(motion.gravity.C) > 1:
         text = gravity_text(motion.gravity, recording.body.mu_m3_s2)

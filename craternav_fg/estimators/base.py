@@ -116,7 +116,11 @@ def _log(dataset: Dataset, initial: InitialState) -> tuple[ImuLog, ImuNoise]:
     if imu is None or noise is None:
         rate = initial.angular_velocity_rad_s or motion.rate_rad_s
         return ImuLog.constant(int(dataset.stamps_ns[0]), int(dataset.stamps_ns[-1]), rate), free
-    return imu, replace(free, gyro_density=noise.gyro_density, gyro_walk=noise.gyro_walk)
+    return imu, replace(
+        free,
+        gyro_density_rad_s_sqrt_hz=noise.gyro_density_rad_s_sqrt_hz,
+        gyro_walk_rad_s2_sqrt_hz=noise.gyro_walk_rad_s2_sqrt_hz,
+    )
 
 
 @dataclass(frozen=True)

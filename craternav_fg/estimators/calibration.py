@@ -37,32 +37,32 @@ class Calibration:
     time_offset_sigma_s : float
         Standard deviation of the camera-IMU time offset, from an image's stamp to its exposure, the same for
         all images.
-    map_place_sigma : float
+    map_place_sigma_share : float
         Standard deviation of a crater's place on the map, east and north, as a share of its mean radius. If a
         catalogue states its craters' errors, they replace this one and the next two; 0 in all three takes the
         map as exact.
-    map_height_sigma : float
+    map_height_sigma_share : float
         Standard deviation of its rim's height, as a share of its mean radius.
-    map_size_sigma : float
+    map_size_sigma_share : float
         Standard deviation of its semi-axes, each as a share of itself.
-    focal_sigma : float
+    focal_sigma_share : float
         Standard deviation of the focal length, as a share of it. If this one or one of the next two is above
         0, arcs and tracked points are not used: only rims are measured by the estimated intrinsics, and the
         sun's tilt, a fraction of a degree at best, by the stated ones.
     principal_point_sigma_px : float
         Standard deviation of the principal point, per coordinate.
-    radial_sigma : float
+    k1_sigma : float
         Standard deviation of the radial distortion k1.
     """
 
     mounting_sigma_rad: float = 0.0
     time_offset_sigma_s: float = 0.0
-    map_place_sigma: float = 0.0
-    map_height_sigma: float = 0.0
-    map_size_sigma: float = 0.0
-    focal_sigma: float = 0.0
+    map_place_sigma_share: float = 0.0
+    map_height_sigma_share: float = 0.0
+    map_size_sigma_share: float = 0.0
+    focal_sigma_share: float = 0.0
     principal_point_sigma_px: float = 0.0
-    radial_sigma: float = 0.0
+    k1_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -79,7 +79,7 @@ class Calibration:
     def intrinsic_sigmas(self) -> FloatArray:
         """Standard deviations (4,): share of the focal length, principal point x and y in px, k1."""
         point_px = self.principal_point_sigma_px
-        return np.array([self.focal_sigma, point_px, point_px, self.radial_sigma])
+        return np.array([self.focal_sigma_share, point_px, point_px, self.k1_sigma])
 
     @property
     def of_charts(self) -> bool:
@@ -89,7 +89,11 @@ class Calibration:
     @property
     def map_sigmas(self) -> FloatArray:
         """Standard deviations (6,) of a crater's errors, as shares, in the order of `ground_slopes`."""
-        place, height, size = self.map_place_sigma, self.map_height_sigma, self.map_size_sigma
+        place, height, size = (
+            self.map_place_sigma_share,
+            self.map_height_sigma_share,
+            self.map_size_sigma_share,
+        )
         # The shear follows from independent errors of the axes, whose directions are arbitrary for a circle.
         return np.array([place, place, height, size, np.sqrt(0.5) * size, size])
 
@@ -277,7 +281,7 @@ def calibrated(
 
 def _angular_velocity(descent: Descent, stamp_ns: int) -> FloatArray:
     """Mean of the gyro's rows before and after a stamp, (3,), in b, rad/s."""
-    stamps, gyro = descent.imu.stamps_ns, descent.imu.gyro
+    stamps, gyro = descent.imu.stamps_ns, descent.imu.gyro_rad_s
     after = int(np.searchsorted(stamps, stamp_ns, side="right"))
     rows = np.clip([after - 1, after], 0, len(stamps) - 1)
     return np.asarray(gyro[rows].mean(axis=0))

@@ -51,22 +51,24 @@ class RimErrorOptions:
 
     Attributes
     ----------
-    decay : float
+    decay_shape_change : float
         Change of a rim's image, see `ellipse.shape_change`, that is the scale of the correlation of its
         errors, see `correlation`. Fitted by `craternav_fg.calibration.correlated_errors`.
-    step : float
+    step_shape_change : float
         Change below which the error is the same variable; 0 makes one for every rim of every frame. Within a
         step a rim's place drifts as the variable says, and its other errors are constant.
     """
 
-    decay: float = 0.8
-    step: float = 0.1
+    decay_shape_change: float = 0.8
+    step_shape_change: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.decay < np.inf:
-            raise EstimationError(f"decay: expected a positive number, found {self.decay}")
-        if not 0.0 <= self.step < np.inf:
-            raise EstimationError(f"step: expected 0 or more, found {self.step}")
+        if not 0.0 < self.decay_shape_change < np.inf:
+            raise EstimationError(
+                f"decay_shape_change: expected a positive number, found {self.decay_shape_change}"
+            )
+        if not 0.0 <= self.step_shape_change < np.inf:
+            raise EstimationError(f"step_shape_change: expected 0 or more, found {self.step_shape_change}")
 
 
 def correlation(change: FloatArray, decay: float) -> tuple[FloatArray, FloatArray]:
@@ -250,8 +252,8 @@ class RimErrorStates:
             [chart if track is None else track[1] for track, chart in zip(tracks, rims.chart, strict=True)]
         )
         changes = shape_change(before, rims.chart)
-        ends = changes > max(self._options.step, _LEAST_CHANGE)
-        F, W = transitions(changes, self._options.decay)
+        ends = changes > max(self._options.step_shape_change, _LEAST_CHANGE)
+        F, W = transitions(changes, self._options.decay_shape_change)
         # Within a step a place drifts as the variable says.
         drift = np.where(ends[:, None, None], np.eye(PLACE_SIZE, STATE_SIZE), F[:, :PLACE_SIZE])
         roots = np.zeros((len(rims), 5, STATE_SIZE))

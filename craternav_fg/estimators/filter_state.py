@@ -131,7 +131,7 @@ def prior(descent: Descent) -> FilterState:
     return FilterState(
         np.array(initial.gTb, dtype=np.float64),
         np.array(initial.gV, dtype=np.float64),
-        np.array(descent.imu.gyro[min(first, len(descent.imu.gyro) - 1)]),
+        np.array(descent.imu.gyro_rad_s[min(first, len(descent.imu.gyro_rad_s) - 1)]),
         np.zeros(6),
         covariance,
         np.zeros(len(biases)),

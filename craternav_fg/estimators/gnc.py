@@ -53,7 +53,7 @@ class GncOptions:
     inlier_probability : float
         Share of the right matches to be kept: a rim's limit is this quantile of chi-square, 4.5 sigma at
         0.999.
-    growth : float
+    growth_factor : float
         Factor by which the control parameter grows each round; Yang et al. use 1.4. A smaller one is slower
         and follows the optimum more closely.
     graph : GraphOptions
@@ -61,7 +61,7 @@ class GncOptions:
     """
 
     inlier_probability: float = 0.999
-    growth: float = 1.4
+    growth_factor: float = 1.4
     graph: GraphOptions = field(default_factory=GraphOptions)
 
     def __post_init__(self) -> None:
@@ -71,8 +71,8 @@ class GncOptions:
             raise EstimationError(
                 f"inlier_probability: expected a number between 0 and 1, found {self.inlier_probability}"
             )
-        if not 1.0 < self.growth < np.inf:
-            raise EstimationError(f"growth: expected a number above 1, found {self.growth}")
+        if not 1.0 < self.growth_factor < np.inf:
+            raise EstimationError(f"growth_factor: expected a number above 1, found {self.growth_factor}")
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class GncSmoother:
             rims.add(graph, weights)
             values = levenberg_marquardt(graph, values, COARSE_LM).values
             squared, previous = rims.squared(values), weights
-            mu *= self.options.growth
+            mu *= self.options.growth_factor
         right = rims.split((squared <= limit2).astype(np.float64))
         return _Decided(right, values, rims.poses(values), others.intervals)
 

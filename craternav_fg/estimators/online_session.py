@@ -411,7 +411,7 @@ class OnlineSession:
         T = FROM_GTSAM.copy()
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
         row = int(self._descent.imu.stamps_ns.searchsorted(stamp_ns))
-        rate = self._descent.imu.gyro[min(row, len(self._descent.imu.gyro) - 1)] - bias[:3]
+        rate = self._descent.imu.gyro_rad_s[min(row, len(self._descent.imu.gyro_rad_s) - 1)] - bias[:3]
         gV = tree.calculateEstimateVector(V(n))
         sigmas = self._bank.sigmas
         if not len(sigmas):

@@ -28,7 +28,9 @@ def _self_calibrating_smoother() -> Estimator:
 
 def _map_refining_smoother() -> Estimator:
     """Estimate the craters' errors on the map, as large as those of a good catalogue."""
-    calibration = Calibration(map_place_sigma=0.01, map_height_sigma=0.01, map_size_sigma=0.01)
+    calibration = Calibration(
+        map_place_sigma_share=0.01, map_height_sigma_share=0.01, map_size_sigma_share=0.01
+    )
     return BatchSmoother(BatchOptions(calibration=calibration), "map_refining_smoother")
 
 

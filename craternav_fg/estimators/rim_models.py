@@ -115,7 +115,7 @@ def equivalent_points(rims: RimSet) -> tuple[list[FloatArray], list[FloatArray]]
 
 def _of_dimension(loss: Loss, dimension: int) -> Loss:
     """Return the loss that begins at the same probability in fewer dimensions."""
-    beyond = chdtrc(FULL_DIMENSION, loss.scale**2)
+    beyond = chdtrc(FULL_DIMENSION, loss.scale_sigmas**2)
     return Loss(loss.kind, float(np.sqrt(chdtri(dimension, beyond))))
 
 
@@ -124,4 +124,4 @@ def _of_mean(loss: Loss) -> Loss:
 
     Of points on the fitted ellipse the five dimensions of its error remain, spread over all of them.
     """
-    return Loss(loss.kind, loss.scale / float(np.sqrt(POINTS)))
+    return Loss(loss.kind, loss.scale_sigmas / float(np.sqrt(POINTS)))

@@ -212,7 +212,7 @@ def gyro_at(descent: Descent, stamp_ns: int) -> FloatArray:
         In b, rad/s.
     """
     row = int(np.searchsorted(descent.imu.stamps_ns, stamp_ns))
-    return np.asarray(descent.imu.gyro[min(row, len(descent.imu.gyro) - 1)])
+    return np.asarray(descent.imu.gyro_rad_s[min(row, len(descent.imu.gyro_rad_s) - 1)])
 
 
 def linearise_sample(

@@ -186,7 +186,7 @@ class _AugmentedState:
         biases: int,
         tracks: TrackInformation | None,
     ) -> None:
-        self._decay = options.decay
+        self._decay = options.decay_shape_change
         self._seen = [_kept(frame) for frame in frames]
         self._last = {crater: k for k, seen in enumerate(self._seen) for crater in seen}
         self.of_rims = SHARED_SIZE if any(frame.rims.shared is not None for frame in frames) else 0

@@ -30,7 +30,7 @@ class CameraState:
         Pose of the camera in g, m.
     gV : ndarray, shape (3,)
         Velocity relative to g, in g, m/s.
-    rate : ndarray, shape (3,)
+    rate_rad_s : ndarray, shape (3,)
         Inertial angular velocity in c, rad/s.
     sun : ndarray, shape (3,)
         Unit vector towards the sun in g.
@@ -38,7 +38,7 @@ class CameraState:
 
     gTc: FloatArray
     gV: FloatArray
-    rate: FloatArray
+    rate_rad_s: FloatArray
     sun: FloatArray
 
 
@@ -187,7 +187,7 @@ def states_at(frames: Sequence[ImportedFrame], body: Body) -> Trajectory | None:
         nearest = min(known, key=lambda j: abs(frames[j].stamp_ns - frame.stamp_ns))
         state = frames[nearest].state
         assert state is not None
-        bias[k, :3] = -state.rate
+        bias[k, :3] = -state.rate_rad_s
         gTb[k], gV[k] = state.gTc, state.gV
         if nearest != k:
             seconds = 1e-9 * (frame.stamp_ns - frames[nearest].stamp_ns)

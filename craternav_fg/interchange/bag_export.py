@@ -232,8 +232,8 @@ def _imu(bag: _Bag, log: ImuLog, k: int, stamp: int) -> None:
     message = bag.make(
         IMU,
         header=bag.header(stamp, BODY), orientation=bag.quaternion(np.eye(3)), orientation_covariance=none,
-        angular_velocity=bag.vector(log.gyro[k]), angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=bag.vector(log.accelerometer[k]), linear_acceleration_covariance=np.zeros(9),
+        angular_velocity=bag.vector(log.gyro_rad_s[k]), angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=bag.vector(log.accelerometer_m_s2[k]), linear_acceleration_covariance=np.zeros(9),
     )  # fmt: skip
     bag.write(IMU_TOPIC, IMU, stamp, message)
 

@@ -130,10 +130,10 @@ def read_kalibr_imu(path: Path) -> ImuNoise:
     """
     file = _imu_file(path)
     return ImuNoise(
-        gyro_density=file.gyroscope_noise_density,
-        accelerometer_density=file.accelerometer_noise_density,
-        gyro_walk=file.gyroscope_random_walk,
-        accelerometer_walk=file.accelerometer_random_walk,
+        gyro_density_rad_s_sqrt_hz=file.gyroscope_noise_density,
+        accelerometer_density_m_s2_sqrt_hz=file.accelerometer_noise_density,
+        gyro_walk_rad_s2_sqrt_hz=file.gyroscope_random_walk,
+        accelerometer_walk_m_s3_sqrt_hz=file.accelerometer_random_walk,
     )
 
 
@@ -222,10 +222,10 @@ def kalibr_imu_yaml(noise: ImuNoise, rate_hz: float, topic: str) -> str:
     str
     """
     values = {
-        "accelerometer_noise_density": noise.accelerometer_density,
-        "accelerometer_random_walk": noise.accelerometer_walk,
-        "gyroscope_noise_density": noise.gyro_density,
-        "gyroscope_random_walk": noise.gyro_walk,
+        "accelerometer_noise_density": noise.accelerometer_density_m_s2_sqrt_hz,
+        "accelerometer_random_walk": noise.accelerometer_walk_m_s3_sqrt_hz,
+        "gyroscope_noise_density": noise.gyro_density_rad_s_sqrt_hz,
+        "gyroscope_random_walk": noise.gyro_walk_rad_s2_sqrt_hz,
         "rostopic": topic,
         "update_rate": rate_hz,
     }

@@ -108,7 +108,7 @@ def apply_errors(catalog: Catalog, errors: Mapping[int, tuple[FloatArray, FloatA
     if catalog.plane_tilt_rad is not None:
         values["plane_tilt_rad"] = catalog.plane_tilt_rad.copy()
     stated = catalog.errors or MapErrors.zeros(n)
-    left = [array.copy() for array in (stated.place_m, stated.size, stated.height_m)]
+    left = [array.copy() for array in (stated.place_m, stated.size_share, stated.height_m)]
     limits = _limits(catalog, radius_m)
     for row, (error, sigma) in sorted(errors.items()):
         if np.any(np.abs(error) > limits[row]):

@@ -9,18 +9,18 @@ ACCELERATION_DENSITY = 1e-5
 
 
 def coast(
-    acceleration_density: float = ACCELERATION_DENSITY,
+    acceleration_density_m_s2_sqrt_hz: float = ACCELERATION_DENSITY,
     *,
     gravity: GravityField | None = None,
     rate_rad_s: tuple[float, float, float] = Motion.rate_rad_s,
     rate_sigma_rad_s: float = Motion.rate_sigma_rad_s,
-    rate_walk: float = Motion.rate_walk,
+    rate_walk_rad_s2_sqrt_hz: float = Motion.rate_walk_rad_s2_sqrt_hz,
 ) -> Motion:
     """Make the model of a lander in free fall, without thrust.
 
     Parameters
     ----------
-    acceleration_density : float
+    acceleration_density_m_s2_sqrt_hz : float
         White noise of the acceleration per axis, m/s^2/sqrt(Hz).
     gravity : GravityField, optional
         A point mass by default.
@@ -28,7 +28,7 @@ def coast(
         Prior mean of the inertial angular velocity in b, where there is no gyro.
     rate_sigma_rad_s : float
         Its standard deviation per axis.
-    rate_walk : float
+    rate_walk_rad_s2_sqrt_hz : float
         White noise of the angular acceleration per axis, rad/s^2/sqrt(Hz).
 
     Returns
@@ -38,9 +38,9 @@ def coast(
     return Motion(
         name="coast",
         kind=COAST,
-        acceleration_density=acceleration_density,
+        acceleration_density_m_s2_sqrt_hz=acceleration_density_m_s2_sqrt_hz,
         rate_rad_s=rate_rad_s,
         rate_sigma_rad_s=rate_sigma_rad_s,
-        rate_walk=rate_walk,
+        rate_walk_rad_s2_sqrt_hz=rate_walk_rad_s2_sqrt_hz,
         gravity=gravity or GravityField(),
     )

@@ -32,15 +32,15 @@ class Motion:
         "coast", "white_acceleration" or "white_jerk".
     kind : int
         Number of the model in `factors.kernels.motion`.
-    acceleration_density : float
+    acceleration_density_m_s2_sqrt_hz : float
         White noise of the acceleration, m/s^2/sqrt(Hz).
-    jerk_density : float
+    jerk_density_m_s3_sqrt_hz : float
         White noise of the jerk, m/s^3/sqrt(Hz).
     rate_rad_s : tuple of float
         Prior mean of the inertial angular velocity, in b; not used with a gyro.
     rate_sigma_rad_s : float
         Its standard deviation per axis.
-    rate_walk : float
+    rate_walk_rad_s2_sqrt_hz : float
         White noise of the angular acceleration, rad/s^2/sqrt(Hz); not used with a gyro.
     acceleration_sigma_m_s2 : float
         Prior standard deviation per axis of the acceleration that is a state (`white_jerk`).
@@ -50,11 +50,11 @@ class Motion:
 
     name: str
     kind: int
-    acceleration_density: float
-    jerk_density: float = UNUSED_WALK
+    acceleration_density_m_s2_sqrt_hz: float
+    jerk_density_m_s3_sqrt_hz: float = UNUSED_WALK
     rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rate_sigma_rad_s: float = 0.01
-    rate_walk: float = 1e-5
+    rate_walk_rad_s2_sqrt_hz: float = 1e-5
     acceleration_sigma_m_s2: float = 1e-3
     gravity: GravityField = field(default_factory=GravityField)
 
@@ -62,10 +62,10 @@ class Motion:
     def noise(self) -> ImuNoise:
         """Process noise without a gyro, as an IMU's: the random walks are of angular velocity and force."""
         return ImuNoise(
-            gyro_density=UNUSED_DENSITY,
-            accelerometer_density=max(self.acceleration_density, UNUSED_DENSITY),
-            gyro_walk=self.rate_walk,
-            accelerometer_walk=self.jerk_density,
+            gyro_density_rad_s_sqrt_hz=UNUSED_DENSITY,
+            accelerometer_density_m_s2_sqrt_hz=max(self.acceleration_density_m_s2_sqrt_hz, UNUSED_DENSITY),
+            gyro_walk_rad_s2_sqrt_hz=self.rate_walk_rad_s2_sqrt_hz,
+            accelerometer_walk_m_s3_sqrt_hz=self.jerk_density_m_s3_sqrt_hz,
         )
 
     def transition(

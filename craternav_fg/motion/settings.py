@@ -6,12 +6,24 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from craternav_fg.body import Body
-from craternav_fg.config import Positive, Section, Vector
+from craternav_fg.config import Positive, Section, Vector, or_former
 from craternav_fg.motion.coast import ACCELERATION_DENSITY, coast
 from craternav_fg.motion.gravity import MAX_DEGREE, GravityField, degree_two, read_gravity
 from craternav_fg.motion.model import Motion
 from craternav_fg.motion.white_acceleration import white_acceleration
 from craternav_fg.motion.white_jerk import ACCELERATION_SIGMA_M_S2, white_jerk
+
+# Former names of keys, by the present ones: files with them are read.
+FORMER = {
+    "acceleration_density_m_s2_sqrt_hz": "acceleration_density",
+    "jerk_density_m_s3_sqrt_hz": "jerk_density",
+    "rate_walk_rad_s2_sqrt_hz": "rate_walk",
+}
+
+
+def _or_former(key: str) -> Any:
+    """Describe a field that may stand under its former name."""
+    return or_former(key, FORMER[key])
 
 
 class _Rates(Section):
@@ -19,18 +31,22 @@ class _Rates(Section):
     """Prior mean of the inertial angular velocity in b; not used with a gyro."""
     rate_sigma_rad_s: Positive = Motion.rate_sigma_rad_s
     """Its standard deviation per axis."""
-    rate_walk: Positive = Motion.rate_walk
+    rate_walk_rad_s2_sqrt_hz: Annotated[Positive, _or_former("rate_walk_rad_s2_sqrt_hz")] = (
+        Motion.rate_walk_rad_s2_sqrt_hz
+    )
     """White noise of the angular acceleration, rad/s^2/sqrt(Hz)."""
 
     def _rates(self) -> dict[str, Any]:
-        return self.model_dump(include={"rate_rad_s", "rate_sigma_rad_s", "rate_walk"})
+        return self.model_dump(include={"rate_rad_s", "rate_sigma_rad_s", "rate_walk_rad_s2_sqrt_hz"})
 
 
 class CoastSection(_Rates):
     """Free fall."""
 
     model: Literal["coast"]
-    acceleration_density: Positive = ACCELERATION_DENSITY
+    acceleration_density_m_s2_sqrt_hz: Annotated[
+        Positive, _or_former("acceleration_density_m_s2_sqrt_hz")
+    ] = ACCELERATION_DENSITY
     """White noise of the acceleration, m/s^2/sqrt(Hz)."""
     j2: float = 0.0
     c22: float = 0.0
@@ -42,7 +58,9 @@ class CoastSection(_Rates):
 
     def motion(self, body: Body, folder: Path) -> Motion:
         """Make the model; a gravity field is read from the folder."""
-        return coast(self.acceleration_density, gravity=self._gravity(body, folder), **self._rates())
+        return coast(
+            self.acceleration_density_m_s2_sqrt_hz, gravity=self._gravity(body, folder), **self._rates()
+        )
 
     def _gravity(self, body: Body, folder: Path) -> GravityField:
         if self.gravity_field is None:
@@ -54,19 +72,20 @@ class WhiteAccelerationSection(_Rates):
     """Constant twist with white acceleration."""
 
     model: Literal["white_acceleration"]
-    acceleration_density: Positive
+    acceleration_density_m_s2_sqrt_hz: Annotated[Positive, _or_former("acceleration_density_m_s2_sqrt_hz")]
+    """White noise of the acceleration, m/s^2/sqrt(Hz)."""
 
     def motion(self, body: Body, folder: Path) -> Motion:
         """Make the model."""
         del body, folder
-        return white_acceleration(self.acceleration_density, **self._rates())
+        return white_acceleration(self.acceleration_density_m_s2_sqrt_hz, **self._rates())
 
 
 class WhiteJerkSection(_Rates):
     """Constant acceleration in the body's frame with white jerk; the angular acceleration is white."""
 
     model: Literal["white_jerk"]
-    jerk_density: Positive
+    jerk_density_m_s3_sqrt_hz: Annotated[Positive, _or_former("jerk_density_m_s3_sqrt_hz")]
     """White noise of the jerk, m/s^3/sqrt(Hz)."""
     acceleration_sigma_m_s2: Positive = ACCELERATION_SIGMA_M_S2
     """Prior standard deviation of the acceleration."""
@@ -75,7 +94,9 @@ class WhiteJerkSection(_Rates):
         """Make the model."""
         del body, folder
         return white_jerk(
-            self.jerk_density, acceleration_sigma_m_s2=self.acceleration_sigma_m_s2, **self._rates()
+            self.jerk_density_m_s3_sqrt_hz,
+            acceleration_sigma_m_s2=self.acceleration_sigma_m_s2,
+            **self._rates(),
         )
 
 
@@ -99,13 +120,13 @@ def motion_table(motion: Motion, gravity_field: str) -> dict[str, Any]:
     """
     table: dict[str, Any] = {"model": motion.name}
     if motion.name == "white_jerk":
-        table["jerk_density"] = float(motion.jerk_density)
+        table["jerk_density_m_s3_sqrt_hz"] = float(motion.jerk_density_m_s3_sqrt_hz)
         table["acceleration_sigma_m_s2"] = float(motion.acceleration_sigma_m_s2)
     else:
-        table["acceleration_density"] = float(motion.acceleration_density)
+        table["acceleration_density_m_s2_sqrt_hz"] = float(motion.acceleration_density_m_s2_sqrt_hz)
     if len(motion.gravity.C) > 1:
         table["gravity_field"] = gravity_field
     table["rate_rad_s"] = [float(rate) for rate in motion.rate_rad_s]
     table["rate_sigma_rad_s"] = float(motion.rate_sigma_rad_s)
-    table["rate_walk"] = float(motion.rate_walk)
+    table["rate_walk_rad_s2_sqrt_hz"] = float(motion.rate_walk_rad_s2_sqrt_hz)
     return table

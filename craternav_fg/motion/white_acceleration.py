@@ -9,23 +9,23 @@ from factors.kernels.motion import WHITE_ACCELERATION
 
 
 def white_acceleration(
-    acceleration_density: float,
+    acceleration_density_m_s2_sqrt_hz: float,
     *,
     rate_rad_s: tuple[float, float, float] = Motion.rate_rad_s,
     rate_sigma_rad_s: float = Motion.rate_sigma_rad_s,
-    rate_walk: float = Motion.rate_walk,
+    rate_walk_rad_s2_sqrt_hz: float = Motion.rate_walk_rad_s2_sqrt_hz,
 ) -> Motion:
     """Make the model.
 
     Parameters
     ----------
-    acceleration_density : float
+    acceleration_density_m_s2_sqrt_hz : float
         White noise of the acceleration per axis, m/s^2/sqrt(Hz).
     rate_rad_s : tuple of float
         Prior mean of the inertial angular velocity in b, where there is no gyro.
     rate_sigma_rad_s : float
         Its standard deviation per axis.
-    rate_walk : float
+    rate_walk_rad_s2_sqrt_hz : float
         White noise of the angular acceleration per axis, rad/s^2/sqrt(Hz).
 
     Returns
@@ -40,8 +40,8 @@ def white_acceleration(
     return Motion(
         name="white_acceleration",
         kind=WHITE_ACCELERATION,
-        acceleration_density=acceleration_density,
+        acceleration_density_m_s2_sqrt_hz=acceleration_density_m_s2_sqrt_hz,
         rate_rad_s=rate_rad_s,
         rate_sigma_rad_s=rate_sigma_rad_s,
-        rate_walk=rate_walk,
+        rate_walk_rad_s2_sqrt_hz=rate_walk_rad_s2_sqrt_hz,
     )

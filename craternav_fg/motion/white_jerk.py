@@ -13,18 +13,18 @@ ACCELERATION_SIGMA_M_S2 = 1.0
 
 
 def white_jerk(
-    jerk_density: float,
+    jerk_density_m_s3_sqrt_hz: float,
     *,
     acceleration_sigma_m_s2: float = ACCELERATION_SIGMA_M_S2,
     rate_rad_s: tuple[float, float, float] = Motion.rate_rad_s,
     rate_sigma_rad_s: float = Motion.rate_sigma_rad_s,
-    rate_walk: float = Motion.rate_walk,
+    rate_walk_rad_s2_sqrt_hz: float = Motion.rate_walk_rad_s2_sqrt_hz,
 ) -> Motion:
     """Make the model.
 
     Parameters
     ----------
-    jerk_density : float
+    jerk_density_m_s3_sqrt_hz : float
         White noise of the jerk per axis, m/s^3/sqrt(Hz).
     acceleration_sigma_m_s2 : float
         Prior standard deviation per axis of the acceleration relative to a constant twist, whose mean is 0.
@@ -32,7 +32,7 @@ def white_jerk(
         Prior mean of the inertial angular velocity in b, where there is no gyro.
     rate_sigma_rad_s : float
         Its standard deviation per axis.
-    rate_walk : float
+    rate_walk_rad_s2_sqrt_hz : float
         White noise of the angular acceleration per axis, rad/s^2/sqrt(Hz).
 
     Returns
@@ -47,10 +47,10 @@ def white_jerk(
     return Motion(
         name="white_jerk",
         kind=WHITE_JERK,
-        acceleration_density=0.0,
-        jerk_density=jerk_density,
+        acceleration_density_m_s2_sqrt_hz=0.0,
+        jerk_density_m_s3_sqrt_hz=jerk_density_m_s3_sqrt_hz,
         rate_rad_s=rate_rad_s,
         rate_sigma_rad_s=rate_sigma_rad_s,
-        rate_walk=rate_walk,
+        rate_walk_rad_s2_sqrt_hz=rate_walk_rad_s2_sqrt_hz,
         acceleration_sigma_m_s2=acceleration_sigma_m_s2,
     )

@@ -22,8 +22,15 @@ from pydantic import TypeAdapter, ValidationError
 from craternav_fg.config import line_of, read_toml
 from craternav_fg.errors import CraternavError, InputError
 from craternav_fg.estimators.base import Estimator
+from craternav_fg.estimators.calibration import Calibration
+from craternav_fg.estimators.correlated_errors import RimErrorOptions
+from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.registry import estimator, estimators
+from craternav_fg.vision.arcs import ArcOptions
+from craternav_fg.vision.edges import EdgeOptions
 from craternav_fg.vision.guided_options import GuidedOptions
+from craternav_fg.vision.point_tracks import PointTrackOptions
+from craternav_fg.vision.sun import SunOptions
 from factors.custom import Loss
 from factors.errors import FactorError
 from factors.kernels import robust
@@ -36,6 +43,29 @@ WIDTH = 100
 # Fields that a file gives by name.
 _LOSSES = ("NONE", "HUBER", "CAUCHY", "GEMAN_MCCLURE", "TRUNCATED")
 _NAMED = {(Loss, "kind"): {name.lower(): getattr(robust, name) for name in _LOSSES}}
+
+# Present names of keys by the former ones, of which one may have become several: files with them are read.
+FORMER: Mapping[type, Mapping[str, tuple[str, ...]]] = {
+    GuidedOptions: {
+        "brightness_sigma": ("brightness_sigma_share",),
+        "first_reach": ("first_reach_px", "first_reach_share"),
+        "second_reach": ("second_reach_px", "second_reach_share"),
+    },
+    EdgeOptions: {"min_step": ("min_step_share",)},
+    ArcOptions: {"gate": ("gate_sigmas",)},
+    SunOptions: {"min_emission": ("min_emission_cosine",), "min_contrast": ("min_contrast_per_px",)},
+    PointTrackOptions: {"quality": ("quality_share",)},
+    Loss: {"scale": ("scale_sigmas",)},
+    RimErrorOptions: {"decay": ("decay_shape_change",), "step": ("step_shape_change",)},
+    GncOptions: {"growth": ("growth_factor",)},
+    Calibration: {
+        "map_place_sigma": ("map_place_sigma_share",),
+        "map_height_sigma": ("map_height_sigma_share",),
+        "map_size_sigma": ("map_size_sigma_share",),
+        "focal_sigma": ("focal_sigma_share",),
+        "radial_sigma": ("k1_sigma",),
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -114,8 +144,8 @@ class OptionsFile:
         if not isinstance(table, dict):
             self._fail(where, f"expected a table, found {table!r}")
         hints = _hints(type(default))
-        new = {}
-        for key, value in table.items():
+        new, written = {}, {}
+        for key, value, name in self._entries(type(default), table, where):
             if key not in hints:
                 self._fail([*where, key], f"unknown key{_meant(key, hints)}")
             named = _NAMED.get((type(default), key))
@@ -124,12 +154,30 @@ class OptionsFile:
                     self._fail([*where, key], f"expected one of {', '.join(named)}, found {value!r}")
                 new[key] = named[value]
             else:
-                new[key] = self._value(hints[key], getattr(default, key), value, [*where, key])
+                new[key] = self._value(hints[key], getattr(default, key), value, [*where, name])
+            written[key] = name
         try:
             return replace(default, **new)
         except (ValueError, CraternavError, FactorError) as error:
             key = str(error).split(":")[0].split(".")[-1]
-            self._fail([*where, key] if key in new else where, str(error).split(": ", 1)[-1])
+            self._fail([*where, written[key]] if key in new else where, str(error).split(": ", 1)[-1])
+
+    def _entries(
+        self, kind: type, table: Mapping[str, Any], where: list[str]
+    ) -> Iterator[tuple[str, Any, str]]:
+        """Present key, value and key as written of the entries of a table, which may have former names."""
+        for name, value in table.items():
+            keys = FORMER.get(kind, {}).get(name, (name,))
+            twice = [key for key in keys if key in table and key != name]
+            if twice:
+                problem = f"is the former name of {' and '.join(keys)}, and {twice[0]} is given, too"
+                self._fail([*where, name], problem)
+            if len(keys) == 1:
+                yield keys[0], value, name
+            elif isinstance(value, list) and len(value) == len(keys):
+                yield from ((key, one, name) for key, one in zip(keys, value, strict=True))
+            else:
+                self._fail([*where, name], f"expected a list of {len(keys)} numbers, found {value!r}")
 
     def _value(self, hint: Any, default: Any, value: Any, where: list[str]) -> Any:
         """Check a value against the type of its field; what is a dataclass there is a table here."""

@@ -79,13 +79,13 @@ def check_imu(problems: Sequence[Problem], folder: Path) -> None:
     imu = problems[0].imu
     if problems[0].motion is not None or not _median_nis_of_imu(problems, imu) > REFUTED:
         return
-    in_rad = replace(imu, gyro=np.radians(imu.gyro))
-    in_m = replace(imu, accelerometer=_G_M_S2 * imu.accelerometer)
+    in_rad = replace(imu, gyro_rad_s=np.radians(imu.gyro_rad_s))
+    in_m = replace(imu, accelerometer_m_s2=_G_M_S2 * imu.accelerometer_m_s2)
     for other, column, problem in (
         (in_rad, _GYRO, "expected rad/s, found deg/s"),
         (in_m, _ACCELEROMETER, "expected m/s^2, found g"),
         (
-            replace(in_rad, accelerometer=in_m.accelerometer),
+            replace(in_rad, accelerometer_m_s2=in_m.accelerometer_m_s2),
             _GYRO,
             "expected rad/s and m/s^2, found deg/s and g",
         ),

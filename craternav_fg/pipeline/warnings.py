@@ -39,7 +39,9 @@ _PREDICTION_CHECKS = (
     "the body's spin and gravity, T_BS, pixel coordinates, intrinsics and lens of the camera, " + _STAMPS
 )
 # What to check in place of the IMU where a motion model predicts.
-_MOTION_CHECKS = f"[motion] in dataset.toml (its densities, rate_rad_s and rate_walk), {_PREDICTION_CHECKS}"
+_MOTION_CHECKS = (
+    f"[motion] in dataset.toml (its densities, rate_rad_s and rate_walk_rad_s2_sqrt_hz), {_PREDICTION_CHECKS}"
+)
 # What to check when the innovations of a sensor are too large.
 _SENSOR_CHECKS = {
     "imu": f"its units and noise, {_PREDICTION_CHECKS}",

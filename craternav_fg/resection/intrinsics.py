@@ -49,7 +49,7 @@ class IntrinsicsPrior:
     ----------
     focal_px : float
         The camera's focal length.
-    focal_sigma : float
+    focal_sigma_share : float
         Relative standard deviation of the focal length; 0 for an exact one.
     principal_sigma_px : float
         Standard deviation of each coordinate of the principal point; 0 for an exact one.
@@ -59,7 +59,7 @@ class IntrinsicsPrior:
     """
 
     focal_px: float
-    focal_sigma: float = FOCAL_SIGMA
+    focal_sigma_share: float = FOCAL_SIGMA
     principal_sigma_px: float = PRINCIPAL_SIGMA_PX
     focal_stated: bool = False
 
@@ -87,7 +87,7 @@ class IntrinsicsPrior:
     def sigmas(self) -> FloatArray:
         """Sigmas (3,) of the unknowns: logarithm of the focal length, principal point in c, over it."""
         principal = self.principal_sigma_px / self.focal_px
-        return np.array([self.focal_sigma, principal, principal])
+        return np.array([self.focal_sigma_share, principal, principal])
 
 
 @dataclass(frozen=True)
@@ -326,16 +326,16 @@ def intrinsics_warnings(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str
 
 def _contradicted_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
     # Also true for NaN.
-    if not prior.focal_sigma or abs(np.log(fit.focal_scale)) < _focal_limit(fit, prior):
+    if not prior.focal_sigma_share or abs(np.log(fit.focal_scale)) < _focal_limit(fit, prior):
         return ()
     return (
         f"the rims contradict the camera's focal length: theirs differs by {_percent(fit)}, with an expected "
-        f"{100.0 * prior.focal_sigma:.2g} %; check the intrinsics, the size of the image and the body",
+        f"{100.0 * prior.focal_sigma_share:.2g} %; check the intrinsics, the size of the image and the body",
     )
 
 
 def _focal_limit(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> float:
-    return _MAX_DEVIATION * float(np.hypot(fit.focal_scale_sigma, prior.focal_sigma))
+    return _MAX_DEVIATION * float(np.hypot(fit.focal_scale_sigma, prior.focal_sigma_share))
 
 
 def _percent(fit: IntrinsicsFit) -> str:
@@ -343,7 +343,7 @@ def _percent(fit: IntrinsicsFit) -> str:
 
 
 def _unchecked_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
-    if not prior.focal_sigma or prior.focal_stated or fit.focal_scale_sigma <= _UNCHECKED_SIGMA:
+    if not prior.focal_sigma_share or prior.focal_stated or fit.focal_scale_sigma <= _UNCHECKED_SIGMA:
         return ()
     # A pose that is known less accurately anyway is not wrong by much.
     moved = min(_focal_limit(fit, prior), _FEARED_ERROR) * fit.effect[:, 0]

@@ -27,7 +27,7 @@ class RobustOptions:
 
     Attributes
     ----------
-    gate : float
+    gate_chi2 : float
         Squared Mahalanobis distance, five degrees of freedom, above which a rim does not agree with a pose.
     least_rims : int
         Number of rims that must agree; one less with a prior, the sun or a known attitude. Fewer rims agree
@@ -44,7 +44,7 @@ class RobustOptions:
         Options of the solution from the rims that agree.
     """
 
-    gate: float = 30.0
+    gate_chi2: float = 30.0
     least_rims: int = 3
     minimal_sets: int = 200
     log_chance: float = float(np.log(1e-6))
@@ -147,7 +147,7 @@ def _consensus(problem: ResectionProblem, least: int, options: RobustOptions) ->
     attitude = np.empty((0, 0)) if problem.attitude is None else problem.attitude.gRb
     members, _ = consensus(
         problem.bTc, rims.centres, rims.axes, rims.chart, rims.whitening, prior, weight,
-        problem.sun_array(), attitude, problem.first_free, _seeds(problem, options), options.gate,
+        problem.sun_array(), attitude, problem.first_free, _seeds(problem, options), options.gate_chi2,
     )  # fmt: skip
     return _with_evidence(problem, *_solve_consistently(problem, members, least, options))
 
@@ -199,7 +199,7 @@ def _solve_consistently(
             break
         gTb = result.poses[0].gTb
         d2 = distances2(gTb, information(part, gTb), problem.first_free, members, rims.packed(problem.bTc))
-        agree = d2 < options.gate
+        agree = d2 < options.gate_chi2
         # A rim near the gate could come and go for ever.
         if turn >= _ROUNDS:
             agree &= members

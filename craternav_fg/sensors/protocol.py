@@ -72,14 +72,14 @@ class SensorState:
         Pose of the body in g, m.
     gV : ndarray, shape (3,)
         Velocity relative to g, in g, m/s.
-    rate : ndarray, shape (3,)
+    rate_rad_s : ndarray, shape (3,)
         Inertial angular velocity in b, rad/s.
     """
 
     stamp_ns: int
     gTb: FloatArray
     gV: FloatArray
-    rate: FloatArray
+    rate_rad_s: FloatArray
 
 
 @dataclass(frozen=True)

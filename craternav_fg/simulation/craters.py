@@ -34,7 +34,7 @@ class CraterFieldOptions:
     ----------
     density : float
         k of the scale-free size distribution: k r^-2 craters larger than r on a unit of area.
-    size_frequency : tuple of tuple of float
+    size_frequency_km : tuple of tuple of float
         In place of `density`: diameters, km, and numbers of larger craters per km^2.
     min_apparent_px : float
         Smallest semi-minor axis, seen from the lowest altitude at which the crater is in view.
@@ -42,9 +42,9 @@ class CraterFieldOptions:
         Largest semi-major axis, seen from the highest altitude at which the crater is in view.
     focal_px : float
         Focal length of the camera that sees them.
-    reach : float
+    reach_altitudes : float
         Half-width of the corridor along the ground track, in altitudes: what the lander sees.
-    separation : float
+    separation_ratio : float
         Smallest distance of centres over the sum of their semi-major axes; below 1 craters overlap.
     min_axis_ratio : float
         Axis ratios b/a are uniform from here to 1.
@@ -56,11 +56,11 @@ class CraterFieldOptions:
     min_apparent_px: float = 12.0
     max_apparent_px: float = 150.0
     focal_px: float = 1267.2
-    reach: float = 1.25
-    separation: float = 1.3
+    reach_altitudes: float = 1.25
+    separation_ratio: float = 1.3
     min_axis_ratio: float = 0.75
     clutter_px: tuple[float, float] = (2.5, 9.0)
-    size_frequency: tuple[tuple[float, float], ...] = ()
+    size_frequency_km: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.min_apparent_px < self.max_apparent_px:
@@ -98,7 +98,7 @@ def random_craters(
     order = np.argsort(-field.semi_major_m, kind="stable")
     field = field.take(order[field.seen_px(order, options) <= options.max_apparent_px])
     field = field.take(
-        np.flatnonzero(_apart(body.radius_m * field.normals, field.semi_major_m, options.separation))
+        np.flatnonzero(_apart(body.radius_m * field.normals, field.semi_major_m, options.separation_ratio))
     )
     return standing(field.catalog("S", body), relief)
 
@@ -222,7 +222,7 @@ def _draw(
         r = r_next
     joined = _Field(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Field)})
     joined.lowest_m[:], joined.highest_m[:] = _seen_from_m(
-        body, joined.normals, ground, altitude_m, options.reach
+        body, joined.normals, ground, altitude_m, options.reach_altitudes
     )
     smallest_m = options.min_apparent_px * joined.lowest_m / options.focal_px
     return joined.take(np.flatnonzero(joined.semi_minor_m >= smallest_m))
@@ -241,12 +241,12 @@ def _draw_sizes(
     plane = body.radius_m * (ground @ gRe)[:, :2] / (ground @ gRe)[:, 2:]
     centred = plane - plane.mean(axis=0)
     along = np.linalg.svd(centred)[2]
-    reach_m = options.reach * altitude_m[:, None]
+    reach_m = options.reach_altitudes * altitude_m[:, None]
     low = (centred @ along.T - reach_m).min(axis=0)
     high = (centred @ along.T + reach_m).max(axis=0)
     area_m2 = np.prod(high - low)
-    if options.size_frequency:
-        diameter, number = _continued(options.size_frequency)
+    if options.size_frequency_km:
+        diameter, number = _continued(options.size_frequency_km)
         least, most = np.exp(np.interp(np.log(2e-3 * np.array(sizes_m[::-1])), diameter, number))
         n = int(rng.poisson(1e-6 * (most - least) * area_m2))
         logs = np.interp(-np.log(rng.uniform(least, most, n)), -number, diameter)
@@ -268,9 +268,9 @@ def _draw_sizes(
     )
 
 
-def _continued(size_frequency: tuple[tuple[float, float], ...]) -> tuple[FloatArray, FloatArray]:
+def _continued(size_frequency_km: tuple[tuple[float, float], ...]) -> tuple[FloatArray, FloatArray]:
     """Logarithms of diameters and numbers (n,), with a far point on the power law of either end."""
-    x, y = np.log(np.array(size_frequency)).T
+    x, y = np.log(np.array(size_frequency_km)).T
     slopes = np.diff(y) / np.diff(x)
     far = _CONTINUED
     x = np.concatenate([[x[0] - far], x, [x[-1] + far]])

@@ -51,7 +51,7 @@ def simulate_sensors(
         altitude_m = descent.body.altitude_m(motion.gP)
         on = (altitude_m >= plan.above_m) & (altitude_m <= (np.inf if plan.below_m is None else plan.below_m))
         states = [
-            SensorState(int(stamps[k]), motion.gTb[k], motion.gV[k], motion.angular_velocity[k])
+            SensorState(int(stamps[k]), motion.gTb[k], motion.gV[k], motion.angular_velocity_rad_s[k])
             for k in np.flatnonzero(on)
         ]
         (stream,) = rng.spawn(1)

@@ -76,7 +76,7 @@ def four_craters(seed: int) -> Scene:
     back_m = FOUR_CRATERS_ALTITUDE_M / np.cos(_FOUR_TILT_RAD)
     gTb = frames.pose(gRc, MOON.radius_m * site[:, 2] - gRc[:, 2] * back_m)
     above = (site[:, 2] * (MOON.radius_m + FOUR_CRATERS_ALTITUDE_M))[None]
-    clutter = random_clutter(rng, MOON, above, CraterFieldOptions(reach=0.7), catalog)
+    clutter = random_clutter(rng, MOON, above, CraterFieldOptions(reach_altitudes=0.7), catalog)
     sun_g = sun_direction(site, _FOUR_SUN_ELEVATION_RAD, _FOUR_SUN_AZIMUTH_RAD)
     renderer = Renderer(CAMERA, Terrain(catalog, relief, TerrainOptions(), clutter), RenderOptions())
     return photograph(renderer, gTb, sun_g, rng)
@@ -170,7 +170,7 @@ def photograph_window(
     gP = view.catalog.centres
     range_m = float(np.linalg.norm(view.gTb[:3, 3] - gP[0]))
     reach = 0.75 * np.hypot(camera.width_px, camera.height_px) / camera.focal_px
-    field = CraterFieldOptions(min_apparent_px=10.0, focal_px=camera.focal_px, reach=reach)
+    field = CraterFieldOptions(min_apparent_px=10.0, focal_px=camera.focal_px, reach_altitudes=reach)
     above = gP * (1.0 + range_m / MOON.radius_m)
     clutter = random_clutter(rng, MOON, above, field, view.catalog)
     terrain = Terrain(view.catalog, view.relief, options, clutter)

@@ -112,7 +112,10 @@ def unresolved_craters(
     """
     assert relief.dem is not None
     options = CraterFieldOptions(
-        density=section.density, focal_px=focal_px, reach=section.reach, clutter_px=section.detail_px
+        density=section.density,
+        focal_px=focal_px,
+        reach_altitudes=section.reach_altitudes,
+        clutter_px=section.detail_px,
     )
     largest_m = _UNRESOLVED_STEPS * relief.dem.step_rad * body.radius_m
     empty = Catalog(
@@ -133,7 +136,7 @@ def _around(
     large = np.flatnonzero(2.0 * catalog.semi_major_m >= section.min_diameter_m)
     tree = cKDTree(catalog.up[large])
     points = track[np.unique(np.linspace(0, len(track) - 1, min(len(track), _TRACK_POINTS)).astype(int))]
-    angle = section.reach * body.altitude_m(points) / body.radius_m
+    angle = section.reach_altitudes * body.altitude_m(points) / body.radius_m
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)
     groups = tree.query_ball_point(directions, 2.0 * np.sin(0.5 * np.minimum(angle, np.pi)))
     near = np.unique(np.concatenate([np.asarray(group, dtype=np.int64) for group in groups]))

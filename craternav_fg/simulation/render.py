@@ -62,11 +62,11 @@ class RenderOptions:
         Law in place of Lunar-Lambert.
     sun_radius_rad : float
         Half the angle under which the sun appears: the softness of shadows.
-    flat_level : float
+    flat_level_share : float
         Brightness of locally flat terrain at the site, seen from above, as a share of full scale.
     psf_sigma_px : float
         Gaussian blur of the optics; 0 for none.
-    vignetting : float
+    vignetting_share : float
         Share of the light that is lost in the image's corners; it grows with the square of the distance from
         the centre.
     full_well_e : float
@@ -79,9 +79,9 @@ class RenderOptions:
     lunar_lambert: float = 0.55
     hapke: Hapke | None = None
     sun_radius_rad: float = 0.00465
-    flat_level: float = 0.4
+    flat_level_share: float = 0.4
     psf_sigma_px: float = 0.7
-    vignetting: float = 0.0
+    vignetting_share: float = 0.0
     full_well_e: float = 15000.0
     read_noise_e: float = 20.0
 
@@ -181,8 +181,8 @@ class Renderer:
             light = blurred.astype(np.float32, copy=False)
         mu0 = max(float(sun_g @ self.terrain.relief.gRs[:, 2]), _MIN_COSINE)
         flat = mu0 * rays.reflectance(mu0, 1.0, mu0, self._law)
-        signal = light * np.float32(options.flat_level / flat)
-        if options.vignetting > 0.0:
+        signal = light * np.float32(options.flat_level_share / flat)
+        if options.vignetting_share > 0.0:
             signal *= self._transmission()
         if options.full_well_e > 0.0:
             electrons = signal * np.float32(options.full_well_e)
@@ -292,7 +292,7 @@ class Renderer:
         x = (np.arange(camera.width_px) - camera.cx_px) / camera.width_px
         y = (np.arange(camera.height_px) - camera.cy_px) / camera.height_px
         share = 2.0 * (x[None, :] ** 2 + y[:, None] ** 2)
-        return np.maximum(1.0 - self.options.vignetting * share, 0.0).astype(np.float32)
+        return np.maximum(1.0 - self.options.vignetting_share * share, 0.0).astype(np.float32)
 
     def _camera_pose(self, gTb: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rotation (3, 3) and position (3,), m, of the camera in the site frame."""

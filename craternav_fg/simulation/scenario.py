@@ -78,7 +78,7 @@ def simulate(
     motion = descent.evaluate(np.multiply(stamps, 1e-9))
     initial = sensors.initial_state(
         motion.gTb[0], motion.gV[0], begin_ns, scenario.initial_error, _biases(scenario), initial_rng,
-        None if imu is not None else motion.angular_velocity[0],
+        None if imu is not None else motion.angular_velocity_rad_s[0],
     )  # fmt: skip
     surroundings = Surroundings(descent.body, ground_heights(world.catalog))
     others = simulate_sensors(scenario.sensors, descent, surroundings, begin_ns, end_ns, sensor_rng)
@@ -196,6 +196,6 @@ def _truth(
     if imu is None:
         # What takes the gyro's bias refers to the prior's angular velocity.
         biases = np.zeros((len(every), 6))
-        biases[:, :3] = np.array(initial.angular_velocity_rad_s) - motion.angular_velocity
+        biases[:, :3] = np.array(initial.angular_velocity_rad_s) - motion.angular_velocity_rad_s
         return Trajectory(every, motion.gTb, motion.gV, biases)
     return Trajectory(every, motion.gTb, motion.gV, bias[np.searchsorted(imu.stamps_ns, every)])

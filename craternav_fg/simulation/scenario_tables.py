@@ -4,12 +4,13 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import Field, model_validator
 
 from craternav_fg.camera import Camera
-from craternav_fg.config import Positive, Section, Vector
+from craternav_fg.config import Positive, Section, Vector, or_former
 from craternav_fg.frames import pose, rotation_exp
 from craternav_fg.imu import ImuNoise
+from craternav_fg.motion.settings import FORMER as _OF_MOTION
 
 # Standard acceleration of gravity (CGPM 1901): the unit of accelerometers' data sheets.
 STANDARD_GRAVITY_M_S2 = 9.80665
@@ -17,7 +18,16 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 NotNegative = Annotated[float, Field(ge=0.0)]
 # Former names of keys, by table and present name: files with them are read.
 FORMER = {
-    "craters": {"place_sigma_share": "place_sigma", "size_sigma_share": "size_sigma"},
+    "craters": {
+        "place_sigma_share": "place_sigma",
+        "size_sigma_share": "size_sigma",
+        "size_frequency_km": "size_frequency",
+        "reach_altitudes": "reach",
+        "separation_ratio": "separation",
+    },
+    "terrain": {"depth_scatter_share": "depth_scatter", "irregularity_share": "irregularity"},
+    "render": {"flat_level_share": "flat_level", "vignetting_share": "vignetting"},
+    "motion": _OF_MOTION,
     "faults": {
         "wrong_match_share": "wrong_matches",
         "map_place_share": "map_place",
@@ -32,7 +42,7 @@ FilePath = Annotated[str, Field(min_length=1)]
 
 def _or_former(table: str, key: str) -> Any:
     """Describe a field that may stand under its former name."""
-    return Field(validation_alias=AliasChoices(key, FORMER[table][key]))
+    return or_former(key, FORMER[table][key])
 
 
 class CameraSection(Section):
@@ -94,10 +104,10 @@ class ImuSection(Section):
         """Return the densities in SI units."""
         micro_g = 1e-6 * STANDARD_GRAVITY_M_S2
         return ImuNoise(
-            gyro_density=math.radians(self.gyro_arw_deg_sqrt_h) / 60.0,
-            accelerometer_density=self.accelerometer_noise_ug_sqrt_hz * micro_g,
-            gyro_walk=math.radians(self.gyro_bias_walk_deg_h_sqrt_h) / 3600.0 / 60.0,
-            accelerometer_walk=self.accelerometer_bias_walk_ug_sqrt_h * micro_g / 60.0,
+            gyro_density_rad_s_sqrt_hz=math.radians(self.gyro_arw_deg_sqrt_h) / 60.0,
+            accelerometer_density_m_s2_sqrt_hz=self.accelerometer_noise_ug_sqrt_hz * micro_g,
+            gyro_walk_rad_s2_sqrt_hz=math.radians(self.gyro_bias_walk_deg_h_sqrt_h) / 3600.0 / 60.0,
+            accelerometer_walk_m_s3_sqrt_hz=self.accelerometer_bias_walk_ug_sqrt_h * micro_g / 60.0,
         )
 
     @property
@@ -184,17 +194,18 @@ class RandomCraters(Section):
     source: Literal["random"]
     density: Positive
     """k of the size distribution: k r^-2 craters larger than r on a unit of area."""
-    size_frequency: tuple[tuple[Positive, Positive], ...] = ()
+    size_frequency_km: Annotated[
+        tuple[tuple[Positive, Positive], ...], _or_former("craters", "size_frequency_km")
+    ] = ()
     """In place of density: diameters, km, and numbers of larger craters per km^2. Interpolated and
-    extrapolated
-    by power laws."""
+    extrapolated by power laws."""
     min_apparent_px: Positive
     """Smallest semi-minor axis, seen from the lowest altitude at which the crater is in view."""
     max_apparent_px: Positive
     """Largest semi-major axis, seen from the highest altitude at which the crater is in view."""
-    reach: Positive
+    reach_altitudes: Annotated[Positive, _or_former("craters", "reach_altitudes")]
     """Half-width of the corridor along the ground track, in altitudes."""
-    separation: NotNegative
+    separation_ratio: Annotated[NotNegative, _or_former("craters", "separation_ratio")]
     """Smallest distance of centres over the sum of their semi-major axes; below 1 craters overlap."""
     min_axis_ratio: Annotated[float, Field(gt=0.2, le=1.0)]
     """Axis ratios b/a are uniform from here to 1."""
@@ -209,9 +220,9 @@ class RandomCraters(Section):
         ):
             if not small < large:
                 raise ValueError(f"{name} sizes must rise, found {small} to {large}")
-        table = np.array(self.size_frequency).reshape(-1, 2)
+        table = np.array(self.size_frequency_km).reshape(-1, 2)
         if len(table) == 1 or np.any(np.diff(table[:, 0]) <= 0.0) or np.any(np.diff(table[:, 1]) >= 0.0):
-            raise ValueError("size_frequency needs two rows or more, rising diameters and falling numbers")
+            raise ValueError("size_frequency_km needs two rows or more, rising diameters and falling numbers")
         return self
 
 
@@ -234,7 +245,7 @@ class PublishedCraters(Section):
     [terrain]."""
     min_diameter_m: Positive
     """Smaller craters are excluded from the map."""
-    reach: Positive
+    reach_altitudes: Annotated[Positive, _or_former("craters", "reach_altitudes")]
     """Half-width of the corridor along the ground track whose craters are in the map, in altitudes."""
     place_sigma_m: NotNegative
     """Standard deviation of the positions per axis, where the catalogue states no errors."""
@@ -304,9 +315,11 @@ class TerrainSection(Section):
     """Hurst exponent: heights grow with the length to this power."""
     coarsest_m: Positive
     """Longest wavelength, rounded down to a power of two."""
-    depth_scatter: Annotated[float, Field(ge=0.0, lt=1.0)]
+    depth_scatter_share: Annotated[float, Field(ge=0.0, lt=1.0), _or_former("terrain", "depth_scatter_share")]
     """Largest share of the depth by which floors are raised at random."""
-    irregularity: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    irregularity_share: Annotated[
+        float, Field(ge=0.0, le=0.1), _or_former("terrain", "irregularity_share")
+    ] = 0.0
     """RMS deviation of the rims from their ellipses, as a share of the radius."""
     degradation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Largest degradation, drawn at random: crests are rounded and floors filled; 1 leaves half of the
@@ -344,7 +357,7 @@ class RenderSection(Section):
     """Share of the Lommel-Seeliger law; the rest is Lambert's."""
     sun_radius_deg: Positive
     """Angular radius of the sun."""
-    flat_level: Annotated[float, Field(gt=0.0, lt=1.0)]
+    flat_level_share: Annotated[float, Field(gt=0.0, lt=1.0), _or_former("render", "flat_level_share")]
     """Brightness of locally flat terrain at the site, as a share of full scale."""
     psf_sigma_px: NotNegative
     """Gaussian blur of the optics."""
@@ -354,7 +367,7 @@ class RenderSection(Section):
     """Standard deviation of the read-out noise, electrons."""
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 8
     """Bits of the grey levels; more than 8 are stored in 16-bit images."""
-    vignetting: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    vignetting_share: Annotated[float, Field(ge=0.0, lt=1.0), _or_former("render", "vignetting_share")] = 0.0
     """Share of the light lost in the image's corners."""
     exposure_s: NotNegative = 0.0
     """Exposure time, for motion blur; the stamp of an image is the middle of the exposure."""

@@ -39,11 +39,11 @@ class Ground:
 
     Attributes
     ----------
-    density, separation : float
+    density, separation_ratio : float
         Density and separation of the craters, see `CraterFieldOptions`.
     slope : float
         Roughness of the terrain, see `ReliefOptions`.
-    irregularity : float
+    irregularity_share : float
         Irregularity of the outlines, see `TerrainOptions`.
     tilt_deg : tuple of float
         Smallest and largest tilt of the camera from nadir.
@@ -54,18 +54,18 @@ class Ground:
     """
 
     density: float = 0.005
-    separation: float = 1.3
+    separation_ratio: float = 1.3
     slope: float = 0.012
-    irregularity: float = 0.0
+    irregularity_share: float = 0.0
     tilt_deg: tuple[float, float] = (0.0, 30.0)
     size_px: int = 1024
     lunar_lambert: float = RenderOptions.lunar_lambert
 
 
 # Outlines 3 % off their ellipses (RMS).
-IRREGULAR = Ground(irregularity=0.03)
+IRREGULAR = Ground(irregularity_share=0.03)
 # Overlapping craters on rough terrain.
-HARD = Ground(density=0.01, separation=0.75, slope=0.03)
+HARD = Ground(density=0.01, separation_ratio=0.75, slope=0.03)
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     field = CraterFieldOptions(
         min_apparent_px=_SMALLEST_CATALOGUED_PX,
         density=ground.density,
-        separation=ground.separation,
+        separation_ratio=ground.separation_ratio,
         focal_px=focal,
     )
     catalog = random_craters(rng, MOON, track, field, relief)
@@ -154,7 +154,7 @@ def scene(seed: int, ground: Ground | None = None) -> Scene:
     gRc = frames.rotation_exp(axis) @ site @ np.diag([1.0, -1.0, -1.0])
     gRc = gRc @ frames.rotation_exp(np.array([0.0, 0.0, heading]))
     gTb = frames.pose(gRc, foot - gRc[:, 2] * ALTITUDE_M / np.cos(tilt))
-    options = TerrainOptions(irregularity=ground.irregularity)
+    options = TerrainOptions(irregularity_share=ground.irregularity_share)
     light = RenderOptions(lunar_lambert=ground.lunar_lambert)
     renderer = Renderer(camera, Terrain(catalog, relief, options, clutter), light)
     return photograph(renderer, gTb, sun_direction(site, elevation, azimuth), rng)

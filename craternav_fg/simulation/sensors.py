@@ -63,7 +63,7 @@ def ideal_imu(descent: Track, stamps_ns: IntArray, start_ns: int) -> ImuLog:
     turned = frames.rotation_exp(np.multiply.outer(dt, np.array(descent.body.spin_rad_s)))
     gyro = frames.rotation_log(np.swapaxes(R[:-1], 1, 2) @ turned @ R[1:]) / dt[:, None]
     force = sum(
-        weight * descent.evaluate(t[:-1] + node * dt).specific_force
+        weight * descent.evaluate(t[:-1] + node * dt).specific_force_m_s2
         for node, weight in zip(_NODES, _WEIGHTS, strict=True)
     )
     return ImuLog(stamps_ns, gyro, np.asarray(force))
@@ -90,12 +90,12 @@ def corrupt_imu(log: ImuLog, options: ImuSection, rng: np.random.Generator) -> t
     steps_ns = np.diff(log.stamps_ns)
     root_dt = np.sqrt(np.concatenate([steps_ns[:1], steps_ns]) * 1e-9)[:, None]
     turn_on = np.repeat([options.gyro_bias_rad_s, options.accelerometer_bias_m_s2], 3)
-    walk = np.repeat([noise.gyro_walk, noise.accelerometer_walk], 3)
-    density = np.repeat([noise.gyro_density, noise.accelerometer_density], 3)
+    walk = np.repeat([noise.gyro_walk_rad_s2_sqrt_hz, noise.accelerometer_walk_m_s3_sqrt_hz], 3)
+    density = np.repeat([noise.gyro_density_rad_s_sqrt_hz, noise.accelerometer_density_m_s2_sqrt_hz], 3)
     steps = walk * root_dt * rng.standard_normal((n, 6))
     steps[0] = turn_on * rng.standard_normal(6)
     bias = np.cumsum(steps, axis=0)
-    rates = np.hstack([log.gyro, log.accelerometer]) + bias
+    rates = np.hstack([log.gyro_rad_s, log.accelerometer_m_s2]) + bias
     rates += density / root_dt * rng.standard_normal((n, 6))
     return ImuLog(log.stamps_ns, rates[:, :3].copy(), rates[:, 3:].copy()), bias
 

@@ -85,9 +85,9 @@ class TerrainOptions:
         Largest spacing of the finest grid, in pixels on the ground; the smallest is half of it.
     levels : int
         Largest number of grids, each twice as wide as the one before. Beyond the last the body is smooth.
-    depth_scatter : float
+    depth_scatter_share : float
         Largest share of the depth by which floors are raised at random: 0 gives fresh craters only.
-    irregularity : float
+    irregularity_share : float
         RMS deviation of the rims from their ellipses, as a share of the radius.
     degradation : float
         Largest degradation, drawn at random: crests are rounded and floors filled by this share of the most
@@ -99,8 +99,8 @@ class TerrainOptions:
     cells: int = 2048
     cell_px: float = 0.5
     levels: int = 6
-    depth_scatter: float = 0.35
-    irregularity: float = 0.0
+    depth_scatter_share: float = 0.35
+    irregularity_share: float = 0.0
     degradation: float = 0.0
     peaks_from_m: float = np.inf
 
@@ -193,10 +193,10 @@ class Terrain:
         xy = self.relief.plane(catalog.centres[rows])
         level, gradient = self.relief.at(xy, radius)
         scatter = np.random.default_rng(self.relief.options.seed).uniform(size=len(catalog))[rows]
-        depth = depth_m(radius) * (1.0 - self.options.depth_scatter * scatter)
+        depth = depth_m(radius) * (1.0 - self.options.depth_scatter_share * scatter)
         # Streams of their own: each option leaves the random numbers of the others unchanged.
         outlines, wear = (np.random.default_rng([self.relief.options.seed, k]) for k in (1, 2))
-        harmonics = random_outlines(outlines, len(catalog), self.options.irregularity)[rows]
+        harmonics = random_outlines(outlines, len(catalog), self.options.irregularity_share)[rows]
         degraded = self.options.degradation * wear.uniform(size=len(catalog))[rows]
         depth *= 1.0 - DEGRADED_DEPTH * degraded
         out = np.zeros((len(rows), COL_HARMONICS + harmonics.shape[1]))

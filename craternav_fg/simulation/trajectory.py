@@ -24,17 +24,17 @@ class Motion:
         Velocity relative to g, in g, m/s.
     gRb : ndarray, shape (n, 3, 3)
         Rotations from b to g.
-    specific_force : ndarray, shape (n, 3)
+    specific_force_m_s2 : ndarray, shape (n, 3)
         In b, m/s^2.
-    angular_velocity : ndarray, shape (n, 3)
+    angular_velocity_rad_s : ndarray, shape (n, 3)
         Inertial, in b, rad/s.
     """
 
     gP: FloatArray
     gV: FloatArray
     gRb: FloatArray
-    specific_force: FloatArray
-    angular_velocity: FloatArray
+    specific_force_m_s2: FloatArray
+    angular_velocity_rad_s: FloatArray
 
     @property
     def gTb(self) -> FloatArray:

@@ -99,8 +99,8 @@ def terrain_options(section: TerrainSection) -> TerrainOptions:
     TerrainOptions
     """
     return TerrainOptions(
-        depth_scatter=section.depth_scatter,
-        irregularity=section.irregularity,
+        depth_scatter_share=section.depth_scatter_share,
+        irregularity_share=section.irregularity_share,
         degradation=section.degradation,
         peaks_from_m=math.inf if section.peaks_from_m is None else section.peaks_from_m,
     )

@@ -42,6 +42,8 @@ class Column:
         Whether the column may be missing.
     may_be_empty : bool
         Whether cells may be empty, which stand for NaN (numbers only).
+    former : str or None
+        Name that an earlier version wrote, which is read, too.
     """
 
     name: str
@@ -49,11 +51,14 @@ class Column:
     unit: str | None = None
     optional: bool = False
     may_be_empty: bool = False
+    former: str | None = None
 
     @property
     def heading(self) -> str:
         """Name and unit as they stand in a header."""
-        return self.name if self.unit is None else f"{self.name} [{self.unit}]"
+        if self.unit is None or self.name.endswith(f"_{self.unit}"):
+            return self.name
+        return f"{self.name} [{self.unit}]"
 
 
 @dataclass(frozen=True)
@@ -279,10 +284,12 @@ def _read_header(
         for sign, found in ((";", "semicolons"), ("\t", "tabs")):
             if sign in cells[0]:
                 raise InputError(path, f"expected columns separated by commas, found {found}", line=line)
+    present = {column.former: column.name for column in columns if column.former is not None}
     optional = [column.name for column in columns if column.optional]
     names: list[str] = []
     for cell in cells:
         name, bracket, unit = cell.strip().removeprefix("#").strip().partition(" [")
+        name = present.get(name, name)
         passed = others and not any(name.lower().startswith(right[:5].lower()) for right in optional)
         if name not in by_name and name not in ignored and not passed:
             raise InputError(

@@ -36,7 +36,7 @@ class ArcOptions:
         semi-minor axis.
     shared_px : float
         Standard deviation of an error that an arc's points share in one frame.
-    gate : float
+    gate_sigmas : float
         Largest distance of an arc from its prediction, in standard deviations of both.
     margin_px : float
         Rims are traced as long as no part of them is farther than this outside the image.
@@ -47,7 +47,7 @@ class ArcOptions:
     max_rms_px: float = 0.4
     max_rms_share: float = 0.03
     shared_px: float = 0.06
-    gate: float = 3.5
+    gate_sigmas: float = 3.5
     margin_px: float = 400.0
 
 
@@ -137,6 +137,6 @@ def judge(
     count = int(np.count_nonzero(kept))
     # Slope and curvature of the misfit show a wrong rim as well as its mean does.
     misfit = np.sqrt(np.mean(smooth[kept] ** 2))
-    if misfit > options.gate * np.sqrt(correlated_px**2 + predicted_px**2 + np.mean(own**2) / count):
+    if misfit > options.gate_sigmas * np.sqrt(correlated_px**2 + predicted_px**2 + np.mean(own**2) / count):
         return None
     return points[kept], np.sqrt(own**2 + count * options.shared_px**2)

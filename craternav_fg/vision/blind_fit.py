@@ -115,7 +115,8 @@ class BlindFitter:
         edges, fit = EdgeOptions(), self.options
         return Tracing(
             self.contrast, edges.noise_step(self.noise), self.psf_px, edges.smoothing_share,
-            edges.smoothing_px, edges.min_slope_contrast, edges.min_step, crater_profile.crossing_table(),
-            crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, self._camera.lens, fit.min_points,
-            fit.min_arc_share, fit.max_gap_rad, fit.max_sigma_share, fit.min_scatter_px, BRIGHTNESS_SIGMA,
+            edges.smoothing_px, edges.min_slope_contrast, edges.min_step_share,
+            crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
+            self._camera.lens, fit.min_points, fit.min_arc_share, fit.max_gap_rad, fit.max_sigma_share,
+            fit.min_scatter_px, BRIGHTNESS_SIGMA,
         )  # fmt: skip

@@ -30,7 +30,7 @@ class EdgeOptions:
         rim crest.
     min_slope_contrast : float
         Minimum slope contrast across the rim of a normal that is searched (see `photometry`).
-    min_step : float
+    min_step_share : float
         Minimum relative brightness step across an edge, for a slope contrast of 1.
     step_sigmas : float
         Minimum brightness step across an edge, in standard deviations of the pixel noise.
@@ -39,7 +39,7 @@ class EdgeOptions:
     smoothing_px: float = 0.4
     smoothing_share: float = 0.02
     min_slope_contrast: float = 0.12
-    min_step: float = 0.02
+    min_step_share: float = 0.02
     step_sigmas: float = 3.0
 
     def noise_step(self, noise: float) -> float:
@@ -137,7 +137,7 @@ def find_edge_points(
     noise_step = options.noise_step(noise) / reference
     points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
         image, chart_px, contrast_px, reference, reach_px, options.smoothing_share, options.smoothing_px,
-        camera.psf_sigma_px, options.min_slope_contrast, options.min_step, noise_step, count,
+        camera.psf_sigma_px, options.min_slope_contrast, options.min_step_share, noise_step, count,
         crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
         camera.lens, np.zeros(LEVEL_TERMS) if ground is None else ground,
     )  # fmt: skip

@@ -145,8 +145,8 @@ class GuidedFrontEnd:
         if radius_px > _MIN_SEARCHED_SHIFT_PX or np.max(own_px) > _MIN_SEARCHED_DISTORTION_PX:
             pose = self._aligned(frame, common, min(radius_px, opt.max_shift_px))
             rims = self._predict(frame, pose, opt.margin_px)
-        if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach[0]:
-            rough = fitter.fit(rims, _reach_px(rims, opt.first_reach), rough=True)
+        if radius_px + opt.shift_sigmas * np.median(own_px) > opt.second_reach_px:
+            rough = fitter.fit(rims, _reach_px(rims, opt.first_reach_px, opt.first_reach_share), rough=True)
             if len(rough) > 0:
                 residual = rough.charts - rough.predicted.charts
                 H = rough.predicted.jacobians
@@ -229,7 +229,7 @@ class GuidedFrontEnd:
         points: list[FloatArray] = []
         sigmas: list[FloatArray] = []
         correlated: list[float] = []
-        reach_px = _reach_px(rims, opt.second_reach)
+        reach_px = _reach_px(rims, opt.second_reach_px, opt.second_reach_share)
         scale = normalised_chart(rims.charts_px, self.camera)[1]
         of_map_px = self._of_map(rims.rows, result.gTb) / np.outer(scale, scale)
         for i in range(len(rims)):
@@ -267,9 +267,8 @@ class GuidedFrontEnd:
         for _ in range(opt.recentrings):
             before_px = pixel_chart(fitted.charts, self.camera)
             around = replace(fitted.predicted, charts_px=before_px)
-            again = fitter.fit(
-                around, _reach_px(around, opt.second_reach), opt.recentred_found_share, rough=True
-            )
+            reach_px = _reach_px(around, opt.second_reach_px, opt.second_reach_share)
+            again = fitter.fit(around, reach_px, opt.recentred_found_share, rough=True)
             kept = np.flatnonzero(np.isin(around.rows, again.predicted.rows))
             fitted = replace(again, predicted=fitted.predicted.take(kept))
             after_px = pixel_chart(fitted.charts, self.camera)
@@ -280,7 +279,8 @@ class GuidedFrontEnd:
 
     def _found(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
         """Fit rims; those that are not where the map has them are searched as far as its errors allow."""
-        reach_px = _reach_px(rims, self.options.second_reach)
+        opt = self.options
+        reach_px = _reach_px(rims, opt.second_reach_px, opt.second_reach_share)
         # In a descent over real ground, whose map states errors, a second search at the level of the ground
         # made poses worse: those rims are searched again around themselves instead.
         fitted = fitter.fit(rims, reach_px, rough=self.catalog.errors is not None)
@@ -291,7 +291,7 @@ class GuidedFrontEnd:
         place_px = self.camera.focal_px * np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1])
         minor_px = _smallest_radii_px(rims)[missing]
         size_px = minor_px * np.sqrt(covariance[:, 2, 2])
-        wider_px = reach_px[missing] + self.options.map_error_sigmas * np.hypot(place_px, size_px)
+        wider_px = reach_px[missing] + opt.map_error_sigmas * np.hypot(place_px, size_px)
         reach_px[missing] = np.minimum(wider_px, np.maximum(reach_px[missing], _MAX_REACH * minor_px))
         return fitter.fit(rims, reach_px, rough=True)
 
@@ -322,9 +322,9 @@ def _smallest_radii_px(rims: PredictedRims) -> FloatArray:
     return np.array([rims.smallest_radius_px(i) for i in range(len(rims))])
 
 
-def _reach_px(rims: PredictedRims, reach: tuple[float, float]) -> FloatArray:
+def _reach_px(rims: PredictedRims, px: float, share: float) -> FloatArray:
     """Half lengths (n,) of the normals on which rims are searched."""
-    return np.asarray(reach[0] + reach[1] * _smallest_radii_px(rims))
+    return np.asarray(px + share * _smallest_radii_px(rims))
 
 
 def _largest_sigma(motion: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ class GuidedOptions:
         Semi-minor axis of the smallest rims that are searched.
     margin_px : float
         Minimum distance of a predicted rim from the image's border.
-    brightness_sigma : float
+    brightness_sigma_share : float
         Relative standard deviation of the reference brightness at a single rim: regional slope, albedo. It is
         estimated beside the ellipse. Its lower bound: `craternav_fg.calibration.reference_brightness`.
     brightness_slope_per_px : float
@@ -35,9 +35,11 @@ class GuidedOptions:
         Minimum share of the searched normals with an edge.
     max_rms_px, max_rms_share : float
         Largest scatter of a rim's edge points: max_rms_px + max_rms_share b, b the semi-minor axis.
-    first_reach, second_reach : tuple of float
-        Half length of the searched normals, before and after the pose is corrected with the rims: px, and
-        share of the semi-minor axis.
+    first_reach_px, first_reach_share : float
+        Half length of the normals that are searched before the pose is corrected with the rims:
+        first_reach_px + first_reach_share b, b the semi-minor axis.
+    second_reach_px, second_reach_share : float
+        The same after it.
     map_error_sigmas : float
         Rims that are not found are searched again on normals that are longer by this many standard deviations
         of the catalogue's stated errors.
@@ -69,15 +71,17 @@ class GuidedOptions:
 
     min_semi_minor_px: float = 12.0
     margin_px: float = 3.0
-    brightness_sigma: float = 0.02
+    brightness_sigma_share: float = 0.02
     brightness_slope_per_px: float = 1e-4
     max_shift_px: float = 48.0
     shift_sigmas: float = 3.5
     min_found_share: float = 0.55
     max_rms_px: float = 0.6
     max_rms_share: float = 0.05
-    first_reach: tuple[float, float] = (2.5, 0.12)
-    second_reach: tuple[float, float] = (1.5, 0.08)
+    first_reach_px: float = 2.5
+    first_reach_share: float = 0.12
+    second_reach_px: float = 1.5
+    second_reach_share: float = 0.08
     map_error_sigmas: float = 2.0
     recentrings: int = 3
     recentred_found_share: float = 0.4

@@ -54,7 +54,7 @@ class PointTrackOptions:
         Largest distance between a point and where the way back leads.
     distance_px : float
         Minimum distance between new points, and of points from measured rims.
-    quality : float
+    quality_share : float
         Minimum strength of a corner, as a share of the strongest.
     """
 
@@ -65,7 +65,7 @@ class PointTrackOptions:
     levels: int = 4
     return_px: float = 0.5
     distance_px: float = 15.0
-    quality: float = 0.02
+    quality_share: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,9 @@ class PointTracker:
             cv2.polylines(mask, [px.reshape(-1, 1, 2)], True, 0, 2 * radius + 1)
         for x, y in np.round(self._points).astype(int).tolist():
             cv2.circle(mask, (x, y), radius, 0, -1)
-        corners = cv2.goodFeaturesToTrack(grey, missing, options.quality, options.distance_px, mask=mask)
+        corners = cv2.goodFeaturesToTrack(
+            grey, missing, options.quality_share, options.distance_px, mask=mask
+        )
         if corners is None:
             return
         new = corners.reshape(-1, 2).astype(np.float32)

@@ -205,7 +205,9 @@ class RimFitter:
     ) -> RimFit | FitFailure:
         opt = self._options
         slope_sigma = opt.brightness_slope_per_px * rims.smallest_radius_px(i)
-        brightness = BrightnessUnknown(edges.motion, opt.brightness_sigma, slope_sigma, rims.contrast_px[i])
+        brightness = BrightnessUnknown(
+            edges.motion, opt.brightness_sigma_share, slope_sigma, rims.contrast_px[i]
+        )
         return refine_rim(
             edges.points_px, rims.charts_px[i], self._camera, options, edges.sigma_ratio, brightness
         )

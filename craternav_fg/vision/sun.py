@@ -58,11 +58,11 @@ class SunOptions:
         Minimum number of usable blocks.
     min_slope_contrast : float
         Minimum slope contrast of a usable block.
-    min_emission : float
+    min_emission_cosine : float
         Minimum cosine of a usable block's emission angle.
     min_anisotropy : float
         Least (l1 - l2) / (l1 + l2) of the structure tensor; isotropic relief gives 1/2.
-    min_contrast : float
+    min_contrast_per_px : float
         Minimum root mean square gradient, relative to the brightness, per pixel.
     floor_rad, floor_oblique_rad : float
         Systematic standard deviation of the direction from the relief: looking straight down, and in
@@ -79,9 +79,9 @@ class SunOptions:
     block_px: int = 64
     min_blocks: int = 12
     min_slope_contrast: float = 0.15
-    min_emission: float = 0.25
+    min_emission_cosine: float = 0.25
     min_anisotropy: float = 0.08
-    min_contrast: float = 0.002
+    min_contrast_per_px: float = 0.002
     floor_rad: float = float(np.deg2rad(2.0))
     floor_oblique_rad: float = float(np.deg2rad(8.0))
     crater_floor_rad: float = float(np.deg2rad(0.3))
@@ -240,9 +240,9 @@ def _block_gradients(
     relative = np.sqrt(J[:, 0] + J[:, 2]) / np.maximum(mean, 1.0)
     keep = (
         hit
-        & (np.sum(normals * view, axis=-1) > options.min_emission)
+        & (np.sum(normals * view, axis=-1) > options.min_emission_cosine)
         & (strength > options.min_slope_contrast)
-        & (relative > options.min_contrast)
+        & (relative > options.min_contrast_per_px)
         & (mean < _MAX_BLOCK_BRIGHTNESS)
     )
     if not np.any(keep):

@@ -71,7 +71,7 @@ def test_an_ellipse_of_the_map_is_a_circle_on_the_ground(tmp_path):
     np.testing.assert_allclose(sigma[:2], [0.1 * step_m, 0.1 * step_m], rtol=1e-3)
     np.testing.assert_allclose(sigma[[2, 4]], [0.02, 0.01], rtol=2e-2)
     np.testing.assert_allclose(catalog.errors.place_m, 0.1 * step_m, rtol=1e-3)
-    np.testing.assert_allclose(catalog.errors.size, np.sqrt(0.5 * (0.02**2 + 0.01**2)), rtol=2e-2)
+    np.testing.assert_allclose(catalog.errors.size_share, np.sqrt(0.5 * (0.02**2 + 0.01**2)), rtol=2e-2)
     assert catalog.identifiers == ("map_000001",)
 
 

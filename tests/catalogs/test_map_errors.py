@@ -1,8 +1,10 @@
 """Errors that a catalogue states of its rims: on disk, through merging, and from elevation models."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from craternav_fg.catalogs.bodies import named_body
@@ -34,7 +36,7 @@ def test_errors_read_back_and_catalogues_without_them_have_none(tmp_path, name):
     write_catalog(tmp_path / name, catalog)
     found = read_catalog(tmp_path / name, MOON)
     order = [found.identifiers.index(one) for one in catalog.identifiers]
-    for key in ("place_m", "size", "height_m"):
+    for key in ("place_m", "size_share", "height_m"):
         np.testing.assert_allclose(
             getattr(found.errors, key)[order], getattr(catalog.errors, key), rtol=1e-12
         )
@@ -42,12 +44,37 @@ def test_errors_read_back_and_catalogues_without_them_have_none(tmp_path, name):
     assert read_catalog(tmp_path / f"no_{name}", MOON).errors is None
 
 
+def renamed_column(path: Path, name: str, other: str) -> None:
+    """Rename a column of a file."""
+    if path.suffix == ".csv":
+        path.write_text(path.read_text().replace(name, other, 1))
+    else:
+        table = pq.read_table(path)
+        names = [other if one == name else one for one in table.column_names]
+        pq.write_table(table.rename_columns(names).replace_schema_metadata(table.schema.metadata), path)
+
+
+@pytest.mark.parametrize("read", [read_catalog, lambda path, body: import_catalog(path, body)[0]])
+@pytest.mark.parametrize("file", ["craters.csv", "craters.parquet"])
+def test_errors_of_sizes_are_read_by_their_former_name_and_not_by_both(tmp_path, read, file):
+    path = tmp_path / file
+    present = "SIZE_SIGMA_SHARE" if path.suffix == ".csv" else "sigma_size_share"
+    former = present.removesuffix("_SHARE").removesuffix("_share")
+    write_catalog(path, replace(field(), errors=stated(300)))
+    expected = read(path, MOON).errors
+    renamed_column(path, present, former)
+    np.testing.assert_array_equal(read(path, MOON).errors.size_share, expected.size_share)
+    renamed_column(path, "RIM_HEIGHT_SIGMA_M" if path.suffix == ".csv" else "sigma_height_m", present)
+    with pytest.raises(InputError, match=rf"{file}.*({former}: is the former name of|{present}: .* once)"):
+        read(path, MOON)
+
+
 def test_negative_errors_and_missing_columns_are_refused_by_one_line(tmp_path):
     path = tmp_path / "craters.csv"
     wrong = stated(300)
-    wrong.size[7] = -0.1
+    wrong.size_share[7] = -0.1
     write_catalog(path, replace(field(), errors=wrong))
-    with pytest.raises(InputError, match=r"craters.csv:9: SIZE_SIGMA: expected 0 or more"):
+    with pytest.raises(InputError, match=r"craters.csv:9: SIZE_SIGMA_SHARE: expected 0 or more"):
         read_catalog(path, MOON)
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join(line.rsplit(",", 1)[0] for line in (head, *rows)) + "\n")
@@ -55,7 +82,7 @@ def test_negative_errors_and_missing_columns_are_refused_by_one_line(tmp_path):
         read_catalog(path, MOON)
     store = tmp_path / "craters.parquet"
     write_catalog(store, replace(field(), errors=wrong))
-    with pytest.raises(InputError, match="sigma_size: expected finite numbers of 0 or more"):
+    with pytest.raises(InputError, match="sigma_size_share: expected finite numbers of 0 or more"):
         read_catalog(store, MOON)
 
 
@@ -83,7 +110,7 @@ def test_merging_tells_how_far_the_sources_are_off():
     )  # fmt: skip
     errors = merge([truth, moved], ["truth", "moved"]).catalog.errors
     np.testing.assert_allclose(np.median(errors.place_m[:4000] / radius), 0.04, rtol=0.1)
-    np.testing.assert_allclose(np.median(errors.size), 0.03, rtol=0.1)
+    np.testing.assert_allclose(np.median(errors.size_share), 0.03, rtol=0.1)
     # What a source states is not replaced.
     own = replace(truth, errors=stated(4000))
     assert merge([own, moved], ["own", "moved"]).catalog.errors.place_m[3] == own.errors.place_m[3]
@@ -98,7 +125,7 @@ def test_a_source_without_errors_is_not_exact_beside_one_that_states_them():
         errors = merge(parts, ["a", "b"]).catalog.errors
         share = np.median(told.errors.place_m / radius)
         np.testing.assert_allclose(errors.place_m[rows], share * other.semi_major_m)
-        np.testing.assert_allclose(errors.size[rows], np.median(told.errors.size))
+        np.testing.assert_allclose(errors.size_share[rows], np.median(told.errors.size_share))
 
 
 def two_sources(n: int = 300) -> CommonShift:
@@ -196,7 +223,7 @@ def test_import_keeps_the_standard_deviations_of_a_table(tmp_path):
     found, report = import_catalog(path)
     kept = np.delete(np.arange(300), 3)
     assert len(report.skipped) == 1
-    np.testing.assert_allclose(found.errors.size, catalog.errors.size[kept])
+    np.testing.assert_allclose(found.errors.size_share, catalog.errors.size_share[kept])
     np.testing.assert_allclose(found.errors.height_m, catalog.errors.height_m[kept])
     for name in ("place_m", "height_m", "source"):
         expected = getattr(catalog.common_shift, name)[kept]

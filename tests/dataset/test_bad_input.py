@@ -360,8 +360,8 @@ RIM_CASES = {
         [layout.RIMS, "chart", "fixed_size_list", "found list<"],
     ),
     "arcs of half points": (
-        changed(lambda t: of_type(t, "points", [[[0.0]]] * len(t), pa.list_(LISTS)), layout.ARCS),
-        [layout.ARCS, "points", "other lengths"],
+        changed(lambda t: of_type(t, "points_normalised", [[[0.0]]] * len(t), pa.list_(LISTS)), layout.ARCS),
+        [layout.ARCS, "points_normalised", "other lengths"],
     ),
     "single precision": (changed(lambda t: floats(t, "rms_px")), [layout.RIMS, "rms_px", "double", "float"]),
     "part too large": (set_cell(1, "correlated", [1.0] * 25), [layout.RIMS, "row 2", "less than"]),
@@ -394,22 +394,34 @@ RIM_CASES = {
     "arc of an unknown stamp": (set_arc(0, "timestamp", 5), [layout.ARCS, "timestamp", "5"]),
     "arc twice": (spoiled(lambda rows: rows.append(rows[0]), layout.ARCS), [layout.ARCS, "once"]),
     "arc without points": (
-        spoiled(lambda rows: rows[0].update(points=[], sigmas=[]), layout.ARCS),
-        [layout.ARCS, "sigmas", "row 1", "0 points"],
+        spoiled(lambda rows: rows[0].update(points_normalised=[], sigmas_normalised=[]), layout.ARCS),
+        [layout.ARCS, "sigmas_normalised", "row 1", "0 points"],
     ),
-    "arc with few sigmas": (set_arc(0, "sigmas", [1e-3]), [layout.ARCS, "sigmas", "row 1", "found 1 for 3"]),
-    "arc with sigma zero": (set_arc(0, "sigmas", [1e-3, 0.0, 1.0]), [layout.ARCS, "sigmas", "row 1", "more"]),
-    "arc not finite": (set_arc(0, "points", [[0.0, np.nan]] * 3), [layout.ARCS, "points", "row 1", "finite"]),
+    "arc with few sigmas": (
+        set_arc(0, "sigmas_normalised", [1e-3]),
+        [layout.ARCS, "sigmas_normalised", "row 1", "found 1 for 3"],
+    ),
+    "arc with sigma zero": (
+        set_arc(0, "sigmas_normalised", [1e-3, 0.0, 1.0]),
+        [layout.ARCS, "sigmas_normalised", "row 1", "more"],
+    ),
+    "arc not finite": (
+        set_arc(0, "points_normalised", [[0.0, np.nan]] * 3),
+        [layout.ARCS, "points_normalised", "row 1", "finite"],
+    ),
     "arc in pixels": (
-        set_arc(0, "points", [[40.0, 20.0], [41.0, 21.0], [43.0, 20.0]]),
-        [layout.ARCS, "points", "row 1", "at 41.5, 20.5, in pixels?"],
+        set_arc(0, "points_normalised", [[40.0, 20.0], [41.0, 21.0], [43.0, 20.0]]),
+        [layout.ARCS, "points_normalised", "row 1", "at 41.5, 20.5, in pixels?"],
     ),
-    "arc of half points": (set_arc(0, "points", [[0.0, 1.0], None, None]), [layout.ARCS, "points", "row 1"]),
+    "arc of half points": (
+        set_arc(0, "points_normalised", [[0.0, 1.0], None, None]),
+        [layout.ARCS, "points_normalised", "row 1"],
+    ),
     "negative correlated sigma": (
-        set_arc(1, "correlated_sigma", -1.0),
-        [layout.ARCS, "correlated_sigma", "row 2", "-1"],
+        set_arc(1, "correlated_sigma_normalised", -1.0),
+        [layout.ARCS, "correlated_sigma_normalised", "row 2", "-1"],
     ),
-    "tilt's sigma": (cell(layout.TILTS, 2, 2, "0.0"), [f"{layout.TILTS}:2", "sigma", "0.0"]),
+    "tilt's sigma": (cell(layout.TILTS, 2, 2, "0.0"), [f"{layout.TILTS}:2", "sigma_rad", "0.0"]),
     "tilt's stamp": (cell(layout.TILTS, 2, 0, "7"), [f"{layout.TILTS}:2", "timestamp", "7"]),
     "tilt without direction": (
         lambda f: f.edit_line(layout.TILTS, 2, lambda cells: [",".join([*cells[:5], "0", "0", "0"])]),

@@ -43,7 +43,7 @@ def test_the_sensors(example):
     camera = read_camera(example(layout.CAMERA_SENSOR))
     # The camera of the example looks along z of b, the top of its image along x.
     np.testing.assert_array_equal(-camera.bTc[:3, 1], [1.0, 0.0, 0.0])
-    assert read_imu_noise(example(layout.IMU_SENSOR)).gyro_density == 2.04e-5
+    assert read_imu_noise(example(layout.IMU_SENSOR)).gyro_density_rad_s_sqrt_hz == 2.04e-5
 
 
 def test_the_tables(example):

@@ -16,7 +16,7 @@ from craternav_fg.motion.white_jerk import white_jerk
 from tests.dataset.samples import random_measurements, recording
 
 MODELS = {
-    "coast": coast(2e-5, rate_rad_s=(1e-3, 0.0, -2e-4), rate_walk=3e-6),
+    "coast": coast(2e-5, rate_rad_s=(1e-3, 0.0, -2e-4), rate_walk_rad_s2_sqrt_hz=3e-6),
     "coast in a field": coast(gravity=degree_two(1738000.0, 2.03e-4, 2.2e-5)),
     "white_acceleration": white_acceleration(0.5, rate_sigma_rad_s=0.02),
     "white_jerk": white_jerk(1e-3, acceleration_sigma_m_s2=0.3),
@@ -51,16 +51,16 @@ def test_estimators_take_the_rate_of_the_initial_state(tmp_path):
     dt_s, gyro, _ = descent.imu.between(int(data.stamps_ns[0]), int(data.stamps_ns[-1]))
     assert sum(dt_s) == pytest.approx(1e-9 * (data.stamps_ns[-1] - data.stamps_ns[0]))
     np.testing.assert_allclose(gyro, [[1e-3, 2e-3, 3e-3]] * len(gyro))
-    assert descent.imu_noise.accelerometer_density == 4e-5
+    assert descent.imu_noise.accelerometer_density_m_s2_sqrt_hz == 4e-5
 
 
 def test_an_imu_keeps_the_attitude_of_a_motion_model(tmp_path):
     given = dataclasses.replace(_given(), motion=coast(4e-5))
     data = Dataset.open(write_dataset(tmp_path / "data", given))
     descent = Descent.of(data)
-    assert descent.imu_noise.gyro_density == given.imu_noise.gyro_density
-    assert descent.imu_noise.accelerometer_density == 4e-5
-    np.testing.assert_array_equal(descent.imu.gyro, given.imu.gyro)
+    assert descent.imu_noise.gyro_density_rad_s_sqrt_hz == given.imu_noise.gyro_density_rad_s_sqrt_hz
+    assert descent.imu_noise.accelerometer_density_m_s2_sqrt_hz == 4e-5
+    np.testing.assert_array_equal(descent.imu.gyro_rad_s, given.imu.gyro_rad_s)
 
 
 def test_a_data_set_without_imu_and_motion_is_refused(tmp_path):

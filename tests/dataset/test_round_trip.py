@@ -31,8 +31,8 @@ def test_everything_reads_back_as_it_was(tmp_path):
     exact(data.camera.bTc, camera.bTc)
     assert data.imu_noise == given.imu_noise
     exact(data.imu.stamps_ns, given.imu.stamps_ns)
-    exact(data.imu.gyro, given.imu.gyro)
-    exact(data.imu.accelerometer, given.imu.accelerometer)
+    exact(data.imu.gyro_rad_s, given.imu.gyro_rad_s)
+    exact(data.imu.accelerometer_m_s2, given.imu.accelerometer_m_s2)
     exact(data.stamps_ns, FRAMES_NS)
     exact(data.sun.vectors, given.sun.vectors)
     exact(data.truth.gP, given.truth.gP)
@@ -261,7 +261,7 @@ def test_files_as_euroc_writes_them_are_read(folder):
     header, *rows = path.read_text().splitlines()
     path.write_bytes("\r\n".join([header.replace(",", ", "), *rows, ""]).encode())
     data = Dataset.open(folder.path)
-    assert data.imu_noise.gyro_walk == 1e-9
+    assert data.imu_noise.gyro_walk_rad_s2_sqrt_hz == 1e-9
     assert len(data.truth) == 3
 
 

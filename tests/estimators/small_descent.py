@@ -128,16 +128,18 @@ def draw(world, rng, *, start_scale=1.0):
     bias = np.repeat([SIGMAS["gyro"], SIGMAS["acc"]], 3) * rng.normal(size=6)
     n = len(world.imu.stamps_ns)
     walk = np.cumsum(rng.normal(size=(n, 6)) * np.sqrt(dt), axis=0)
-    walk *= np.repeat([NOISE.gyro_walk, NOISE.accelerometer_walk], 3)
+    walk *= np.repeat([NOISE.gyro_walk_rad_s2_sqrt_hz, NOISE.accelerometer_walk_m_s3_sqrt_hz], 3)
     white = rng.normal(size=(n, 6)) / np.sqrt(dt)
-    white *= np.repeat([NOISE.gyro_density, NOISE.accelerometer_density], 3)
+    white *= np.repeat([NOISE.gyro_density_rad_s_sqrt_hz, NOISE.accelerometer_density_m_s2_sqrt_hz], 3)
     added = bias + walk + white
     return Problem(
         body=MOON,
         camera=world.camera,
         catalog=world.catalog,
         imu=ImuLog(
-            world.imu.stamps_ns, world.imu.gyro + added[:, :3], world.imu.accelerometer + added[:, 3:]
+            world.imu.stamps_ns,
+            world.imu.gyro_rad_s + added[:, :3],
+            world.imu.accelerometer_m_s2 + added[:, 3:],
         ),
         imu_noise=NOISE,
         initial=InitialState(

@@ -111,7 +111,8 @@ def test_a_frame_with_arcs_alone_measures(trials: list[tuple[Problem, Problem, T
     )
     # An IMU that leaves something to tell.
     noise = replace(
-        with_arcs.imu_noise, accelerometer_density=1000.0 * with_arcs.imu_noise.accelerometer_density
+        with_arcs.imu_noise,
+        accelerometer_density_m_s2_sqrt_hz=1000.0 * with_arcs.imu_noise.accelerometer_density_m_s2_sqrt_hz,
     )
     told, untold = (
         ekf().states(replace(with_arcs, frames=[*before, frame], imu_noise=noise))[-1]

@@ -117,7 +117,9 @@ def test_errors_of_the_map_are_found_and_the_pose_is_consistent_again(
     share = 0.02
     faults = FaultsSection(map_place_share=share, map_size_share=share, map_height_share=share)
     folder = tmp_path_factory.mktemp("map")
-    calibration = Calibration(map_place_sigma=share, map_height_sigma=share, map_size_sigma=share)
+    calibration = Calibration(
+        map_place_sigma_share=share, map_height_sigma_share=share, map_size_sigma_share=share
+    )
     poses, untold, believed = [], [], []
     for trial in range(TRIALS):
         p, truth = problem(folder, scenario(duration_s=60.0, faults=faults), trial)
@@ -152,14 +154,14 @@ def test_what_is_not_asked_for_is_not_estimated(mounted: list[tuple[Problem, Tra
     assert np.allclose(tight.gTb, smooth(p, Calibration()).gTb, atol=1e-3)
 
 
-@pytest.mark.parametrize("field", ["mounting_sigma_rad", "time_offset_sigma_s", "map_height_sigma"])
+@pytest.mark.parametrize("field", ["mounting_sigma_rad", "time_offset_sigma_s", "map_height_sigma_share"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_refusals_name_the_field(field: str, value: float) -> None:
     with pytest.raises(EstimationError, match=field):
         Calibration(**{field: value})
 
 
-@pytest.mark.parametrize("field", ["map_place_sigma", "focal_sigma"])
+@pytest.mark.parametrize("field", ["map_place_sigma_share", "focal_sigma_share"])
 def test_only_charts_have_errors_of_map_and_intrinsics(field: str) -> None:
     with pytest.raises(EstimationError, match="need rims='chart', found 'eq19'"):
         BatchOptions(rims="eq19", calibration=Calibration(**{field: 0.01}))

@@ -100,7 +100,7 @@ def mean_nees(estimator: Estimator, trials: list[tuple[Problem, Trajectory]]) ->
     return float(np.mean(values))
 
 
-KNOWING = BatchOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.02))
+KNOWING = BatchOptions(rim_errors=RimErrorOptions(decay_shape_change=DECAY, step_shape_change=0.02))
 
 
 @pytest.mark.parametrize("estimator", [BatchSmoother(KNOWING), OnlineSmoother(KNOWING)])
@@ -255,7 +255,7 @@ def test_rims_together_are_the_same_graph(trials: list[tuple[Problem, Trajectory
         for n in range(2):
             pose = gtsam.Pose3(truth.gTb[n]).retract(np.array([0.01, 0.0, -0.01, 50.0, -50.0, 20.0]))
             values.insert(X(n), pose)
-        states = RimErrorStates(RimErrorOptions(decay=DECAY, step=0.02))
+        states = RimErrorStates(RimErrorOptions(decay_shape_change=DECAY, step_shape_change=0.02))
         for n in range(2):
             variables = RimVariables(values, states, together=together)
             assert add_frame(graph, p, KNOWING, X(n), p.frames[n], variables=variables) == 0
@@ -279,8 +279,8 @@ def test_too_sure_without(trials: list[tuple[Problem, Trajectory]]) -> None:
 def test_the_bound_is_that_of_the_same_model(trials: list[tuple[Problem, Trajectory]]) -> None:
     """The smoothers' covariances, where they know of the errors; below those who do not."""
     p, truth = trials[0]
-    bound = posterior_bound(p, p.frames, truth, RimErrorOptions(decay=DECAY))
-    finely = GraphOptions(rim_errors=RimErrorOptions(decay=DECAY, step=0.0))
+    bound = posterior_bound(p, p.frames, truth, RimErrorOptions(decay_shape_change=DECAY))
+    finely = GraphOptions(rim_errors=RimErrorOptions(decay_shape_change=DECAY, step_shape_change=0.0))
     for estimator, least in (
         (BatchSmoother(finely), bound.smoothed),
         (OnlineSmoother(finely), bound.filtered),
@@ -417,7 +417,7 @@ def test_errors_of_a_track_have_the_correlation_of_the_model(step: float, atol: 
     """A rim that grows by 4 % from frame to frame: covariances of its errors by the graph's inverse."""
     growth = 0.04
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    states = RimErrorStates(RimErrorOptions(decay=DECAY, step=step))
+    states = RimErrorStates(RimErrorOptions(decay_shape_change=DECAY, step_shape_change=step))
     terms = []
     for k in range(12):
         chart = np.array([[0.0, 0.0, growth * k, 0.0, growth * k]])
@@ -444,7 +444,9 @@ def test_errors_of_a_track_have_the_correlation_of_the_model(step: float, atol: 
         assert_allclose(found[PLACE_SIZE:], [of_others] * (5 - PLACE_SIZE), atol=atol)
 
 
-@pytest.mark.parametrize("wrong", [{"decay": 0.0}, {"decay": np.inf}, {"step": -0.1}])
+@pytest.mark.parametrize(
+    "wrong", [{"decay_shape_change": 0.0}, {"decay_shape_change": np.inf}, {"step_shape_change": -0.1}]
+)
 def test_options_without_meaning(wrong: dict[str, float]) -> None:
     with pytest.raises(EstimationError, match=next(iter(wrong))):
         RimErrorOptions(**wrong)

@@ -100,7 +100,7 @@ def test_intrinsics_are_estimated_along_with_an_orbit(data):
     true = np.array([1.5e-3, -2.0, 1.0, 8e-4])
     frames = _through(data, true)
     problem = make_problem(Descent.of(data), frames)
-    options = Calibration(focal_sigma=3e-3, principal_point_sigma_px=4.0, radial_sigma=1e-3)
+    options = Calibration(focal_sigma_share=3e-3, principal_point_sigma_px=4.0, k1_sigma=1e-3)
     found = BatchSmoother(BatchOptions(calibration=options)).estimate(problem)
     values, sigmas = found.calibrated.intrinsics
     assert np.all(np.abs(values - true) < 3.5 * sigmas)
@@ -123,7 +123,7 @@ def test_arcs_and_tracked_points_of_another_lens_do_no_harm(kind, tmp_path):
     """They are normalised by the stated intrinsics; taken as right, they would contradict the rims."""
     rng, trials = np.random.default_rng(1), 4
     sigmas = np.array([1e-2, 5.0, 5.0, 0.0])
-    options = Calibration(focal_sigma=sigmas[0], principal_point_sigma_px=sigmas[1])
+    options = Calibration(focal_sigma_share=sigmas[0], principal_point_sigma_px=sigmas[1])
     case = load_scenario("orbit_coast")
     tracks = {"features": {"sigma_px": 0.2, "simulation": {"count": 80}}}
     case = case.model_copy(update={"sensors": tracks if kind == "tracked points" else {}})
@@ -158,13 +158,13 @@ def _with_arcs(frame: FrameMeasurement, camera: Camera, rng: np.random.Generator
 
 def test_one_of_them_alone(data):
     problem = make_problem(Descent.of(data), data.measurements)
-    found = BatchSmoother(BatchOptions(calibration=Calibration(radial_sigma=1e-3))).estimate(problem)
+    found = BatchSmoother(BatchOptions(calibration=Calibration(k1_sigma=1e-3))).estimate(problem)
     values, sigmas = found.calibrated.intrinsics
     assert np.all(values[:3] == 0.0)
     assert np.all(sigmas[:3] == 0.0)
     assert abs(values[3]) < 3.5 * sigmas[3]
-    with pytest.raises(EstimationError, match="focal_sigma: expected 0 or more"):
-        Calibration(focal_sigma=-1.0)
+    with pytest.raises(EstimationError, match="focal_sigma_share: expected 0 or more"):
+        Calibration(focal_sigma_share=-1.0)
 
 
 @pytest.mark.slow
@@ -175,7 +175,7 @@ def test_an_orbit_reaches_the_bound_with_and_without_intrinsics(known, tmp_path)
     sigmas = np.zeros(4) if known else np.array([3e-3, 2.0, 2.0, 1e-3])
     options = BatchOptions(
         calibration=Calibration(
-            focal_sigma=sigmas[0], principal_point_sigma_px=sigmas[1], radial_sigma=sigmas[3]
+            focal_sigma_share=sigmas[0], principal_point_sigma_px=sigmas[1], k1_sigma=sigmas[3]
         )
     )
     ratios2, consistency = [], []

@@ -21,7 +21,7 @@ from craternav_fg.trajectory import Trajectory
 from factors.custom import Loss
 from tests import descents
 
-NO_LOSS = Loss(scale=3.3)
+NO_LOSS = Loss(scale_sigmas=3.3)
 SAME: tuple[RimModel, ...] = ("eq19", "los+shape", "points")
 
 

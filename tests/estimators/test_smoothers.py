@@ -243,14 +243,14 @@ def test_a_start_that_sees_no_crater_is_no_result(trials: list[tuple[Problem, Tr
         (lambda: GraphOptions(keyframe_s=0.0), "keyframe_s: expected a positive"),
         (lambda: GraphOptions(variance_inflation=0.0), "variance_inflation: expected a positive"),
         (
-            lambda: GraphOptions(rims="los", rim_errors=RimErrorOptions(decay=0.5)),
+            lambda: GraphOptions(rims="los", rim_errors=RimErrorOptions(decay_shape_change=0.5)),
             "rim_errors: variables for them need rims='chart', found 'los'",
         ),
         (lambda: BatchOptions(crater_freedom=0.0), "crater_freedom: expected a positive"),
         (lambda: LmOptions(first_damping=0.0), "first_damping: expected a positive"),
         (lambda: LmOptions(max_iterations=0), "max_iterations: expected at least 1"),
         (lambda: GncOptions(inlier_probability=1.5), "inlier_probability: expected"),
-        (lambda: GncOptions(growth=1.0), "growth: expected a number above 1"),
+        (lambda: GncOptions(growth_factor=1.0), "growth_factor: expected a number above 1"),
     ],
 )
 def test_options_without_meaning_are_refused(options: Callable[[], object], message: str) -> None:

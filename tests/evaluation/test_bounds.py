@@ -130,8 +130,8 @@ def test_tracked_points_count(tmp_path: Path) -> None:
     # An IMU that needs help to bridge 40 s.
     noise = dataclasses.replace(
         p.imu_noise,
-        gyro_density=10.0 * p.imu_noise.gyro_density,
-        accelerometer_density=1000.0 * p.imu_noise.accelerometer_density,
+        gyro_density_rad_s_sqrt_hz=10.0 * p.imu_noise.gyro_density_rad_s_sqrt_hz,
+        accelerometer_density_m_s2_sqrt_hz=1000.0 * p.imu_noise.accelerometer_density_m_s2_sqrt_hz,
     )
     p = dataclasses.replace(p, frames=blind, imu_noise=noise)
     bound = posterior_bound(p, p.frames, truth)
@@ -167,8 +167,8 @@ def test_sensors_and_the_sun_count_with_the_biases_of_sensors(tmp_path: Path) ->
     # An IMU that needs help.
     noise = dataclasses.replace(
         p.imu_noise,
-        gyro_density=100.0 * p.imu_noise.gyro_density,
-        accelerometer_density=1000.0 * p.imu_noise.accelerometer_density,
+        gyro_density_rad_s_sqrt_hz=100.0 * p.imu_noise.gyro_density_rad_s_sqrt_hz,
+        accelerometer_density_m_s2_sqrt_hz=1000.0 * p.imu_noise.accelerometer_density_m_s2_sqrt_hz,
     )
     p = dataclasses.replace(p, frames=frames, imu_noise=noise)
     bound = posterior_bound(p, p.frames, truth)

@@ -60,7 +60,7 @@ def test_nis_names_the_sensor_that_claims_too_much(world: World) -> None:
     assert sun.of(RIMS).mean == pytest.approx(unchanged.of(RIMS).mean, rel=0.05)
     # A gyro that turns by more than its prior allows: only predictions fail.
     better = [
-        dataclasses.replace(p, imu=dataclasses.replace(p.imu, gyro=p.imu.gyro + np.radians(0.02)))
+        dataclasses.replace(p, imu=dataclasses.replace(p.imu, gyro_rad_s=p.imu.gyro_rad_s + np.radians(0.02)))
         for p in some
     ]
     imu = pooled(better)

@@ -92,7 +92,7 @@ def test_what_cannot_be_evaluated_is_named():
     view = make_view(2, n=3)
     c = view.catalog
     W = validation.whitening("covariances", view.covariances, 3, 5)
-    data = packed.pack(view.bTc, c.centres, c.axes, np.full((3, 5), np.nan), W, LOSS.kind, LOSS.scale)
+    data = packed.pack(view.bTc, c.centres, c.axes, np.full((3, 5), np.nan), W, LOSS.kind, LOSS.scale_sigmas)
     graph.ahead.add(X(2), data)
     for evaluate in (graph.error, graph.linearize):
         with pytest.raises(FactorError, match="factor at x2: residual or Jacobian is not finite"):

@@ -119,8 +119,8 @@ def test_covariance_grows_as_the_densities_say() -> None:
     """After a second: attitude density sqrt(t); velocity density sqrt(t), its own part."""
     pim = one_interval(100)
     covariance = pim.preintMeasCov()
-    assert_allclose(np.sqrt(np.diag(covariance)[:3]), NOISE.gyro_density, rtol=0.01)
-    assert_allclose(np.sqrt(np.diag(covariance)[6:9]), NOISE.accelerometer_density, rtol=0.05)
+    assert_allclose(np.sqrt(np.diag(covariance)[:3]), NOISE.gyro_density_rad_s_sqrt_hz, rtol=0.01)
+    assert_allclose(np.sqrt(np.diag(covariance)[6:9]), NOISE.accelerometer_density_m_s2_sqrt_hz, rtol=0.05)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_bad_rows_are_refused(change: dict[str, np.ndarray], message: str) -> No
 
 
 def test_a_bias_without_walk_is_refused() -> None:
-    with pytest.raises(FactorError, match="gyro_walk"):
+    with pytest.raises(FactorError, match="gyro_walk_rad_s2_sqrt_hz"):
         ImuNoise(1e-5, 1e-4, 0.0, 1e-8)
 
 

@@ -80,7 +80,12 @@ def test_a_bounded_loss_takes_a_wrong_match_out(kind: int, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [((9, 1.0), "loss.kind"), ((1, 0.0), "loss.scale"), ((1, np.nan), "loss.scale"), ((1, np.inf), "scale")],
+    [
+        ((9, 1.0), "loss.kind"),
+        ((1, 0.0), "loss.scale_sigmas"),
+        ((1, np.nan), "loss.scale_sigmas"),
+        ((1, np.inf), "scale"),
+    ],
 )
 def test_bad_losses_are_refused(arguments: tuple, message: str) -> None:
     with pytest.raises(FactorError, match=message):

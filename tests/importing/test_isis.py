@@ -54,7 +54,7 @@ def test_the_attitudes_of_the_cubes_turn_as_their_angular_velocities_say():
     spin = cv2.Rodrigues(seconds * np.array(one.body.spin_rad_s))[0]
     turned = one.state.gTc[:3, :3].T @ spin @ other.state.gTc[:3, :3]
     rate = cv2.Rodrigues(turned)[0].ravel() / seconds
-    np.testing.assert_allclose(rate, 0.5 * (one.state.rate + other.state.rate), atol=3e-4)
+    np.testing.assert_allclose(rate, 0.5 * (one.state.rate_rad_s + other.state.rate_rad_s), atol=3e-4)
     assert rate[1] == pytest.approx(9e-4, rel=0.2)
 
 
@@ -156,7 +156,7 @@ def test_a_camera_without_axes_reversed_looks_along_z(tmp_path):
     # The boresight at half the size in ISIS's pixels, which count from 1.
     assert (cube.camera.cx_px, cube.camera.cy_px) == (11.0, 9.0)
     np.testing.assert_allclose(cube.state.gTc[:3, 3], [1.9e6, 1e3, 2e3])
-    np.testing.assert_allclose(cube.state.rate, [0.0, 0.0, 1e-3])
+    np.testing.assert_allclose(cube.state.rate_rad_s, [0.0, 0.0, 1e-3])
 
 
 def test_cubes_of_one_camera_are_a_data_set(tmp_path):
@@ -218,7 +218,7 @@ def test_a_camera_without_rates_keeps_its_attitude_among_the_stars(tmp_path):
         read_cube(write_cube(tmp_path / "a.cub", without_rates=names))
         for names in ((), ("InstrumentPointing",))
     )
-    assert cube.state.rate.tolist() == [0.0, 0.0, 0.0]
+    assert cube.state.rate_rad_s.tolist() == [0.0, 0.0, 0.0]
     np.testing.assert_array_equal(cube.state.gV, whole.state.gV)
 
 

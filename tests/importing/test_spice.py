@@ -42,7 +42,7 @@ def test_states_are_those_of_the_kernels(kernels):
         inertial = 1850e3 * np.array([np.cos(9e-4 * et), np.sin(9e-4 * et), 0.0])
         np.testing.assert_allclose(state.gTc[:3, 3], gRj @ inertial, atol=10.0)
         np.testing.assert_allclose(state.gTc[:3, :3], gRj @ attitude_of(et), atol=1e-5)
-        np.testing.assert_allclose(state.rate, RATE, atol=1e-8)
+        np.testing.assert_allclose(state.rate_rad_s, RATE, atol=1e-8)
         assert spin == pytest.approx((0.0, 0.0, np.radians(13.17635) / 86400.0), abs=1e-12)
         speed = 1850e3 * 9e-4 * np.array([-np.sin(9e-4 * et), np.cos(9e-4 * et), 0.0])
         relative = gRj @ speed - np.cross(spin, state.gTc[:3, 3])

@@ -62,7 +62,7 @@ def test_stamps_pixels_and_numbers_survive(tmp_path: Path, kind: BagFormat, comp
         np.testing.assert_array_equal(again.image(k), data.image(k), strict=True)
     assert data.imu is not None
     assert again.imu is not None
-    for name in ("stamps_ns", "gyro", "accelerometer"):
+    for name in ("stamps_ns", "gyro_rad_s", "accelerometer_m_s2"):
         np.testing.assert_array_equal(getattr(again.imu, name), getattr(data.imu, name), strict=True)
     np.testing.assert_array_equal(again.sun.vectors, data.sun.vectors)
     np.testing.assert_array_equal(again.camera.lens, data.camera.lens)
@@ -110,8 +110,10 @@ def test_images_that_the_imu_does_not_cover_are_left_out(tmp_path: Path) -> None
     assert data.imu is not None
     short = replace(
         data.imu,
-        stamps_ns=data.imu.stamps_ns[:25], gyro=data.imu.gyro[:25], accelerometer=data.imu.accelerometer[:25],
-    )  # fmt: skip
+        stamps_ns=data.imu.stamps_ns[:25],
+        gyro_rad_s=data.imu.gyro_rad_s[:25],
+        accelerometer_m_s2=data.imu.accelerometer_m_s2[:25],
+    )
     export_bag(replace(data, imu=short), tmp_path / "flight", BagFormat.ROSBAG2)
     report = import_bag(tmp_path / "flight", tmp_path / "again", options(data))
     assert (report.frames, report.skipped) == (2, 1)
@@ -342,7 +344,7 @@ def test_import_opens_what_it_wrote(tmp_path: Path) -> None:
     # Rates that only the reader of data sets refuses.
     assert data.imu is not None
     export_bag(
-        replace(data, imu=replace(data.imu, gyro=data.imu.gyro + 1e4)),
+        replace(data, imu=replace(data.imu, gyro_rad_s=data.imu.gyro_rad_s + 1e4)),
         tmp_path / "flight.bag",
         BagFormat.ROSBAG1,
     )

@@ -30,7 +30,10 @@ MOUNTED = frames.pose(frames.rotation_exp(np.array([0.1, -0.4, 1.2])), np.array(
 CAMERA = Camera(752, 480, 458.654, 457.296, 367.215, 248.375, MOUNTED, (-0.28, 0.07, 2e-4, 2e-5, 0.0))
 FISHEYE = replace(CAMERA, distortion=(0.01, -0.002, 0.003, 0.0), lens_model="fisheye")
 NOISE = ImuNoise(
-    gyro_density=2.04e-05, accelerometer_density=3.43e-4, gyro_walk=8.1e-9, accelerometer_walk=4.9e-6
+    gyro_density_rad_s_sqrt_hz=2.04e-05,
+    accelerometer_density_m_s2_sqrt_hz=3.43e-4,
+    gyro_walk_rad_s2_sqrt_hz=8.1e-9,
+    accelerometer_walk_m_s3_sqrt_hz=4.9e-6,
 )
 
 # As Kalibr writes it, with matrices in rows: TUM VI's cam0, cropped.
@@ -87,8 +90,8 @@ def test_the_noise_that_the_page_of_bags_writes_down_is_read(tmp_path):
     (text,) = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     (tmp_path / "imu.yaml").write_text(text)
     noise = read_kalibr_imu(tmp_path / "imu.yaml")
-    assert (noise.gyro_density, noise.accelerometer_density) == (1e-5, 1e-4)
-    assert (noise.gyro_walk, noise.accelerometer_walk) == (1e-7, 1e-5)
+    assert (noise.gyro_density_rad_s_sqrt_hz, noise.accelerometer_density_m_s2_sqrt_hz) == (1e-5, 1e-4)
+    assert (noise.gyro_walk_rad_s2_sqrt_hz, noise.accelerometer_walk_m_s3_sqrt_hz) == (1e-7, 1e-5)
 
 
 def test_a_chain_as_kalibr_writes_it(tmp_path: Path) -> None:

@@ -32,7 +32,9 @@ FAULTS = FaultsSection(map_place_share=SHARE, map_size_share=SHARE, map_height_s
 def trials(tmp_path_factory):
     """Map, truth and the errors that the smoother finds."""
     folder = tmp_path_factory.mktemp("map")
-    calibration = Calibration(map_place_sigma=SHARE, map_height_sigma=SHARE, map_size_sigma=SHARE)
+    calibration = Calibration(
+        map_place_sigma_share=SHARE, map_height_sigma_share=SHARE, map_size_sigma_share=SHARE
+    )
     out = []
     for trial in range(TRIALS):
         p, _ = problem(folder, scenario(duration_s=60.0, faults=FAULTS), trial)
@@ -59,7 +61,7 @@ def test_refined_rims_are_closer_to_the_truth_and_err_as_they_say(trials):
         normalised.append(off / found.sigma_m)
         for catalog, sizes in ((mapped, sizes_before), (found.catalog, sizes_after)):
             sizes.append(np.log(catalog.semi_major_m / truth.semi_major_m))
-        normalised_sizes.append(sizes_after[-1] / found.catalog.errors.size)
+        normalised_sizes.append(sizes_after[-1] / found.catalog.errors.size_share)
         # The errors that are left are smaller than those of the map.
         assert np.all(found.catalog.errors.place_m < SHARE * radius_m)
     rms = [float(np.sqrt(np.mean(np.square(part)))) for part in (before, after, sizes_before, sizes_after)]
@@ -129,7 +131,7 @@ def test_corrected_rims_show_how_far_the_others_are_off(number, sigma):
             errors.height_m[number:] / radius_m[number:],
         )
         np.testing.assert_allclose(place, place[0])
-        stated.append([place[0], errors.size[-1], height[0]])
+        stated.append([place[0], errors.size_share[-1], height[0]])
     # On the safe side, and closer to the truth the more craters show it.
     mean = np.sqrt(np.mean(np.square(stated), axis=0)) / prior
     assert (mean > 0.97).all()
@@ -144,13 +146,13 @@ def test_few_corrected_rims_show_nothing_of_the_others(trials):
     others = np.arange(len(mapped)) != 2
     assert (errors.place_m[others] > 0.05 * radius_m[others]).all()
     assert (errors.height_m[others] > 0.05 * radius_m[others]).all()
-    assert (errors.size[others] > 0.05).all()
+    assert (errors.size_share[others] > 0.05).all()
 
 
 def test_stated_errors_are_the_prior(trials):
     mapped = trials[0][0]
     radius_m = np.sqrt(mapped.semi_major_m * mapped.semi_minor_m)
-    options = Calibration(map_place_sigma=0.01, map_height_sigma=0.02, map_size_sigma=0.03)
+    options = Calibration(map_place_sigma_share=0.01, map_height_sigma_share=0.02, map_size_sigma_share=0.03)
     rows = np.array([3, 1])
     np.testing.assert_allclose(map_sigmas(mapped, rows, options)[:, 2], 0.02)
     stated = MapErrors(0.1 * radius_m, np.full(len(mapped), 0.3), np.arange(len(mapped)) * radius_m)

@@ -129,7 +129,7 @@ def test_the_refined_catalogue_states_its_errors(worlds):
     rest = ~found.refined
     assert rest.any()
     np.testing.assert_allclose(stated.place_m[rest] / radius[rest], 0.1, rtol=0.4)
-    np.testing.assert_allclose(stated.size[rest], 0.05, rtol=0.5)
+    np.testing.assert_allclose(stated.size_share[rest], 0.05, rtol=0.5)
 
 
 def test_rims_that_are_left_keep_the_common_shift_that_the_refined_ones_show(worlds):

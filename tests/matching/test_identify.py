@@ -35,7 +35,7 @@ from tests.machine import slowness
 from tests.shared_data import shared
 
 # The camera of a simulated view is known exactly.
-EXACT_CAMERA = IdentifyOptions(focal_sigma=0.0, principal_sigma_px=0.0)
+EXACT_CAMERA = IdentifyOptions(focal_sigma_share=0.0, principal_sigma_px=0.0)
 
 
 @pytest.fixture(scope="module", params=["synthetic", "real"])

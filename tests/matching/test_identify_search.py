@@ -117,7 +117,7 @@ def test_sizes_that_scatter_more_than_the_noise(synthetic) -> None:
     """By a tenth, as those of circles that people drew do: rims are found by their places."""
     rng = np.random.default_rng(8)
     exact_places = {"noise_levels_px": (1.0,), "candidates": (16,), "triples": 24}
-    wide, narrow = IdentifyOptions(size_sigma=0.1, **exact_places), IdentifyOptions(**exact_places)
+    wide, narrow = IdentifyOptions(size_sigma_share=0.1, **exact_places), IdentifyOptions(**exact_places)
     found, at_default = 0, 0
     for _ in range(12):
         view = random_view(synthetic.catalog, ViewOptions(missing=0.3), rng, true_rims=(10, 16))
@@ -183,7 +183,7 @@ def test_right_craters_far_from_the_nearest_are_found_by_wide_search(synthetic, 
     monkeypatch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
     options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.7, missing=0.7, sigma_px=1.0)
     coarse = IdentifyOptions(
-        deep=True, noise_levels_px=(1.0, 3.0), candidates=(16, 48), triples=1, size_sigma=0.1,
+        deep=True, noise_levels_px=(1.0, 3.0), candidates=(16, 48), triples=1, size_sigma_share=0.1,
         centre_share=0.12,
     )  # fmt: skip
     for seed in (10, 7):

@@ -15,8 +15,8 @@ from factors.kernels.gauss_newton import screw_between
 
 # Rims whose places scatter with their size, as those of circles on worn ground do.
 REAL = IdentifyOptions(
-    centre_share=0.12, size_sigma=0.1, noise_levels_px=(1.0, 3.0), candidates=(16, 48),
-    focal_sigma=0.0, principal_sigma_px=0.0,
+    centre_share=0.12, size_sigma_share=0.1, noise_levels_px=(1.0, 3.0), candidates=(16, 48),
+    focal_sigma_share=0.0, principal_sigma_px=0.0,
 )  # fmt: skip
 
 

@@ -42,9 +42,9 @@ def _models() -> list[Motion]:
     field = degree_two(1738000.0, J2, C22)
     return [
         coast(1e-4),
-        coast(1e-4, gravity=field, rate_walk=1e-6),
-        white_acceleration(0.3, rate_walk=1e-6),
-        white_jerk(1e-3, rate_walk=1e-6),
+        coast(1e-4, gravity=field, rate_walk_rad_s2_sqrt_hz=1e-6),
+        white_acceleration(0.3, rate_walk_rad_s2_sqrt_hz=1e-6),
+        white_jerk(1e-3, rate_walk_rad_s2_sqrt_hz=1e-6),
     ]
 
 
@@ -203,7 +203,12 @@ def test_gyro_rows_turn_the_attitude():
     rates = np.random.default_rng(10).normal(scale=0.05, size=(50, 3))
     rows = np.full(50, 0.1), rates
     model = coast(1e-4)
-    T, _, _, Q = model.transition(MOON, begin, rows, replace(model.noise, gyro_density=1e-4, gyro_walk=1e-7))
+    T, _, _, Q = model.transition(
+        MOON,
+        begin,
+        rows,
+        replace(model.noise, gyro_density_rad_s_sqrt_hz=1e-4, gyro_walk_rad_s2_sqrt_hz=1e-7),
+    )
     R = begin[0][:3, :3]
     for w in rates:
         R = (

@@ -2,49 +2,28 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from craternav_fg.catalogs.dem import read_dem
-from craternav_fg.dataset import Dataset
 from craternav_fg.evaluation.dem_check import check_against_dem
 from craternav_fg.evaluation.offsets import leave_one_out, offsets
 from craternav_fg.pipeline.options_file import OptionsFile
 from craternav_fg.pipeline.reconstruct import reconstruct
-from tests.cli.calls import call
+from tests.pipeline.apollo15 import PAGE, VARIANTS, block, import_arc, options_with, scatter_and_drift
 from tests.shared_data import shared
 
 pytest.importorskip("pvl")
 pytest.importorskip("rasterio")
 pytestmark = pytest.mark.slow
 
-PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "apollo15.md").read_text(encoding="utf-8")
-
-
-def block(kind: str, beginning: str) -> str:
-    """The block of the page that begins so."""
-    return next(
-        text for text in re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) if text.startswith(beginning)
-    )
-
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("apollo15")
-    catalogs = [str(shared(f"{name}.csv")) for name in ("robbins_2018_subset", "moon_head_povilaitis_5km")]
-    craters, dem = str(folder / "craters.parquet"), str(shared("gld100/gld100_16ppd_global.tif"))
-    call("catalog", "merge", *catalogs, "-o", craters, "--dem", dem)
-    times = folder / "times.csv"
-    times.write_text(block("text", "filename,utc"))
-    cubes = [str(shared(f"apollo15/AS15-M-0{k}_crop.cub")) for k in range(297, 301)]
-    images = [str(shared(f"apollo15/AS15-M-0{k}_SML.png")) for k in range(295, 301)]
-    given = [text for image in images for text in ("--photographs", image)]
-    where = str(folder / "data")
-    call("import", "isis", *cubes, *given, "--times", str(times), "--catalog", craters, "-o", where)
     (folder / "apollo15.toml").write_text(block("toml", "[front_end]"))
-    return Dataset.open(where)
+    return import_arc(folder)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +49,18 @@ def test_the_arc_is_as_good_as_stated(data, arc):
     assert np.all(np.abs(found.scatter_m - stated) <= 30.0)
     # The scatter is within what the arc claims at its ends, where a drift shows.
     assert np.all(found.scatter_m < found.sigma_m.max(axis=0))
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if not name.startswith("focal")])
+def test_variants_come_to_what_the_page_says(data, name):
+    row = re.search(rf"^\| {re.escape(name)}[^|]*\|([^|]*)\|([^|]*)\|$", PAGE.replace("−", "-"), re.MULTILINE)
+    assert row is not None
+    stated = [[float(text) for text in re.findall(r"-?[\d.]+", cell)] for cell in row.groups()]
+    told = scatter_and_drift(data, options_with(data.path.parent, *VARIANTS[name])).split(" | ")
+    found = [[float(text) for text in re.findall(r"-?[\d.]+", cell)] for cell in told[:2]]
+    # A rim more or less moves the arc by some metres.
+    np.testing.assert_allclose(found[0], stated[0], atol=10.0)
+    np.testing.assert_allclose(found[1][:2], stated[1][:2], atol=0.25)
 
 
 def test_craters_may_stand_in_any_order(data, arc):

@@ -11,9 +11,17 @@ from typing import Any
 import pytest
 
 from craternav_fg.errors import CraternavError, InputError
+from craternav_fg.estimators.calibration import Calibration
+from craternav_fg.estimators.correlated_errors import RimErrorOptions
+from craternav_fg.estimators.gnc import GncOptions
 from craternav_fg.estimators.registry import ESTIMATORS, estimator
-from craternav_fg.pipeline.options_file import OptionsFile, default_options
+from craternav_fg.pipeline.options_file import FORMER, OptionsFile, default_options
+from craternav_fg.vision.arcs import ArcOptions
+from craternav_fg.vision.edges import EdgeOptions
 from craternav_fg.vision.guided_options import GuidedOptions
+from craternav_fg.vision.point_tracks import PointTrackOptions
+from craternav_fg.vision.sun import SunOptions
+from factors.custom import Loss
 from factors.kernels import robust
 
 
@@ -93,7 +101,7 @@ loss.kind = "cauchy"
 crater_freedom = "none"
 calibration.time_offset_sigma_s = 0.02
 [estimators.gnc_smoother]
-growth = 2
+growth_factor = 2
 [estimators.gnc_smoother.graph]
 keyframe_s = 0.5
 [estimators.ekf]
@@ -108,7 +116,7 @@ lag_s = 12
     assert smoother.crater_freedom is None
     assert smoother.calibration.time_offset_sigma_s == 0.02
     gnc = file.estimator("gnc_smoother").options
-    assert (gnc.growth, gnc.graph.keyframe_s) == (2.0, 0.5)
+    assert (gnc.growth_factor, gnc.graph.keyframe_s) == (2.0, 0.5)
     assert file.estimator("ekf").options.gate_sigmas is None
     assert file.estimator("ekf").options.measurement == "points"
     assert file.estimator("fixed_lag").lag_s == 12.0
@@ -124,7 +132,17 @@ lag_s = 12
         ("[front_end]\nmargin_px = true", 2, "front_end.margin_px", "expected a valid number, found True"),
         ("[front_end]\nmargin_px = -3", 2, "front_end.margin_px", "expected a number of 0 or more, found -3"),
         ("[front_end]\nmargin_px = nan", 2, "front_end.margin_px", "found nan"),
-        ("[front_end]\nfirst_reach = [1.0]", 2, "front_end.first_reach", "found [1.0]"),
+        ("[front_end]\nfirst_reach = [1.0]", 2, "front_end.first_reach", "a list of 2 numbers, found [1.0]"),
+        ("[front_end]\nfirst_reach = [1.0, 'a']", 2, "front_end.first_reach", "number, found 'a'"),
+        (
+            "[front_end]\nfirst_reach = [1.0, 0.1]\nfirst_reach_px = 1.0", 2, "front_end.first_reach",
+            "the former name of first_reach_px and first_reach_share, and first_reach_px is given, too",
+        ),
+        (
+            "[estimators.smoother.loss]\nscale_sigmas = 3.0\nscale = 2.0",
+            3, "estimators.smoother.loss.scale",
+            "is the former name of scale_sigmas, and scale_sigmas is given, too",
+        ),
         ("[front_end]\nfit = 3", 2, "front_end.fit", "expected a table, found 3"),
         ("[front_end.fit]\nmin_points = 3.5", 2, "front_end.fit.min_points", "found 3.5"),
         ("[estimators.smother]", 1, "estimators.smother", "did you mean smoother"),
@@ -158,6 +176,39 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, line: int, column: st
     assert "\n" not in message
     assert message.startswith(f"{tmp_path / 'options.toml'}:{line}: {column}: ")
     assert problem in message
+
+
+_PARENTS = {
+    GuidedOptions: "front_end",
+    EdgeOptions: "front_end.edges",
+    ArcOptions: "front_end.arcs",
+    SunOptions: "front_end.sun",
+    PointTrackOptions: "front_end.points",
+    Loss: "estimators.smoother.loss",
+    RimErrorOptions: "estimators.smoother.rim_errors",
+    Calibration: "estimators.smoother.calibration",
+    GncOptions: "estimators.gnc_smoother",
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [(kind, name) for kind, names in FORMER.items() for name in names], ids=str
+)
+def test_former_names_are_read(tmp_path: Path, kind: type, name: str) -> None:
+    """A key by its former name does what it does by its present one, and the former name is free."""
+    keys = FORMER[kind][name]
+    assert name not in {field.name for field in fields(kind)}
+    values = [1.7 + k for k in range(len(keys))]
+    head = f"[{_PARENTS[kind]}]\n"
+    one = read(tmp_path, f"{head}{name} = {values[0] if len(keys) == 1 else values}\n")
+    other = read(tmp_path, head + "".join(f"{k} = {v}\n" for k, v in zip(keys, values, strict=True)))
+    assert one.front_end == other.front_end
+    assert (one.front_end != GuidedOptions()) == _PARENTS[kind].startswith("front_end")
+    for estimator_name in ("smoother", "gnc_smoother"):
+        options = [file.estimator(estimator_name).options for file in (one, other)]
+        assert options[0] == options[1]
+        named = _PARENTS[kind].split(".")[1:2] == [estimator_name]
+        assert (options[0] != estimator(estimator_name).options) == named
 
 
 def test_an_unknown_estimator_of_printed_defaults_is_an_error() -> None:

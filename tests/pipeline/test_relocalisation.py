@@ -97,8 +97,16 @@ def test_identification_knows_how_well_the_camera_is(folders, monkeypatch):
     none = SimpleNamespace(ellipses_px=np.empty((0, 5)))
     for data in (lost, dataclasses.replace(lost, camera=camera)):
         assert Relocaliser(data)._identified(none) is None
-    assert (asked[0].focal_sigma, asked[0].principal_sigma_px, asked[0].focal_stated) == (0.003, 0.5, False)
-    assert (asked[1].focal_sigma, asked[1].principal_sigma_px, asked[1].focal_stated) == (0.02, 7.0, True)
+    assert (asked[0].focal_sigma_share, asked[0].principal_sigma_px, asked[0].focal_stated) == (
+        0.003,
+        0.5,
+        False,
+    )
+    assert (asked[1].focal_sigma_share, asked[1].principal_sigma_px, asked[1].focal_stated) == (
+        0.02,
+        7.0,
+        True,
+    )
 
 
 def test_too_few_frames_with_craters(folders):
@@ -327,10 +335,10 @@ def test_lost_in_between(rendered: Dataset, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(
         Dataset, "image", lambda self, k: image(self, k) * (0 if 8 <= k < 12 else 1), raising=True
     )
-    force = rendered.imu.accelerometer.copy()
+    force = rendered.imu.accelerometer_m_s2.copy()
     time_s = 1e-9 * rendered.imu.stamps_ns
     force[(time_s > 80.0) & (time_s < 100.0), 0] += 20.0
-    data = dataclasses.replace(rendered, imu=dataclasses.replace(rendered.imu, accelerometer=force))
+    data = dataclasses.replace(rendered, imu=dataclasses.replace(rendered.imu, accelerometer_m_s2=force))
     result = reconstruct(data, ["smoother", "online"])
     assert len(result.reinitialised_at) == 1
     assert 12 <= result.reinitialised_at[0] <= 16

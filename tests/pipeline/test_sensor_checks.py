@@ -81,7 +81,7 @@ def with_frames(data: Dataset, change: Callable[[FrameMeasurement], FrameMeasure
 
 
 def accelerometer_scale(data: Dataset) -> Dataset:
-    return replace(data, imu=replace(data.imu, accelerometer=1.01 * data.imu.accelerometer))
+    return replace(data, imu=replace(data.imu, accelerometer_m_s2=1.01 * data.imu.accelerometer_m_s2))
 
 
 def image_points(data: Dataset) -> Dataset:
@@ -93,9 +93,9 @@ def longitudes(data: Dataset) -> Dataset:
     return replace(data, catalog=replace(data.catalog, longitude_rad=turned))
 
 
-def gyro_density(data: Dataset) -> Dataset:
-    density = 60.0 * float(np.degrees(data.imu_noise.gyro_density))
-    return replace(data, imu_noise=replace(data.imu_noise, gyro_density=density))
+def gyro_density_rad_s_sqrt_hz(data: Dataset) -> Dataset:
+    density = 60.0 * float(np.degrees(data.imu_noise.gyro_density_rad_s_sqrt_hz))
+    return replace(data, imu_noise=replace(data.imu_noise, gyro_density_rad_s_sqrt_hz=density))
 
 
 def sun_tilts(data: Dataset) -> Dataset:
@@ -122,7 +122,10 @@ def lever_arm(data: Dataset) -> Dataset:
         (accelerometer_scale, "sigma from the prior of the accelerometer bias"),
         (image_points, "imu: contradicts"),
         (longitudes, "sigma from the initial position"),
-        (gyro_density, "imu: agrees with what ekf predicts better than the stated noise allows"),
+        (
+            gyro_density_rad_s_sqrt_hz,
+            "imu: agrees with what ekf predicts better than the stated noise allows",
+        ),
         (sun_tilts, "sun: agrees with what ekf predicts better than the stated noise allows"),
         (initial_quaternion, "read as x, y, z, w it agrees"),
         (lever_arm, "camera: its lever arm in T_BS is"),
@@ -344,7 +347,9 @@ def test_an_imu_in_another_unit_is_refused(
     for data in (measured, Dataset.open(sensors)):
         assert data.imu is not None
         imu = replace(
-            data.imu, gyro=gyro * data.imu.gyro, accelerometer=accelerometer * data.imu.accelerometer
+            data.imu,
+            gyro_rad_s=gyro * data.imu.gyro_rad_s,
+            accelerometer_m_s2=accelerometer * data.imu.accelerometer_m_s2,
         )
         with pytest.raises(InputError) as caught:
             reconstruct(replace(data, imu=imu), ["dead_reckoning"])
@@ -353,7 +358,7 @@ def test_an_imu_in_another_unit_is_refused(
 
 def accelerometer_offset(data: Dataset) -> Dataset:
     assert data.imu is not None
-    return replace(data, imu=replace(data.imu, accelerometer=data.imu.accelerometer + 500.0))
+    return replace(data, imu=replace(data.imu, accelerometer_m_s2=data.imu.accelerometer_m_s2 + 500.0))
 
 
 def far_side(data: Dataset) -> Dataset:

@@ -90,10 +90,10 @@ def test_what_no_later_frame_confirms_is_not_believed(data: Dataset, monkeypatch
 def lost(data: Dataset) -> Dataset:
     """Let the accelerometer be wrong by 30 m/s^2 for 8 s of darkness."""
     assert data.imu is not None
-    force = data.imu.accelerometer.copy()
+    force = data.imu.accelerometer_m_s2.copy()
     time_s = 1e-9 * (data.imu.stamps_ns - data.stamps_ns[0])
     force[(time_s > 9.0) & (time_s < 17.0), 0] += 30.0
-    return dataclasses.replace(data, imu=dataclasses.replace(data.imu, accelerometer=force))
+    return dataclasses.replace(data, imu=dataclasses.replace(data.imu, accelerometer_m_s2=force))
 
 
 def test_a_track_that_is_lost_is_replaced_once_two_frames_confirm(
@@ -165,7 +165,9 @@ def test_no_velocity_is_taken_from_a_copy(data: Dataset) -> None:
 def test_frames_that_were_left_out_tell_the_unit_of_the_imu(data: Dataset) -> None:
     assert data.imu is not None
     assert data.measurements is not None
-    in_deg = dataclasses.replace(data, imu=dataclasses.replace(data.imu, gyro=np.degrees(data.imu.gyro)))
+    in_deg = dataclasses.replace(
+        data, imu=dataclasses.replace(data.imu, gyro_rad_s=np.degrees(data.imu.gyro_rad_s))
+    )
     descent = Descent.of(in_deg)
     left_out = {k: one for k, one in enumerate(data.measurements) if k > 0}
     kept = tuple(

@@ -191,7 +191,7 @@ def test_a_focal_length_far_off_is_fitted_until_it_converges(catalog: Catalog) -
         problem = ResectionProblem(few)
         start = solve(problem)
         if start.poses:
-            prior = IntrinsicsPrior(view.camera.focal_px, focal_sigma=1.0)
+            prior = IntrinsicsPrior(view.camera.focal_px, focal_sigma_share=1.0)
             one, other = (fit_intrinsics(problem, gTb, prior) for gTb in (start.poses[0].gTb, view.gTb))
             assert one.converged
             assert other.converged
@@ -252,7 +252,7 @@ def test_the_principal_point_is_estimated_within_its_covariance(catalog: Catalog
         view = draw(catalog, rng, k)
         shift_px = float(k % 2)
         problem = matched(catalog, view, rng, Faults(shift_px=shift_px))
-        prior = IntrinsicsPrior(view.camera.focal_px, focal_sigma=0.0)
+        prior = IntrinsicsPrior(view.camera.focal_px, focal_sigma_share=0.0)
         fit = fit_intrinsics(problem, view.gTb, prior)
         error = fit.principal_shift_px - shift_px
         off.append(error @ np.linalg.solve(fit.principal_covariance_px2, error))

@@ -136,7 +136,7 @@ def test_concentric_circles_and_a_wrong_match_leave_a_direction_free() -> None:
 def test_with_a_tight_gate_too_the_pose_is_that_of_the_rims_not_named(seed: int) -> None:
     """In the first scene a rim at the gate comes and goes."""
     scene = make_scene(np.random.default_rng(seed), 50e3, 10)
-    result = solve_robustly(scene.measured, RobustOptions(gate=8.0))
+    result = solve_robustly(scene.measured, RobustOptions(gate_chi2=8.0))
     rims = scene.measured.rims
     kept = np.array([name not in result.wrong for name in rims.identifiers])
     again = solve(replace(scene.measured, rims=rims.take(kept)))

@@ -46,7 +46,7 @@ def draw_state(rng: np.random.Generator, altitude_m: float) -> SensorState:
 
 def moved(state: SensorState, step: np.ndarray) -> SensorState:
     gTb = frames.pose(state.gTb[:3, :3] @ frames.rotation_exp(step[:3]), state.gTb[:3, 3] + step[3:6])
-    return SensorState(state.stamp_ns, gTb, state.gV + step[6:9], state.rate + step[9:12])
+    return SensorState(state.stamp_ns, gTb, state.gV + step[6:9], state.rate_rad_s + step[9:12])
 
 
 CASES: dict[str, tuple[type[Sensor], Callable[[Mounting], object]]] = {
@@ -123,7 +123,7 @@ def test_the_factor_has_the_measurements_derivatives(name: str, seed: int) -> No
     loss = Loss(robust.HUBER, 0.5)
     bias_key = S(3) if len(bias) else None
     factor = state_measurement_factor(
-        (X(0), V(0), B(0)), state.rate + gyro_bias, rows, measure, bias_key, loss
+        (X(0), V(0), B(0)), state.rate_rad_s + gyro_bias, rows, measure, bias_key, loss
     )
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3(state.gTb))
@@ -158,7 +158,7 @@ def test_the_factor_has_the_measurements_derivatives(name: str, seed: int) -> No
                 state.stamp_ns,
                 there.atPose3(X(0)).matrix(),
                 there.atVector(V(0)),
-                state.rate + gyro_bias - there.atConstantBias(B(0)).gyroscope(),
+                state.rate_rad_s + gyro_bias - there.atConstantBias(B(0)).gyroscope(),
             )
             ends.append(sensor.linearise(0, state_there, there.atVector(S(3)) if len(bias) else bias).error)
         slope = weight * (ends[0] - ends[1]) / (2.0 * size)

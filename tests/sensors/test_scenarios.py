@@ -1,7 +1,8 @@
 """Descents with all sensors of a lander, and without craters, over trials."""
 
+import re
 from collections.abc import Callable
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,20 +10,14 @@ import pytest
 from craternav_fg.campaign.read import Campaign, read_campaign
 from craternav_fg.campaign.run import CampaignOptions, montecarlo
 from craternav_fg.campaign.summary import of_estimator
-from craternav_fg.dataset import Dataset
-from craternav_fg.estimators.base import Descent
-from craternav_fg.evaluation.bounds import position_rms_m, posterior_bound
 from craternav_fg.evaluation.consistency import mean_interval
-from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
+from tests.sensors.gap_bounds import CASES, gap_bounds
 
 ESTIMATORS = ("smoother", "online", "ekf")
 TRIALS = 20
 # Over 100 trials the smoother comes to 0.98; 20 trials scatter by 0.06 about it.
 LEAST_OVER_BOUND = 0.8
-
-# Scenario of the IMU, and the ratios of the page: from the data up to each frame, and from all data.
-GAP = [("hard_craterless", 0.38, 0.82), ("hard_imu_worse", 0.24, 0.79), ("hard_craterless_mems", 0.18, 0.52)]
 
 Run = Callable[[Scenario], Campaign]
 
@@ -113,23 +108,14 @@ def test_tracked_points_bridge_two_minutes_without_craters(run: Run, scenario: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scenario", "filtered", "smoothed"), GAP)
-def test_what_points_can_add_in_a_gap(scenario: str, filtered: float, smoothed: float, tmp_path) -> None:
-    """Ratios of the bounds, as the page of hard cases states them for 40 tracks."""
-    gap = load_scenario("hard_craterless")
-    features = {**gap.sensors["features"], "simulation": {"count": 40}}
-    case = load_scenario(scenario).model_copy(
-        update={"sensors": {"features": features}, "faults": gap.faults}
-    )
-    ((begin_s, end_s),) = gap.faults.craterless_s
-    data = Dataset.open(simulate(case, tmp_path / "d", trial=0))
-    frames, descent = list(data.measurements), Descent.of(data)
-    stamps_ns = np.array([frame.stamp_ns for frame in frames])
-    truth = data.truth.take(np.searchsorted(data.truth.stamps_ns, stamps_ns))
-    inside = (1e-9 * stamps_ns >= begin_s) & (1e-9 * stamps_ns < end_s)
-    bounds = [
-        posterior_bound(replace(descent, features=one), frames, truth) for one in (descent.features, None)
-    ]
-    for kind, ratio in (("filtered", filtered), ("smoothed", smoothed)):
-        found = [rms(position_rms_m(getattr(one, kind)[inside])) for one in bounds]
-        assert found[0] / found[1] == pytest.approx(ratio, abs=0.006)
+@pytest.mark.parametrize("scenario", CASES)
+def test_what_points_can_add_in_a_gap(scenario: str, tmp_path: Path) -> None:
+    """Bounds and their ratios, as the page of hard cases states them for 40 tracks."""
+    page = (Path(__file__).parents[2] / "docs" / "hard_cases.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| `{scenario}` \([^|]*\| 40 \|([^|]*)\|([^|]*)\|$", page, re.MULTILINE)
+    assert row is not None
+    found = gap_bounds(scenario, 40, tmp_path / "d")
+    for cell, kind in zip(row.groups(), ("filtered", "smoothed"), strict=True):
+        without, beside, ratio = (float(number) for number in re.findall(r"[\d.]+", cell))
+        assert found[kind] == pytest.approx((without, beside), abs=0.06)
+        assert found[kind][1] / found[kind][0] == pytest.approx(ratio, abs=0.006)

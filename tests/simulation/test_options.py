@@ -17,7 +17,7 @@ from craternav_fg.simulation.terrain import Terrain, TerrainOptions
 from tests.simulation import scene
 
 CLEAN = RenderOptions(psf_sigma_px=0.0, full_well_e=0.0)
-FRESH = TerrainOptions(cells=1024, depth_scatter=0.0)
+FRESH = TerrainOptions(cells=1024, depth_scatter_share=0.0)
 # Four craters of 30 to 45 px from 6 km.
 FOUR = scene.craters(
     [
@@ -39,7 +39,7 @@ def rim_px(catalog, row):
 
 
 def test_irregular_rims_scatter_around_their_ellipse():
-    renderer = smooth(replace(FRESH, irregularity=0.03))
+    renderer = smooth(replace(FRESH, irregularity_share=0.03))
     rows = np.arange(4)
     count = 72
     offsets = crest_offsets_px(renderer, FOUR, ABOVE, rows, count, reach_px=6.0)
@@ -81,7 +81,11 @@ def test_large_craters_have_a_central_peak():
 def test_a_size_frequency_distribution_is_followed():
     table = ((0.2, 0.6), (1.0, 0.03), (3.0, 1e-3))
     options = CraterFieldOptions(
-        focal_px=scene.FOCAL, size_frequency=table, separation=0.0, min_apparent_px=8.0, max_apparent_px=1e4
+        focal_px=scene.FOCAL,
+        size_frequency_km=table,
+        separation_ratio=0.0,
+        min_apparent_px=8.0,
+        max_apparent_px=1e4,
     )
     # At one altitude: all sizes are in view from everywhere, on the same area.
     east = np.linspace(-60e3, 60e3, 40)
@@ -106,7 +110,7 @@ def test_craters_overlap_when_they_may():
             np.random.default_rng(4),
             scene.MOON,
             scene.track(),
-            replace(options, separation=s),
+            replace(options, separation_ratio=s),
             scene.relief(),
         )
         for s in (1.3, 0.0)
@@ -153,7 +157,9 @@ def test_hapkes_limits():
 def test_vignetting_darkens_the_corners():
     rng = np.random.default_rng(0)
     whole, dim = (
-        smooth(light=replace(CLEAN, vignetting=v)).render(ABOVE, scene.sun(50.0, 70.0), rng).astype(float)
+        smooth(light=replace(CLEAN, vignetting_share=v))
+        .render(ABOVE, scene.sun(50.0, 70.0), rng)
+        .astype(float)
         for v in (0.0, 0.4)
     )
     assert dim[0, 0] / whole[0, 0] == pytest.approx(0.6, abs=0.02)
@@ -197,7 +203,9 @@ def test_crests_on_a_fourfold_zoom():
             (-160.0, -150.0, 70.0, 60.0, 0.0, 2.2),
         ]
     )
-    ground = Terrain(inner, scene.relief(), TerrainOptions(cells=1024, irregularity=0.0, degradation=0.5))
+    ground = Terrain(
+        inner, scene.relief(), TerrainOptions(cells=1024, irregularity_share=0.0, degradation=0.5)
+    )
     offsets = crest_offsets_px(Renderer(zoom, ground, CLEAN), inner, ABOVE, np.arange(4), 48) / 4.0
     assert abs(np.nanmean(offsets)) < 0.01
     assert np.nanmean(np.abs(offsets)) < 0.03

@@ -78,8 +78,8 @@ def test_a_motion_model_excludes_an_imu_and_an_end(tmp_path, add, problem):
 def test_other_motion_models_are_consistent_on_orbits_of_their_own(tmp_path, model):
     path = tmp_path / "case.toml"
     text = {
-        "white_acceleration": "acceleration_density = 0.02",
-        "white_jerk": "jerk_density = 0.001\nacceleration_sigma_m_s2 = 0.01",
+        "white_acceleration": "acceleration_density_m_s2_sqrt_hz = 0.02",
+        "white_jerk": "jerk_density_m_s3_sqrt_hz = 0.001\nacceleration_sigma_m_s2 = 0.01",
     }[model]
     base = built_in_scenarios()["orbit_coast"].read_text()
     head, rest = base.split("[motion]\n")

@@ -175,7 +175,7 @@ def test_rough_horizon_is_traced(renderer):
 
 def test_shadows_are_cast_by_what_stands_towards_the_sun():
     catalog = scene.craters([(0.0, 0.0, 800.0, 800.0, 57.0, 0.0)])
-    options = TerrainOptions(cells=1024, depth_scatter=0.0)
+    options = TerrainOptions(cells=1024, depth_scatter_share=0.0)
     clean = Renderer(scene.CAMERA, Terrain(catalog, scene.relief(slope=0.0), options), CLEAN)
     gTb = scene.pose(scene.place(0.0, 0.0, 6e3), 0.0, 0.0)
     for elevation_deg, azimuth_deg in ((12.0, 60.0), (20.0, 200.0)):

@@ -23,8 +23,8 @@ CASES = {
     "sizes that do not fall": (
         DEMO,
         r"density = ",
-        "size_frequency = [[1.0, 0.1], [2.0, 0.2]]\ndensity = ",
-        ["craters", "size_frequency", "falling numbers"],
+        "size_frequency_km = [[1.0, 0.1], [2.0, 0.2]]\ndensity = ",
+        ["craters", "size_frequency_km", "falling numbers"],
     ),
     "grains that swallow nothing": (
         DEMO,
@@ -50,7 +50,7 @@ CASES = {
     "two numbers for three": (DEMO, r"\[2.0, 1.5, 3.0\]", "[2.0, 1.5]", ["attitude.oscillation_deg"]),
     "craters from nowhere": (DEMO, r'source = "random"', 'source = "sky"', ["craters", "sky"]),
     "craters without source": (DEMO, r'source = "random"', "", ["craters"]),
-    "key of another source": (DEMO, r"separation = ", "path = ", ["craters.path", "unknown key"]),
+    "key of another source": (DEMO, r"separation_ratio = ", "path = ", ["craters.path", "unknown key"]),
     "axes of a crater": (
         CASE3,
         r"semi_minor_m = 1800.0",
@@ -135,12 +135,14 @@ def test_data_sheet_units():
     """LN-200S class figures in SI units, worked by hand."""
     imu = load_scenario("lunar_descent").imu
     noise = imu.noise()
-    assert noise.gyro_density == pytest.approx(2.036e-5, rel=1e-3)
-    assert noise.accelerometer_density == pytest.approx(3.432e-4, rel=1e-3)
+    assert noise.gyro_density_rad_s_sqrt_hz == pytest.approx(2.036e-5, rel=1e-3)
+    assert noise.accelerometer_density_m_s2_sqrt_hz == pytest.approx(3.432e-4, rel=1e-3)
     assert imu.gyro_bias_rad_s == pytest.approx(4.848e-6, rel=1e-3)
     assert imu.accelerometer_bias_m_s2 == pytest.approx(2.942e-3, rel=1e-3)
     # In an hour the walk gains what its name says.
-    assert np.degrees(noise.gyro_walk * 60.0) * 3600.0 == pytest.approx(imu.gyro_bias_walk_deg_h_sqrt_h)
+    assert np.degrees(noise.gyro_walk_rad_s2_sqrt_hz * 60.0) * 3600.0 == pytest.approx(
+        imu.gyro_bias_walk_deg_h_sqrt_h
+    )
 
 
 def test_the_camera_sees_its_field_of_view():
@@ -179,18 +181,46 @@ def test_a_base_may_stand_beside_and_have_a_base_and_rims_take_the_place_of_imag
     ("base", "table", "present", "former"),
     [
         (base, table, present, former)
-        for table, base in (("craters", "gld100_mare"), ("faults", "measured_descent"))
+        for table, base in (
+            ("craters", "gld100_mare"),
+            ("craters", "lunar_descent"),
+            ("faults", "measured_descent"),
+            ("terrain", "lunar_descent"),
+            ("render", "lunar_descent"),
+            ("motion", "orbit_coast"),
+        )
         for present, former in FORMER[table].items()
+        if present in type(getattr(load_scenario(base), table)).model_fields
     ],
 )
 def test_keys_have_former_names(base, table, present, former, tmp_path):
-    """A file with either name is read, and so is one whose base has the other name."""
+    """A file with either name is read, and so is one whose base has the other name; none has both."""
+    table_of_sizes = "size_frequency" in former
+    values = (
+        ("[[1.0, 0.2], [2.0, 0.1]]", "[[1.0, 0.3], [2.0, 0.1]]") if table_of_sizes else ("0.015", "0.025")
+    )
+
+    def read(name, text):
+        found = getattr(getattr(load_scenario(write(tmp_path, name, text)), table), present)
+        return found[0][1] if table_of_sizes else found
+
     for key in (present, former):
-        text = f'base = "{base}"\n[{table}]\n{key} = 0.015\n'
-        assert getattr(getattr(load_scenario(write(tmp_path, f"{key}.toml", text)), table), present) == 0.015
+        text = f'base = "{base}"\n[{table}]\n{key} = {values[0]}\n'
+        assert read(f"{key}.toml", text) == (0.2 if table_of_sizes else 0.015)
     for key, other in ((present, former), (former, present)):
-        text = f'base = "{other}.toml"\n[{table}]\n{key} = 0.025\n'
-        assert getattr(getattr(load_scenario(write(tmp_path, "a.toml", text)), table), present) == 0.025
+        text = f'base = "{other}.toml"\n[{table}]\n{key} = {values[1]}\n'
+        assert read("a.toml", text) == (0.3 if table_of_sizes else 0.025)
+    both = f'base = "{base}"\n[{table}]\n{former} = {values[0]}\n{present} = {values[0]}\n'
+    problem = rf"a\.toml:3: {table}\..*{former}: is the former name of {present}, which is given, too"
+    with pytest.raises(InputError, match=problem):
+        read("a.toml", both)
+
+
+def test_a_former_name_where_there_is_no_such_key_is_unknown(tmp_path):
+    """It is not said to be given twice."""
+    text = 'base = "lunar_descent"\n[sun]\nreach = 1.0\n'
+    with pytest.raises(InputError, match=r"a\.toml:3: sun\.reach: unknown key"):
+        load_scenario(write(tmp_path, "a.toml", text))
 
 
 def test_an_error_names_the_key_of_the_file(tmp_path):
@@ -198,7 +228,10 @@ def test_an_error_names_the_key_of_the_file(tmp_path):
     with pytest.raises(InputError, match=r"a\.toml:3: faults\.(time_offset_s|image_delay_s): .*number"):
         load_scenario(write(tmp_path, "a.toml", text))
     both = 'base = "measured_descent"\n[faults]\nimage_delay_s = 0.01\ntime_offset_s = 0.01\n'
-    with pytest.raises(InputError, match=r"b\.toml:3: faults\.image_delay_s: unknown key"):
+    with pytest.raises(
+        InputError,
+        match=r"b\.toml:3: faults\.image_delay_s: is the former name of time_offset_s, which is given",
+    ):
         load_scenario(write(tmp_path, "b.toml", both))
 
 

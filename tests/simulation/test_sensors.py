@@ -44,7 +44,7 @@ def test_imu_errors_have_the_densities_of_the_options():
     )
     log, bias = sensors.corrupt_imu(zero, options, np.random.default_rng(1))
     dt, T = 0.025, n * 0.025
-    white = np.hstack([log.gyro, log.accelerometer]) - bias
+    white = np.hstack([log.gyro_rad_s, log.accelerometer_m_s2]) - bias
     # Angle random walk: the white noise summed over T spreads as its density times sqrt(T).
     spread = white.std(axis=0) * dt * math.sqrt(n) / math.sqrt(T)
     assert spread[:3] == pytest.approx(np.full(3, np.radians(0.07) / 60.0), rel=0.01)
@@ -60,7 +60,7 @@ def test_imu_errors_have_the_densities_of_the_options():
 
 
 def cut(log, n):
-    return ImuLog(log.stamps_ns[:n], log.gyro[:n], log.accelerometer[:n])
+    return ImuLog(log.stamps_ns[:n], log.gyro_rad_s[:n], log.accelerometer_m_s2[:n])
 
 
 def test_initial_errors_have_the_sigmas_they_tell():
@@ -163,10 +163,10 @@ def test_a_trial_determines_its_data(tmp_path):
         Dataset.open(simulate(scenario, tmp_path / name, trial=trial))
         for name, trial in (("a", 4), ("b", 4), ("c", 5))
     )
-    np.testing.assert_array_equal(first.imu.gyro, again.imu.gyro)
+    np.testing.assert_array_equal(first.imu.gyro_rad_s, again.imu.gyro_rad_s)
     np.testing.assert_array_equal(first.initial.gTb, again.initial.gTb)
     np.testing.assert_array_equal(first.measurements[-1].rims.chart, again.measurements[-1].rims.chart)
-    assert not np.array_equal(first.imu.gyro, other.imu.gyro)
+    assert not np.array_equal(first.imu.gyro_rad_s, other.imu.gyro_rad_s)
     assert not np.array_equal(first.initial.gTb, other.initial.gTb)
     assert not np.array_equal(first.measurements[-1].rims.chart, other.measurements[-1].rims.chart)
     # Truth does not depend on the errors.

@@ -126,7 +126,7 @@ def test_smaller_of_two_overlapping_craters_keeps_its_crest():
 
 def test_bowl_has_the_depth_of_a_fresh_crater():
     catalog = scene.craters([(0.0, 0.0, 500.0, 500.0, 36.0, 0.0)])
-    view = renderer(catalog, scene.relief(slope=0.0), TerrainOptions(cells=512, depth_scatter=0.0))
+    view = renderer(catalog, scene.relief(slope=0.0), TerrainOptions(cells=512, depth_scatter_share=0.0))
     gTb = scene.pose(scene.place(0.0, 0.0, 10e3))
     floor = heights(view, gTb, catalog.centres)[0]
     # Pike (1977): a fifth of the diameter.

@@ -60,9 +60,9 @@ def test_motion_obeys_the_equations_of_motion(descent):
         motion = descent.evaluate(np.array([t]))
         R = Rotation.from_quat(q)
         gravity = -BODY.mu_m3_s2 * P / np.linalg.norm(P) ** 3
-        wx, wy, wz = motion.angular_velocity[0]
+        wx, wy, wz = motion.angular_velocity_rad_s[0]
         rate = 0.5 * np.array([[0, wz, -wy, wx], [-wz, 0, wx, wy], [wy, -wx, 0, wz], [-wx, -wy, -wz, 0]])
-        return np.concatenate([V, R.apply(motion.specific_force[0]) + gravity, rate @ q])
+        return np.concatenate([V, R.apply(motion.specific_force_m_s2[0]) + gravity, rate @ q])
 
     # At t = 0 the inertial frame is g.
     q = Rotation.from_matrix(start.gRb[0]).as_quat()
@@ -100,10 +100,10 @@ def test_imu_means_lead_back_to_the_trajectory(descent):
     middle = descent.evaluate(t[:-1] + 0.5 * dt)
     gravity = BODY.gravity(middle.gP)
     for k in range(len(stamps)):
-        half = R * Rotation.from_rotvec(0.5 * dt * log.gyro[k])
+        half = R * Rotation.from_rotvec(0.5 * dt * log.gyro_rad_s[k])
         inertial = Rotation.from_rotvec(spin * (t[k] + 0.5 * dt))
-        V = V + dt * (half.apply(log.accelerometer[k]) + inertial.apply(gravity[k]))
-        R = R * Rotation.from_rotvec(dt * log.gyro[k])
+        V = V + dt * (half.apply(log.accelerometer_m_s2[k]) + inertial.apply(gravity[k]))
+        R = R * Rotation.from_rotvec(dt * log.gyro_rad_s[k])
     back = Rotation.from_rotvec(-spin * t[-1])
     assert np.linalg.norm((back * R).inv().as_matrix() @ motion.gRb[-1] - np.eye(3)) < 1e-10
     expected = motion.gV[-1] + np.cross(spin, motion.gP[-1])
@@ -113,5 +113,5 @@ def test_imu_means_lead_back_to_the_trajectory(descent):
 def test_a_slow_imu_gives_the_means_of_a_fast_one(descent):
     fine = sensors.ideal_imu(descent, np.arange(1, 60_001, dtype=np.int64) * 1_000_000, 0)
     coarse = sensors.ideal_imu(descent, np.arange(1, 61, dtype=np.int64) * 1_000_000_000, 0)
-    means = fine.accelerometer.reshape(60, 1000, 3).mean(axis=1)
-    np.testing.assert_allclose(coarse.accelerometer, means, rtol=0.0, atol=1e-10)
+    means = fine.accelerometer_m_s2.reshape(60, 1000, 3).mean(axis=1)
+    np.testing.assert_allclose(coarse.accelerometer_m_s2, means, rtol=0.0, atol=1e-10)

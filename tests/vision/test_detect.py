@@ -84,7 +84,7 @@ def test_sun_angle_and_quality(scenes, found):
 def test_covariances_hold_95_percent_of_the_true_rims(scenes, found):
     """Smooth rims and rims with outlines 1.5 % off an ellipse, as many of each: the floor is for both."""
     distance2 = []
-    rough = [scene(seed, Ground(irregularity=0.015)) for seed in range(4)]
+    rough = [scene(seed, Ground(irregularity_share=0.015)) for seed in range(4)]
     every = [*found, *(find_rims(one.image) for one in rough)]
     for one, rims in zip([*scenes, *rough], every, strict=True):
         result = match(rims.ellipses_px, one.ellipses_px, one.wanted)

@@ -437,7 +437,7 @@ def _centres_px(catalog, gTb, rows):
 def test_rims_do_not_follow_their_predictions():
     """With a map that states errors, rims measured near misplaced predictions must not confirm these."""
     taken = rendered_scene(
-        1, Ground(density=0.01, separation=0.75, irregularity=0.08, slope=0.06, size_px=768)
+        1, Ground(density=0.01, separation_ratio=0.75, irregularity_share=0.08, slope=0.06, size_px=768)
     )
     radius_m = np.sqrt(taken.catalog.semi_major_m * taken.catalog.semi_minor_m)
     errors = MapErrors(0.06 * radius_m, np.full(len(radius_m), 0.08), np.zeros(len(radius_m)))

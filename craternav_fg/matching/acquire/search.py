@@ -51,7 +51,7 @@ class AcquireOptions:
         Number of rims, the largest first, that are taken for each crater in turn.
     hypotheses : int
         Number of poses, those that explain most rims first, that are expanded.
-    gate : float
+    gate_chi2 : float
         Largest squared Mahalanobis norm of a hypothesis: its correction of the prior, its rim and shading.
     sunward_sigma_rad : float
         Standard deviation of the direction in which a crater's wall is darkest.
@@ -71,7 +71,7 @@ class AcquireOptions:
     detect: BlindOptions = COARSE
     seeds: int = 24
     hypotheses: int = 40
-    gate: float = 30.0
+    gate_chi2: float = 30.0
     sunward_sigma_rad: float = float(np.deg2rad(8.0))
     min_score: float = 4.0
     good_score: float = 12.0
@@ -269,7 +269,7 @@ def _search(
     bTc = camera.bTc
     corners = np.array([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
     reach = _REACH_FACTOR * np.abs(camera.normalised(corners)).max(axis=0)
-    found = poses_of_single_rims(prior, bTc, craters, rims, options.seeds, options.gate)
+    found = poses_of_single_rims(prior, bTc, craters, rims, options.seeds, options.gate_chi2)
     explained = count_explained(found, bTc, craters, rims, reach)
     best = None
     for k in np.lexsort((found.cost, -explained))[: options.hypotheses]:

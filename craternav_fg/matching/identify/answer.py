@@ -63,7 +63,7 @@ def answer(
     covariance += _pull(expanded, search, covariance)
     given = search.options
     prior = IntrinsicsPrior(
-        search.view.focal_px, given.focal_sigma, given.principal_sigma_px, given.focal_stated
+        search.view.focal_px, given.focal_sigma_share, given.principal_sigma_px, given.focal_stated
     )
     fit = _unknown_intrinsics(expanded, search, covariance, prior) if prior.sigmas.any() else None
     # From the camera's right twist to the body's.

@@ -61,7 +61,7 @@ def identify_image(
     index : TripleIndex
     attitude : KnownAttitude, optional
     options : IdentifyOptions, optional
-        Except `size_factors`, `size_sigma`, `centre_share`, `noise_levels_px`, `candidates` and `deep`.
+        Except `size_factors`, `size_sigma_share`, `centre_share`, `noise_levels_px`, `candidates` and `deep`.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def identify_image(
         When the network's weights are missing or damaged.
     """
     options = replace(
-        options, size_factors=_SIZE_FACTORS, size_sigma=_SIZE_SIGMA, noise_levels_px=_NOISE_LEVELS_PX,
+        options, size_factors=_SIZE_FACTORS, size_sigma_share=_SIZE_SIGMA, noise_levels_px=_NOISE_LEVELS_PX,
         candidates=_CANDIDATES, centre_share=_CENTRE_SHARE,
     )  # fmt: skip
     first: tuple[FoundRims, Identification] | None = None

@@ -33,7 +33,7 @@ class IdentifyOptions:
     size_factors : tuple of float
         Sizes of rims in the image over those on the map, tried one after the other until one gives an answer.
         People trace real rims inside the crests that images show: 5 to 15 % smaller.
-    size_sigma : float
+    size_sigma_share : float
         Relative standard deviation of the sizes beside the noise, before it is estimated: irregular outlines,
         and the map's ellipses or circles.
     centre_share : float
@@ -56,19 +56,19 @@ class IdentifyOptions:
     log_ambiguity : float
         A second pose is ignored when its evidence is lower by more than this (a negative logarithm);
         otherwise the result is ambiguous.
-    focal_sigma : float
+    focal_sigma_share : float
         Relative standard deviation of the camera's focal length; 0 for an exact one, which is not checked.
     principal_sigma_px : float
         Standard deviation of each coordinate of the principal point; 0 for an exact one.
     focal_stated : bool
-        Whether the user has stated `focal_sigma`: then no warning says that the rims cannot check it.
+        Whether the user has stated `focal_sigma_share`: then no warning says that the rims cannot check it.
     """
 
     altitudes_m: tuple[float, float] | None = None
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
     size_factors: tuple[float, ...] = (1.0,)
-    size_sigma: float = SIZE_SHARE
+    size_sigma_share: float = SIZE_SHARE
     centre_share: float = CENTRE_SHARE
     deep: bool = False
     triples: int = 96
@@ -76,7 +76,7 @@ class IdentifyOptions:
     log_chance: float = float(np.log(1e-6))
     log_chance_attitude: float = float(np.log(1e-4))
     log_ambiguity: float = float(np.log(1e-3))
-    focal_sigma: float = FOCAL_SIGMA
+    focal_sigma_share: float = FOCAL_SIGMA
     principal_sigma_px: float = PRINCIPAL_SIGMA_PX
     focal_stated: bool = False
 
@@ -97,7 +97,7 @@ class IdentifyOptions:
         prior = IntrinsicsPrior.of(camera)
         return cls(
             altitudes_m,
-            focal_sigma=prior.focal_sigma,
+            focal_sigma_share=prior.focal_sigma_share,
             principal_sigma_px=prior.principal_sigma_px,
             focal_stated=prior.focal_stated,
         )

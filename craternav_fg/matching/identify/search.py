@@ -141,7 +141,7 @@ def identify(
     best, found = -np.inf, list[Expanded]()
     for factor, depth, wide in _passes(index, attitude, options):
         view = view_of(
-            ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma,
+            ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma_share,
             options.centre_share, None if quality is None else quality[once],
         )  # fmt: skip
         first = factor == options.size_factors[0]
