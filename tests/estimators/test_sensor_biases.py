@@ -39,7 +39,9 @@ def shifted(p: Problem) -> Problem:
     return replace(p, sensors=tuple(sensors))
 
 
-@pytest.mark.parametrize("estimator", [BatchSmoother(), OnlineSmoother(), FixedLagSmoother(), DistributedEkf()])
+@pytest.mark.parametrize(
+    "estimator", [BatchSmoother(), OnlineSmoother(), FixedLagSmoother(), DistributedEkf()]
+)
 def test_what_a_sensor_reads_too_much_is_found_in_its_bias(descent: Problem, estimator: Estimator) -> None:
     before, after = (estimator.estimate(p).calibrated for p in (descent, shifted(descent)))
     assert before is not None
