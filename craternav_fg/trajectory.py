@@ -59,12 +59,16 @@ class Calibrated:
         axis.
     intrinsics : (ndarray, ndarray), shape (4,) each, or None
         True less stated: share of the focal length; principal point x and y, px; radial distortion k1.
+    sensor_biases : dict of str to (ndarray, ndarray), shape (b,) each, or None
+        By the sensor's name: its biases, in the unit of `Sensor.bias_sigmas`. Those of a filter are the
+        estimates at its last frame.
     """
 
     mounting_rad: tuple[FloatArray, FloatArray] | None = None
     time_offset_s: tuple[float, float] | None = None
     map_errors: dict[int, tuple[FloatArray, FloatArray]] | None = None
     intrinsics: tuple[FloatArray, FloatArray] | None = None
+    sensor_biases: dict[str, tuple[FloatArray, FloatArray]] | None = None
 
 
 @dataclass(frozen=True)

@@ -124,6 +124,10 @@ def calibration_line(found: dict[str, Any]) -> str:
         )
     if "map_errors" in found:
         parts.append(f"the map errors of {len(found['map_errors'])} craters (in {METRICS})")
+    for name, one in found.get("sensor_biases", {}).items():
+        pairs = zip(one["bias"], one["sigma"], strict=True)
+        values = ", ".join(f"{bias:.3g} ± {sigma:.2g}" for bias, sigma in pairs)
+        parts.append(f"a bias of {name} of {values}")
     return "; ".join(parts)
 
 

@@ -14,6 +14,8 @@ from craternav_fg.files import SizeLimit, open_input
 MAX_PIXELS = 25_000_000
 # Modes of Pillow that are read as they are; others, such as a palette or CMYK, are converted to colour.
 _PLAIN = ("1", "L", "LA", "I", "I;16", "I;16B", "I;16L", "F", "RGB", "RGBA")
+# The tag of EXIF that says how an image is to be turned and mirrored; 1 if not at all.
+_ORIENTATION = 0x0112
 
 
 class TooManyPixelsError(InputError):
@@ -26,7 +28,7 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
     Parameters
     ----------
     path : Path
-        The first image is read when it holds several.
+        The first image is read when the others are of another size, as thumbnails are.
 
     Returns
     -------
@@ -36,7 +38,8 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
     Raises
     ------
     InputError
-        When the file is missing, not an image, or damaged.
+        When the file is missing, not an image, or damaged, holds several images of one size, or asks by an
+        EXIF orientation to be shown turned: intrinsics may be of either.
     TooManyPixelsError
         When it is too large.
     """
@@ -49,6 +52,12 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
                     raise TooManyPixelsError(
                         path, f"{width} x {height} px are more than {MAX_PIXELS // 10**6} million: crop it"
                     )
+                orientation = image.getexif().get(_ORIENTATION, 1)
+                if orientation != 1:
+                    problem = f"expected pixels as they are shown, found an EXIF orientation of {orientation}"
+                    raise InputError(path, f"{problem}: turn the pixels, or remove the tag")
+                if _is_stack(image):
+                    raise InputError(path, f"expected one image, found {image.n_frames}: save each as a file")
                 mode = "RGBA" if image.mode == "P" and "transparency" in image.info else "RGB"
                 return np.asarray(image if image.mode in _PLAIN else image.convert(mode))
     except Image.DecompressionBombError as error:
@@ -58,3 +67,14 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
         raise InputError(path, "cannot be read as an image: unknown format") from error
     except (OSError, SyntaxError, ValueError) as error:
         raise InputError(path, f"cannot be read as an image: {error}") from error
+
+
+def _is_stack(image: Image.Image) -> bool:
+    """Whether a second image of the same size follows; the first remains the current one."""
+    if getattr(image, "n_frames", 1) < 2:
+        return False
+    size = image.size
+    image.seek(1)
+    same = image.size == size
+    image.seek(0)
+    return same

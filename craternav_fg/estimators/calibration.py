@@ -12,6 +12,7 @@ from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.intrinsics import add_intrinsics, estimated_intrinsics
 from craternav_fg.estimators.marginals import Marginals
+from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.measurements import RimSet
 from craternav_fg.trajectory import Calibrated
 from factors.arrays import FloatArray, IntArray
@@ -274,9 +275,24 @@ def calibrated(
     intrinsics = None
     if options.intrinsic_sigmas.any():
         intrinsics = estimated_intrinsics(marginals, values, options.intrinsic_sigmas)
-    if mounting is None and delay is None and craters is None and intrinsics is None:
+    biases = _sensor_biases(marginals, values, SensorBank(problem.sensors))
+    if all(part is None for part in (mounting, delay, craters, intrinsics, biases)):
         return None
-    return Calibrated(mounting, delay, craters, intrinsics)
+    return Calibrated(mounting, delay, craters, intrinsics, biases)
+
+
+def _sensor_biases(
+    marginals: Marginals, values: gtsam.Values, bank: SensorBank
+) -> dict[str, tuple[FloatArray, FloatArray]] | None:
+    """Biases of the sensors; those of one that has not measured are the prior's."""
+    biases, sigmas = np.zeros(len(bank.sigmas)), bank.sigmas.copy()
+    known = [(part, key) for part, key in bank.biases if values.exists(key)]
+    covariances = marginals.covariances([key for _, key in known]) if known else {}
+    for part, key in known:
+        biases[part] = bank.sigmas[part] * values.atVector(key)
+        sigmas[part] = bank.sigmas[part] * np.sqrt(np.diag(covariances[key]))
+    found = bank.estimated(biases, sigmas)
+    return None if found is None else found.sensor_biases
 
 
 def _angular_velocity(descent: Descent, stamp_ns: int) -> FloatArray:

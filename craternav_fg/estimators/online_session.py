@@ -431,7 +431,8 @@ class OnlineSession:
 
     def filtered(self) -> Trajectory:
         """Estimates at every frame so far, each from the data up to its frame."""
-        return self._log.trajectory()
+        found = self._log.trajectory()
+        return found if self._newest is None else replace(found, calibrated=self._bank.of_state(self._newest))
 
     def smoothed_values(self) -> gtsam.Values:
         """Estimates of all states that the solver keeps, from all data so far (see `Isam`).

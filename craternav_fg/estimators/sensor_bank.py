@@ -14,6 +14,7 @@ from craternav_fg.estimators.measurement_weighting import noise_inflation
 from craternav_fg.frames import right_jacobian
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.sensors.protocol import Linearisation, Sensor, SensorState
+from craternav_fg.trajectory import Calibrated
 from factors.arrays import FloatArray
 from factors.custom import Loss
 from factors.kernels import robust
@@ -100,6 +101,7 @@ class SensorBank:
         self.sigmas = np.concatenate([np.empty(0), *(sensor.bias_sigmas for sensor in sensors)])
         # Where each sensor's biases are among all, and their key in a graph.
         self.biases: list[tuple[slice, int]] = []
+        self._parts: dict[str, slice] = {}
         begin = 0
         for number, sensor in enumerate(sensors):
             part = slice(begin, begin + len(sensor.bias_sigmas))
@@ -107,12 +109,35 @@ class SensorBank:
             key = bias_key(number, part.stop - part.start)
             if key is not None:
                 self.biases.append((part, key))
+                self._parts[sensor.name] = part
             for row, stamp in enumerate(sensor.stamps_ns.tolist()):
                 self._samples.setdefault(stamp, []).append(Sample(sensor, row, part, key))
 
     def at(self, stamp_ns: int) -> list[Sample]:
         """Return the samples at a stamp."""
         return self._samples.get(stamp_ns, [])
+
+    def estimated(self, biases: FloatArray, sigmas: FloatArray) -> Calibrated | None:
+        """Return estimated biases by sensor.
+
+        Parameters
+        ----------
+        biases, sigmas : ndarray, shape (b,)
+            Estimates and standard deviations of the biases of all sensors, each in its sensor's unit.
+
+        Returns
+        -------
+        Calibrated or None
+            None when no sensor has a bias.
+        """
+        found = {name: (biases[part], sigmas[part]) for name, part in self._parts.items()}
+        return Calibrated(sensor_biases=found) if found else None
+
+    def of_state(self, state: FilterState) -> Calibrated | None:
+        """Return a filter's estimates of the biases, as `estimated` does."""
+        b = len(self.sigmas)
+        variances = np.diag(state.covariance)[SIZE : SIZE + b]
+        return self.estimated(state.sensor_bias[:b], np.sqrt(variances))
 
     def between(self, begin_ns: int, end_ns: int) -> list[int]:
         """Return the stamps of samples inside an interval, without its ends."""

@@ -1,6 +1,7 @@
 """Grey images, plain or of PDS4 products, and their times: of a table or of the labels."""
 
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -49,7 +50,7 @@ def read_times(path: Path) -> dict[str, int]:
     Returns
     -------
     dict of str to int
-        Stamp, ns, by file name.
+        Stamp, ns, by file name in composed characters.
 
     Raises
     ------
@@ -58,7 +59,8 @@ def read_times(path: Path) -> dict[str, int]:
     """
     table = read_table(path, _COLUMNS)
     out: dict[str, int] = {}
-    for row, (name, utc) in enumerate(zip(table.columns["filename"], table.columns["utc"], strict=True)):
+    names = map(_composed, table.columns["filename"])
+    for row, (name, utc) in enumerate(zip(names, table.columns["utc"], strict=True)):
         if name in out:
             table.fail(row, "filename", f"expected each name once, found {name!r} again")
         try:
@@ -100,9 +102,14 @@ def stamps_of(images: Sequence[Path], times: Path | None) -> list[int]:
         return [stamp_of(read_pds4(path).middle()) for path in images]
     known = read_times(times)
     for path in images:
-        if path.name not in known:
+        if _composed(path.name) not in known:
             raise InputError(times, f"expected a row for {path.name}, found {len(known)} others")
-    return [known[path.name] for path in images]
+    return [known[_composed(path.name)] for path in images]
+
+
+def _composed(name: str) -> str:
+    """Return a name in composed characters: file systems and editors write an umlaut as one or as two."""
+    return unicodedata.normalize("NFC", name)
 
 
 def grey_images(

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,14 +25,15 @@ from craternav_fg.interchange.bag_reading import (
     POSE,
     VECTOR,
     Bag,
+    calibration_of,
     camera_of,
     image_of,
     increasing_stamps,
     open_bag,
     stamp_ns,
-    static_transform,
     vector,
 )
+from craternav_fg.interchange.bag_transforms import StaticTransforms
 from craternav_fg.interchange.bag_truth import read_truth
 from craternav_fg.trajectory import InitialState
 from factors.arrays import FloatArray, IntArray
@@ -190,28 +192,41 @@ def _sun_topic(bag: Bag, wanted: str | None) -> str | None:
 
 def _imu(bag: Bag, topic: str | None) -> tuple[ImuLog, str]:
     """Log of the IMU, and the name of its frame."""
-    stamps, rows, frame = [], [], ""
+    stamps, rows, names = [], [], set()
     for message in bag.messages(topic):
         stamps.append(stamp_ns(message))
         rows.append([*vector(message.angular_velocity), *vector(message.linear_acceleration)])
-        frame = message.header.frame_id
+        names.add(message.header.frame_id)
+        for what in ("angular_velocity", "linear_acceleration"):
+            # As sensor_msgs/Imu has it.
+            if len(stamps) == 1 and getattr(message, f"{what}_covariance")[0] == -1.0:
+                found = f"found a first covariance of -1, which says that there is no {what}"
+                raise InputError(bag.path, f"{topic}: expected gyro and accelerometer, {found}")
     if len(stamps) < 2:
         raise InputError(bag.path, f"expected at least two messages of {topic}, found {len(stamps)}")
     values = np.array(rows)
     stamps_ns = increasing_stamps(bag, topic, stamps)
     if not np.all(np.isfinite(values)):
         raise InputError(bag.path, f"{topic}: expected finite numbers")
-    return ImuLog(stamps_ns, values[:, :3], values[:, 3:]), frame
+    return ImuLog(stamps_ns, values[:, :3], values[:, 3:]), _one_frame(bag, topic, names)
+
+
+def _one_frame(bag: Bag, topic: str | None, names: set[str]) -> str:
+    """Name of the frame that all headers of a topic have."""
+    if len(names) > 1:
+        found = ", ".join(name or "one without a name" for name in sorted(names))
+        raise InputError(bag.path, f"{topic}: expected headers of one frame, found {found}")
+    return names.pop()
 
 
 def _frames(
     bag: Bag, topic: str | None, imu: ImuLog, shift_s: float
 ) -> tuple[IntArray, npt.NDArray[np.bool_], int, str]:
     """Stamps of the images that the IMU covers, which of all they are, bits of a pixel, name of the frame."""
-    stamps, depth, frame = [], 8, ""
+    stamps, depth, names = [], 8, set()
     for message in bag.messages(topic):
         stamps.append(stamp_ns(message) + round(1e9 * shift_s))
-        frame = message.header.frame_id
+        names.add(message.header.frame_id)
         if len(stamps) == 1:
             depth = 8 * image_of(bag.path, message).itemsize
     all_ns = increasing_stamps(bag, topic, stamps)
@@ -223,7 +238,7 @@ def _frames(
             f"expected images within the IMU's log, {begin} to {imu.stamps_ns[-1]} ns,"
             f" found {len(all_ns)} outside of it",
         )
-    return all_ns[covered], covered, depth, frame
+    return all_ns[covered], covered, depth, _one_frame(bag, topic, names)
 
 
 def _images(
@@ -254,20 +269,46 @@ def _camera(bag: Bag, images: str | None, frame: str, imu_frame: str, depth: int
         known = ", ".join(candidates)
         raise InputError(bag.path, f"expected one CameraInfo beside {images}, found {known}: give --camera")
     topic = candidates[0] if candidates else None
-    message = next(bag.messages(topic), None)
+    message = None if topic is None else _one_calibration(bag, topic)
     if topic is None or message is None:
         raise InputError(bag.path, "expected a topic of CameraInfo, found none: give --camera")
     found = message.header.frame_id
     if not beside and found and frame and found != frame:
         problem = f"expected a CameraInfo of the images' frame, {frame}, found that of {found}"
         raise InputError(bag.path, f"{topic}: {problem}: give --camera")
-    bTc = static_transform(bag, imu_frame, frame)
+    if not frame or not imu_frame:
+        unnamed = images if not frame else "the IMU"
+        raise InputError(
+            bag.path, f"expected headers that name a frame, found none of {unnamed}: give --camera"
+        )
+    transforms = StaticTransforms(bag)
+    bTc = transforms.pose(imu_frame, frame)
     if bTc is None:
+        related = f"{imu_frame} is related to {transforms.related(imu_frame)}"
+        related += f", and {frame} to {transforms.related(frame)}"
         raise InputError(
             bag.path,
-            f"expected a static transform between {imu_frame} and {frame}, found none: give --camera",
+            f"expected static transforms from {imu_frame} to {frame}, found none: {related}: give --camera",
         )
-    return camera_of(bag.path, message, bTc, depth), topic
+    return camera_of(bag.path, message, bTc, depth, rectified=_is_rectified(images)), topic
+
+
+def _one_calibration(bag: Bag, topic: str) -> Any:
+    """Return the first `CameraInfo` of a topic, if all others state the same; None without any."""
+    first: tuple[Any, bytes] | None = None
+    for message in bag.messages(topic):
+        stated = calibration_of(message)
+        first = first or (message, stated)
+        if stated != first[1]:
+            problem = f"expected one calibration, found another at stamp {stamp_ns(message)}"
+            raise InputError(bag.path, f"{topic}: {problem}: give --camera")
+    return first and first[0]
+
+
+def _is_rectified(topic: str | None) -> bool:
+    """Whether the images are rectified, by the names that image_proc gives them."""
+    name = (topic or "").removesuffix("/compressed").rpartition("/")[2]
+    return any(part in ("rect", "rectified") for part in name.split("_"))
 
 
 def _sun(bag: Bag, topic: str | None, options: BagOptions, stamps: IntArray) -> SunVectors:

@@ -29,6 +29,8 @@ _COLOUR = {
     "rgba8": (4, cv2.COLOR_RGBA2GRAY),
     "bgra8": (4, cv2.COLOR_BGRA2GRAY),
 }
+# Of the squared length of a quaternion; that of tf2, which ignores transforms beyond it.
+_UNIT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -208,52 +210,16 @@ def pose_of(bag: Bag, where: str, position: Any, orientation: Any) -> FloatArray
     Raises
     ------
     InputError
-        When a number is not finite, or the quaternion is zero.
+        When a number is not finite, or the quaternion is not of unit length.
     """
     t, q = vector(position), quaternion_wxyz(orientation)
     if not np.all(np.isfinite([*t, *q])) or not any(q):
         raise InputError(
             bag.path, f"{where}: expected a position and a quaternion, found {list(t)}, {list(q)} (wxyz)"
         )
+    if abs(np.dot(q, q) - 1.0) > _UNIT_TOLERANCE:
+        raise InputError(bag.path, f"{where}: expected a unit quaternion, found {list(q)} (wxyz)")
     return frames.pose(frames.from_quaternion_wxyz(np.array(q)), np.array(t))
-
-
-def static_transform(bag: Bag, parent: str, child: str) -> FloatArray | None:
-    """Look up the pose of one frame in another, by the static transforms between the two.
-
-    Returns
-    -------
-    ndarray, shape (4, 4), or None
-        Of the child in the parent, m; None when no static transforms lead from one to the other.
-
-    Raises
-    ------
-    InputError
-        When one is no pose.
-    """
-    steps: dict[str, dict[str, FloatArray]] = {}
-    topic = "/tf_static"
-    for message in bag.messages(topic) if topic in bag.connected(TRANSFORMS) else ():
-        for one in message.transforms:
-            first, second = _frame(one.header.frame_id), _frame(one.child_frame_id)
-            where = f"{topic}, {first} to {second}"
-            T = pose_of(bag, where, one.transform.translation, one.transform.rotation)
-            steps.setdefault(first, {})[second] = T
-            steps.setdefault(second, {})[first] = frames.inverse(T)
-    # Frames are the nodes of a tree: there is one way, whatever the order of the search.
-    poses, left = {_frame(parent): np.eye(4)}, [_frame(parent)]
-    while left:
-        first = left.pop()
-        for second, T in steps.get(first, {}).items():
-            if second not in poses:
-                poses[second] = poses[first] @ T
-                left.append(second)
-    return poses.get(_frame(child))
-
-
-def _frame(name: str) -> str:
-    """Name of a frame; older writers begin it with a slash."""
-    return str(name).removeprefix("/")
 
 
 def image_of(path: Path, message: Any) -> ImageArray:
@@ -307,7 +273,20 @@ def image_of(path: Path, message: Any) -> ImageArray:
     return np.asarray(cv2.cvtColor(colours, turn), dtype=np.uint8)
 
 
-def camera_of(path: Path, message: Any, bTc: FloatArray, bit_depth: int) -> Camera:
+def calibration_of(message: Any) -> bytes:
+    """Return all numbers that a `CameraInfo` states, to tell whether two state the same."""
+    numbers = [np.ravel(_field(message, name)) for name in ("width", "height", "k", "d", "r", "p")]
+    return np.concatenate([*numbers, np.ravel(list(_windows(message)))]).tobytes()
+
+
+def _field(message: Any, name: str) -> FloatArray:
+    """Numbers of a field, whose upper-case name is that of ROS 1; none where it is missing."""
+    return np.asarray(getattr(message, name, getattr(message, name.upper(), ())), dtype=np.float64)
+
+
+def camera_of(
+    path: Path, message: Any, bTc: FloatArray, bit_depth: int, *, rectified: bool = False
+) -> Camera:
     """Make a camera of a `CameraInfo`.
 
     Parameters
@@ -319,6 +298,8 @@ def camera_of(path: Path, message: Any, bTc: FloatArray, bit_depth: int) -> Came
         Mounting: pose of the camera in b, m.
     bit_depth : int
         Bits of its grey levels.
+    rectified : bool
+        Whether the images are: they have the intrinsics P, no distortion, and are turned by R.
 
     Returns
     -------
@@ -329,13 +310,19 @@ def camera_of(path: Path, message: Any, bTc: FloatArray, bit_depth: int) -> Came
     InputError
         When the calibration is empty, or its lens is not known or does not fit the image.
     """
-    # Upper-case names are those of ROS 1.
-    K, D = (np.asarray(getattr(message, name, getattr(message, name.upper(), ()))) for name in ("k", "d"))
+    K, D = _field(message, "k"), _field(message, "d")
+    if rectified:
+        P, R = _field(message, "p"), _field(message, "r")
+        if len(P) != 12 or len(R) != 9 or abs(np.linalg.det(R.reshape(3, 3)) - 1.0) > _UNIT_TOLERANCE:
+            raise InputError(path, "expected a CameraInfo with P and R, as the images are rectified")
+        K, D = np.delete(P, [3, 7, 11]), np.empty(0)
+        bTc = bTc @ frames.pose(R.reshape(3, 3).T, np.zeros(3))
     if len(K) != 9 or not K[0] > 0.0:
         raise InputError(path, "expected a calibrated CameraInfo, found no focal length")
-    model = lens_of(message.distortion_model) if message.distortion_model else lens.RADIAL_TANGENTIAL
+    stated = "" if rectified else message.distortion_model
+    model = lens_of(stated) if stated else lens.RADIAL_TANGENTIAL
     if model is None:
-        raise InputError(path, f"expected a lens that is known, found {message.distortion_model!r}")
+        raise InputError(path, f"expected a lens that is known, found {stated!r}")
     coefficients = tuple(float(v) for v in D) or (0.0,) * 5
     if model == lens.RADIAL_TANGENTIAL and len(coefficients) == 4:
         coefficients = (*coefficients, 0.0)

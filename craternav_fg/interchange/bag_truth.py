@@ -9,9 +9,9 @@ from craternav_fg.interchange.bag_reading import (
     increasing_stamps,
     pose_of,
     stamp_ns,
-    static_transform,
     vector,
 )
+from craternav_fg.interchange.bag_transforms import StaticTransforms
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray, IntArray
 
@@ -59,7 +59,7 @@ def read_truth(bag: Bag, topic: str | None, stamps_ns: IntArray, imu_frame: str)
     if all_ns[0] > stamps_ns[0] or all_ns[-1] < stamps_ns[-1]:
         return None
     # f is the frame of the poses, fixed to the lander.
-    fTb = static_transform(bag, frame, imu_frame) if frame and imu_frame else np.eye(4)
+    fTb = StaticTransforms(bag).pose(frame, imu_frame) if frame and imu_frame else np.eye(4)
     if fTb is None:
         problem = f"expected poses of {imu_frame}, the IMU's frame, or a static transform to it"
         raise InputError(

@@ -152,6 +152,11 @@ def _calibrated(found: Calibrated, catalog: Catalog) -> dict[str, Any]:
         }
     if found.intrinsics is not None:
         out["intrinsics"], out["intrinsics_sigma"] = (part.tolist() for part in found.intrinsics)
+    if found.sensor_biases is not None:
+        out["sensor_biases"] = {
+            name: {"bias": bias.tolist(), "sigma": sigma.tolist()}
+            for name, (bias, sigma) in found.sensor_biases.items()
+        }
     return out
 
 

@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from craternav_fg.dataset.foreign_images import read_foreign_image
+from craternav_fg.errors import InputError
 
 
 @pytest.mark.parametrize(
@@ -26,3 +27,23 @@ def test_formats(tmp_path, mode, suffix, shape, dtype):
     image = read_foreign_image(path)
     assert image.shape == shape
     assert image.dtype == dtype
+
+
+def test_a_stack_of_images_and_one_to_be_shown_turned_are_refused(tmp_path):
+    first, second, small = (
+        Image.fromarray(np.full(shape, 7, np.uint8)) for shape in [(6, 8), (6, 8), (3, 4)]
+    )
+    first.save(tmp_path / "stack.tif", save_all=True, append_images=[second])
+    with pytest.raises(InputError, match=r"stack\.tif: expected one image, found 2: save each as a file"):
+        read_foreign_image(tmp_path / "stack.tif")
+    first.save(tmp_path / "thumbnail.tif", save_all=True, append_images=[small])
+    assert read_foreign_image(tmp_path / "thumbnail.tif").shape == (6, 8)
+    exif = Image.Exif()
+    for orientation in (1, 6):
+        exif[0x0112] = orientation
+        first.save(tmp_path / f"{orientation}.jpg", exif=exif)
+    assert read_foreign_image(tmp_path / "1.jpg").shape == (6, 8)
+    with pytest.raises(
+        InputError, match="found an EXIF orientation of 6: turn the pixels, or remove the tag"
+    ):
+        read_foreign_image(tmp_path / "6.jpg")

@@ -1,6 +1,7 @@
 """Plain images with a table of times."""
 
 from pathlib import Path
+from unicodedata import normalize
 
 import cv2
 import numpy as np
@@ -93,6 +94,14 @@ def test_times_are_read_to_the_nanosecond(tmp_path):
     path.write_text("\n".join(["filename,utc", *lines, ""]))
     below = [stamp % 1_000_000_000 for stamp in read_times(path).values()]
     assert below == [123456789, 123456700, 123456000, *[123456789] * 3]
+
+
+@pytest.mark.parametrize(("table", "folder"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_umlauts_may_be_one_character_or_two(tmp_path, table, folder):
+    name = "Überflug 1.png"
+    times = tmp_path / "times.csv"
+    times.write_text(f"filename,utc\n{normalize(table, name)},1971-07-31T01:25:02\n", encoding="utf-8")
+    assert stamps_of([tmp_path / normalize(folder, name)], times) == [49_771_502_000_000_000]
 
 
 def test_grey_levels_share_one_scale():

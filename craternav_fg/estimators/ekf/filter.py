@@ -130,7 +130,9 @@ class DistributedEkf:
         ValueError
             When the IMU log does not cover the frames.
         """
-        return filter_state.trajectory([frame.stamp_ns for frame in problem.frames], self.states(problem))
+        states = self.states(problem)
+        found = filter_state.trajectory([frame.stamp_ns for frame in problem.frames], states)
+        return replace(found, calibrated=SensorBank(problem.sensors).of_state(states[-1]))
 
     def states(self, problem: Problem) -> list[FilterState]:
         """Filter as `estimate` does.
