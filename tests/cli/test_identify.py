@@ -94,6 +94,17 @@ def test_craters_and_pose(case, identify) -> None:
     assert all(name in output for name, _ in named)
 
 
+def test_an_attitude_that_the_rims_contradict(case, identify) -> None:
+    folder, _, scene = case
+    turned = scene.gTb[:3, :3] @ frames.rotation_exp(np.radians([6.0, -6.0, 0.0]))
+    attitude = "--attitude", ",".join(map(str, frames.to_quaternion_wxyz(turned))), "--attitude-sigma-deg"
+    code, _, errors = identify(folder / "rims.csv", *attitude, 1.0)
+    assert code == 0
+    assert "the rims contradict the attitude: the pose is turned by 8." in errors
+    assert "with a standard deviation of 1 deg; check --attitude" in errors
+    assert "contradict the attitude" not in identify(folder / "rims.csv", *attitude, 5.0)[2]
+
+
 def test_a_common_shift_of_the_map_is_in_the_covariance(case, identify) -> None:
     folder, catalog, _ = case
     shifted = replace(catalog, common_shift=CommonShift.of_source(len(catalog), 3000.0, 2000.0))

@@ -270,6 +270,16 @@ def test_a_wrong_match_is_named(files: Files, run: Run) -> None:
     check_pose(values["poses"][0], files.gTb)
 
 
+def test_an_attitude_that_the_rims_contradict(files: Files, run: Run) -> None:
+    turned = files.gTb[:3, :3] @ frames.rotation_exp(np.radians([6.0, -6.0, 0.0]))
+    attitude = "--attitude", ",".join(map(str, frames.to_quaternion_wxyz(turned)))
+    # Seven standard deviations: not too much beside the residuals of the rims.
+    done = run("--robust", *attitude, "--attitude-sigma-deg", "1.2", *EXACT)
+    assert done.code == 0, done.err
+    assert "the rims contradict the attitude: the pose is turned by 8.4 deg from it" in done.err
+    assert "contradict" not in run("--robust", *attitude, "--attitude-sigma-deg", "5", *EXACT).err
+
+
 def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
     rims = files.rims(files.rows[0], files.rows[1].replace("01-b", "01-d"))
