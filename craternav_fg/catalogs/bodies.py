@@ -16,15 +16,15 @@ BODY_RADIUS = "BODY_RADIUS_M"
 # Columns that name the body, in lower-case letters: ours, the USGS Gazetteer's, that of EPN-TAP.
 BODY_NAMES = ("body", "target", "targetname")
 # Mean radii of the IAU (Archinal et al. 2018, Celest. Mech. 130, 22): planets and dwarf planets, moons,
-# asteroids. Vesta's is that of Dawn's maps; Bennu's and Ryugu's are those of Lauretta et al. (2019, Nature
-# 568, 55) and Watanabe et al. (2019, Science 364, 268). A catalogue on another sphere, as most of Mars are
-# (3396190 m), states its radius or is read with --body-radius-m.
+# asteroids. Those of Mars and Vesta are the spheres of their maps and heights (the mean radius of Mars is
+# 3389500 m); Bennu's and Ryugu's are those of Lauretta et al. (2019, Nature 568, 55) and Watanabe et al.
+# (2019, Science 364, 268). A catalogue on another sphere states its radius or is read with --body-radius-m.
 SPHERES_M = {
     "Moon": 1737400.0,
     "Mercury": 2439400.0,
     "Venus": 6051800.0,
     "Earth": 6371008.4,
-    "Mars": 3389500.0,
+    "Mars": 3396190.0,
     "Ceres": 470000.0,
     "Pluto": 1188300.0,
     "Io": 1821490.0,
@@ -64,7 +64,7 @@ _MIN_NAME = 4
 # Identifiers that are looked at to recognise that catalogue.
 _SAMPLED_IDENTIFIERS = 200
 # Relative differences of radii up to which two spheres are the same, and two spheres are of one body.
-_SAME_SPHERE, SAME_BODY = 1e-6, 0.01
+SAME_SPHERE, SAME_BODY = 1e-6, 0.01
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def resolve_body(path: Path, body: Body | None, stated: StatedBody | None) -> tu
     # Spheres of two bodies may be alike.
     other = _named_otherwise(body.name, stated)
     if stated.radius_m is not None:
-        limit = _SAME_SPHERE if stated.exact else SAME_BODY
+        limit = SAME_SPHERE if stated.exact else SAME_BODY
         other |= abs(stated.radius_m - body.radius_m) > limit * body.radius_m
     if other:
         ratio = 0.0 if stated.radius_m is None else stated.radius_m / body.radius_m

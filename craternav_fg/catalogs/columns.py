@@ -50,8 +50,14 @@ _ANGULAR_RADII = ("radiusdeg", "rdeg")
 _RADII = ("radius", "radiuskm", "radiusm", "rkm")
 _IDENTIFIERS = ("craterid", "id", "identifier")
 _WEST = {"w", "west"}
+# Words of a name that says planetographic.
+_GRAPHIC = {"planetographic", "graphic", "geodetic"}
+# The USGS Gazetteer's column of what coordinates mean, such as "Planetographic, +West, 0 - 360".
+_SYSTEM = ("coordinatesystem",)
 # Column names that an error lists.
 _MAX_LISTED = 30
+# Letters of a column name that an error shows.
+_MAX_NAME = 40
 _METRES_PER = {"km": 1000.0, "m": 1.0}
 _METRES = {"m", "metre", "metres", "meter", "meters"}
 
@@ -105,6 +111,8 @@ class Columns:
         Those of `ERROR_COLUMNS`, or their former names, and of `COMMON_COLUMNS`, and `COMMON_SOURCE`.
     west : bool
         Whether longitudes are positive west.
+    system : str or None
+        Column that says what the coordinates are.
     """
 
     ellipse: tuple[str, ...]
@@ -118,6 +126,7 @@ class Columns:
     tilts: tuple[str, ...] = ()
     sigmas: tuple[str, ...] = ()
     west: bool = False
+    system: str | None = None
 
     @property
     def numbers(self) -> list[str]:
@@ -128,7 +137,7 @@ class Columns:
     @property
     def texts(self) -> list[str]:
         """Columns to read as texts."""
-        return [name for name in (self.identifier, self.body) if name]
+        return [name for name in (self.identifier, self.body, self.system) if name]
 
     @property
     def shown(self) -> str:
@@ -162,8 +171,8 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     Raises
     ------
     InputError
-        When a named column is not there, when one is missing (the error lists what was found), or when
-        longitudes count to the west without `options` saying so.
+        When a named column is not there, when one is missing (the error lists what was found), when
+        longitudes count to the west without `options` saying so, or when latitudes are planetographic.
     """
     tilts = _all_or_none(path, names, TILTS, line)
     sigmas = [
@@ -172,7 +181,12 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     if COMMON_SOURCE in names and sigmas[-1:] == list(COMMON_COLUMNS)[-1:]:
         sigmas.append(COMMON_SOURCE)
     rims = _rims(path, names, options, line)
+<<<<<<< HEAD
     return replace(rims, tilts=tuple(tilts), sigmas=tuple(sigmas), west=options.west_longitudes)
+=======
+    system = _one_of(names, _SYSTEM)
+    return replace(rims, sigmas=tuple(sigmas), west=options.west_longitudes, system=system)
+>>>>>>> 504a2cf395e6753f50c5c1c1c8d5ab508be62673
 
 
 def _all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
@@ -223,6 +237,12 @@ def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -
     where = path, names, line
     latitude = _column(*where, "latitude", options.latitude, _LATITUDES)
     longitude = _column(*where, "longitude", options.longitude, _LONGITUDES)
+    if _GRAPHIC.intersection(re.split(r"[^a-z]+", latitude.lower())):
+        problem = (
+            "expected planetocentric latitudes, this column's name says planetographic: convert them; on a "
+            "sphere they are the same: rename it"
+        )
+        raise InputError(path, problem, line=line, column=latitude)
     if not options.west_longitudes and _WEST.intersection(re.split(r"[^a-z]+", longitude.lower())):
         problem = (
             "expected longitudes positive east, this column's name says positive west: --west-longitudes?"
@@ -274,5 +294,7 @@ def _unit_in(name: str) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:_MAX_LISTED])
+    shown = ", ".join(
+        name if len(name) <= _MAX_NAME else f"{name[:_MAX_NAME]}..." for name in names[:_MAX_LISTED]
+    )
     return f"{shown} and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else shown

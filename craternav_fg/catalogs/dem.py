@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter1d
 
-from craternav_fg.catalogs.bodies import SAME_BODY
+from craternav_fg.catalogs.bodies import SAME_BODY, SAME_SPHERE
 from craternav_fg.catalogs.map_projection import (
     GEOGRAPHIC,
     Plane,
@@ -43,7 +43,13 @@ _MAX_HEIGHT_RADII = 0.4
 _UNITS_M = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
     **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0),
+    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
+    **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
 }
+# Values that stand for no height, as raster programs write them, and often without saying so.
+_VOIDS = (-9999.0, -99999.0, -32768.0, -32767.0, 32767.0)
+# Ground is continuous: a void has no other value within this share of it.
+_VOID_MARGIN = 0.01
 
 
 @dataclass(frozen=True)
@@ -205,10 +211,11 @@ def read_dem(path: Path, unit_m: float = 1.0, radius_m: float | None = None, *, 
             opened = rasterio.open(path)
         with opened as raster:
             _check(path, raster)
-            _check_unit(path, raster.units[0], unit_m)
+            _check_unit(path, raster.units[0], raster.scales[0], unit_m)
             plane = _plane(path, raster.crs, radius_m)
             transform = raster.transform
             values = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
+            _check_voids(path, values)
             heights = unit_m * (values * raster.scales[0] + raster.offsets[0])
     except rasterio.errors.RasterioError as error:
         raise InputError(path, f"expected a GeoTIFF: {' '.join(str(error).split())}") from None
@@ -234,18 +241,36 @@ def _check(path: Path, raster: Any) -> None:
         raise InputError(path, "expected coordinates (a CRS), found none")
     if raster.transform.b != 0.0 or raster.transform.d != 0.0:
         raise InputError(path, "expected rows along the first axis of the map, found a turned raster")
+    kind = np.dtype(raster.dtypes[0])
+    plain = raster.scales[0] == 1.0 and raster.offsets[0] == 0.0
+    if kind.kind == "c" or (kind.itemsize == 1 and plain):
+        image = "" if kind.kind == "c" else ", as of an image"
+        raise InputError(path, f"expected heights, found {kind} numbers{image}")
     shape = raster.shape
     if min(shape) < 4 or shape[0] * shape[1] > MAX_POINTS:
         problem = f"expected 4 x 4 to {MAX_POINTS} points, found {shape[0]} x {shape[1]}: crop it to the site"
         raise InputError(path, problem)
 
 
-def _check_unit(path: Path, stated: str | None, unit_m: float) -> None:
-    """Refuse a unit that is not the one that the raster states."""
+def _check_unit(path: Path, stated: str | None, scale: float, unit_m: float) -> None:
+    """Refuse a unit that is not the one that the raster states, or that its scale already contains."""
+    if scale != 1.0 and scale == unit_m:
+        problem = f"states a scale of {scale:g}, which is applied"
+        raise InputError(path, f"{problem}: --dem-unit-m {unit_m:g} would apply it again")
     known_m = _UNITS_M.get((stated or "").strip().lower())
     if known_m is not None and known_m != unit_m:
         problem = f"states heights in {stated}, expected a unit of {unit_m:g} m (--dem-unit-m)"
         raise InputError(path, problem)
+
+
+def _check_voids(path: Path, values: FloatArray) -> None:
+    """Refuse values that stand for no height although the raster does not say so."""
+    for void in _VOIDS:
+        count = int(np.count_nonzero(values == void))
+        if count and count == np.count_nonzero(np.abs(values - void) < _VOID_MARGIN * abs(void)):
+            problem = f"expected heights, {count} points are {void:g} and none near"
+            remedy = f"gaps that it does not state (gdal_edit.py -a_nodata {void:g})"
+            raise InputError(path, f"{problem}: {remedy}")
 
 
 def _check_heights(
@@ -284,6 +309,10 @@ def _plane(path: Path, crs: Any, radius_m: float | None) -> Plane:
     if found is not None and float(found[3]) != 0.0:
         ellipsoid = f"an ellipsoid ({found[1]}, 1/f = {float(found[3]):g})"
         raise InputError(path, f"expected {expected}, found {ellipsoid}")
+    if found and radius_m is not None and abs(sphere_m - radius_m) > SAME_SPHERE * radius_m:
+        problem = f"expected heights above a sphere of {radius_m:.9g} m, found coordinates of one of"
+        remedy = f"give the catalogue that sphere (catalog import --body-radius-m {sphere_m:.9g})"
+        raise InputError(path, f"{problem} {sphere_m:.9g} m: {remedy}")
     return plane
 
 

@@ -30,6 +30,8 @@ _OTHER_FORMATS = {
     b"\x1f\x8b": "a compressed file: unpack it",
     b"\xff\xfe": "one in UTF-16: save it in UTF-8",
     b"\xfe\xff": "one in UTF-16: save it in UTF-8",
+    b"{": "JSON (GeoJSON?): save it as CSV with columns of latitude, longitude and diameter",
+    b"SQLite format 3": "a database (GeoPackage?): save it as CSV",
     b"PAR1": "a Parquet file: its name must end in .parquet",
 }
 # Bytes that no text has.

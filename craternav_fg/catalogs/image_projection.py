@@ -219,7 +219,7 @@ def _body_of(path: Path, crs: Any, body: Body | None) -> tuple[tuple[float, floa
         raise InputError(path, problem + (": give --body" if crs.is_geographic else ""))
     if body is None:
         mean_m = equator if pole == equator else (2.0 * equator + pole) / 3.0
-        return (equator, pole), named_body(_name_of(path, name, mean_m), mean_m)
+        return (equator, pole), named_body(_name_of(path, name, (mean_m, equator)), mean_m)
     if abs(equator - body.radius_m) > SAME_BODY * body.radius_m:
         raise InputError(
             path,
@@ -229,16 +229,20 @@ def _body_of(path: Path, crs: Any, body: Body | None) -> tuple[tuple[float, floa
     return (equator, pole), body
 
 
-def _name_of(path: Path, ellipsoid: str, radius_m: float) -> str:
-    """Name of the body of an ellipsoid, by its name or else by its radius."""
+def _name_of(path: Path, ellipsoid: str, radii_m: tuple[float, float]) -> str:
+    """Name of the body of an ellipsoid, by its name or else by its mean or equatorial radius."""
     words = re.split(r"[^a-z]+", ellipsoid.lower())
     for name, known_m in SPHERES_M.items():
-        if name.lower() in words and abs(known_m - radius_m) < SAME_BODY * known_m:
+        if name.lower() in words and abs(known_m - radii_m[0]) < SAME_BODY * known_m:
             return name
-    near = [name for name, known_m in SPHERES_M.items() if abs(known_m - radius_m) < _KNOWN_RADIUS * known_m]
+    near = [
+        name
+        for name, known_m in SPHERES_M.items()
+        if any(abs(known_m - radius_m) < _KNOWN_RADIUS * known_m for radius_m in radii_m)
+    ]
     if len(near) == 1:
         return near[0]
-    raise InputError(path, f"is of a body of {radius_m:.9g} m ({ellipsoid}) that is not known: give --body")
+    raise InputError(path, f"is of a body of {radii_m[0]:.9g} m ({ellipsoid}) that is not known: give --body")
 
 
 def _check_places(path: Path, projection: ImageProjection, shape: tuple[int, int], unit_m: float) -> None:

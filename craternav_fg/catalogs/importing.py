@@ -1,6 +1,7 @@
 """Import of catalogues of any origin: rows that are no rims are skipped and reported, wrong files refused."""
 
 import contextlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,6 +115,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         table = read_columns(path, header, found.numbers, found.texts)
     identifiers = table.columns[found.identifier] if found.identifier else []
     body, body_by = bodies.resolve_body(path, body, bodies.stated_body(path, table.columns, identifiers))
+    _check_system(table, found)
     shown = found.shown
     if found.angular:
         found = replace(found, size_m=found.size_m * body.radius_m)
@@ -179,6 +181,18 @@ def _header(path: Path, options: ImportOptions) -> tuple[Header, Columns]:
         raise
     refuse_doubled(path, first)
     return first, found
+
+
+def _check_system(table: ForeignTable, found: Columns) -> None:
+    """Refuse longitudes that the table itself says to be counted the other way."""
+    if found.system is None:
+        return
+    for row, text in enumerate(table.columns[found.system]):
+        way = re.search(r"\+\s*(west|east)", text or "", re.IGNORECASE)
+        if way is not None and (way[1].lower() == "west") != found.west:
+            expected = "positive west, as --west-longitudes says" if found.west else "positive east"
+            hint = "" if found.west else ": --west-longitudes?"
+            table.fail(row, found.system, f"expected longitudes {expected}, found {text!r}{hint}")
 
 
 def _heights(table: ForeignTable, found: Columns) -> FloatArray | None:
@@ -271,9 +285,13 @@ def _skipped(
 
 def _none_left(table: ForeignTable, faults: checks.Faults, diameters: Sequence[str], radius_m: float) -> str:
     """Explain why no row of a table was imported."""
-    problem = f"expected at least one crater, found none in {len(table)} rows"
+    problem = f"expected at least one crater, found none in {len(table) + len(table.broken)} rows"
     if not faults:
-        return problem
+        if not table.broken:
+            return problem
+        line, cells = table.broken[0]
+        found = f"expected {table.width} columns, found {cells}: is a text with a separator not in quotes?"
+        return f"{problem}, the first left out is line {line}: {found}"
     row = min(faults)
     column, fault = faults[row]
     hint = f": {checks.wrong_unit(radius_m)}" if column in diameters else ""

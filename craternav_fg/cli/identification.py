@@ -176,6 +176,8 @@ def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str,
         gP = found.gTb[:3, 3]
         latitude, longitude = frames.latitude_longitude(gP)
         R = found.gTb[:3, :3]
+        # As in a run's files: positions in g.
+        covariance = frames.rotate_position_block(found.covariance, R)
         pose = {
             "position_m": gP.tolist(),
             "attitude_wxyz": frames.to_quaternion_wxyz(R).tolist(),
@@ -184,9 +186,9 @@ def _plain(found: Identification, ellipses: FloatArray, body: Body) -> dict[str,
             "altitude_m": float(body.altitude_m(gP)),
             "body": body.name,
             "body_radius_m": body.radius_m,
-            "covariance": found.covariance.tolist(),
-            "position_sigma_m": np.sqrt(np.diag(R @ found.covariance[3:, 3:] @ R.T)).tolist(),
-            "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(found.covariance)[:3])).tolist(),
+            "covariance": covariance.tolist(),
+            "position_sigma_m": np.sqrt(np.diag(covariance)[3:]).tolist(),
+            "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(covariance)[:3])).tolist(),
         }
     return {
         "status": found.status.name.lower(),

@@ -3,7 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import chdtri
 
+from craternav_fg import frames
+from craternav_fg.measurements import KnownAttitude
 from craternav_fg.resection.problem import PoseSolution, ResectionProblem
 from craternav_fg.resection.solve_kernel import normal_equations
 from factors.arrays import FloatArray
@@ -17,6 +20,9 @@ _CHECKED_RIMS, _CHECKED_RIMS_WITH_ATTITUDE = 3, 2
 _MAX_DEPARTURE = 0.5
 # Where the cost is compared with the parabola, in standard deviations along the weakest direction.
 _STEPS = np.array([-2.0, -1.0, 1.0, 2.0])
+# Squared rotation from a known attitude, in its standard deviations, that a right one exceeds once in ten
+# million cases.
+_MOST_TURN = float(chdtri(3, 1e-7))
 # Power iterations for the weakest direction.
 _POWERS = 20
 
@@ -46,7 +52,34 @@ def caveats(problem: ResectionProblem, poses: Sequence[PoseSolution]) -> tuple[s
             "the covariance may not describe the errors: the cost is not quadratic within two standard "
             "deviations along the weakest direction"
         )
+    if problem.attitude is not None and poses:
+        out.extend(attitude_warnings(problem.attitude, poses[0].gTb[:3, :3]))
     return tuple(out)
+
+
+def attitude_warnings(known: KnownAttitude, gRb: FloatArray) -> tuple[str, ...]:
+    """Warn if the rims turn the pose far from the known attitude.
+
+    Parameters
+    ----------
+    known : KnownAttitude
+    gRb : ndarray, shape (3, 3)
+        Of the pose that rims and known attitude determine.
+
+    Returns
+    -------
+    tuple of str
+        At most one line.
+    """
+    turn = float(np.linalg.norm(frames.rotation_log(known.gRb.T @ gRb)))
+    # Rims cannot turn a pose from an exact attitude.
+    if known.sigma_rad == 0.0 or turn**2 <= _MOST_TURN * known.sigma_rad**2:
+        return ()
+    found, stated = np.degrees((turn, known.sigma_rad))
+    return (
+        f"the rims contradict the attitude: the pose is turned by {found:.2g} deg from it, with a standard "
+        f"deviation of {stated:.2g} deg; check --attitude (gRb as w,x,y,z) and the mounting T_BS",
+    )
 
 
 def inflation_warning(scale: float) -> str:

@@ -258,8 +258,8 @@ def _pose(
     elif problem.prior is not None:
         share = share_of_rims(pose.covariance[:3, :3], problem.prior.covariance[:3, :3])
     of_map = catalog.image_covariance(pose.gTb, weights, share)
-    covariance = pose.covariance + frames.rotate_position_block(of_map, pose.gTb[:3, :3].T)
-    position_covariance = pose.position_covariance + of_map[3:, 3:]
+    # As in a run's files: positions in g.
+    covariance = frames.rotate_position_block(pose.covariance, pose.gTb[:3, :3]) + of_map
     latitude, longitude = frames.latitude_longitude(gP)
     return {
         "probability": pose.probability,
@@ -270,7 +270,7 @@ def _pose(
         "longitude_deg": float(np.degrees(longitude)),
         "altitude_m": float(catalog.body.altitude_m(gP)),
         "covariance": covariance.tolist(),
-        "position_sigma_m": np.sqrt(np.diag(position_covariance)).tolist(),
+        "position_sigma_m": np.sqrt(np.diag(covariance)[3:]).tolist(),
         "attitude_sigma_deg": np.degrees(np.sqrt(np.diag(covariance)[:3])).tolist(),
         "residuals": dict(zip(problem.rims.identifiers, pose.residuals.tolist(), strict=True)),
     }

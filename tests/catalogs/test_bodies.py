@@ -74,7 +74,7 @@ def test_a_table_tells_its_body(tmp_path, text, name, found, by):
 def test_bodies_known_by_name():
     assert named_body("lunar").radius_m == 1737400.0
     assert named_body("Ceres", 469700.0).radius_m == 469700.0
-    for name, radius_m in (("mars", 3389500.0), ("Ceres", 470e3), ("VESTA", 255e3), ("Charon", 606e3)):
+    for name, radius_m in (("mars", 3396190.0), ("Ceres", 470e3), ("VESTA", 255e3), ("Charon", 606e3)):
         assert named_body(name).radius_m == radius_m
     with pytest.raises(InputError, match=r"--body: expected --body-radius-m beside 'Haumea'"):
         named_body("Haumea")

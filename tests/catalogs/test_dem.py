@@ -206,6 +206,20 @@ BAD = {
         lambda p: write_with_unit(p, "km"),
         r"states heights in km, expected a unit of 1 m \(--dem-unit-m\)",
     ),
+    "feet, stated": (
+        lambda p: write_with_unit(p, "ft"),
+        r"states heights in ft, expected a unit of 1 m \(--dem-unit-m\)",
+    ),
+    "gaps that it does not state": (
+        lambda p: write(p, np.where(np.eye(8) > 0.0, -32768, 1000).astype(np.int16)),
+        r"8 points are -32768 and none near: gaps that it does not state \(gdal_edit.py -a_nodata -32768\)",
+    ),
+    "an image": (lambda p: write(p, np.ones((8, 8), np.uint8)), "expected heights, found uint8 numbers"),
+    "complex": (lambda p: write(p, np.ones((8, 8), np.complex64)), "found complex64 numbers$"),
+    "another sphere of the body": (
+        lambda p: write(p, np.zeros((8, 8), np.float32), crs="+proj=longlat +R=1738000 +no_defs"),
+        r"above a sphere of 1737400 m, found .* one of 1738000 m: .*catalog import --body-radius-m 1738000\)",
+    ),
     "no coordinates": (lambda p: write(p, np.zeros((8, 8), np.float32), crs=None), "found none"),
     "holes": (lambda p: write(p, np.full((8, 8), -1, np.int16), nodata=-1), "64 points have none"),
     "not a number": (lambda p: write(p, np.full((8, 8), np.nan, np.float32)), "64 points have none"),
@@ -220,6 +234,22 @@ def test_latitudes_of_the_earth_are_those_of_other_bodies_only(tmp_path):
     assert read_dem(path, radius_m=1737400.0).heights_m(np.eye(3)) == pytest.approx(0.0)
     with pytest.raises(InputError, match=r"found an ellipsoid \(WGS 84, 1/f = 298\.257"):
         read_dem(path, radius_m=6371e3)
+
+
+def test_a_scale_is_applied_once(tmp_path):
+    path = write(tmp_path / "dem.tif", np.full((8, 8), 2000, np.int16))
+    with rasterio.open(path, "r+") as raster:
+        raster.scales, raster.offsets = (0.5,), (-100.0,)
+    assert read_dem(path).heights_m(np.eye(3)) == pytest.approx(900.0)
+    with pytest.raises(InputError, match=r"states a scale of 0\.5, which is applied: --dem-unit-m 0\.5"):
+        read_dem(path, 0.5)
+
+
+def test_ground_as_deep_as_a_value_for_gaps(tmp_path):
+    deep = np.linspace(-10050.0, -9900.0, 151, dtype=np.float32)
+    path = write(tmp_path / "dem.tif", np.tile(deep, (8, 1)), (-180.0, 90.0, 360.0 / 151.0, 22.5))
+    assert (deep == -9999.0).any()
+    assert read_dem(path).heights_m(np.eye(3)).max() < -9900.0
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -282,7 +312,7 @@ def test_a_scenario_with_a_model(globe, tmp_path):
 
 def test_the_moon():
     """South Pole-Aitken is deep, the highlands of the far side are high."""
-    dem = read_dem(shared("moon_dem.tif"), 0.5)
+    dem = read_dem(shared("moon_dem.tif"))
     deep, high = dem.heights_m(frames.up(np.radians([-53.0, 5.0]), np.radians([-169.0, -158.0])))
-    assert deep < -3000.0
-    assert high > 3000.0
+    assert deep == pytest.approx(-6800.0, abs=200.0)
+    assert high == pytest.approx(8700.0, abs=200.0)

@@ -115,6 +115,29 @@ def test_a_table_below_its_description(tmp_path):
     refused(written(tmp_path, path.read_text() + "D\t1\t2\t3x\t4\t5\n"), r"craters\.csv:21: Diameter\(m\)")
 
 
+def test_what_the_gazetteer_says_of_longitudes(tmp_path):
+    rows = "1,10,20,5,{0}\n2,11,21,6,{0}\n"
+    header = "Feature_ID,Center_Latitude,Center_Longitude,Diameter,Coordinate_System\n"
+    west = written(tmp_path, header + rows.format('"Planetographic, +West, 0 - 360"'))
+    refused(west, r"craters\.csv:2: Coordinate_System: .* positive east, found .*West.*: --west-longitudes\?")
+    catalog, _ = import_catalog(west, MOON, ImportOptions(west_longitudes=True))
+    np.testing.assert_allclose(np.degrees(catalog.longitude_rad), [340.0, 339.0])
+    east = written(tmp_path, header + rows.format('"Planetocentric, +East, 0 - 360"'))
+    assert len(import_catalog(east, MOON)[0]) == 2
+    refused(east, "expected longitudes positive west, as --west-longitudes says", west_longitudes=True)
+
+
+def test_planetographic_latitudes(tmp_path):
+    name = "planetographic_lat"
+    path = written(tmp_path, f"{name},lon,diam_km\n10,20,5\n")
+    refused(path, rf"craters\.csv:1: {name}: .* says planetographic", latitude=name)
+
+
+def test_all_lines_have_more_cells_than_the_header(tmp_path):
+    path = written(tmp_path, "lat,lon,diam_km,kind\n1,2,3,crater, craters\n4,5,6,crater, craters\n")
+    refused(path, "found none in 2 rows, the first left out is line 2: expected 4 columns, found 5")
+
+
 def test_longitudes_to_the_west(tmp_path):
     # A mirror image of the body: nothing would ever be identified on it.
     path = written(tmp_path, "id,lat,Lon_W,diam_km\nA,20,200,12\n")
@@ -140,6 +163,8 @@ def test_sizes_that_are_radii(tmp_path):
 @pytest.mark.parametrize(
     ("content", "match"),
     [
+        (b'{"type": "FeatureCollection"}', r"craters\.csv: expected a table as text, found JSON"),
+        (b"SQLite format 3\x00\x10", r"craters\.csv: expected a table as text, found a database"),
         (b"PK\x03\x04...", r"craters\.csv: .* a zip archive or a spreadsheet: unpack it"),
         (b"\x1f\x8b...", r"craters\.csv: .* a compressed file"),
         (

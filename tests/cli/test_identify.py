@@ -73,7 +73,7 @@ def test_craters_and_pose(case, identify) -> None:
     gP = np.array(found["pose"]["position_m"])
     sigma = np.array(found["pose"]["position_sigma_m"])
     assert (np.abs(gP - scene.gTb[:3, 3]) < 6.0 * sigma).all()
-    assert np.array(found["pose"]["covariance"]).shape == (6, 6)
+    np.testing.assert_allclose(np.sqrt(np.diag(found["pose"]["covariance"])[3:]), sigma)
     assert found["log_chance"] < -18.0
     assert found["seconds"] > 0.0
     # The index is loaded, and the attitude makes an answer more certain.
@@ -92,6 +92,17 @@ def test_craters_and_pose(case, identify) -> None:
     assert "; focal length by the rims" in output
     assert f"of {len(found['rims'])} rims identified" in output
     assert all(name in output for name, _ in named)
+
+
+def test_an_attitude_that_the_rims_contradict(case, identify) -> None:
+    folder, _, scene = case
+    turned = scene.gTb[:3, :3] @ frames.rotation_exp(np.radians([6.0, -6.0, 0.0]))
+    attitude = "--attitude", ",".join(map(str, frames.to_quaternion_wxyz(turned))), "--attitude-sigma-deg"
+    code, _, errors = identify(folder / "rims.csv", *attitude, 1.0)
+    assert code == 0
+    assert "the rims contradict the attitude: the pose is turned by 8." in errors
+    assert "with a standard deviation of 1 deg; check --attitude" in errors
+    assert "contradict the attitude" not in identify(folder / "rims.csv", *attitude, 5.0)[2]
 
 
 def test_a_common_shift_of_the_map_is_in_the_covariance(case, identify) -> None:

@@ -56,7 +56,12 @@ def test_a_pose_from_files(files: Files, run: Run) -> None:
     latitude, longitude = np.degrees(frames.latitude_longitude(files.gTb[:3, 3]))
     assert (pose["latitude_deg"], pose["longitude_deg"]) == pytest.approx((latitude, longitude), abs=1e-4)
     assert pose["altitude_m"] == pytest.approx(np.linalg.norm(files.gTb[:3, 3]) - MOON.radius_m, abs=1.0)
-    assert np.array(pose["covariance"]).shape == (6, 6)
+    covariance = np.array(pose["covariance"])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[3:]), pose["position_sigma_m"])
+    # A turn about the image's x axis and a step along its y axis look alike: in g along that axis.
+    gRb = files.gTb[:3, :3]
+    turns = covariance[:3, 3:] @ gRb
+    assert abs(turns[0, 1]) > 0.8 * np.sqrt(covariance[0, 0] * (gRb.T @ covariance[3:, 3:] @ gRb)[1, 1])
     assert set(pose["residuals"]) == set(files.catalog.identifiers)
     assert values["warnings"] == []
     assert done.err == ""
@@ -74,9 +79,9 @@ def test_a_common_shift_of_the_map_is_in_the_covariance(files: Files, run: Run) 
     added = np.array(pose["position_sigma_m"]) ** 2 - np.array(alone["position_sigma_m"]) ** 2
     range_radii = np.linalg.norm(files.gTb[:3, 3]) / MOON.radius_m
     assert added.sum() == pytest.approx(2.0 * (300.0 * range_radii) ** 2 + 200.0**2, rel=1e-6)
-    of_b = np.array(pose["covariance"])[3:, 3:] - np.array(alone["covariance"])[3:, 3:]
-    up_b = files.gTb[:3, :3].T @ files.gTb[:3, 3] / np.linalg.norm(files.gTb[:3, 3])
-    assert up_b @ of_b @ up_b == pytest.approx(200.0**2, rel=1e-4)
+    of_map = np.array(pose["covariance"])[3:, 3:] - np.array(alone["covariance"])[3:, 3:]
+    up = files.gTb[:3, 3] / np.linalg.norm(files.gTb[:3, 3])
+    assert up @ of_map @ up == pytest.approx(200.0**2, rel=1e-4)
 
 
 def test_a_rejected_rim_brings_no_common_shift_of_its_source(files: Files, run: Run) -> None:
@@ -263,6 +268,16 @@ def test_a_wrong_match_is_named(files: Files, run: Run) -> None:
     values = json.loads(done.out)
     assert values["wrong"] == ["01-e"]
     check_pose(values["poses"][0], files.gTb)
+
+
+def test_an_attitude_that_the_rims_contradict(files: Files, run: Run) -> None:
+    turned = files.gTb[:3, :3] @ frames.rotation_exp(np.radians([6.0, -6.0, 0.0]))
+    attitude = "--attitude", ",".join(map(str, frames.to_quaternion_wxyz(turned)))
+    # Seven standard deviations: not too much beside the residuals of the rims.
+    done = run("--robust", *attitude, "--attitude-sigma-deg", "1.2", *EXACT)
+    assert done.code == 0, done.err
+    assert "the rims contradict the attitude: the pose is turned by 8.4 deg from it" in done.err
+    assert "contradict" not in run("--robust", *attitude, "--attitude-sigma-deg", "5", *EXACT).err
 
 
 def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: Run) -> None:

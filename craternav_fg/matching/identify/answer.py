@@ -14,6 +14,7 @@ from craternav_fg.matching.identify.pose_fit import fit_pose, pack_rims, shifts_
 from craternav_fg.matching.identify.refine import refine
 from craternav_fg.matching.identify.result import Identification, Status
 from craternav_fg.measurements import KnownAttitude
+from craternav_fg.resection.caveats import attitude_warnings
 from craternav_fg.resection.intrinsics import (
     IntrinsicsFit,
     IntrinsicsPrior,
@@ -74,8 +75,11 @@ def answer(
     gTb = expanded.gTc @ frames.inverse(camera.bTc)
     seen = index.catalog.take(rows[rows >= 0])
     share = 1.0
+    warnings: tuple[str, ...] = ()
     if len(search.limits.attitude):
         share = share_of_rims(covariance[:3, :3], search.sigma_rad**2 * np.eye(3))
+        known = KnownAttitude(search.limits.attitude @ camera.bTc[:3, :3].T, search.sigma_rad)
+        warnings = attitude_warnings(known, gTb[:3, :3])
     of_map = seen.image_covariance(gTb, np.ones(len(seen)), share)
     return Identification(
         status=Status.IDENTIFIED,
@@ -90,7 +94,7 @@ def answer(
         seconds=time.perf_counter() - began,
         focal_scale=np.nan if fit is None else fit.focal_scale,
         focal_scale_sigma=np.nan if fit is None else fit.focal_scale_sigma,
-        warnings=() if fit is None else intrinsics_warnings(fit, prior),
+        warnings=warnings if fit is None else (*warnings, *intrinsics_warnings(fit, prior)),
     )
 
 
