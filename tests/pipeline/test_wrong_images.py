@@ -136,6 +136,39 @@ def test_a_first_image_with_few_rims_that_later_ones_contradict_is_left_out(
     assert off_m < 3.0 * np.sqrt(3.0) * result.segments[0].initial.position_sigma_m
 
 
+def test_a_copy_while_two_tracks_compete_belongs_to_both(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = list(range(len(data)))
+    # The second stale image begins a track; the third is a copy, which decides nothing.
+    shown = [3 if k in (4, 5, 6) else k for k in every]
+    result = tracked(data, shown, monkeypatch, repeated=(6,))
+    assert len(result.frames) == len(data)
+    assert len(result.segments) == 1
+    assert list(result.disbelieved) == [5]
+    assert with_rims(result) == [k for k in every if k not in (4, 5, 6)]
+
+
+def test_what_sensors_measured_between_images_predicts_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Images are searched near poses that know of the star tracker, dark ones as well."""
+    tracker = {"rate_hz": 1.0, "cross_sigma_arcsec": 15.0, "roll_sigma_arcsec": 70.0}
+    case = scenario(duration_s=24.0, sensors={"star_tracker": tracker})
+    known = Dataset.open(simulate(case, tmp_path / "d"))
+    assert known.imu is not None
+    assert known.truth is not None
+    assert known.initial is not None
+    # The gyro drifts by a degree in ten seconds.
+    wrong = known.imu.gyro + np.array([2e-3, 0.0, 0.0])
+    initial = dataclasses.replace(known.initial, gyro_bias_sigma_rad_s=2e-3)
+    drifts = dataclasses.replace(known, imu=dataclasses.replace(known.imu, gyro=wrong), initial=initial)
+    result = tracked(drifts, [k if k < 3 else DARK for k in range(len(known))], monkeypatch)
+    turns = np.einsum("kji,kjl->kil", result.guides[:, :3, :3], known.truth.gRb)
+    off_rad = np.arccos(np.clip(0.5 * (np.trace(turns, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    assert off_rad[4:].max() < 5e-4
+
+
 def test_the_only_image_contradicts_the_initial_state(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """There are no others whose sun tilts would have the same error."""
     assert data.initial is not None
