@@ -7,15 +7,13 @@ from factors.kernels.conic import chart_jacobian
 from factors.kernels.rim_poses import PAIR_GATE, distances2, nearest
 
 # From 50 km straight down on flat ground.
-POSE = np.array(
-    [[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 50e3], [0.0, 0.0, 0.0, 1.0]]
-)
+POSE = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 50e3], [0.0, 0.0, 0.0, 1.0]])
 COVARIANCE = np.diag(np.repeat([1e-4, 200.0], 3)) ** 2
 EVERYWHERE = np.array([1.0, 1.0])
 
 
 def scene(order: list[int]) -> tuple[np.ndarray, ...]:
-    """Three craters in some order, and rims about the second: one on it, one towards the first, one far off."""
+    """Three craters in some order; rims on the second, beside it towards the first, and far off."""
     centres = np.array([[0.0, 0.0, 0.0], [1500.0, 0.0, 0.0], [-9000.0, 4000.0, 0.0]])[order]
     axes = np.tile(np.array([[800.0, 0.0, 0.0], [0.0, 760.0, 0.0]]), (3, 1, 1))
     at = {row: place for place, row in enumerate(order)}
@@ -46,8 +44,6 @@ def test_distances_contain_the_poses_uncertainty() -> None:
             off = rims[i] - charts[m]
             expected = off @ np.linalg.solve(H[m] @ covariance @ H[m].T + noise[i], off)
             assert found[i, m] == pytest.approx(expected, rel=1e-9)
-    narrow = distances2(
-        pose, covariance, mounting, centres, axes, rims, noise, 1e9, np.array([0.1, 1.0])
-    )
+    narrow = distances2(pose, covariance, mounting, centres, axes, rims, noise, 1e9, np.array([0.1, 1.0]))
     assert np.isinf(narrow[:, 2]).all()
     assert np.isfinite(narrow[:, :2]).all()
