@@ -2,7 +2,8 @@
 
 import tempfile
 import time
-from dataclasses import replace
+from collections import defaultdict
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -10,10 +11,10 @@ import numpy as np
 
 from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
-from craternav_fg.estimators import filter_state
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.online_session import OnlineSession
-from craternav_fg.estimators.start import find_start
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.relocalisation import Relocaliser
+from craternav_fg.pipeline.tracking import Tracker
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.vision.guided import GuidedFrontEnd
@@ -30,11 +31,45 @@ START_SIGMA_RAD, START_SIGMA_M = 5e-3, 200.0
 WARM_UP_FRAMES = 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class _InMemory(Dataset):
+    """A data set whose images have been read."""
+
+    images: tuple[ImageArray, ...]
+
+    def image(self, frame: int) -> ImageArray:
+        """Return the image of a frame."""
+        return self.images[frame]
+
+
+class _Timed(GuidedFrontEnd):
+    """A front end that notes how long it took, s, by the stamps of the frames."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        super().__init__(dataset.camera, dataset.catalog)
+        self.seconds: defaultdict[int, float] = defaultdict(float)
+
+    def measure(
+        self,
+        image: ImageArray,
+        stamp_ns: int,
+        gTb: FloatArray,
+        pose_covariance: FloatArray,
+        sun_g: FloatArray,
+    ) -> FrameMeasurement:
+        """Measure an image as the front end does."""
+        began = time.process_time()
+        frame = super().measure(image, stamp_ns, gTb, pose_covariance, sun_g)
+        self.seconds[stamp_ns] += time.process_time() - began
+        return frame
+
+
 def pipeline_ms() -> dict[str, float]:
     """Process every third frame of the demo's descent, frame by frame.
 
-    The time is that of prediction, guided measurement with gates and sun tilt, and the online smoother's
-    update: processor time of all threads, as on one core. Reading the image and the first frame do not count.
+    The time is that of the tracker: prediction, guided measurement with the sun tilt, the joint gate, pooled
+    errors, and the online smoother's update. It is processor time of all threads, as on one core. Reading the
+    image and the first frame do not count.
 
     Returns
     -------
@@ -47,11 +82,11 @@ def pipeline_ms() -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         path = simulate(scenario.model_copy(update={"trajectory": timing}), Path(folder) / "dataset")
         dataset = Dataset.open(path)
-        images = [dataset.image(k) for k in range(len(dataset.stamps_ns))]
+        images = tuple(dataset.image(k) for k in range(len(dataset.stamps_ns)))
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        rows = _fly(dataset, images)
+        rows = frame_costs(_InMemory(**vars(dataset), images=images))
     finally:
         cv2.setNumThreads(threads)
     rows = rows[WARM_UP_FRAMES:]
@@ -64,8 +99,20 @@ def pipeline_ms() -> dict[str, float]:
     }
 
 
-def _fly(dataset: Dataset, images: list[ImageArray]) -> FloatArray:
-    """Seconds of each frame but the first, seconds of its measurement, and its number of rims: (n, 3)."""
+def frame_costs(dataset: Dataset) -> FloatArray:
+    """Track the frames of a data set from a well-known start.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With images, truth and an initial state.
+
+    Returns
+    -------
+    ndarray, shape (n - 1, 3)
+        Of each frame but the first: processor time, s, its part for the guided measurement, s, and number of
+        rims.
+    """
     truth = dataset.truth
     assert truth is not None
     assert dataset.initial is not None
@@ -73,20 +120,12 @@ def _fly(dataset: Dataset, images: list[ImageArray]) -> FloatArray:
     initial = replace(
         dataset.initial, gTb=truth.gTb[0], attitude_sigma_rad=START_SIGMA_RAD, position_sigma_m=START_SIGMA_M
     )
-    descent = Descent.of(dataset, initial)
-    front_end = GuidedFrontEnd(dataset.camera, dataset.catalog)
-    session = OnlineSession(descent)
-    rows = []
-    for k, stamp in enumerate(int(s) for s in dataset.stamps_ns):
-        began = time.process_time()
-        predicted = filter_state.prior(descent) if k == 0 else session.predict(stamp)
-        covariance = predicted.covariance[filter_state.POSE, filter_state.POSE]
-        measuring = time.process_time()
-        frame = front_end.measure(images[k], stamp, predicted.gTb, covariance, dataset.sun.at(stamp))
-        measured = time.process_time()
-        if k == 0:
-            session.begin(frame, find_start(descent, [frame]))
-        else:
-            session.update(frame)
-        rows.append((time.process_time() - began, measured - measuring, len(frame.rims)))
-    return np.array(rows[1:])
+    front_end = _Timed(dataset)
+    tracker = Tracker(dataset, Descent.of(dataset, initial), front_end, Relocaliser(dataset))
+    done_s = []
+    tracked = tracker.run(lambda *_: done_s.append(time.process_time()))
+    # Told before the first frame, too.
+    frames_s = np.diff(done_s)
+    measured_s = [front_end.seconds[int(stamp)] for stamp in dataset.stamps_ns]
+    rims = [len(frame.rims) for frame in tracked.frames]
+    return np.column_stack([frames_s, measured_s, rims])[1:]

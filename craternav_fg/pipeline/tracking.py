@@ -409,7 +409,9 @@ class Tracker:
         # What rims near a wrong pose have shown of their craters' errors goes with it.
         pooled = PooledErrors(self.dataset.camera, self.dataset.catalog)
         track = _Track(OnlineSession(descent), pooled, segments, earlier, fix=fix)
-        frame = self._shared_sun(_pool(track, _Guided(frame, fix.gTb)))
+        frame = _pool(track, _Guided(frame, fix.gTb))
+        if index > 0:
+            frame = self._shared_sun(frame)
         track.session.begin(frame, Start(fix.gTb, fix.pose_covariance, 0))
         track.measured.append(_Guided(frame, fix.gTb))
         self._track = track

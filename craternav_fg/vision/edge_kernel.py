@@ -49,7 +49,8 @@ def normal_count(radius_px: float) -> int:
 def _gaussian(width: float) -> FloatArray:
     """Half of a Gaussian kernel (n,) from its centre, not normalised; `width` is in samples."""
     kernel = np.empty(int(np.ceil(2.5 * width)) + 1)
-    for i in range(len(kernel)):
+    kernel[0] = 1.0
+    for i in range(1, len(kernel)):
         kernel[i] = np.exp(-0.5 * (i / width) ** 2)
     return kernel
 
@@ -238,7 +239,7 @@ def trace_rim(
     bent = distorts(lens)
     shrinks = 1.0
     samples, soft = np.empty(0), np.empty(0)
-    width, kernel, wide_kernel = 0.0, samples, samples
+    width, kernel, wide_kernel = -1.0, samples, samples
     for k in range(count):
         rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
         h = q[4]

@@ -70,6 +70,16 @@ def _rotation_log(M: FloatArray, w: FloatArray) -> float:
     c = 1.0 / 12.0
     if angle > 1e-3:
         c = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / (angle * angle)
+    if sine <= 1e-9 and angle > 1.0:
+        # Half a turn: the matrix is symmetric, and the axis is a column of M + 1, which is 2 a a'.
+        k = 0
+        for i in range(1, 3):
+            if M[i, i] > M[k, k]:
+                k = i
+        length = np.sqrt(2.0 * (1.0 + M[k, k]))
+        for i in range(3):
+            w[i] = angle * (M[i, k] + (1.0 if i == k else 0.0)) / length
+        return c
     for i in range(3):
         w[i] *= angle / sine if sine > 1e-9 else 1.0
     return c

@@ -193,6 +193,23 @@ def _derivative(
 
 
 @njit(cache=True, error_model="numpy")
+def _white_noise(A: FloatArray, noise: FloatArray, L: FloatArray) -> None:
+    """Write the density L (15, 15) of the noise that the error state's rate has, see `_derivative` for A.
+
+    The noise of the angular velocity enters wherever the gyro's bias does: a velocity that is constant in b
+    is turned by what turns b.
+    """
+    L[:] = 0.0
+    for i in range(9):
+        for j in range(9):
+            for k in range(9, 12):
+                L[i, j] += noise[0] ** 2 * A[i, k] * A[j, k]
+    for i in range(3):
+        L[6 + i, 6 + i] += noise[1] ** 2
+        L[9 + i, 9 + i], L[12 + i, 12 + i] = noise[2] ** 2, noise[3] ** 2
+
+
+@njit(cache=True, error_model="numpy")
 def _step(
     kind: int, h: float, R: FloatArray, P: FloatArray, V: FloatArray, w: FloatArray, a_b: FloatArray,
     mu: float, spin: FloatArray, radius: float, C: FloatArray, S: FloatArray, noise: FloatArray,
@@ -222,18 +239,18 @@ def _step(
     k4 = A4 @ (F + h * k3)
     F1 = F + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     # Q' = A Q + Q A' + L, with L the densities squared.
-    L = np.zeros((SIZE, SIZE))
-    for i in range(3):
-        L[i, i], L[6 + i, 6 + i] = noise[0] ** 2, noise[1] ** 2
-        L[9 + i, 9 + i], L[12 + i, 12 + i] = noise[2] ** 2, noise[3] ** 2
+    L1, L2, L4 = np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
+    _white_noise(A1, noise, L1)
+    _white_noise(A2, noise, L2)
+    _white_noise(A4, noise, L4)
     m1 = A1 @ Q
-    m1 = m1 + m1.T + L
+    m1 = m1 + m1.T + L1
     m2 = A2 @ (Q + half * m1)
-    m2 = m2 + m2.T + L
+    m2 = m2 + m2.T + L2
     m3 = A2 @ (Q + half * m2)
-    m3 = m3 + m3.T + L
+    m3 = m3 + m3.T + L2
     m4 = A4 @ (Q + h * m3)
-    m4 = m4 + m4.T + L
+    m4 = m4 + m4.T + L4
     Q1 = Q + h / 6.0 * (m1 + 2.0 * m2 + 2.0 * m3 + m4)
     return R4, P1, V1, F1, 0.5 * (Q1 + Q1.T)
 

@@ -202,20 +202,17 @@ def nearest(
     count = charts.shape[0]
     crater = np.full(count, -1, np.int64)
     distance2 = np.full(count, PAIR_GATE)
-    taken = np.full(centres.shape[0], -1, np.int64)
     all2 = distances2(gTb, covariance, bTc, centres, axes, charts, rim_covariance, PAIR_GATE, reach)
-    for m in range(centres.shape[0]):
-        for i in range(count):
-            d2 = all2[i, m]
-            if d2 < distance2[i] and (taken[m] < 0 or d2 < distance2[taken[m]]):
-                if taken[m] >= 0:
-                    crater[taken[m]] = -1
-                    distance2[taken[m]] = PAIR_GATE
-                if crater[i] >= 0:
-                    taken[crater[i]] = -1
-                taken[m] = i
-                crater[i] = m
-                distance2[i] = d2
+    for i in range(count):
+        for m in range(centres.shape[0]):
+            if all2[i, m] < distance2[i]:
+                crater[i], distance2[i] = m, all2[i, m]
+    # Of two rims with one crater, the nearer keeps it.
+    for i in range(count):
+        for j in range(i):
+            if crater[i] >= 0 and crater[i] == crater[j]:
+                farther = i if distance2[i] >= distance2[j] else j
+                crater[farther], distance2[farther] = -1, PAIR_GATE
     return crater, distance2
 
 

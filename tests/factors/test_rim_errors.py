@@ -148,6 +148,22 @@ def test_what_is_not_finite_is_named() -> None:
         together.error(values)
 
 
+def test_of_several_that_are_not_finite_the_first_is_named() -> None:
+    _, together, values = made()
+    charts, _ = project_rims(POSE, MOUNTING, CENTRES, AXES)
+    own = [gtsam.symbol("r", i) for i in (8, 9, 10)]
+    errors = [ChartError(own, np.ones((3, 5, 5))), ChartError([LENS] * 3, np.ones((3, 5, 4)))]
+    S = np.tile(1e-6 * np.eye(5), (3, 1, 1))
+    together.add(X(1), MOUNTING, CENTRES, AXES, charts, S, errors, Loss())
+    values.insert(X(1), gtsam.Pose3(POSE))
+    values.insert(LENS, np.zeros(4))
+    for key in own:
+        values.insert(key, np.full(5, np.nan))
+    values.update(OWN[0], np.full(5, np.nan))
+    with pytest.raises(FactorError, match="factor at x0"):
+        together.error(values)
+
+
 def test_slopes_are_those_of_moved_and_stretched_rims() -> None:
     slopes = ground_slopes(POSE, MOUNTING, CENTRES, AXES)
     a, b = (np.linalg.norm(AXES[:, k], axis=1) for k in range(2))

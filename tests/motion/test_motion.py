@@ -12,6 +12,7 @@ from scipy.special import lpmv
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.errors import InputError
+from craternav_fg.imu import ImuNoise
 from craternav_fg.linalg import whitening
 from craternav_fg.motion.coast import coast
 from craternav_fg.motion.gravity import GravityField, degree_two, read_gravity
@@ -218,6 +219,32 @@ def test_gyro_rows_turn_the_attitude():
         )
     np.testing.assert_allclose(T[:3, :3], R, atol=1e-9)
     np.testing.assert_allclose(np.diag(Q)[:3], 1e-8 * 5.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("model", _models(), ids=_NAMES)
+def test_a_gyros_noise_is_what_errors_of_its_readings_do(model):
+    """Not to the attitude alone: a velocity that is constant in b turns with it."""
+    begin, dt_s, density = _state(np.random.default_rng(13)), 0.5, 1e-4
+    gyro = np.random.default_rng(14).normal(scale=0.01, size=(20, 3))
+    quiet = ImuNoise(density, 1e-12, 1e-12, 1e-12)
+
+    def ahead(readings):
+        return model.transition(MOON, begin, (np.full(20, dt_s), readings), quiet)
+
+    T, v, _, Q = ahead(gyro)
+    total, step = np.zeros((9, 9)), 1e-5
+    for k in range(20):
+        for j in range(3):
+            moved = gyro.copy()
+            moved[k, j] += step
+            T1, v1, _, _ = ahead(moved)
+            turn = frames.rotation_log(T[:3, :3].T @ T1[:3, :3])
+            slope = np.concatenate([turn, T1[:3, 3] - T[:3, 3], v1 - v]) / step
+            # White noise over a row: its mean has the variance density^2 / dt.
+            total += density**2 / dt_s * np.outer(slope, slope)
+    # In units of which the variances are 5 to 30; of attitude alone when coasting.
+    scale = np.repeat([1e-4, 1.0, 0.1], 3)
+    np.testing.assert_allclose((Q[:9, :9] - total) / np.outer(scale, scale), 0.0, atol=0.3)
 
 
 def test_harmonics_are_the_gradient_of_their_potential():

@@ -22,6 +22,7 @@ from craternav_fg.pipeline.repeated_images import repeated_images
 from craternav_fg.pipeline.sensor_checks import check_imu
 from craternav_fg.pipeline.tracking import Segment, Tracked, Tracker, _Guided
 from craternav_fg.simulation.scenario import simulate
+from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.guided_options import GuidedOptions
 from tests.descents import scenario
 
@@ -35,7 +36,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def tracked(
-    data: Dataset, shown: Sequence[int], monkeypatch: pytest.MonkeyPatch, repeated: Sequence[int] = ()
+    data: Dataset,
+    shown: Sequence[int],
+    monkeypatch: pytest.MonkeyPatch,
+    repeated: Sequence[int] = (),
+    *,
+    with_sun: bool = False,
 ) -> Tracked:
     """Track images of which the k-th shows what frame shown[k] should, to who looks near its pose."""
     assert data.measurements is not None
@@ -46,7 +52,8 @@ def tracked(
         there = shown[index]
         seen = there != DARK and np.linalg.norm(gTb[:3, 3] - truth.gP[there]) < 100.0
         rims = measured[there].rims if seen else RimSet.empty()
-        return _Guided(FrameMeasurement(int(data.stamps_ns[index]), rims, None), gTb)
+        sun = measured[there].sun if seen and with_sun else None
+        return _Guided(FrameMeasurement(int(data.stamps_ns[index]), rims, sun), gTb)
 
     def locate(index: int, sun_angle_rad: float | None) -> PoseFix | None:
         return None if shown[index] == DARK else PoseFix(truth.gTb[shown[index]], SPREAD, 9)
@@ -127,6 +134,65 @@ def test_a_first_image_with_few_rims_that_later_ones_contradict_is_left_out(
     assert (result.segments[0].initial is initial) == (sigma_m > 1000.0)
     off_m = np.linalg.norm(result.segments[0].initial.gTb[:3, 3] - data.truth.gP[0])
     assert off_m < 3.0 * np.sqrt(3.0) * result.segments[0].initial.position_sigma_m
+
+
+def test_a_copy_while_two_tracks_compete_belongs_to_both(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = list(range(len(data)))
+    # The second stale image begins a track; the third is a copy, which decides nothing.
+    shown = [3 if k in (4, 5, 6) else k for k in every]
+    result = tracked(data, shown, monkeypatch, repeated=(6,))
+    assert len(result.frames) == len(data)
+    assert len(result.segments) == 1
+    assert list(result.disbelieved) == [5]
+    assert with_rims(result) == [k for k in every if k not in (4, 5, 6)]
+
+
+def test_what_sensors_measured_between_images_predicts_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Images are searched near poses that know of the star tracker, dark ones as well."""
+    tracker = {"rate_hz": 1.0, "cross_sigma_arcsec": 15.0, "roll_sigma_arcsec": 70.0}
+    case = scenario(duration_s=24.0, sensors={"star_tracker": tracker})
+    known = Dataset.open(simulate(case, tmp_path / "d"))
+    assert known.imu is not None
+    assert known.truth is not None
+    assert known.initial is not None
+    # The gyro drifts by a degree in ten seconds.
+    wrong = known.imu.gyro + np.array([2e-3, 0.0, 0.0])
+    initial = dataclasses.replace(known.initial, gyro_bias_sigma_rad_s=2e-3)
+    drifts = dataclasses.replace(known, imu=dataclasses.replace(known.imu, gyro=wrong), initial=initial)
+    result = tracked(drifts, [k if k < 3 else DARK for k in range(len(known))], monkeypatch)
+    turns = np.einsum("kji,kjl->kil", result.guides[:, :3, :3], known.truth.gRb)
+    off_rad = np.arccos(np.clip(0.5 * (np.trace(turns, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    assert off_rad[4:].max() < 5e-4
+
+
+def test_the_only_image_contradicts_the_initial_state(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are no others whose sun tilts would have the same error."""
+    assert data.initial is not None
+    assert data.truth is not None
+    gTb = data.initial.gTb.copy()
+    gTb[:3, 3] += [0.0, 20e3, 15e3]
+    wrong = dataclasses.replace(data.initial, gTb=gTb, position_sigma_m=100.0, attitude_sigma_rad=1e-3)
+    for count in (1, 3):
+        result = tracked(first(data, count, wrong), range(count), monkeypatch, with_sun=True)
+        assert with_rims(result) == list(range(count))
+        assert [segment.first for segment in result.segments] == [0]
+        assert np.linalg.norm(result.segments[0].initial.gTb[:3, 3] - data.truth.gP[0]) < 100.0
+        tilts = [frame.sun.sigma_rad for frame in result.frames if frame.sun is not None]
+        assert data.measurements is not None
+        given = [one.sun.sigma_rad for one in data.measurements[:count] if one.sun is not None]
+        np.testing.assert_allclose(tilts, [given[0], *(np.sqrt(2.0) * sigma for sigma in given[1:])])
+
+
+def first(data: Dataset, count: int, initial: InitialState) -> Dataset:
+    """The first frames of a data set, with another initial state."""
+    assert data.measurements is not None
+    return dataclasses.replace(
+        data, initial=initial, stamps_ns=data.stamps_ns[:count], measurements=data.measurements[:count]
+    )
 
 
 def test_copies_of_images_are_left_out(

@@ -60,6 +60,19 @@ def off_px(points):
     return (r - 1.0) / np.hypot((u / 20.0 - 0.2 * v / 17.0) / r, v / 17.0 / r)
 
 
+def test_no_smoothing_is_the_limit_of_little():
+    """Both are options that may be zero; without a kernel to read, no edge was found."""
+    found = [
+        edge_kernel.trace_rim(
+            rim_image(), CHART, CONTRAST_PX, REFERENCE, 4.0, 0.0, smoothing_px, 0.0, 0.12, 0.02, 0.0, 72,
+            NO_OFFSET, crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, PLAIN, EVEN,
+        )[0]
+        for smoothing_px in (0.01, 0.0)
+    ]  # fmt: skip
+    assert len(found[0]) > 60
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
+
+
 def test_points_lie_on_the_rim_though_predicted_beside_it():
     chart = np.add(CHART, [1.5, -1.0, 0.03, 0.0, -0.02])
     points, ratio, motion, tried, _ = trace(rim_image(), chart)
