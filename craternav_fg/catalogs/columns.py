@@ -181,12 +181,13 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     if COMMON_SOURCE in names and sigmas[-1:] == list(COMMON_COLUMNS)[-1:]:
         sigmas.append(COMMON_SOURCE)
     rims = _rims(path, names, options, line)
-<<<<<<< HEAD
-    return replace(rims, tilts=tuple(tilts), sigmas=tuple(sigmas), west=options.west_longitudes)
-=======
-    system = _one_of(names, _SYSTEM)
-    return replace(rims, sigmas=tuple(sigmas), west=options.west_longitudes, system=system)
->>>>>>> 504a2cf395e6753f50c5c1c1c8d5ab508be62673
+    return replace(
+        rims,
+        tilts=tuple(tilts),
+        sigmas=tuple(sigmas),
+        west=options.west_longitudes,
+        system=_one_of(names, _SYSTEM),
+    )
 
 
 def _all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
