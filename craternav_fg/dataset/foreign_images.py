@@ -57,7 +57,10 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
                     problem = f"expected pixels as they are shown, found an EXIF orientation of {orientation}"
                     raise InputError(path, f"{problem}: turn the pixels, or remove the tag")
                 if _is_stack(image):
-                    raise InputError(path, f"expected one image, found {image.n_frames}: save each as a file")
+                    raise InputError(
+                        path,
+                        f"expected one image, found {getattr(image, 'n_frames', 1)}: save each as a file",
+                    )
                 mode = "RGBA" if image.mode == "P" and "transparency" in image.info else "RGB"
                 return np.asarray(image if image.mode in _PLAIN else image.convert(mode))
     except Image.DecompressionBombError as error:

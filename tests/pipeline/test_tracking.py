@@ -1,7 +1,6 @@
 """Decisions of the tracker about one image, with front end and identification replaced."""
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
