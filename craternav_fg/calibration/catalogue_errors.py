@@ -214,7 +214,7 @@ def size_error(log_sizes: FloatArray, freedom: float) -> float:
     Parameters
     ----------
     log_sizes : ndarray, shape (n,)
-        Logarithms of sizes over the map's, relative to the common one of the crop.
+        Logarithms of the ratios of sizes to those of the map, relative to the common one of the crop.
     freedom : float
         Degrees of freedom.
 
