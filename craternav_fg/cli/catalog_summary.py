@@ -51,6 +51,7 @@ def summarise(catalog: Catalog, overlaps: Overlaps, body_by: str) -> dict[str, A
         "circles": int(np.count_nonzero(catalog.semi_major_m == catalog.semi_minor_m)),
         "heights": catalog.has_heights,
         "height_m": [float(catalog.height_m.min()), float(catalog.height_m.max())],
+        "plane_slope_deg": _slopes_deg(catalog),
         "errors": _errors(catalog),
         "crossed_rims": len(np.unique(overlaps.crossings)),
         "duplicates": len(overlaps.duplicates),
@@ -82,6 +83,9 @@ def show(values: dict[str, Any]) -> None:
     if values["heights"]:
         heights = f"{three_digits(bottom)} to {three_digits(top)} m above the sphere"
     say(f"  rim heights {heights}")
+    if values["plane_slope_deg"] is not None:
+        median, steepest = map(three_digits, values["plane_slope_deg"])
+        say(f"  rim planes  slopes of {median} deg in the median, at most {steepest} deg")
     for line in _told(values["errors"]):
         say(line)
     say(f"  crossings   {values['crossed_rims']:,} craters whose rim crosses another's")
@@ -95,6 +99,14 @@ def show(values: dict[str, Any]) -> None:
     if values["duplicates"] > _MAX_PRINTED:
         more = values["duplicates"] - _MAX_PRINTED
         say(f"              and {more:,} more (--pairs FILE.csv writes them all)")
+
+
+def _slopes_deg(catalog: Catalog) -> list[float] | None:
+    """Median and largest slope of the rims' planes; None where all are level."""
+    if catalog.plane_tilt_rad is None:
+        return None
+    slopes = np.degrees(np.arctan(np.linalg.norm(np.tan(catalog.plane_tilt_rad), axis=1)))
+    return [float(np.median(slopes)), float(slopes.max())]
 
 
 def _errors(catalog: Catalog) -> dict[str, Any]:

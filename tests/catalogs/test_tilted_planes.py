@@ -171,6 +171,16 @@ def test_craters_are_listed_with_their_planes(tmp_path):
     np.testing.assert_allclose(shown, np.degrees(tilted.plane_tilt_rad[3]))
 
 
+def test_the_summary_tells_the_slopes(tmp_path):
+    tilted = replace(craters(3), plane_tilt_rad=np.radians([[0.0, 0.0], [10.0, 0.0], [0.0, -20.0]]))
+    write_catalog(tmp_path / "c.csv", tilted)
+    assert "slopes of 10 deg in the median, at most 20 deg" in call("catalog", "info", tmp_path / "c.csv").out
+    write_catalog(tmp_path / "level.csv", replace(tilted, plane_tilt_rad=None))
+    assert (
+        json.loads(call("catalog", "info", tmp_path / "level.csv", "--json").out)["plane_slope_deg"] is None
+    )
+
+
 @pytest.fixture(scope="module")
 def descent(tmp_path_factory):
     """A descent over rims tilted by 0.1 rad, measured."""
