@@ -37,7 +37,8 @@ _ORDERED_RIMS, _LIKELY_DIVISOR = 24, 3
 _MAX_RIMS = 1500
 # A pose whose attitude is more uncertain is none: its evidence takes residuals for linear in it. Right poses
 # over rendered real ground have up to 0.03; three large rims on wrong craters had 0.25, and e^9 in evidence.
-_MAX_ATTITUDE_SIGMA_RAD = 0.1
+# Three on right ones had 0.06, and an error of 15 % of the altitude.
+_MAX_ATTITUDE_SIGMA_RAD = 0.05
 # Least evidence of a pose that is varied.
 _PROMISING = -5.0
 # Share of the images whose optical axis meets the ground, chosen: the others show the limb.
