@@ -56,11 +56,9 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
                 if orientation != 1:
                     problem = f"expected pixels as they are shown, found an EXIF orientation of {orientation}"
                     raise InputError(path, f"{problem}: turn the pixels, or remove the tag")
-                if _is_stack(image):
-                    raise InputError(
-                        path,
-                        f"expected one image, found {getattr(image, 'n_frames', 1)}: save each as a file",
-                    )
+                count = _stacked(image)
+                if count > 1:
+                    raise InputError(path, f"expected one image, found {count}: save each as a file")
                 mode = "RGBA" if image.mode == "P" and "transparency" in image.info else "RGB"
                 return np.asarray(image if image.mode in _PLAIN else image.convert(mode))
     except Image.DecompressionBombError as error:
@@ -72,12 +70,11 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
         raise InputError(path, f"cannot be read as an image: {error}") from error
 
 
-def _is_stack(image: Image.Image) -> bool:
-    """Whether a second image of the same size follows; the first remains the current one."""
-    if getattr(image, "n_frames", 1) < 2:
-        return False
-    size = image.size
-    image.seek(1)
-    same = image.size == size
-    image.seek(0)
-    return same
+def _stacked(image: Image.Image) -> int:
+    """Count the images of a file, 1 when the second is of another size; the first remains the current one."""
+    count, size = int(getattr(image, "n_frames", 1)), image.size
+    if count > 1:
+        image.seek(1)
+        count = count if image.size == size else 1
+        image.seek(0)
+    return count

@@ -16,7 +16,7 @@ from factors.conic_shape import ChartError
 
 INTRINSICS_KEY: int = K(0)
 # Share of the focal length; principal point x and y, px; radial distortion k1.
-SIZE = 4
+SIZE, RADIAL = 4, 3
 # Steps of the central differences, in the units of the four.
 _STEPS = np.array([1e-6, 1e-3, 1e-3, 1e-6])
 

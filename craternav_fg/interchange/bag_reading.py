@@ -319,6 +319,8 @@ def camera_of(
         bTc = bTc @ frames.pose(R.reshape(3, 3).T, np.zeros(3))
     if len(K) != 9 or not K[0] > 0.0:
         raise InputError(path, "expected a calibrated CameraInfo, found no focal length")
+    if not np.isfinite([*K, *D]).all():
+        raise InputError(path, "expected a calibrated CameraInfo, found numbers that are not finite")
     stated = "" if rectified else message.distortion_model
     model = lens_of(stated) if stated else lens.RADIAL_TANGENTIAL
     if model is None:

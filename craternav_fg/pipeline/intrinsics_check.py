@@ -1,13 +1,14 @@
-"""Whether the rims of all frames, each frame's by themselves, contradict the camera's intrinsics."""
+"""Whether the rims of all frames, each frame's by themselves, contradict the camera's intrinsics or lens."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.estimators.intrinsics import RADIAL, intrinsic_slopes
 from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.resection.intrinsics import IntrinsicsFit, IntrinsicsPrior, fit_intrinsics
+from craternav_fg.resection.intrinsics import IntrinsicsFit, IntrinsicsPrior, fit_intrinsics, further_error
 from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from factors.arrays import BoolArray, FloatArray
 from factors.kernels.conic import project_rims
@@ -17,6 +18,8 @@ _MIN_RIMS, _MIN_FRAMES = 6, 4
 # Deviation of a pooled intrinsic, in standard deviations. Neither the scatter between frames nor their
 # covariances show errors that their rims share unstated.
 _MAX_SIGMAS = 6.0
+# Frames, evenly spaced, that are asked for the lens at most: neighbours see the same craters, and err alike.
+_LENS_FRAMES = 40
 
 
 def contradicted_intrinsics(
@@ -43,13 +46,39 @@ def contradicted_intrinsics(
     prior = IntrinsicsPrior.of(camera)
     if not all(prior.sigmas):
         return False
-    each = zip((frame.rims for frame in frames), np.ascontiguousarray(gTb), strict=True)
-    # A wrong match may be with a crater beyond the horizon.
-    seen = [(rims.take(_in_sight(rims, pose, camera, catalog)), pose) for rims, pose in each]
-    seen = [(rims, pose) for rims, pose in seen if len(rims) >= _MIN_RIMS]
-    return contradicted_by(
-        [fit for rims, pose in seen for fit in _fits(rims, pose, len(seen), camera, catalog, prior)]
-    )
+    return contradicted_by([fit for _, fit in _fits(frames, gTb, camera, catalog, prior)])
+
+
+def contradicted_lens(
+    frames: Sequence[FrameMeasurement], gTb: FloatArray, camera: Camera, catalog: Catalog
+) -> bool:
+    """Whether the rims contradict the radial distortion that the camera states.
+
+    A trajectory hides such an error as it hides one of the focal length: the altitude follows the rims near
+    the centre, and those near the corners are not found.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+    gTb : ndarray, shape (k, 4, 4)
+        Poses of the body in g, m, near which those of the rims are.
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    bool
+        False also when it does not show.
+    """
+    prior = IntrinsicsPrior.of(camera)
+    some = slice(None, None, 1 + len(frames) // _LENS_FRAMES)
+    found = [
+        further_error(problem, fit, prior, intrinsic_slopes(problem.rims.chart, camera)[..., RADIAL])
+        for problem, fit in _fits(frames[some], gTb[some], camera, catalog, prior)
+        if fit.converged
+    ]
+    told = np.array([one for one in found if np.isfinite(one).all()]).reshape(-1, 2)
+    return _is_off(told[:, :1], told[:, 1:])
 
 
 def contradicted_by(fits: Sequence[IntrinsicsFit]) -> bool:
@@ -65,28 +94,44 @@ def contradicted_by(fits: Sequence[IntrinsicsFit]) -> bool:
         False also when too few frames tell them.
     """
     told = [fit for fit in fits if fit.converged and np.isfinite(_sigmas(fit)).all()]
-    if len(told) < _MIN_FRAMES:
+    values = [[np.log(fit.focal_scale), *fit.principal_shift_px] for fit in told]
+    return _is_off(np.array(values), np.array([_sigmas(fit) for fit in told]))
+
+
+def _is_off(values: FloatArray, sigmas: FloatArray) -> bool:
+    """Whether the mean of one of k numbers that n frames tell, both (n, k), is not zero."""
+    if len(values) < _MIN_FRAMES:
         return False
-    values = np.array([[np.log(fit.focal_scale), *fit.principal_shift_px] for fit in told])
-    weights = np.array([_sigmas(fit) for fit in told]) ** -2.0
+    weights = sigmas**-2.0
     mean = np.sum(weights * values, axis=0) / weights.sum(axis=0)
-    scatter = np.sum(weights * (values - mean) ** 2, axis=0) / (len(told) - 1)
+    scatter = np.sum(weights * (values - mean) ** 2, axis=0) / (len(values) - 1)
     sigma = np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
     return bool((np.abs(mean) > _MAX_SIGMAS * sigma).any())
 
 
 def _fits(
-    rims: RimSet, gTb: FloatArray, count: int, camera: Camera, catalog: Catalog, prior: IntrinsicsPrior
-) -> list[IntrinsicsFit]:
-    """Fit the intrinsics to one of several frames; none when its rims do not tell them."""
-    # What craters keep, as errors of the map, is the same in all frames: a mean does not average it out.
-    matched = MatchedRims.of(rims.inflate_correlated(count), catalog)
-    try:
-        fit = fit_intrinsics(ResectionProblem(matched, camera.bTc), gTb, prior)
-    except np.linalg.LinAlgError:
-        return []
-    # Rims that the fit has lost cost nothing there.
-    return [fit] if _in_sight(rims, fit.gTb, camera, catalog).all() else []
+    frames: Sequence[FrameMeasurement],
+    gTb: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    prior: IntrinsicsPrior,
+) -> Iterator[tuple[ResectionProblem, IntrinsicsFit]]:
+    """Fit pose and intrinsics to each frame by itself; those whose rims do not tell them are left out."""
+    each = zip((frame.rims for frame in frames), np.ascontiguousarray(gTb), strict=True)
+    # A wrong match may be with a crater beyond the horizon.
+    seen = [(rims.take(_in_sight(rims, pose, camera, catalog)), pose) for rims, pose in each]
+    seen = [(rims, pose) for rims, pose in seen if len(rims) >= _MIN_RIMS]
+    for rims, pose in seen:
+        # What craters keep, as errors of the map, is the same in all frames: a mean does not average it out.
+        matched = MatchedRims.of(rims.inflate_correlated(len(seen)), catalog)
+        problem = ResectionProblem(matched, camera.bTc)
+        try:
+            fit = fit_intrinsics(problem, pose, prior)
+        except np.linalg.LinAlgError:
+            continue
+        # Rims that the fit has lost cost nothing there.
+        if _in_sight(rims, fit.gTb, camera, catalog).all():
+            yield problem, fit
 
 
 def _in_sight(rims: RimSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -> BoolArray:

@@ -1,7 +1,7 @@
 """The result of a reconstruction: measurements, trajectories, residuals, innovations and warnings."""
 
 import html
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -23,7 +23,7 @@ from craternav_fg.evaluation.sensor_consistency import (
 )
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import input_warnings, warnings
-from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
+from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
 
@@ -153,10 +153,10 @@ class Reconstruction:
             found = {name: value for name, value in found.items() if "bias" not in name}
         return found, reordered["attitude"]
 
-    def _contradicted_intrinsics(self) -> bool:
-        """Whether rims contradict the intrinsics, each frame's by themselves, near the first trajectory."""
+    def _contradicted(self, check: Callable[..., bool]) -> bool:
+        """Whether rims contradict the camera, each frame's by themselves, near the first trajectory."""
         descent, near = self.problems[0], next(iter(self.trajectories.values()))
-        return contradicted_intrinsics(self.frames, near.gTb, descent.camera, descent.catalog)
+        return check(self.frames, near.gTb, descent.camera, descent.catalog)
 
     @cached_property
     def outlier_shares(self) -> Mapping[str, float | None]:
@@ -183,7 +183,10 @@ class Reconstruction:
             *warnings.inconsistent_trajectories(self.outlier_shares),
             *warnings.contradicted_prior(*self._prior()),
             *of_sensors,
-            *warnings.contradicted_intrinsics(bool(of_sensors) and self._contradicted_intrinsics()),
+            *warnings.contradicted_intrinsics(
+                bool(of_sensors) and self._contradicted(contradicted_intrinsics)
+            ),
+            *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
             *warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),

@@ -264,6 +264,27 @@ def contradicted_intrinsics(contradicted: bool) -> list[str]:
     ]
 
 
+def contradicted_lens(contradicted: bool) -> list[str]:
+    """Warn of a distortion that the rims contradict.
+
+    Parameters
+    ----------
+    contradicted : bool
+        See `intrinsics_check.contradicted_lens`.
+
+    Returns
+    -------
+    list of str
+    """
+    if not contradicted:
+        return []
+    return [
+        "the rims by themselves, frame by frame, contradict the camera's lens, and positions may be wrong by "
+        "more than is stated: check its distortion, whether images are rectified, and errors of the map that "
+        "the catalogue does not state"
+    ]
+
+
 def _of_innovations(part: Innovations, name: str, *, images: bool, motion: bool) -> str:
     without = float(np.mean(part.dimension == 0))
     if without > MAX_SHARE_WITHOUT:

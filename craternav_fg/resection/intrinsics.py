@@ -136,13 +136,18 @@ class IntrinsicsFit:
 
 @dataclass(frozen=True)
 class _Linearised:
-    """Pose and unknowns (3,), the cost there, and its normal equations for their free coordinates."""
+    """Pose and unknowns (3,), the cost there, and its normal equations for their free coordinates.
+
+    `jacobian` (k, 5n) and `residuals` (5n,) are those of the rims alone.
+    """
 
     gTb: FloatArray
     unknowns: FloatArray
     cost: float
     A: FloatArray
     gradient: FloatArray
+    jacobian: FloatArray
+    residuals: FloatArray
 
 
 def fit_intrinsics(problem: ResectionProblem, gTb: FloatArray, prior: IntrinsicsPrior) -> IntrinsicsFit:
@@ -253,7 +258,38 @@ def _linearised(
     A[own:, own:] = columns @ columns.T + np.diag(sigmas[free] ** -2.0)
     cost += float(np.sum((unknowns[free] / sigmas[free]) ** 2))
     gradient = np.append(g[first:], columns @ out[6] + unknowns[free] * sigmas[free] ** -2.0)
-    return _Linearised(gTb, unknowns, cost, A, gradient)
+    jacobian = np.concatenate([out[first:6], columns])
+    return _Linearised(gTb, unknowns, cost, A, gradient, jacobian, out[6])
+
+
+def further_error(
+    problem: ResectionProblem, fit: IntrinsicsFit, prior: IntrinsicsPrior, slopes: FloatArray
+) -> tuple[float, float]:
+    """Estimate one more error of all charts, to first order, with pose and intrinsics free to follow it.
+
+    Parameters
+    ----------
+    problem : ResectionProblem
+    fit : IntrinsicsFit
+        Of this problem.
+    prior : IntrinsicsPrior
+        That of the fit.
+    slopes : ndarray, shape (n, 5)
+        Derivatives of the charts, normalised coordinates, in the error.
+
+    Returns
+    -------
+    value, sigma : float
+        In the unit that `slopes` refer to; a sigma of inf when pose and intrinsics explain any error.
+    """
+    at = _linearised(problem, fit.gTb, fit.unknowns, prior.sigmas)
+    column = (problem.rims.whitening @ slopes[..., None]).ravel()
+    shared = at.jacobian @ column
+    follow = np.linalg.solve(at.A, np.column_stack([shared, at.gradient]))
+    information = float(column @ column - shared @ follow[:, 0])
+    if not information > 0.0:
+        return 0.0, np.inf
+    return float(shared @ follow[:, 1] - column @ at.residuals) / information, information**-0.5
 
 
 def with_unknown_intrinsics(

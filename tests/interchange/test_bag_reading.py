@@ -53,6 +53,7 @@ def test_a_calibration_of_either_version_is_a_camera(spelling: Any) -> None:
     [
         ({"K": [0.0] * 9}, "expected a calibrated CameraInfo, found no focal length"),
         ({"K": []}, "expected a calibrated CameraInfo, found no focal length"),
+        ({"D": [float("nan")] * 5}, "expected a calibrated CameraInfo, found numbers that are not finite"),
         ({"distortion_model": "fancy"}, "expected a lens that is known, found 'fancy'"),
         ({"distortion_model": "plumb_bob", "D": [0.1, 0.2]}, "CameraInfo: "),
     ],

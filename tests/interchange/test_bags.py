@@ -351,6 +351,22 @@ def test_import_opens_what_it_wrote(tmp_path: Path) -> None:
     done = call(*command_line(tmp_path, data))
     assert (done.code, done.err.count("\n")) == (2, 1), done.err
     assert str(tmp_path / "again") in done.err
+    assert "(from /imu0)" in done.err
+
+
+def test_a_wrong_truth_is_named_by_its_topic(tmp_path: Path) -> None:
+    data = dataset(tmp_path / "data")
+    assert data.truth is not None
+    # Kilometres.
+    gTb = data.truth.gTb.copy()
+    gTb[:, :3, 3] *= 1e-3
+    wrong = replace(data, truth=replace(data.truth, gTb=gTb))
+    export_bag(wrong, tmp_path / "flight.bag", BagFormat.ROSBAG1)
+    done = call(*command_line(tmp_path, data))
+    assert (done.code, done.err.count("\n")) == (2, 1), done.err
+    assert "(from /ground_truth/odometry: --truth-topic none takes none)" in done.err
+    done = call(*command_line(tmp_path, data), "--truth-topic", "none", "--force")
+    assert done.code == 0, done.err
 
 
 def test_the_commands(tmp_path: Path) -> None:

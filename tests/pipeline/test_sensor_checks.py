@@ -12,9 +12,10 @@ import pytest
 from craternav_fg import frames
 from craternav_fg.dataset import Dataset
 from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.estimators.intrinsics import RADIAL, intrinsic_slopes
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import FrameMeasurement
-from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics
+from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.simulation.scenario_file import Scenario, load_scenario
@@ -150,6 +151,35 @@ def test_rims_name_the_intrinsics(measured: Dataset) -> None:
         assert frames_of.measurements is not None
         found = contradicted_intrinsics(frames_of.measurements, data.truth.gTb, data.camera, data.catalog)
         assert found == contradicted
+
+
+@pytest.mark.parametrize("k1", [-0.05, 0.05])
+def test_rims_name_the_lens(measured: Dataset, k1: float) -> None:
+    """Of a camera that distorts, which the data set does not say."""
+
+    def distorted(frame: FrameMeasurement) -> FrameMeasurement:
+        slopes = intrinsic_slopes(frame.rims.chart, measured.camera)[..., RADIAL]
+        return replace(frame, rims=replace(frame.rims, chart=frame.rims.chart + k1 * slopes))
+
+    data, said = with_frames(measured, distorted), "contradict the camera's lens"
+    assert any(said in text for text in reconstruct(data, ["ekf"]).warnings)
+    assert data.truth is not None
+    assert measured.measurements is not None
+    for frames_of, contradicted in ((data.measurements, True), (measured.measurements, False)):
+        assert frames_of is not None
+        found = contradicted_lens(frames_of, data.truth.gTb, data.camera, data.catalog)
+        assert found == contradicted
+        # Too few frames tell nothing.
+        assert not contradicted_lens(frames_of[:3], data.truth.gTb[:3], data.camera, data.catalog)
+
+
+def test_errors_of_the_map_and_of_the_imu_are_no_lens(measured: Dataset) -> None:
+    assert measured.truth is not None
+    said = "contradict the camera's lens"
+    assert not any(said in text for text in reconstruct(accelerometer_scale(measured), ["ekf"]).warnings)
+    for seed in range(6):
+        stated = with_errors_of_the_map(measured, 0.03, seed)
+        assert not contradicted_lens(stated, measured.truth.gTb, measured.camera, measured.catalog)
 
 
 def with_errors_of_the_map(data: Dataset, share: float, seed: int) -> list[FrameMeasurement]:
