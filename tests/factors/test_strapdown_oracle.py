@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 from factors.kernels import strapdown
 from tests.factors.test_oracle import skew, symbols
@@ -98,3 +99,21 @@ def test_noise(seed: int) -> None:
     expected = B @ np.diag(np.repeat(density**2, 3)) @ B.T
     scale = np.repeat([density[0], density[1], density[1], density[2], density[3]], 3)
     assert_allclose(found / dt_s / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-5)
+
+
+@pytest.mark.parametrize("turn_rad", [1e-6, 9e-5, 1.1e-4, 0.02, 1.5])
+def test_attitude_of_one_row_is_exact(turn_rad: float) -> None:
+    """However far a row turns: constant rates in b and of g are two exponentials."""
+    w, spin = np.array([0.3, -0.8, 0.52]), np.array([-0.2, 0.5, 0.7])
+    w *= turn_rad / np.linalg.norm(w)
+    spin *= 0.6 * turn_rad
+    gTb = np.eye(4)
+    gTb[:3, :3] = expm(np.array(skew([0.4, 0.1, -1.2]), dtype=np.float64))
+    gTb[:3, 3] = [1.8e6, 0.0, 0.0]
+    bias = np.array([1e-3, 2e-3, -1e-3, 0.0, 0.0, 0.0])
+    found = strapdown.propagate(
+        gTb, np.zeros(3), bias, np.eye(18), np.ones(1), (w + bias[:3])[None], np.zeros((1, 3)), MU, spin,
+        np.zeros(4),
+    )[0]  # fmt: skip
+    before, after = (expm(np.array(skew(v), dtype=np.float64)) for v in (-spin, w))
+    assert_allclose(found[:3, :3], before @ gTb[:3, :3] @ after, rtol=0.0, atol=1e-14)

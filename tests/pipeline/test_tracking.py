@@ -94,29 +94,29 @@ def test_an_identified_pose_that_only_confirms_is_not_used(
     covariance = prior.covariance.copy()
     covariance[:6, :6] = np.diag(np.repeat([1e-4, 5.0], 3)) ** 2
     state = dataclasses.replace(prior, gTb=data.truth.gTb[0], covariance=covariance)
-    few = first_frame(data, 1)
     monkeypatch.setattr(Tracker, "_expected", lambda self, gTb: 20)
     spread = np.diag(np.repeat([1e-3, 10.0], 3)) ** 2
     away = state.gTb.copy()
     away[0, 3] += 500.0
-    for gTb, shown, used in (
-        (state.gTb, 5, False),
-        (away, 5, True),
-        # No more rims than the prediction showed, or too few.
-        (away, 1, False),
-        (away, 2, False),
-        (away, 3, True),
+    for gTb, had, shown, used in (
+        (state.gTb, 1, 5, False),
+        (away, 1, 5, True),
+        # Too few rims, or no more than the prediction showed.
+        (away, 1, 2, False),
+        (away, 1, 3, True),
+        (away, 4, 4, False),
+        (away, 4, 5, True),
     ):
         tracker = tracker_of(data)
         fix = PoseFix(gTb, spread, 9)
         tracker.relocaliser = SimpleNamespace(locate=lambda index, sun, fix=fix: fix)
         there = _Guided(first_frame(data, shown), gTb)
         monkeypatch.setattr(Tracker, "_guided", lambda *_, there=there: there)
-        found = tracker._relocalise(0, state, few)
+        found = tracker._relocalise(0, state, first_frame(data, had))
         assert (found is not None) == used
         assert found is None or (found[0] is fix and found[1] is there.frame)
     # After a poor prediction any pose helps, also one that agrees.
     covariance[:6, :6] = np.diag(np.repeat([0.1, 5e3], 3)) ** 2
     tracker.relocaliser = SimpleNamespace(locate=lambda index, sun: PoseFix(state.gTb, spread, 9))
     poor = dataclasses.replace(state, covariance=covariance)
-    assert tracker._relocalise(0, poor, few) is not None
+    assert tracker._relocalise(0, poor, first_frame(data, 1)) is not None

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, edge_kernel, shift_kernel
+from craternav_fg.vision import crater_profile, edge_kernel, rim_geometry, shift_kernel
 
 REFERENCE = 100.0
 CENTRE = np.array([61.3, 58.8])
@@ -178,3 +178,33 @@ def test_crossing_table_against_a_rendered_crater(contrast, blur):
     assert crater_profile.SLOPE_CONTRASTS[j] == contrast
     assert abs(table[i, j] - at) < 0.02
     assert abs(at - (crossing - 1.0)) < 0.003
+
+
+def test_smoothing_at_the_ends_of_a_profile():
+    """Weights of samples that do not exist are left out, so that what is even stays so."""
+    raw, kernel = np.random.default_rng(0).normal(size=31), edge_kernel._gaussian(2.0)
+    away = np.abs(np.subtract.outer(np.arange(31), np.arange(31)))
+    weights = np.where(away < len(kernel), kernel[np.minimum(away, len(kernel) - 1)], 0.0)
+    expected = weights @ raw / weights.sum(axis=1)
+    single = [edge_kernel._smoothed(raw, i, kernel) for i in range(31)]
+    np.testing.assert_allclose(single, expected, rtol=1e-12)
+    for first, last in ((0, 30), (-3, 40), (5, 7), (0, 2), (29, 30)):
+        out = np.full(31, np.nan)
+        edge_kernel._smooth(raw, first, last, kernel, out)
+        inside = slice(max(first, 0), last + 1)
+        np.testing.assert_allclose(out[inside], expected[inside], rtol=1e-12)
+        assert np.isnan(np.delete(out, np.arange(31)[inside])).all()
+
+
+def test_curvature_and_support_of_a_rim():
+    q, near = np.empty(6), np.empty((3, 6))
+    for angle in np.linspace(0.1, 6.0, 9):
+        rim_geometry.rim_point(CHART, angle, q)
+        for k, step in enumerate((-1e-4, 0.0, 1e-4)):
+            rim_geometry.rim_point(CHART, angle + step, near[k])
+        first = (near[2, :2] - near[0, :2]) / 2e-4
+        second = (near[2, :2] - 2.0 * near[1, :2] + near[0, :2]) / 1e-8
+        curvature = abs(first[0] * second[1] - first[1] * second[0]) / np.linalg.norm(first) ** 3
+        assert q[5] == pytest.approx(curvature, rel=1e-5)
+        assert q[4] == pytest.approx((q[:2] - CENTRE) @ q[2:4], rel=1e-12)
+        assert abs(first @ q[2:4]) < 1e-6

@@ -6,7 +6,13 @@ import pytest
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import normalised_chart, pixel_chart
 from craternav_fg.vision.edges import EdgeOptions, find_edge_points, level_around
-from craternav_fg.vision.ground_level import common_share, level_at, own_share, smooth_level
+from craternav_fg.vision.ground_level import (
+    common_share,
+    level_at,
+    levels_of_flanks,
+    own_share,
+    smooth_level,
+)
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
 from craternav_fg.vision.rim_fitting import RimFitter
@@ -116,3 +122,14 @@ def test_a_rim_on_patches_is_fitted_at_the_level_of_the_ground():
     assert off_px[1] < 0.3
     assert off_px[0] > 2.0 * off_px[1]
     assert fitted.quality.found_share[0] > rough.quality.found_share[0]
+
+
+def test_flanks_of_no_crest_do_not_extrapolate_the_level():
+    """Both flanks rise outward alike: the crest would lie far beyond them."""
+    contrasts = np.tile([0.5, -0.5], 20)
+    for inner, outer, share in ((0.5, 0.4, 0.1), (-0.4, -0.5, 0.9), (0.2, 0.2, 0.5)):
+        flanks = contrasts[:, None] * np.array([inner, outer])
+        level = levels_of_flanks(flanks, contrasts)
+        even = 1.0 / np.sqrt(1.0 + np.array([inner, outer]) ** 2) - 1.0
+        low, high = flanks[:, 1] - even[1], flanks[:, 0] - even[0]
+        np.testing.assert_allclose(level, low + share * (high - low), rtol=1e-9)
