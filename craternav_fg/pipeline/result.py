@@ -184,7 +184,7 @@ class Reconstruction:
             *warnings.contradicted_prior(*self._prior()),
             *of_sensors,
             *warnings.contradicted_intrinsics(bool(of_sensors) and self._contradicted_intrinsics()),
-            *warnings.long_lever_arms(
+            *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
             *input_warnings.unknown_sensors(self.ignored),
