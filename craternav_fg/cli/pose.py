@@ -25,6 +25,7 @@ from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
+from craternav_fg.pipeline.input_warnings import long_lever_arms
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
 from craternav_fg.resection.intrinsics import IntrinsicsPrior, with_unknown_intrinsics
 from craternav_fg.resection.problem import ResectionResult, Status
@@ -118,7 +119,8 @@ def pose(
     result = solve_robustly(problem) if robust else solve_all(problem)
     result = with_unknown_intrinsics(problem, result, IntrinsicsPrior.of(intrinsics.of(sensor)))
     of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
-    result = replace(result, warnings=(*result.warnings, *of_heights))
+    of_mounting = long_lever_arms({"camera": sensor.bTc})
+    result = replace(result, warnings=(*result.warnings, *of_heights, *of_mounting))
     values = as_plain_data(problem, result, craters)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))

@@ -1,12 +1,18 @@
-"""Warnings of what a data set holds: logs that are not used, and images that are not what they should be."""
+"""Warnings of what a data set holds: logs that are not used, wrong images and mountings."""
 
 import math
 from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from factors.arrays import FloatArray
 
 # Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
 _MAX_DEPARTURE_RAD = math.radians(2.0)
 # Images that a warning names.
 _MAX_LISTED = 5
+# No lander carries a sensor farther than this from its body origin.
+_MAX_LEVER_ARM_M = 50.0
 
 
 def unknown_sensors(ignored: Sequence[str]) -> list[str]:
@@ -131,3 +137,23 @@ def _listed(names: Sequence[str]) -> str:
     """List the first of many names."""
     shown = ", ".join(names[:_MAX_LISTED])
     return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"
+
+
+def long_lever_arms(mountings: Mapping[str, FloatArray]) -> list[str]:
+    """Warn of sensors that are farther from the body's origin than a lander is long.
+
+    Parameters
+    ----------
+    mountings : mapping of str to ndarray
+        Poses (4, 4) of the sensors in b, m, by name.
+
+    Returns
+    -------
+    list of str
+    """
+    arms_m = {name: float(np.linalg.norm(bTs[:3, 3])) for name, bTs in mountings.items()}
+    return [
+        f"{name}: its lever arm in T_BS is {arm:.4g} m; expected metres, is it in millimetres?"
+        for name, arm in arms_m.items()
+        if arm > _MAX_LEVER_ARM_M
+    ]

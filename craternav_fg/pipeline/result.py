@@ -187,7 +187,7 @@ class Reconstruction:
                 bool(of_sensors) and self._contradicted(contradicted_intrinsics)
             ),
             *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
-            *warnings.long_lever_arms(
+            *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
             *input_warnings.unknown_sensors(self.ignored),

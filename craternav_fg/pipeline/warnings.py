@@ -29,8 +29,6 @@ MAX_SHARE_WITHOUT = 0.5
 # Norm of the three errors of attitude, position, velocity or a bias, in sigmas of the prior: chance exceeds
 # it once in 70,000.
 MAX_PRIOR_SIGMAS = 5.0
-# No lander carries a sensor farther than this from its body origin.
-MAX_LEVER_ARM_M = 50.0
 # That estimator's prior of the offset is 20 ms: an offset of half a second is not found.
 _STAMPS = (
     "stamps (time offset between camera and IMU; -e self_calibrating_smoother estimates one of tens of ms)"
@@ -348,26 +346,6 @@ def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float) -> list[str]
             f"{'initial ' if 'bias' not in what else 'prior of the '}{what}; check {check}"
         )
     return out
-
-
-def long_lever_arms(mountings: Mapping[str, FloatArray]) -> list[str]:
-    """Warn of sensors that are farther from the body's origin than a lander is long.
-
-    Parameters
-    ----------
-    mountings : mapping of str to ndarray
-        Poses (4, 4) of the sensors in b, m, by name.
-
-    Returns
-    -------
-    list of str
-    """
-    arms_m = {name: float(np.linalg.norm(bTs[:3, 3])) for name, bTs in mountings.items()}
-    return [
-        f"{name}: its lever arm in T_BS is {arm:.4g} m; expected metres, is it in millimetres?"
-        for name, arm in arms_m.items()
-        if arm > MAX_LEVER_ARM_M
-    ]
 
 
 def lowered_rims(lowered: bool) -> list[str]:

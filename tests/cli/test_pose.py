@@ -280,6 +280,12 @@ def test_an_attitude_that_the_rims_contradict(files: Files, run: Run) -> None:
     assert "contradict" not in run("--robust", *attitude, "--attitude-sigma-deg", "5", *EXACT).err
 
 
+def test_a_mounting_in_millimetres(files: Files, run: Run) -> None:
+    bTc = frames.pose(np.eye(3), np.array([1200.0, 0.0, 300.0]))
+    (files.folder / "sensor.yaml").write_text(camera_yaml(replace(CAMERA, bTc=bTc), 1.0))
+    assert "camera: its lever arm in T_BS is 1237 m; expected metres" in run(*EXACT).err
+
+
 def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
     rims = files.rims(files.rows[0], files.rows[1].replace("01-b", "01-d"))

@@ -199,7 +199,7 @@ def test_what_else_was_found_is_told() -> None:
     bTs[:3, 3] = 40.0
     near = np.eye(4)
     near[2, 3] = -49.0
-    (text,) = warnings.long_lever_arms({"camera": bTs, "altimeter": near})
+    (text,) = input_warnings.long_lever_arms({"camera": bTs, "altimeter": near})
     assert text.startswith("camera: its lever arm in T_BS is 69.28 m; expected metres")
     (text,) = warnings.replaced_states("replaced", (), "the camera is upside down")
     assert text.endswith("; the camera is upside down")
