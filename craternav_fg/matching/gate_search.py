@@ -8,7 +8,9 @@
 4. How many wrong poses would explain as many rims by chance is estimated; the search ends when that is small.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +23,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import mean_radius, relative_covariance
 from craternav_fg.linalg import bisecting_triads, scaled_inverse, squared_distance
-from factors.arrays import FloatArray, IntArray
+from factors.arrays import BoolArray, FloatArray, IntArray
 from factors.kernels import conic, rim_poses
 
 # Elements of an ellipse chart.
@@ -256,13 +258,12 @@ class GateSearch:
         comparisons = max(len(self.charts) * len(self.rows), 1)
         most = min(self.options.hypotheses, max(int(_MOST_COMPARISONS / comparisons), _CHUNK))
         pair, gRc, cost = np.empty((0, 4), dtype=np.int64), np.empty((0, 3, 3)), np.empty(0)
-        for a, i in enumerate(seeds):
-            for j in seeds[a + 1 :] if len(seeds) > 1 else seeds:
-                more = self._pair_attitudes(i, j, allowed[i], allowed[j])
-                pair, gRc, cost = (np.concatenate(both) for both in zip((pair, gRc, cost), more, strict=True))
-                if len(cost) > most:
-                    order = np.sort(np.argsort(cost, kind="stable")[:most])
-                    pair, gRc, cost = pair[order], gRc[order], cost[order]
+        for some in _pairs_of_seeds(seeds, allowed):
+            more = self._attitudes(some)
+            pair, gRc, cost = (np.concatenate(both) for both in zip((pair, gRc, cost), more, strict=True))
+            if len(cost) > most:
+                order = np.sort(np.argsort(cost, kind="stable")[:most])
+                pair, gRc, cost = pair[order], gRc[order], cost[order]
         order = np.argsort(cost, kind="stable")
         return pair[order], self._starts(pair[order], gRc[order]), len(possible)
 
@@ -297,40 +298,39 @@ class GateSearch:
         start[:, :3, 3] = gPc - start[:, :3, :3] @ self._bTc[:3, 3]
         return start
 
-    def _pair_attitudes(
-        self, i: int, j: int, first: IntArray, second: IntArray
-    ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Pairs (h, 4) of two rims with craters, the camera's attitudes (h, 3, 3), and their costs (h,).
+    def _attitudes(self, pairs: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Pairs (h, 4) of rim and crater, twice, the camera's attitudes (h, 3, 3), and their costs (h,).
 
-        The cost is the squared distance from the predicted attitude; pairs beyond its gate are left out.
+        The cost is the squared distance from the predicted attitude; pairs whose angles or sizes do not agree
+        and those beyond its gate are left out. A single rim is paired with itself.
         """
         position2 = (self._position_m / self._sigmas) ** 2
-        if i == j:
-            m, k = first, first
+        single = bool(len(pairs)) and pairs[0, 0] == pairs[0, 2]
+        if not single:
+            pairs = pairs[self._agree(pairs)]
+        i, m, j, k = pairs.T
+        if single:
             gRc = np.tile(self._gTc[:3, :3], (len(m), 1, 1))
         else:
-            m, k = self._agreeing_pairs(i, j, first, second)
-            gRc = (
-                bisecting_triads(self._sight[m], self._sight[k])
-                @ bisecting_triads(self._ray[i][None], self._ray[j][None])[0].T
-            )
+            toward = bisecting_triads(self._ray[i], self._ray[j])
+            gRc = bisecting_triads(self._sight[m], self._sight[k]) @ np.swapaxes(toward, 1, 2)
         gRb = gRc @ self._bTc[:3, :3].T
         turn = frames.rotation_log(self.prior[:3, :3].T @ gRb).reshape(-1, 3)
         slack = position2 / np.minimum(self._range_m[m], self._range_m[k]) ** 2 + _CENTRE_ERROR_RAD**2
-        if i != j:
+        if not single:
             # Two rims close together determine the roll poorly.
-            slack = slack / max(float(np.linalg.norm(self._ray[i] - self._ray[j])), _MIN_SEPARATION_RAD) ** 2
+            apart = np.linalg.norm(self._ray[i] - self._ray[j], axis=1)
+            slack = slack / np.maximum(apart, _MIN_SEPARATION_RAD) ** 2
         spread = self.covariance[:3, :3] + slack[:, None, None] * np.eye(3)
         cost = squared_distance(turn, spread)
         near = cost < chdtri(3, 1.0 - self.options.probability)
-        pairs = np.column_stack([np.full(len(m), i), m, np.full(len(m), j), k])
         return pairs[near], gRc[near], cost[near]
 
-    def _agreeing_pairs(self, i: int, j: int, first: IntArray, second: IntArray) -> tuple[IntArray, IntArray]:
-        """Craters for two rims whose angular separation and ratio of sizes agree with those of the rims."""
-        m, k = (grid.ravel() for grid in np.meshgrid(first, second, indexing="ij"))
+    def _agree(self, pairs: IntArray) -> BoolArray:
+        """Whether angular separation and ratio of sizes of two craters agree with those of their rims."""
+        i, m, j, k = pairs.T
         between = np.linalg.norm(self._sight[m] - self._sight[k], axis=1)
-        seen = float(np.linalg.norm(self._ray[i] - self._ray[j]))
+        seen = np.linalg.norm(self._ray[i] - self._ray[j], axis=1)
         # A wrong position changes the separation by the difference of the parallaxes, and the ratio of the
         # sizes likewise.
         parallax = np.linalg.norm(
@@ -340,10 +340,9 @@ class GateSearch:
         off = self._log_solid[i] - self._log_solid[j]
         off = off - (self._log_solid_of_craters[m] - self._log_solid_of_craters[k])
         off_limit = _AREA_PER_RANGE * (_LOG_AREA_ERROR + self._position_m * parallax)
-        keep = (
+        return np.asarray(
             (m != k) & (np.abs(between - seen) < limit + 2.0 * _CENTRE_ERROR_RAD) & (np.abs(off) < off_limit)
         )
-        return m[keep], k[keep]
 
     def _solve(
         self, starts: FloatArray, craters: IntArray, rims: IntArray
@@ -457,6 +456,29 @@ class GateSearch:
         # Only rims that some crater in reach could be can confirm a pose.
         ways = comb(max(tried.possible_rims - 2, confirming), confirming)
         return float(rivals * ways * share**confirming)
+
+
+def _pairs_of_seeds(seeds: list[int], allowed: dict[int, IntArray]) -> Iterator[IntArray]:
+    """Pairs (h, 4) of rim and crater, twice, of all pairs of seeds; a single seed is paired with itself.
+
+    Seeds that have few craters come together, as most of the time would be calls; seeds with many craters one
+    pair at a time, as most of the memory would be pairs that are left out.
+    """
+    some, count = list[IntArray](), 0
+    if len(seeds) == 1:
+        craters = allowed[seeds[0]]
+        rim = np.full(len(craters), seeds[0])
+        yield np.column_stack([rim, craters, rim, craters])
+        return
+    for i, j in combinations(seeds, 2):
+        m, k = (grid.ravel() for grid in np.meshgrid(allowed[i], allowed[j], indexing="ij"))
+        some.append(np.column_stack([np.full(len(m), i), m, np.full(len(m), j), k]))
+        count += len(m)
+        if count > _CHUNK:
+            yield np.concatenate(some)
+            some, count = [], 0
+    if count:
+        yield np.concatenate(some)
 
 
 def _raised_above_ground(gTc: FloatArray, pose_covariance: FloatArray, body: Body) -> FloatArray:

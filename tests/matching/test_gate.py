@@ -10,7 +10,9 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.matching import gate_search
 from craternav_fg.matching.gate import GateOptions, match_rims
+from craternav_fg.matching.gate_search import GateSearch
 
 MOON = Body("Moon", 1737400.0, 4.902800118e12, (0.0, 0.0, 0.0))
 bTc = frames.pose(frames.rotation_exp(np.array([0.1, -0.05, 1.5])), np.array([1.2, -0.3, 0.8]))
@@ -298,3 +300,21 @@ def test_rims_that_all_scatter_more_than_they_state_are_their_craters_all_the_sa
     one[4] += 6.0 * np.linalg.cholesky(covariances[4]) @ np.array([1.0, 0.0, 1.0, 0.0, 0.0])
     found = match_rims(one, covariances, CAMERA, catalog, prior, covariance, options)
     assert np.flatnonzero(found.craters != truth).tolist() == [4]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_seeds_together_and_one_pair_at_a_time_give_the_same_hypotheses(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    catalog = field(rng)
+    gTb, charts, covariances, _ = scene(rng, catalog)
+    covariance = np.diag([0.02**2] * 3 + [2000.0**2] * 3)
+    search = GateSearch(charts, covariances, CAMERA, catalog, gTb, covariance, GateOptions())
+    pairs, starts, possible = search._hypotheses()
+    monkeypatch.setattr(gate_search, "_CHUNK", 0)
+    again, same_starts, same_possible = search._hypotheses()
+    assert len(pairs) > 50
+    np.testing.assert_array_equal(again, pairs)
+    np.testing.assert_allclose(same_starts, starts, rtol=1e-12)
+    assert same_possible == possible
+    # Each pair of seeds has all its craters.
+    assert len(np.unique(pairs[:, ::2], axis=0)) > 20
