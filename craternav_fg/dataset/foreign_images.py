@@ -72,9 +72,14 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
 
 def _stacked(image: Image.Image) -> int:
     """Count the images of a file, 1 when the second is of another size; the first remains the current one."""
-    count, size = int(getattr(image, "n_frames", 1)), image.size
-    if count > 1:
-        image.seek(1)
-        count = count if image.size == size else 1
-        image.seek(0)
+    size = image.size
+    try:
+        count = int(getattr(image, "n_frames", 1))
+        if count > 1:
+            image.seek(1)
+            count = count if image.size == size else 1
+    except (OSError, SyntaxError, ValueError):
+        # What follows is no image that Pillow knows, as a mask.
+        count = 1
+    image.seek(0)
     return count

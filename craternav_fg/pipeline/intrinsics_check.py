@@ -118,8 +118,8 @@ def _fits(
 ) -> Iterator[tuple[ResectionProblem, IntrinsicsFit]]:
     """Fit pose and intrinsics to each frame by itself; those whose rims do not tell them are left out."""
     each = zip((frame.rims for frame in frames), np.ascontiguousarray(gTb), strict=True)
-    # A wrong match may be with a crater beyond the horizon.
-    seen = [(rims.take(_in_sight(rims, pose, camera, catalog)), pose) for rims, pose in each]
+    # A wrong match may be with a crater beyond the horizon, or with that of another rim.
+    seen = [(rims.take(_in_sight(rims, pose, camera, catalog) & _alone(rims)), pose) for rims, pose in each]
     seen = [(rims, pose) for rims, pose in seen if len(rims) >= _MIN_RIMS]
     for rims, pose in seen:
         # What craters keep, as errors of the map, is the same in all frames: a mean does not average it out.
@@ -138,6 +138,12 @@ def _in_sight(rims: RimSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -
     """Tell which rims a pose can see."""
     rows = rims.craters
     return np.asarray(project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])[1])
+
+
+def _alone(rims: RimSet) -> BoolArray:
+    """Tell which rims are matched with a crater that no other rim is matched with."""
+    _, inverse, counts = np.unique(rims.craters, return_inverse=True, return_counts=True)
+    return np.asarray(counts[inverse] == 1)
 
 
 def _sigmas(fit: IntrinsicsFit) -> FloatArray:

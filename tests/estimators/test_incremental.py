@@ -109,7 +109,7 @@ def test_session_goes_on_after_a_frame_that_failed(
 
     def run(lost: int | None) -> OnlineSession:
         # In so small steps each frame begins variables of errors.
-        session = OnlineSession(p, GraphOptions(rim_errors=RimErrorOptions(step=1e-3)))
+        session = OnlineSession(p, GraphOptions(rim_errors=RimErrorOptions(step_shape_change=1e-3)))
         session.begin(p.frames[0], p.start)
         for k, frame in enumerate(p.frames[1:8], 1):
             if k == lost:

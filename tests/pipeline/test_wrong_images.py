@@ -160,9 +160,9 @@ def test_what_sensors_measured_between_images_predicts_the_next(
     assert known.truth is not None
     assert known.initial is not None
     # The gyro drifts by a degree in ten seconds.
-    wrong = known.imu.gyro + np.array([2e-3, 0.0, 0.0])
+    wrong = known.imu.gyro_rad_s + np.array([2e-3, 0.0, 0.0])
     initial = dataclasses.replace(known.initial, gyro_bias_sigma_rad_s=2e-3)
-    drifts = dataclasses.replace(known, imu=dataclasses.replace(known.imu, gyro=wrong), initial=initial)
+    drifts = dataclasses.replace(known, imu=dataclasses.replace(known.imu, gyro_rad_s=wrong), initial=initial)
     result = tracked(drifts, [k if k < 3 else DARK for k in range(len(known))], monkeypatch)
     turns = np.einsum("kji,kjl->kil", result.guides[:, :3, :3], known.truth.gRb)
     off_rad = np.arccos(np.clip(0.5 * (np.trace(turns, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
