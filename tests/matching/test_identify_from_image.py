@@ -10,6 +10,7 @@ from craternav_fg.bench.identify_ground import (
     Answer,
     Fault,
     answer,
+    published_catalog,
     run,
     summaries,
     without_regions,
@@ -19,7 +20,7 @@ from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
-from craternav_fg.simulation.ground_views import GroundView
+from craternav_fg.simulation.ground_views import GroundView, RealGround
 from craternav_fg.simulation.scenes import MOON
 from craternav_fg.vision.detect import FoundRims
 from tests.cli.calls import call
@@ -204,3 +205,16 @@ def test_images_of_real_ground_among_the_whole_catalogue():
     assert sum(one.identified for one in answers) >= 7
     assert not any(one.wrong for one in answers)
     assert np.median([one.error_m for one in answers if one.identified]) < 3e3
+
+
+@pytest.mark.slow
+def test_three_craters_that_leave_the_attitude_uncertain_are_no_answer():
+    """The first rims are three right craters in a row, with a pose 18 km off; later ones are 37 craters."""
+    shared("gld100/gld100_256ppd_posidonius.tif"), shared("gld100/gld100_16ppd_global.tif")
+    shared("lu1319381.parquet")
+    ground = RealGround("gld100_mixed", FOLDER)
+    index = TripleIndex.build(published_catalog(FOLDER))
+    view = ground.view(np.random.default_rng([37, 53]))
+    found = answer("gld100_mixed", view, ground.camera, index)
+    assert found.identified
+    assert found.error_m < 1e3
