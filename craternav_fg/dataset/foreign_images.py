@@ -1,5 +1,6 @@
 """Images of any format and depth, which are not part of a data set."""
 
+import struct
 import warnings
 from pathlib import Path
 
@@ -16,6 +17,8 @@ MAX_PIXELS = 25_000_000
 _PLAIN = ("1", "L", "LA", "I", "I;16", "I;16B", "I;16L", "F", "RGB", "RGBA")
 # The tag of EXIF that says how an image is to be turned and mirrored; 1 if not at all.
 _ORIENTATION = 0x0112
+# What Pillow raises on damaged files besides its own errors: its readers trust what the tags say.
+_DAMAGED = (ArithmeticError, EOFError, LookupError, OSError, SyntaxError, TypeError, ValueError, struct.error)
 
 
 class TooManyPixelsError(InputError):
@@ -66,7 +69,7 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
     except UnidentifiedImageError as error:
         # Pillow's text names a Python object.
         raise InputError(path, "cannot be read as an image: unknown format") from error
-    except (OSError, SyntaxError, ValueError) as error:
+    except _DAMAGED as error:
         raise InputError(path, f"cannot be read as an image: {error}") from error
 
 
@@ -78,7 +81,7 @@ def _stacked(image: Image.Image) -> int:
         if count > 1:
             image.seek(1)
             count = count if image.size == size else 1
-    except (OSError, SyntaxError, ValueError):
+    except _DAMAGED:
         # What follows is no image that Pillow knows, as a mask.
         count = 1
     image.seek(0)

@@ -1,5 +1,7 @@
 """Images of any origin are read as they are."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -47,3 +49,17 @@ def test_a_stack_of_images_and_one_to_be_shown_turned_are_refused(tmp_path):
         InputError, match="found an EXIF orientation of 6: turn the pixels, or remove the tag"
     ):
         read_foreign_image(tmp_path / "6.jpg")
+
+
+@pytest.mark.parametrize("name", ["stack.tif", "one.tif", "one.png", "one.jpg", "one.gif"])
+def test_any_byte_may_be_wrong(tmp_path, name):
+    path = tmp_path / name
+    image = Image.fromarray(np.full((6, 8), 7, np.uint8))
+    others = {"save_all": True, "append_images": [image]} if name.startswith("stack") else {}
+    image.save(path, **others)
+    sound = path.read_bytes()
+    for place in range(len(sound)):
+        for value in (0, 255, sound[place] ^ 1, sound[place] ^ 128):
+            path.write_bytes(sound[:place] + bytes([value]) + sound[place + 1 :])
+            with contextlib.suppress(InputError):
+                read_foreign_image(path)
