@@ -126,8 +126,9 @@ class Relocaliser:
         """Pose of the image whose rims were detected; None when their craters are not identified."""
         data = self._dataset
         answer = identify(
-            found.ellipses_px, data.camera.pinhole, self._triples, options=IdentifyOptions.of(data.camera)
-        )
+            found.ellipses_px, data.camera.pinhole, self._triples, options=IdentifyOptions.of(data.camera),
+            traced=found.traced,
+        )  # fmt: skip
         if not answer.identified:
             return None
         charts, covariances = self._normalised(found)

@@ -17,6 +17,7 @@ from craternav_fg.bench.identify_ground import (
 )
 from craternav_fg.matching.identify import from_image
 from craternav_fg.matching.identify.from_image import identify_image
+from craternav_fg.matching.identify.options import Effort
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
@@ -128,8 +129,8 @@ def test_rims_are_searched_deeper_once_no_others_are_found_at_once(index, view, 
     searched = []
 
     def noted(ellipses_px, traced, camera, index, attitude, options, quality, maps):
-        searched.append((len(ellipses_px), options.deep))
-        right = searched[-1] == (6, True)
+        searched.append((len(ellipses_px), options.effort))
+        right = searched[-1] == (6, Effort.DEEP)
         mirrored = view.mirrored()[: len(ellipses_px)]
         return identify(view.ellipses_px if right else mirrored, camera, index)
 
@@ -138,7 +139,8 @@ def test_rims_are_searched_deeper_once_no_others_are_found_at_once(index, view, 
     assert found.identified
     assert rims is answers[2]
     assert len(asked) == 4
-    assert searched == [*((n, False) for n in (4, 5, 6, 7)), (4, True), (5, True), (6, True)]
+    before = [(n, effort) for effort in (Effort.PLAIN, Effort.WIDE) for n in (4, 5, 6, 7)]
+    assert searched == [*before, *((n, Effort.DEEP) for n in (4, 5, 6))]
 
 
 def test_answers_are_grouped():

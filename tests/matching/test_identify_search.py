@@ -9,6 +9,7 @@ from craternav_fg.body import Body
 from craternav_fg.matching.identify import search
 from craternav_fg.matching.identify.expansion import Search
 from craternav_fg.matching.identify.nadir import nadirs
+from craternav_fg.matching.identify.options import Effort
 from craternav_fg.matching.identify.search import IdentifyOptions, Status, identify
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -93,7 +94,7 @@ def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, m
     assert examined[at_once:] == examined[:at_once]
     assert not identify(view.mirrored(), view.camera, synthetic).identified
     assert max(examined) <= 160
-    deep = IdentifyOptions(deep=True)
+    deep = IdentifyOptions(effort=Effort.DEEP)
     monkeypatch.setattr("craternav_fg.matching.identify.search._PAIRS_OF_CRATERS", 100_000)
     assert not identify(view.mirrored(), view.camera, synthetic, options=deep).identified
     # Eight times as many of the first triples.
@@ -105,7 +106,7 @@ def test_a_large_index_is_searched_deeper_before_there_is_no_answer(synthetic, m
 def test_a_deeper_search_that_would_be_the_same_is_none(synthetic, monkeypatch) -> None:
     """In a small index, and with a known attitude."""
     view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
-    deep = IdentifyOptions(deep=True)
+    deep = IdentifyOptions(effort=Effort.DEEP)
     assert identify(view.ellipses_px, view.camera, synthetic, options=deep).status is Status.NO_ANSWER
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
     known = tracker(view, np.random.default_rng(9))
@@ -148,7 +149,7 @@ def test_the_deeper_search_expands_hypotheses_of_low_score(synthetic, monkeypatc
     monkeypatch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 100_000)
     assert not identify(view.ellipses_px, view.camera, synthetic).identified
-    found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(deep=True))
+    found = identify(view.ellipses_px, view.camera, synthetic, options=IdentifyOptions(effort=Effort.DEEP))
     assert found.identified
     assert view.agrees(found.rows)
 
@@ -158,7 +159,7 @@ def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeyp
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
     monkeypatch.setattr("craternav_fg.matching.identify.search._widely", lambda *_: [])
     options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.9, missing=0.8, sigma_px=1.5)
-    few = IdentifyOptions(deep=True, noise_levels_px=(1.0,), candidates=(16,), triples=1)
+    few = IdentifyOptions(effort=Effort.DEEP, noise_levels_px=(1.0,), candidates=(16,), triples=1)
     rng = np.random.default_rng(1)
     answered = []
     for seed in (7, 9, 12, 15):
@@ -177,13 +178,38 @@ def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeyp
     assert without_them <= 1
 
 
+def test_a_wide_search_also_tries_the_vertical_half_way_to_the_axis(synthetic, monkeypatch) -> None:
+    """Where the estimate is far from the optical axis; circles and false rims make it uncertain."""
+    tried = []
+    monkeypatch.setattr(search, "_TRIPLES_OF_CANDIDATES", 200_000)
+    monkeypatch.setattr(search, "_projected", lambda _, model: tried.append(model))
+    monkeypatch.setattr(search, "_widely_with", lambda *_: [])
+    rng = np.random.default_rng(3)
+    counts = set()
+    for tilt_deg in (2.0, 40.0):
+        view = random_view(
+            synthetic.catalog, ViewOptions(largest_tilt_deg=tilt_deg, sigma_px=0.2), rng, true_rims=(30, 60)
+        )
+        tried.clear()
+        wide = IdentifyOptions(effort=Effort.WIDE)
+        assert not identify(view.ellipses_px, view.camera, synthetic, options=wide).identified
+        off_axis = [np.degrees(np.arccos(model[2])) for model in tried]
+        counts.add(len(tried))
+        assert (len(tried) == 2) == (off_axis[0] > 10.0)
+        if len(tried) == 2:
+            assert off_axis[1] == pytest.approx(0.5 * off_axis[0])
+            assert tried[1][3] == tried[0][3]
+            assert np.linalg.norm(tried[1][:3]) == pytest.approx(1.0)
+    assert counts == {1, 2}
+
+
 def test_right_craters_far_from_the_nearest_are_found_by_wide_search(synthetic, monkeypatch) -> None:
     """Rims that are larger than the map's, and off by a tenth of their size, among as many false ones."""
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
     monkeypatch.setattr("craternav_fg.matching.identify.search._by_pairs", lambda *_: [])
     options = ViewOptions(altitudes_m=(200e3, 500e3), false=0.7, missing=0.7, sigma_px=1.0)
     coarse = IdentifyOptions(
-        deep=True, noise_levels_px=(1.0, 3.0), candidates=(16, 48), triples=1, size_sigma_share=0.1,
+        effort=Effort.WIDE, noise_levels_px=(1.0, 3.0), candidates=(16, 48), triples=1, size_sigma_share=0.1,
         centre_share=0.12,
     )  # fmt: skip
     for seed in (10, 7):
@@ -257,7 +283,7 @@ def test_pairs_of_large_rims_are_tried_where_the_map_has_many_more_craters(synth
     monkeypatch.setattr("craternav_fg.matching.identify.search._TRIPLES_OF_CANDIDATES", 200_000)
     monkeypatch.setattr("craternav_fg.matching.identify.search._widely", lambda *_: [])
     options = ViewOptions(altitudes_m=(200e3, 500e3), missing=0.85, sigma_px=3.0)
-    few = IdentifyOptions(deep=True, triples=1)
+    few = IdentifyOptions(effort=Effort.DEEP, triples=1)
     for seed in (2, 5, 9):
         view = random_view(synthetic.catalog, options, np.random.default_rng(seed), true_rims=(7, 12))
         found = identify(view.ellipses_px, view.camera, synthetic, options=few)

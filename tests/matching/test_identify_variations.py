@@ -76,7 +76,7 @@ def test_a_wrong_crater_that_outweighs_the_others_is_left(distorted, monkeypatch
     wrong_is_left, errors_m = [], []
     for left_out in (expansion._LEFT_OUT, 0):
         monkeypatch.setattr(expansion, "_LEFT_OUT", left_out)
-        start = search._expand_from(tilted.copy(), match.copy(), 3.0)
+        start = search.expand_from(tilted.copy(), match.copy(), 3.0)
         found = search.best_variation(start)
         wrong_is_left.append(found.match[-1] != match[-1])
         errors_m.append(float(np.linalg.norm(found.gTc[:3, 3] - scene.gTb[:3, 3])))
@@ -90,7 +90,7 @@ def test_a_pair_that_outweighs_the_others_widens_the_covariance(distorted, monke
     nees = []
     for usual in (answer._MOST_EXCESS, np.inf):
         monkeypatch.setattr(answer, "_MOST_EXCESS", usual)
-        wrong = search._expand_from(tilted.copy(), match.copy(), 3.0)
+        wrong = search.expand_from(tilted.copy(), match.copy(), 3.0)
         assert wrong.match[-1] == match[-1]
         found = answer.answer(wrong, search, np.arange(len(match)), len(match), scene.camera, 0.0)
         error = np.empty(6)
@@ -108,9 +108,9 @@ def test_a_pose_that_the_rims_hardly_determine_is_none(distorted, synthetic, mon
         None, scene.camera, REAL,
     )  # fmt: skip
     rows = scene.craters[np.isin(scene.craters, match[:3])]
-    assert three._expand_from(scene.gTb.copy(), rows.copy(), 3.0) is None
+    assert three.expand_from(scene.gTb.copy(), rows.copy(), 3.0) is None
     monkeypatch.setattr(expansion, "_MAX_ATTITUDE_SIGMA_RAD", np.inf)
-    uncertain = three._expand_from(scene.gTb.copy(), rows.copy(), 3.0)
+    uncertain = three.expand_from(scene.gTb.copy(), rows.copy(), 3.0)
     assert np.trace(np.linalg.inv(uncertain.N)[:3, :3]) > 0.1**2
     monkeypatch.undo()
-    assert search._expand_from(scene.gTb.copy(), np.append(match[:-1], -1), 3.0) is not None
+    assert search.expand_from(scene.gTb.copy(), np.append(match[:-1], -1), 3.0) is not None

@@ -11,9 +11,9 @@ The algorithm, in order, with the module of each step:
 4. `triple_search`: with the vertical, rims are projected to the sphere up to scale. Triples of neighbouring
    rims are looked up in the index; each hit gives the altitude and a rotation, thus a pose (`hypothesis`).
    The pose is scored by how many further rims it puts on craters of their size, and how many craters there
-   are around; the best poses are kept. Likely rims come first, and count more. A deep search begins with
-   many times as many hits, whose scores count only rims that are very near to their craters; then come
-   triples of a few rims that are likely and large, wherever they are.
+   are around; the best poses are kept. Likely rims come first, and count more. A wide search examines
+   many times as many hits, whose scores count only rims that are very near to their craters; a deep one
+   begins with triples of a few rims that are likely and large, wherever they are.
    `pair_search`: then a deep search tries all pairs of craters for pairs of rims that are large over their
    distance: where an image shows few of a map's craters, it shows hardly any triple of neighbours.
 5. `single_rim_search`: with a known attitude, a single rim taken for a crater gives the position. Used when

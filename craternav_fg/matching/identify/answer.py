@@ -30,6 +30,9 @@ from factors.kernels.gauss_newton import screw
 _MOST_EXCESS = 8.0
 # Of fewer pairs each pulls much, and the noise, which they hardly show, is wide.
 _MIN_PAIRS = 6
+# Covariance that makes nothing of a chart's shape, but for the size.
+_UNKNOWN_SHAPE = np.zeros((5, 5))
+_UNKNOWN_SHAPE[2:, 2:] = [[1.0, 0.0, -1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 1.0]]
 # Factor on the standard deviations of the intrinsics that the rims show: errors of the shapes of small rims
 # are not Gaussian, and the focal length scatters 1.5 times as widely over simulated views.
 _INTRINSICS_SPREAD = 2.0
@@ -121,9 +124,11 @@ def _unknown_intrinsics(
     scale = np.array([shape_scale(view, int(i), expanded.sigma) for i in matched])
     sigma = np.column_stack([np.full((len(matched), 2), expanded.sigma[0]), *(scale[:, None],) * 3])
     variance = (sigma / view.precision[matched]) ** 2
+    S = np.einsum("ni,ij->nij", variance, np.eye(5))
+    S[~view.traced[matched]] += _UNKNOWN_SHAPE
     rims = MatchedRims(
         tuple(map(str, rows)), craters.centres[rows], craters.axes[rows], view.charts[matched],
-        np.einsum("ni,ij->nij", variance, np.eye(5)),
+        S,
     )  # fmt: skip
     known = search.limits.attitude
     attitude = KnownAttitude(known, search.sigma_rad) if len(known) else None

@@ -1,12 +1,15 @@
 """Identification of rims that were detected, some of them as coarse ellipses only."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.answer import answer
+from craternav_fg.matching.identify.given import Given
+from craternav_fg.matching.identify.options import Effort, IdentifyOptions
 from craternav_fg.matching.identify.result import Identification
 from craternav_fg.matching.identify.search import identify
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -26,7 +29,7 @@ def identify_detected(
 ) -> Identification:
     """Identify detected rims: by those that were traced or, where they do not suffice, by all.
 
-    A deep search is by all at once.
+    More than a plain search is by all at once.
 
     Parameters
     ----------
@@ -47,13 +50,13 @@ def identify_detected(
     Identification
         With one row for each of the n ellipses.
     """
-    if options.deep:
+    if options.effort is not Effort.PLAIN:
         # The traced ones alone would take as long, and rarely answer where the others do not.
-        return identify(ellipses_px, camera, index, attitude, options, quality, maps)
+        return identify(ellipses_px, camera, index, attitude, options, quality, maps, traced)
     of_traced = None if quality is None else quality[traced]
     found = identify(ellipses_px[traced], camera, index, attitude, options, of_traced, maps)
     if not found.identified and not traced.all():
-        all_of = identify(ellipses_px, camera, index, attitude, options, quality, maps)
+        all_of = identify(ellipses_px, camera, index, attitude, options, quality, maps, traced)
         return replace(all_of, seconds=found.seconds + all_of.seconds)
     places = np.flatnonzero(traced)
     craters: list[str | None] = [None] * len(ellipses_px)
@@ -61,4 +64,29 @@ def identify_detected(
     rows[places] = found.rows
     for place, name in zip(places.tolist(), found.craters, strict=True):
         craters[place] = name
-    return replace(found, craters=tuple(craters), rows=rows)
+    found = replace(found, craters=tuple(craters), rows=rows)
+    if not found.identified or traced.all():
+        return found
+    return _with_all(found, Given(ellipses_px, camera, index, attitude, options, quality, maps, traced))
+
+
+def _with_all(found: Identification, given: Given) -> Identification:
+    """Expand an answer to all rims, also those that show only place and size; as it is if that fails."""
+    began = time.perf_counter()
+    once = given.once
+    searches = [given.search(factor) for factor in given.options.size_factors]
+    noise = min(given.options.noise_levels_px, key=lambda level: abs(level - found.sigma_px))
+    expanded = [one.expand_from(found.gTc.copy(), found.rows[once], noise) for one in searches]
+    best = max(
+        ((one, search) for one, search in zip(expanded, searches, strict=True) if one is not None),
+        key=lambda pair: pair[0].log_ratio,
+        default=None,
+    )
+    if best is None:
+        return found
+    one, search = best
+    one = search.best_variation(one)
+    if one.log_ratio < -found.log_chance:
+        return found
+    more = answer(one, search, once, len(given.ellipses_px), given.camera, began)
+    return replace(more, seconds=found.seconds + more.seconds)

@@ -158,7 +158,7 @@ class Search:
         match = np.full(self.n, -1)
         rims = hypothesis[RIMS:CRATERS].astype(np.int64)
         match[rims[rims >= 0]] = hypothesis[CRATERS:][rims >= 0]
-        expanded = self._expand_from(gTc, match, noise)
+        expanded = self.expand_from(gTc, match, noise)
         if expanded is not None and _PROMISING < expanded.log_ratio < -self.options.log_chance:
             return self.best_variation(expanded)
         return expanded
@@ -215,7 +215,7 @@ class Search:
         """
         for _ in range(_MAX_VARIED):
             others = [
-                self._expand_from(expanded.gTc.copy(), match.copy(), noise)
+                self.expand_from(expanded.gTc.copy(), match.copy(), noise)
                 for match, noise in self._starts(expanded)
             ]
             best = max((one for one in others if one is not None), key=_evidence, default=expanded)
@@ -255,8 +255,23 @@ class Search:
             out.append(match.copy())
         return out
 
-    def _expand_from(self, gTc: FloatArray, match: IntArray, noise: float) -> Expanded | None:
-        """Expand a pose with some pairs (changed in place), and compute the evidence; None if it fails."""
+    def expand_from(self, gTc: FloatArray, match: IntArray, noise: float) -> Expanded | None:
+        """Expand a pose with some pairs, and compute the evidence.
+
+        Parameters
+        ----------
+        gTc : ndarray, shape (4, 4)
+            Pose of the camera. Changed.
+        match : ndarray of int, shape (n,)
+            Row of each rim's crater, -1 for none. Changed.
+        noise : float
+            Assumed noise of the centres, px.
+
+        Returns
+        -------
+        Expanded or None
+            None if the fit fails or too few rims agree.
+        """
         craters, index = self.index.craters, self.index.catalog.index
         N, sigma = np.empty((6, 6)), np.empty(3)
         pairs = expand_inliers(

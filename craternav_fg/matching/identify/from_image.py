@@ -4,8 +4,8 @@ On real ground, ridges and domes can look like craters that are lit from the opp
 worn, and plains have small ones only. If the rims found at first cannot be identified, those lit from the
 opposite side are detected, then unlikely and smaller ones from both sides. If no rims were found at first,
 the sides are those of the axis along which the image varies most. Where no rims can be identified at once,
-all of them are searched deeper, in the same order. From the second rims on, the image's shading where a pose
-predicts further craters counts, too (`shading`). An answer needs the same evidence each time.
+all of them are searched widely, then deeply, in the same order. From the second rims on, the image's shading
+where a pose predicts further craters counts, too (`shading`). An answer needs the same evidence each time.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from craternav_fg.camera import Camera
 from craternav_fg.matching.identify.detected import identify_detected
-from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.options import Effort, IdentifyOptions
 from craternav_fg.matching.identify.result import Identification
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.measurements import KnownAttitude
@@ -61,7 +61,7 @@ def identify_image(
     index : TripleIndex
     attitude : KnownAttitude, optional
     options : IdentifyOptions, optional
-        Except `size_factors`, `size_sigma_share`, `centre_share`, `noise_levels_px`, `candidates` and `deep`.
+        Except `size_factors`, `size_sigma_share`, `centre_share`, `noise_levels_px`, `candidates`, `effort`.
 
     Returns
     -------
@@ -84,9 +84,8 @@ def identify_image(
     first: tuple[FoundRims, Identification] | None = None
     seconds = 0.0
     maps = NO_SHADING
-    once, again = tee(_detections(image))
-    for deep, detections in ((False, once), (True, again)):
-        how = replace(options, deep=deep)
+    for effort, detections in zip(Effort, tee(_detections(image), len(Effort)), strict=True):
+        how = replace(options, effort=effort)
         for rims in detections:
             found = identify_detected(
                 rims.ellipses_px, rims.traced, camera, index, attitude, how, rims.quality, maps

@@ -1,6 +1,7 @@
 """Options of identification."""
 
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
@@ -14,6 +15,17 @@ from factors.arrays import FloatArray
 # largest must have this radius, px, to be found.
 _ALTITUDES_M = (1e3, 2e6)
 _RADII_ACROSS, _LEAST_RADIUS_PX = 8.0, 2.0
+
+
+class Effort(Enum):
+    """How a search is done: each kind finds poses that those before it miss, and takes longer."""
+
+    PLAIN = auto()
+    """The nearest triples of the index are examined."""
+    WIDE = auto()
+    """Very many triples are examined, of which the best by narrow gates are expanded."""
+    DEEP = auto()
+    """As the first, with candidates multiplied by the millions of triples in the index, and by pairs."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +50,9 @@ class IdentifyOptions:
         and the map's ellipses or circles.
     centre_share : float
         Standard deviation of the centres beside the noise: the noise times this times the radius, px.
-    deep : bool
-        Whether candidates are multiplied by the millions of triples in the index, for rims to which a plain
-        search gave no answer. Nothing is searched where that would be the same: in a smaller index, or with a
-        known attitude.
+    effort : Effort
+        More than the first is for rims to which a plain search gave no answer. Nothing is searched where that
+        would be the same: in an index of few triples, or with a known attitude.
     triples : int
         Largest number of rim triples that are looked up per noise level and estimate of the vertical. A
         quarter of it is used for verticals beside the best estimate. If nothing is found, as many again are
@@ -70,7 +81,7 @@ class IdentifyOptions:
     size_factors: tuple[float, ...] = (1.0,)
     size_sigma_share: float = SIZE_SHARE
     centre_share: float = CENTRE_SHARE
-    deep: bool = False
+    effort: Effort = Effort.PLAIN
     triples: int = 96
     tried: int = 3_000_000
     log_chance: float = float(np.log(1e-6))

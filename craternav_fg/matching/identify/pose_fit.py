@@ -62,6 +62,10 @@ def pack_rims(view: View, craters: Craters, match: IntArray, sigma: FloatArray) 
         for r in range(5):
             y[k, r] = view.charts[i, r]
             W[k, r, r] = view.precision[i, r] / (sigma[0] if r < 2 else shape_scale(view, i, sigma))
+        if not view.traced[i]:
+            # Of the errors of both axes, only their mean.
+            W[k, 4, 2] = W[k, 4, 4] = np.sqrt(0.5 * W[k, 2, 2] * W[k, 4, 4])
+            W[k, 2, 2] = W[k, 3, 3] = 0.0
     bTc = np.zeros((4, 4))
     for r in range(4):
         bTc[r, r] = 1.0

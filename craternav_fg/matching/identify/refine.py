@@ -83,9 +83,10 @@ def refine(
     N, g = squares[:, :6, :6], squares[:, :6, 6]
     covariances = np.linalg.inv(N)
     steps = -np.einsum("kab,kb->ka", covariances, g)
-    log_scales = np.log(scale2).sum(axis=-1).ravel().repeat(len(_CENTRE_LEVELS_PX))
+    shown = np.where(view.traced[matched], 3.0, 1.0)
+    log_scales = (np.log(scale2) @ shown).ravel().repeat(len(_CENTRE_LEVELS_PX))
     log = -0.5 * (squares[:, 6, 6] + np.einsum("ka,ka->k", g, steps) + np.linalg.slogdet(N)[1])
-    log -= 2.0 * len(matched) * np.log(levels) + 1.5 * log_scales
+    log -= 2.0 * len(matched) * np.log(levels) + 0.5 * log_scales
     log += np.array([log_axis_prior(size, level) for size, level in zip(sizes, levels, strict=True)])
     share = np.exp(log - log.max())
     share /= share.sum()

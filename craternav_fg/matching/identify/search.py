@@ -13,9 +13,10 @@ from craternav_fg.camera import Camera
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.answer import answer
 from craternav_fg.matching.identify.expansion import MIN_RIMS, Expanded, Search
+from craternav_fg.matching.identify.given import Given
 from craternav_fg.matching.identify.hypothesis import HYPOTHESIS
 from craternav_fg.matching.identify.nadir import models_around, nadirs
-from craternav_fg.matching.identify.options import IdentifyOptions
+from craternav_fg.matching.identify.options import Effort, IdentifyOptions
 from craternav_fg.matching.identify.pair_search import image_pairs, search_pair
 from craternav_fg.matching.identify.result import Identification, Status, no_answer
 from craternav_fg.matching.identify.single_rim_search import search_single_rims
@@ -29,10 +30,9 @@ from craternav_fg.matching.identify.triple_search import (
     project_all_to_sphere,
     search_triples,
 )
-from craternav_fg.matching.identify.view import distinct_rows, view_of
 from craternav_fg.measurements import KnownAttitude
 from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
-from factors.arrays import FloatArray
+from factors.arrays import BoolArray, FloatArray
 
 __all__ = ["Identification", "IdentifyOptions", "KnownAttitude", "Status", "identify"]
 
@@ -48,6 +48,8 @@ _NADIR_HEIGHTS = np.array([0.08, 0.25])
 # Where no estimate is so near to the optical axis, that is tried, too: many cameras look down, and craters
 # that the light makes elongated alike seem to be foreshortened.
 _MAX_OFF_AXIS_RAD = float(np.radians(15.0))
+# Angle to the optical axis from which a wide search tries the vertical half way to it as well.
+_HALF_WAY_RAD = float(np.radians(10.0))
 # Divisor of the number of triples for verticals around the best estimate.
 _RING_DIVISOR = 4
 # When all that has found nothing, so many times as many triples are looked up with the best vertical, at the
@@ -97,7 +99,7 @@ _KEPT_OF_SINGLE_RIMS = 64
 def identify(
     ellipses_px: FloatArray, camera: Camera, index: TripleIndex, attitude: KnownAttitude | None = None,
     options: IdentifyOptions = IdentifyOptions(), quality: FloatArray | None = None,
-    maps: ShadingMaps = NO_SHADING,
+    maps: ShadingMaps = NO_SHADING, traced: BoolArray | None = None,
 ) -> Identification:  # fmt: skip
     """Identify the craters of an image's rims, and estimate the pose.
 
@@ -116,6 +118,8 @@ def identify(
         Probability of each rim to be a crater's, above 0; 1 if not given. Only ratios matter to the evidence.
     maps : ShadingMaps, optional
         Of the image without distortion: poses are judged by it, too.
+    traced : ndarray of bool, shape (n,), optional
+        Whether each ellipse shows its rim's shape, else only its place and size; all if not given.
 
     Returns
     -------
@@ -133,22 +137,18 @@ def identify(
     if not (np.isfinite(ellipses).all() and (ellipses[:, 2:4] > 0.0).all()):
         raise EstimationError("ellipses: expected finite numbers and positive axes")
     n = len(ellipses)
-    once = distinct_rows(ellipses)
-    if len(once) < MIN_RIMS:
-        reason = f"found {len(once)} rims, expected {MIN_RIMS} or more"
+    given = Given(ellipses, camera, index, attitude, options, quality, maps, traced)
+    if len(given.once) < MIN_RIMS:
+        reason = f"found {len(given.once)} rims, expected {MIN_RIMS} or more"
         return no_answer(n, Status.TOO_FEW_RIMS, reason, 0.0, began)
     threshold = -(options.log_chance if attitude is None else options.log_chance_attitude)
     best, found = -np.inf, list[Expanded]()
-    for factor, depth, wide in _passes(index, attitude, options):
-        view = view_of(
-            ellipses[once] / [1.0, 1.0, factor, factor, 1.0], camera, options.size_sigma_share,
-            options.centre_share, None if quality is None else quality[once],
-        )  # fmt: skip
-        first = factor == options.size_factors[0]
-        log_ways = 0.0 if first else float(np.log(len(options.size_factors)))
-        search = Search(view, index, attitude, camera, options, maps, log_ways)
+    depth = _depth(index, attitude, options)
+    for factor in options.size_factors if depth else ():
+        search = given.search(factor)
         # Single rims are many: they are tried once.
-        singles = attitude is not None and first
+        singles = attitude is not None and factor == options.size_factors[0]
+        wide = options.effort is Effort.WIDE
         found = _widely(search, depth) if wide else _expanded(search, depth, singles)
         best = max(best, found[0].log_ratio) if found else best
         if found and found[0].log_ratio >= threshold:
@@ -160,23 +160,19 @@ def identify(
     if second - found[0].log_ratio > options.log_ambiguity:
         reason = f"a second pose is {np.exp(second - found[0].log_ratio):.2g} times as probable"
         return no_answer(n, Status.AMBIGUOUS, reason, -found[0].log_ratio, began)
-    return answer(search.best_variation(found[0]), search, once, n, camera, began)
+    return answer(search.best_variation(found[0]), search, given.once, n, camera, began)
 
 
-def _passes(
-    index: TripleIndex, attitude: KnownAttitude | None, options: IdentifyOptions
-) -> list[tuple[float, int, bool]]:
-    """Size factors, multiples of the number of candidates, whether the search is wide, in the order tried.
+def _depth(index: TripleIndex, attitude: KnownAttitude | None, options: IdentifyOptions) -> int:
+    """Multiple of the number of candidates; 0 where more effort would change nothing.
 
     The larger the catalogue, the more of its triples resemble one of rims as much as the right one does. A
     known attitude needs no triples.
     """
-    depth = len(index.tree.points) // _TRIPLES_OF_CANDIDATES if options.deep else 1
-    if options.deep and (depth < 2 or attitude is not None):
-        return []
-    # In two images that it alone identifies, a wide search takes a quarter of the time of the others.
-    kinds = (True, False) if options.deep else (False,)
-    return [(factor, depth, wide) for wide in kinds for factor in options.size_factors]
+    if options.effort is Effort.PLAIN:
+        return 1
+    depth = len(index.tree.points) // _TRIPLES_OF_CANDIDATES
+    return depth if depth > 1 and attitude is None else 0
 
 
 def _expanded(search: Search, depth: int, singles: bool) -> list[Expanded]:
@@ -232,9 +228,31 @@ def _widely(search: Search, depth: int) -> list[Expanded]:
     Where rims are off by more than their noise, or false rims are around, the right craters are among the
     nearest thousands only. So many hypotheses cannot all be expanded: their scores must tell which are right.
     """
-    view, index, options = search.view, search.index, search.options
+    found: list[Expanded] = []
     search.begin_with(search.largest)
-    projection = _projected(search, _stages(search, depth)[0][0])
+    for model in _towards_axis(_stages(search, depth)[0][0]):
+        expanded = _widely_with(search, depth, _projected(search, model))
+        if expanded and expanded[0].log_ratio >= -search.options.log_chance:
+            return expanded
+        found += expanded
+    return _best_first(found)
+
+
+def _towards_axis(model: FloatArray) -> list[FloatArray]:
+    """Return a vertical and altitude (4,) and, where the optical axis is far, the same half way to it.
+
+    Rims that could not be traced are circles in the image: many pull the estimate to the axis, few leave it
+    to the false rims that were traced.
+    """
+    if model[2] >= np.cos(_HALF_WAY_RAD):
+        return [model]
+    half_way = model[:3] + np.array([0.0, 0.0, 1.0])
+    return [model, np.append(half_way / np.linalg.norm(half_way), model[3])]
+
+
+def _widely_with(search: Search, depth: int, projection: Projection) -> list[Expanded]:
+    """Expand the best of very many hypotheses for one vertical; the best first."""
+    view, index, options = search.view, search.index, search.options
     chosen = likely_and_large(view, search.largest, _CHOSEN_RIMS)
     order = image_order(view, chosen, _CHOSEN_RIMS)
     least, most = options.noise_levels_px[0], options.noise_levels_px[-1]

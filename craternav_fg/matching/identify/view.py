@@ -59,11 +59,14 @@ class View(NamedTuple):
     """Standard deviation of the centres beside the noise, over the radius, see `IdentifyOptions`."""
     quality: FloatArray
     """Probability of each rim to be a crater's, shape (n,)."""
+    traced: npt.NDArray[np.bool_]
+    """Whether each ellipse shows the rim's shape, else only its place and size, shape (n,)."""
 
 
 def view_of(
     ellipses_px: FloatArray, camera: Camera, size_share: float = SIZE_SHARE,
     centre_share: float = CENTRE_SHARE, quality: FloatArray | None = None,
+    traced: npt.NDArray[np.bool_] | None = None,
 ) -> View:  # fmt: skip
     """Remove the lens distortion from an image's ellipses.
 
@@ -76,6 +79,8 @@ def view_of(
         See `View`.
     quality : ndarray, shape (n,), optional
         See `View`; 1 if not given.
+    traced : ndarray of bool, shape (n,), optional
+        See `View`; all if not given.
 
     Returns
     -------
@@ -113,6 +118,7 @@ def view_of(
         size_share=size_share,
         centre_share=centre_share,
         quality=np.ones(len(charts)) if quality is None else ordered(quality),
+        traced=np.ones(len(charts), dtype=np.bool_) if traced is None else ordered(traced),
     )
 
 
