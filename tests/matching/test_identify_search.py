@@ -1,5 +1,7 @@
 """What identification tries, in which order, and when it searches deeper."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,6 +10,7 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.matching.identify import search
 from craternav_fg.matching.identify.expansion import Search
+from craternav_fg.matching.identify.given import Given
 from craternav_fg.matching.identify.nadir import nadirs
 from craternav_fg.matching.identify.options import Effort
 from craternav_fg.matching.identify.search import IdentifyOptions, Status, identify
@@ -176,6 +179,43 @@ def test_likely_and_large_rims_are_combined_wherever_they_are(synthetic, monkeyp
     with_them, without_them = np.sum(answered, axis=0)
     assert with_them == 4
     assert without_them <= 1
+
+
+def test_a_promising_pose_is_expanded_with_finer_sizes(synthetic) -> None:
+    """Small craters of plains are larger in images than on the map by a third and more."""
+    coarse = {"size_factors": (1.0, 1.12, 1.25), "size_sigma_share": 0.1, "centre_share": 0.12}
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    rims = view.ellipses_px * np.array([1.0, 1.0, 1.4, 1.4, 1.0])
+    evidence = []
+    for fine in ((), (1.3, 1.4, 1.5)):
+        given = Given(rims, view.camera, synthetic, None, IdentifyOptions(fine_size_factors=fine, **coarse))
+        found = given.at_other_sizes(view.gTb @ view.camera.bTc, view.craters, 1.0)
+        assert found is not None
+        expanded, search_used = found
+        assert view.agrees(expanded.match)
+        assert search_used.log_ways == pytest.approx(np.log(3.0))
+        evidence.append(expanded.log_ratio)
+    assert evidence[1] > evidence[0] + 5.0
+
+
+def test_an_answer_may_need_finer_sizes(synthetic, monkeypatch) -> None:
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    asked = []
+
+    def noted(given, gTc, match, sigma_px):
+        asked.append(given)
+        found = given.search(1.0).expand_from(gTc.copy(), match.copy(), sigma_px)
+        return (replace(found, log_ratio=20.0), given.search(1.0))
+
+    monkeypatch.setattr(Given, "at_other_sizes", noted)
+    assert identify(view.ellipses_px, view.camera, synthetic).identified
+    assert not asked
+    high = IdentifyOptions(log_chance=-1000.0)
+    assert not identify(view.ellipses_px, view.camera, synthetic, options=high).identified
+    assert len(asked) == 1
+    monkeypatch.setattr(search, "PROMISING", np.inf)
+    assert not identify(view.ellipses_px, view.camera, synthetic, options=high).identified
+    assert len(asked) == 1
 
 
 def test_a_wide_search_also_tries_the_vertical_half_way_to_the_axis(synthetic, monkeypatch) -> None:

@@ -73,20 +73,8 @@ def identify_detected(
 def _with_all(found: Identification, given: Given) -> Identification:
     """Expand an answer to all rims, also those that show only place and size; as it is if that fails."""
     began = time.perf_counter()
-    once = given.once
-    searches = [given.search(factor) for factor in given.options.size_factors]
-    noise = min(given.options.noise_levels_px, key=lambda level: abs(level - found.sigma_px))
-    expanded = [one.expand_from(found.gTc.copy(), found.rows[once], noise) for one in searches]
-    best = max(
-        ((one, search) for one, search in zip(expanded, searches, strict=True) if one is not None),
-        key=lambda pair: pair[0].log_ratio,
-        default=None,
-    )
-    if best is None:
+    more = given.at_other_sizes(found.gTc, found.rows[given.once], found.sigma_px)
+    if more is None or more[0].log_ratio < -found.log_chance:
         return found
-    one, search = best
-    one = search.best_variation(one)
-    if one.log_ratio < -found.log_chance:
-        return found
-    more = answer(one, search, once, len(given.ellipses_px), given.camera, began)
-    return replace(more, seconds=found.seconds + more.seconds)
+    extended = answer(*more, given.once, len(given.ellipses_px), given.camera, began)
+    return replace(extended, seconds=found.seconds + extended.seconds)

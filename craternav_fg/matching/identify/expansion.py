@@ -40,7 +40,7 @@ _MAX_RIMS = 1500
 # Three on right ones had 0.06, and an error of 15 % of the altitude.
 _MAX_ATTITUDE_SIGMA_RAD = 0.05
 # Least evidence of a pose that is varied.
-_PROMISING = -5.0
+PROMISING = -5.0
 # Share of the images whose optical axis meets the ground, chosen: the others show the limb.
 _AIMED_SHARE = 0.9
 # Pairs that are left out, the most influential first, and times that a pose is varied.
@@ -159,7 +159,7 @@ class Search:
         rims = hypothesis[RIMS:CRATERS].astype(np.int64)
         match[rims[rims >= 0]] = hypothesis[CRATERS:][rims >= 0]
         expanded = self.expand_from(gTc, match, noise)
-        if expanded is not None and _PROMISING < expanded.log_ratio < -self.options.log_chance:
+        if expanded is not None and PROMISING < expanded.log_ratio < -self.options.log_chance:
             return self.best_variation(expanded)
         return expanded
 

@@ -32,6 +32,8 @@ from craternav_fg.vision.shading_maps import NO_SHADING, shading_maps, sun_axis
 # images, the rims of 14 have enough evidence at the right pose; of 12, 12 and 14 with 1, 1.12 and 1.25 alone;
 # of 13 with 1.4 as well.
 _SIZE_FACTORS = (1.0, 1.12, 1.25)
+# A promising pose is expanded with finer ones, up to those of small craters of plains.
+_FINE_SIZE_FACTORS = tuple(np.exp(np.arange(1, 11) * 0.04).tolist())
 # And the scatter of the logarithms about that median, which was 0.03 to 0.18; 14 with 0.05 and 0.2, too.
 _SIZE_SIGMA = 0.1
 # Their centres scatter in proportion to the radius, of any size from 8 to 60 px: by 0.1 of it per coordinate.
@@ -61,7 +63,8 @@ def identify_image(
     index : TripleIndex
     attitude : KnownAttitude, optional
     options : IdentifyOptions, optional
-        Except `size_factors`, `size_sigma_share`, `centre_share`, `noise_levels_px`, `candidates`, `effort`.
+        Except `size_factors`, `fine_size_factors`, `size_sigma_share`, `centre_share`, `noise_levels_px`,
+        `candidates` and `effort`.
 
     Returns
     -------
@@ -78,8 +81,9 @@ def identify_image(
         When the network's weights are missing or damaged.
     """
     options = replace(
-        options, size_factors=_SIZE_FACTORS, size_sigma_share=_SIZE_SIGMA, noise_levels_px=_NOISE_LEVELS_PX,
-        candidates=_CANDIDATES, centre_share=_CENTRE_SHARE,
+        options, size_factors=_SIZE_FACTORS, fine_size_factors=_FINE_SIZE_FACTORS,
+        size_sigma_share=_SIZE_SIGMA, noise_levels_px=_NOISE_LEVELS_PX, candidates=_CANDIDATES,
+        centre_share=_CENTRE_SHARE,
     )  # fmt: skip
     first: tuple[FoundRims, Identification] | None = None
     seconds = 0.0

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.matching.identify.expansion import Search
+from craternav_fg.matching.identify.expansion import Expanded, Search
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.triple_index import TripleIndex
 from craternav_fg.matching.identify.view import distinct_rows, view_of
 from craternav_fg.measurements import KnownAttitude
 from craternav_fg.vision.shading_maps import NO_SHADING, ShadingMaps
-from factors.arrays import FloatArray
+from factors.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Given:
         Parameters
         ----------
         size_factor : float
-            Sizes in the image over those on the map, one of the options'.
+            Sizes in the image over those on the map, one of the options' plain or fine ones.
 
         Returns
         -------
@@ -65,6 +65,37 @@ class Given:
             None if self.quality is None else self.quality[once],
             None if self.traced is None else self.traced[once],
         )  # fmt: skip
-        ways = 1 if size_factor == options.size_factors[0] else len(options.size_factors)
+        ways = 1
+        if size_factor != options.size_factors[0]:
+            coarse = size_factor in options.size_factors
+            ways = len(options.size_factors if coarse else options.fine_size_factors)
         log_ways = float(np.log(ways))
         return Search(view, self.index, self.attitude, self.camera, options, self.maps, log_ways)
+
+    def at_other_sizes(
+        self, gTc: FloatArray, match: IntArray, sigma_px: float
+    ) -> tuple[Expanded, Search] | None:
+        """Expand a pose with sizes in the image over those on the map that a search does not try.
+
+        Parameters
+        ----------
+        gTc : ndarray, shape (4, 4)
+        match : ndarray of int, shape (m,)
+            Row of each distinct rim's crater, -1 for none.
+        sigma_px : float
+            Noise of the centres at that pose.
+
+        Returns
+        -------
+        tuple of Expanded and Search, or None
+            The pose with the most evidence, and the search that expanded it; None if all fail.
+        """
+        options = self.options
+        noise = min(options.noise_levels_px, key=lambda level: abs(np.log(level / sigma_px)))
+        best: tuple[Expanded, Search] | None = None
+        for factor in dict.fromkeys(options.size_factors + options.fine_size_factors):
+            search = self.search(factor)
+            one = search.expand_from(gTc.copy(), match.copy(), noise)
+            if one is not None and (best is None or one.log_ratio > best[0].log_ratio):
+                best = one, search
+        return None if best is None else (best[1].best_variation(best[0]), best[1])

@@ -45,6 +45,8 @@ class IdentifyOptions:
     size_factors : tuple of float
         Sizes of rims in the image over those on the map, tried one after the other until one gives an answer.
         People trace real rims inside the crests that images show: 5 to 15 % smaller.
+    fine_size_factors : tuple of float
+        Those with which a promising pose is expanded again. None are tried if there are none.
     size_sigma_share : float
         Relative standard deviation of the sizes beside the noise, before it is estimated: irregular outlines,
         and the map's ellipses or circles.
@@ -79,6 +81,7 @@ class IdentifyOptions:
     noise_levels_px: tuple[float, ...] = (1.0, 3.0, 6.0)
     candidates: tuple[int, ...] = (16, 48, 160)
     size_factors: tuple[float, ...] = (1.0,)
+    fine_size_factors: tuple[float, ...] = ()
     size_sigma_share: float = SIZE_SHARE
     centre_share: float = CENTRE_SHARE
     effort: Effort = Effort.PLAIN

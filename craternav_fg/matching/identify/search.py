@@ -12,7 +12,7 @@ import numpy.typing as npt
 from craternav_fg.camera import Camera
 from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.answer import answer
-from craternav_fg.matching.identify.expansion import MIN_RIMS, Expanded, Search
+from craternav_fg.matching.identify.expansion import MIN_RIMS, PROMISING, Expanded, Search
 from craternav_fg.matching.identify.given import Given
 from craternav_fg.matching.identify.hypothesis import HYPOTHESIS
 from craternav_fg.matching.identify.nadir import models_around, nadirs
@@ -150,6 +150,10 @@ def identify(
         singles = attitude is not None and factor == options.size_factors[0]
         wide = options.effort is Effort.WIDE
         found = _widely(search, depth) if wide else _expanded(search, depth, singles)
+        if found and PROMISING < found[0].log_ratio < threshold:
+            more = given.at_other_sizes(found[0].gTc, found[0].match, found[0].sigma[0])
+            if more is not None and more[0].log_ratio > found[0].log_ratio:
+                found[0], search = more
         best = max(best, found[0].log_ratio) if found else best
         if found and found[0].log_ratio >= threshold:
             break
