@@ -218,7 +218,7 @@ def _frames(paths: list[Path], times: Path | None) -> list[ImportedFrame]:
 
 
 def _finish(folder: Path, as_json: bool) -> None:
-    """Open what was written, which checks it, and say what it holds."""
+    """Say what was written."""
     data = Dataset.open(folder)
     if as_json:
         out.print_json(

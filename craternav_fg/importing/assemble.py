@@ -139,7 +139,8 @@ def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) 
     Raises
     ------
     InputError
-        When the frames contradict each other, no sun is known, or the folder cannot be written.
+        When the frames contradict each other, no sun is known, the folder cannot be written, or
+        `Dataset.open` would refuse the data set, which is not kept then.
     """
     frames = in_order(given.frames)
     stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
@@ -161,7 +162,8 @@ def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) 
         if states is None
         else AprioriStates(states, given.position_sigma_m, given.attitude_sigma_rad),
     )
-    return write_dataset(folder, recording, images, [f"{frame.path.stem}.png" for frame in frames])
+    names = [f"{frame.path.stem}.png" for frame in frames]
+    return write_dataset(folder, recording, images, names, verified=True)
 
 
 def states_at(frames: Sequence[ImportedFrame], body: Body) -> Trajectory | None:

@@ -1,5 +1,6 @@
 """Plain images with a table of times."""
 
+from dataclasses import replace
 from pathlib import Path
 from unicodedata import normalize
 
@@ -15,8 +16,10 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
 from craternav_fg.importing import bodies
+from craternav_fg.importing.assemble import CameraState, Imported, ImportedFrame, write_imported
 from craternav_fg.importing.bodies import with_gravity_and_spin
 from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamps_of
+from craternav_fg.motion.coast import coast
 from tests.dataset.samples import recording
 from tests.importing.moon import moon_catalog
 
@@ -85,6 +88,28 @@ def test_wrong_images_and_times_are_refused(tmp_path):
         (tmp_path / "times.csv").write_text(f"filename,utc\n{line}\n")
         with pytest.raises(InputError, match=problem):
             read_times(tmp_path / "times.csv")
+
+
+def test_states_that_do_not_open_leave_the_former_data_set(tmp_path):
+    given = recording(np.random.default_rng(1))
+    catalog = moon_catalog()
+
+    def written(distance_m):
+        gTc = np.eye(4)
+        gTc[0, 3] = distance_m
+        state = CameraState(gTc, np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        frames = [ImportedFrame(Path("a.png"), 5, state)]
+        body = replace(catalog.body, mu_m3_s2=4.9e12)
+        images = [np.full((48, 64), 99, np.uint8)]
+        write_imported(tmp_path / "data", Imported(frames, given.camera, body, catalog, coast()), images)
+
+    written(1800e3)
+    with pytest.raises(InputError) as told:
+        # Kilometres.
+        written(1800.0)
+    assert str(told.value).startswith(f"{tmp_path / 'data/mav0/state_apriori0/data.csv'}:2: ")
+    assert Dataset.open(tmp_path / "data").apriori.states.gP[0, 0] == 1800e3
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
 def test_times_are_read_to_the_nanosecond(tmp_path):
