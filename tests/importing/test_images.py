@@ -1,6 +1,7 @@
 """Plain images with a table of times."""
 
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from unicodedata import normalize
 
@@ -16,9 +17,9 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
 from craternav_fg.importing import bodies
-from craternav_fg.importing.assemble import CameraState, Imported, ImportedFrame, write_imported
+from craternav_fg.importing.assemble import CameraState, Imported, ImportedFrame, in_order, write_imported
 from craternav_fg.importing.bodies import with_gravity_and_spin
-from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamps_of
+from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamp_of, stamps_of
 from craternav_fg.motion.coast import coast
 from tests.dataset.samples import recording
 from tests.importing.moon import moon_catalog
@@ -84,6 +85,7 @@ def test_wrong_images_and_times_are_refused(tmp_path):
     for line, problem in (
         ("a.png,noon", r":2: utc: expected a time"),
         ("a.png,2000-01-01\na.png,2000-01-02", ":3"),
+        ("a.png,2016-12-31T23:59:60.5Z", r":2: utc: expected a time outside of leap seconds"),
     ):
         (tmp_path / "times.csv").write_text(f"filename,utc\n{line}\n")
         with pytest.raises(InputError, match=problem):
@@ -119,6 +121,28 @@ def test_times_are_read_to_the_nanosecond(tmp_path):
     path.write_text("\n".join(["filename,utc", *lines, ""]))
     below = [stamp % 1_000_000_000 for stamp in read_times(path).values()]
     assert below == [123456789, 123456700, 123456000, *[123456789] * 3]
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "day"),
+    [
+        ("2016-12-31T23:59:59.9", "2017-01-01T00:00:00", "2016-12-31"),
+        ("1972-06-01", "1999-01-01", "1972-06-30"),
+        ("2017-01-01T00:00:00", "2026-11-01", None),
+        ("2016-06-30T23:00:00", "2016-12-31T23:59:59.9", None),
+    ],
+)
+def test_stamps_on_both_sides_of_a_leap_second_are_refused(begin, end, day):
+    # They are a second less apart than the images: a kilometre and a half in a low orbit of the Moon.
+    frames = [
+        ImportedFrame(Path(f"{name}.png"), stamp_of(datetime.fromisoformat(utc)))
+        for name, utc in (("b", end), ("a", begin))
+    ]
+    if day is None:
+        assert [frame.path.stem for frame in in_order(frames)] == ["a", "b"]
+        return
+    with pytest.raises(InputError, match=f"b.png: the leap second at the end of {day} is between this image"):
+        in_order(frames)
 
 
 @pytest.mark.parametrize(("table", "folder"), [("NFC", "NFD"), ("NFD", "NFC")])
