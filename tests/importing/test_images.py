@@ -47,13 +47,16 @@ def _arguments(folder, paths):
 
 def test_images_become_a_data_set_in_the_order_of_time(tmp_path):
     paths = _given(tmp_path)
-    app(_arguments(tmp_path, paths[::-1]), standalone_mode=False)
+    densities = ("--acceleration-density-m-s2-sqrt-hz", "3e-4", "--rate-walk-rad-s2-sqrt-hz", "2e-4")
+    app([*_arguments(tmp_path, paths[::-1]), *densities], standalone_mode=False)
     data = Dataset.open(tmp_path / "data")
     assert [path.name for path in data.image_paths] == ["0.png", "1.png"]
     assert np.diff(data.stamps_ns).tolist() == [1_000_000_000]
     np.testing.assert_allclose(data.sun.at(int(data.stamps_ns[0])), [0.0, 0.6, 0.8])
     np.testing.assert_array_equal(data.image(1), cv2.imread(str(paths[1]), cv2.IMREAD_GRAYSCALE))
-    assert data.motion.name == "coast"
+    motion = data.motion
+    assert motion.name == "coast"
+    assert (motion.acceleration_density_m_s2_sqrt_hz, motion.rate_walk_rad_s2_sqrt_hz) == (3e-4, 2e-4)
     assert data.apriori is None
 
 
