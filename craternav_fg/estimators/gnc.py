@@ -57,8 +57,8 @@ class GncOptions:
         Factor by which the control parameter grows each round; Yang et al. use 1.4. A smaller one is slower
         and follows the optimum more closely.
     graph : GraphOptions
-        Options of the last optimisation, on the inliers; before it, its loss, time-correlated errors, and errors
-        of map and intrinsics are not used.
+        Options of the last optimisation, on the inliers; its loss, time-correlated errors and errors of map
+        and intrinsics are not used before.
     """
 
     inlier_probability: float = 0.999
