@@ -131,7 +131,13 @@ class Trajectory:
         return self.gTb[:, :3, :3]
 
     def segments(self) -> list["Trajectory"]:
-        """Divide the states where another calibration begins; what is estimated is `calibrated` in each."""
+        """Divide the states where another segment begins.
+
+        Returns
+        -------
+        list of Trajectory
+            Each with what was estimated in it as its `calibrated`.
+        """
         if self.calibrated_at is None or not len(self):
             return [self]
         each = self.calibrated_at
