@@ -1,6 +1,7 @@
 """Motion of the lander, estimated or true, at the stamps of the images."""
 
-from dataclasses import dataclass, fields
+import itertools
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,9 @@ class Trajectory:
         With `rim_weights`: for each stamp, the catalogue rows (n,) of the craters that the rims were matched
         to in the end: another crater where a match was rejected, -1 where the rim was not used.
     calibrated : Calibrated, or None
-        What else was estimated, if anything.
+        What else was estimated, if anything; that of the last segment, if there are several.
+    calibrated_at : tuple of Calibrated, or None
+        With several segments: for each stamp, what was estimated in its segment.
     """
 
     stamps_ns: IntArray
@@ -112,6 +115,7 @@ class Trajectory:
     rim_weights: tuple[FloatArray, ...] | None = None
     rim_craters: tuple[IntArray, ...] | None = None
     calibrated: Calibrated | None = None
+    calibrated_at: tuple[Calibrated, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -125,6 +129,23 @@ class Trajectory:
     def gRb(self) -> FloatArray:
         """Attitudes: rotations (k, 3, 3) from b to g."""
         return self.gTb[:, :3, :3]
+
+    def segments(self) -> list["Trajectory"]:
+        """Divide the states where another segment begins.
+
+        Returns
+        -------
+        list of Trajectory
+            Each with what was estimated in it as its `calibrated`.
+        """
+        if self.calibrated_at is None or not len(self):
+            return [self]
+        each = self.calibrated_at
+        begins = [k for k in range(len(self)) if not k or each[k] is not each[k - 1]]
+        return [
+            replace(self.take(np.arange(begin, end)), calibrated=each[begin], calibrated_at=None)
+            for begin, end in itertools.pairwise([*begins, len(self)])
+        ]
 
     def take(self, rows: IntArray) -> "Trajectory":
         """Return the states of some rows.

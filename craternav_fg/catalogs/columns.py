@@ -174,9 +174,9 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
         When a named column is not there, when one is missing (the error lists what was found), when
         longitudes count to the west without `options` saying so, or when latitudes are planetographic.
     """
-    tilts = _all_or_none(path, names, TILTS, line)
+    tilts = all_or_none(path, names, TILTS, line)
     sigmas = [
-        name for ours in (ERROR_COLUMNS, COMMON_COLUMNS) for name in _all_or_none(path, names, ours, line)
+        name for ours in (ERROR_COLUMNS, COMMON_COLUMNS) for name in all_or_none(path, names, ours, line)
     ]
     if COMMON_SOURCE in names and sigmas[-1:] == list(COMMON_COLUMNS)[-1:]:
         sigmas.append(COMMON_SOURCE)
@@ -190,8 +190,30 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     )
 
 
-def _all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: int) -> list[str]:
-    """Find columns of ours that belong together, under their present or former names."""
+def all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: int | None = None) -> list[str]:
+    """Find columns of ours that belong together.
+
+    Parameters
+    ----------
+    path : Path
+        Named in errors.
+    names : sequence of str
+        Names in the table.
+    ours : iterable of str
+        Present names; their former names are found, too.
+    line : int, optional
+        Line of the header.
+
+    Returns
+    -------
+    list of str
+        All of them as the table names them, or none.
+
+    Raises
+    ------
+    InputError
+        When some are missing, or one stands there by both names.
+    """
     written: dict[str, str] = {}
     for name in ours:
         either = [one for one in dict.fromkeys((name, FORMER.get(name, name))) if one in names]
@@ -201,9 +223,8 @@ def _all_or_none(path: Path, names: Sequence[str], ours: Iterable[str], line: in
         written |= dict.fromkeys(either, name)
     for name in ours if written else ():
         if name not in written.values():
-            raise InputError(
-                path, f"expected this column beside {next(iter(written))}", line=line, column=name
-            )
+            problem = f"expected this column beside {next(iter(written))}"
+            raise InputError(path, problem, line=line, column=name)
     return list(written)
 
 

@@ -1,6 +1,6 @@
 """Catalogue files: tables with the columns of Robbins (2018), third-party tables, and our own store."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from craternav_fg.catalogs.columns import (
     MINOR,
     TILTS,
     ImportOptions,
+    all_or_none,
 )
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.importing import ImportReport, import_table
@@ -215,7 +216,7 @@ def write_catalog(path: Path, catalog: Catalog) -> None:
 
 def _tilts(table: Table) -> FloatArray | None:
     """Slopes (n, 2) of the rims' planes, rad; None where the table has none."""
-    there = _all_or_none(table, TILTS)
+    there = all_or_none(table.path, list(table.columns), TILTS)
     for name in there:
         problem = checks.tilt_fault(table.columns[name])
         if problem is not None:
@@ -234,7 +235,7 @@ def _common_shift(table: Table) -> CommonShift | None:
 
 def _sigmas(table: Table, names: Mapping[str, str]) -> dict[str, FloatArray] | None:
     """Read columns of standard deviations, by the name of each, None when the table has none of them."""
-    if not _all_or_none(table, names):
+    if not all_or_none(table.path, list(table.columns), names):
         return None
     for name in names:
         # Empty cells are NaN, where the column may have any.
@@ -242,12 +243,3 @@ def _sigmas(table: Table, names: Mapping[str, str]) -> dict[str, FloatArray] | N
         if len(wrong):
             table.fail(int(wrong[0]), name, f"expected 0 or more, found {table.columns[name][wrong[0]]:g}")
     return {key: table.columns[name] for name, key in names.items()}
-
-
-def _all_or_none(table: Table, names: Iterable[str]) -> list[str]:
-    """Find columns that belong together; InputError where some are missing."""
-    there = [name for name in names if name in table.columns]
-    for name in names if there else ():
-        if name not in there:
-            raise InputError(table.path, f"expected this column beside {there[0]}", column=name)
-    return there

@@ -12,6 +12,7 @@ import pyarrow.compute as pa_compute
 from craternav_fg.body import Body
 from craternav_fg.catalogs import checks
 from craternav_fg.catalogs.bodies import StatedBody, resolve_body
+from craternav_fg.catalogs.columns import all_or_none
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
@@ -154,19 +155,14 @@ def is_store(path: Path) -> bool:
 
 
 def _tilts(path: Path, table: pa.Table) -> FloatArray | None:
-    there = [name for name in _TILTS if name in table.column_names]
-    if not there:
-        return None
     columns = []
-    for name in _TILTS:
-        if name not in there:
-            raise InputError(path, f"expected this column beside {there[0]}", column=name)
+    for name in all_or_none(path, table.column_names, _TILTS):
         tilt = arrow.numbers(table[name])
         problem = checks.tilt_fault(np.degrees(tilt))
         if problem is not None:
             raise InputError(path, f"{problem[1]} in row {problem[0] + 1}", column=name)
         columns.append(tilt)
-    return np.stack(columns, axis=-1)
+    return np.stack(columns, axis=-1) if columns else None
 
 
 def _common_shift(path: Path, table: pa.Table) -> CommonShift | None:
@@ -183,13 +179,10 @@ def _sigmas(
     path: Path, table: pa.Table, names: Mapping[str, str], *, may_be_nan: bool = False
 ) -> dict[str, FloatArray] | None:
     """Read columns of standard deviations, None when the file has none of them."""
-    there = [name for name in names.values() if name in table.column_names]
-    if not there:
+    if not all_or_none(path, table.column_names, names.values()):
         return None
     found = {}
     for key, name in names.items():
-        if name not in there:
-            raise InputError(path, f"expected this column beside {there[0]}", column=name)
         values = arrow.numbers(table[name])
         good = (values >= 0.0) & (values < np.inf)
         if not (good | np.isnan(values) if may_be_nan else good).all():

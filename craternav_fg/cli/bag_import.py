@@ -14,13 +14,11 @@ from craternav_fg.cli.option_groups import never_replacing, with_option_groups
 from craternav_fg.cli.options import JsonOption, require_unused, sun_direction
 from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.config import read_text
-from craternav_fg.dataset import Dataset, layout
 from craternav_fg.dataset.description import read_description
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, read_camera, read_imu_noise
-from craternav_fg.errors import InputError
 from craternav_fg.files import replacing
 from craternav_fg.imu import ImuNoise
-from craternav_fg.interchange.bag_import import BagOptions, BagReport, import_bag
+from craternav_fg.interchange.bag_import import BagOptions, import_bag
 from craternav_fg.interchange.kalibr import (
     is_camchain,
     read_camchain,
@@ -31,13 +29,6 @@ from craternav_fg.sensors.yaml_files import parse_yaml
 
 # Nominal rate in a sensor.yaml that is made of a camera chain, which does not state it.
 _CAMERA_RATE_HZ = 1.0
-# What a topic carries becomes a file of the data set.
-_SOURCES = {
-    layout.IMU_DATA: "imu",
-    layout.TRUTH: "truth",
-    layout.SUN: "sun",
-    layout.CAMERA_SENSOR: "camera",
-}
 
 
 @dataclass(frozen=True)
@@ -106,7 +97,6 @@ def bag(
         image=topics.image_topic, imu=topics.imu_topic, truth=topics.truth_topic, sun_topic=topics.sun_topic,
     )  # fmt: skip
     report = import_bag(path, output, options)
-    _check(output, report)
     if report.uncovered_truth is not None:
         warn(f"{path}: no truth is kept: {report.uncovered_truth} does not cover the images")
     if report.skipped:
@@ -121,21 +111,6 @@ def bag(
         say(f"{what}: {topic or given.get(what) or 'none'}")
     say(f"{report.frames} images, {report.samples} IMU samples")
     say(f"{output}\nnext: craternav reconstruct {output} -o RUN")
-
-
-def _check(folder: Path, report: BagReport) -> None:
-    """Open what was written, as every import does; an error also names the topic that it comes from."""
-    try:
-        Dataset.open(folder)
-    except InputError as error:
-        sources = {folder / name: what for name, what in _SOURCES.items()}
-        what = sources.get(error.path, "")
-        topic = report.topics.get(what)
-        if topic is None:
-            raise
-        remedy = ": --truth-topic none takes none" if what == "truth" else ""
-        problem = f"{error.problem} (from {topic}{remedy})"
-        raise InputError(error.path, problem, line=error.line, column=error.column) from error
 
 
 @import_commands.command("kalibr", epilog=example("import kalibr camchain-imucam.yaml -o sensor.yaml"))

@@ -86,7 +86,7 @@ def show(values: dict[str, Any]) -> None:
     if values["plane_slope_deg"] is not None:
         median, steepest = map(three_digits, values["plane_slope_deg"])
         say(f"  rim planes  slopes of {median} deg in the median, at most {steepest} deg")
-    for line in _told(values["errors"]):
+    for line in _told(values["errors"], has_heights=values["heights"]):
         say(line)
     say(f"  crossings   {values['crossed_rims']:,} craters whose rim crosses another's")
     if not values["duplicates"]:
@@ -134,9 +134,12 @@ def _errors(catalog: Catalog) -> dict[str, Any]:
     return found
 
 
-def _told(errors: dict[str, Any]) -> list[str]:
+def _told(errors: dict[str, Any], *, has_heights: bool) -> list[str]:
     lines = []
-    if "place_sigma_m" in errors:
+    if "place_sigma_m" not in errors:
+        exact = "places, sizes and heights" if has_heights else "places and sizes"
+        lines.append(f"  errors      none of each crater: {exact} count as exact")
+    else:
         lines.append(
             f"  errors      each crater: place {errors['place_sigma_m']:.0f} m, size "
             f"{100.0 * errors['size_sigma_share']:.1f} %, height {errors['height_sigma_m']:.0f} m (medians)"

@@ -27,6 +27,7 @@ from craternav_fg.importing.images import grey_images, stamps_of
 from craternav_fg.importing.isis import Cube, read_cube
 from craternav_fg.importing.spice import SpiceQuery, camera_states
 from craternav_fg.motion.coast import ACCELERATION_DENSITY, coast
+from craternav_fg.motion.model import Motion
 
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder of the data set.")]
 ImagesArgument = Annotated[
@@ -61,6 +62,14 @@ AccelerationOption = Annotated[
         help="White-noise density of the accelerations that the motion model leaves out, m/s^2/√Hz.",
     ),
 ]
+RateWalkOption = Annotated[
+    float,
+    typer.Option(
+        "--rate-walk-rad-s2-sqrt-hz",
+        min=1e-12,
+        help="White-noise density of the angular accelerations, which thrusters make larger, rad/s^2/√Hz.",
+    ),
+]
 PositionSigmaOption = Annotated[
     float, typer.Option(min=1e-3, help="Stated standard deviation per axis of the states' positions, m.")
 ]
@@ -70,12 +79,26 @@ AttitudeSigmaOption = Annotated[
 
 
 @dataclass(frozen=True)
-class _Stated:
-    """How well the states are known, and what moves the spacecraft."""
+class _Moved:
+    """What moves the spacecraft."""
 
     mu_m3_s2: MuOption = None
     spin_rad_s: SpinOption = None
     acceleration_density_m_s2_sqrt_hz: AccelerationOption = ACCELERATION_DENSITY
+    rate_walk_rad_s2_sqrt_hz: RateWalkOption = Motion.rate_walk_rad_s2_sqrt_hz
+
+    @property
+    def motion(self) -> Motion:
+        """The motion model."""
+        return coast(
+            self.acceleration_density_m_s2_sqrt_hz, rate_walk_rad_s2_sqrt_hz=self.rate_walk_rad_s2_sqrt_hz
+        )
+
+
+@dataclass(frozen=True)
+class _Stated(_Moved):
+    """What moves the spacecraft, and how well its states are known."""
+
     position_sigma_m: PositionSigmaOption = 1000.0
     attitude_sigma_deg: AttitudeSigmaOption = 0.1
 
@@ -123,7 +146,7 @@ def isis(
     body = with_gravity_and_spin(read[0].body, stated.mu_m3_s2, stated.spin_rad_s)
     craters, _ = read_any_catalog(catalog, body.radius_m)
     given = Imported(
-        frames, camera, body, craters, coast(stated.acceleration_density_m_s2_sqrt_hz),
+        frames, camera, body, craters, stated.motion,
         stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     _finish(write_imported(output, given, pixels), as_json)
@@ -135,6 +158,7 @@ def isis(
     )
 )
 @never_replacing
+@with_option_groups
 def images(
     paths: ImagesArgument,
     output: OutputOption,
@@ -144,10 +168,8 @@ def images(
         str,
         typer.Option(help="Direction towards the sun at the first image, in g: x,y,z."),
     ],
+    moved: _Moved,
     times: TimesOption = None,
-    mu_m3_s2: MuOption = None,
-    spin_rad_s: SpinOption = None,
-    acceleration_density_m_s2_sqrt_hz: AccelerationOption = ACCELERATION_DENSITY,
     as_json: JsonOption = False,
 ) -> None:
     """Import plain images with a table of their times, or images of PDS4 products."""
@@ -155,8 +177,8 @@ def images(
     frames = _frames(paths, times)
     direction = sun_direction(sun)
     craters, _ = read_any_catalog(catalog, None)
-    body = with_gravity_and_spin(craters.body, mu_m3_s2, spin_rad_s)
-    given = Imported(frames, sensor, body, craters, coast(acceleration_density_m_s2_sqrt_hz), sun=direction)
+    body = with_gravity_and_spin(craters.body, moved.mu_m3_s2, moved.spin_rad_s)
+    given = Imported(frames, sensor, body, craters, moved.motion, sun=direction)
     _finish(write_imported(output, given, _images(frames, sensor)), as_json)
 
 
@@ -188,7 +210,7 @@ def spice(
     frames = [ImportedFrame(f.path, f.stamp_ns, s) for f, s in zip(frames, states, strict=True)]
     body = with_gravity_and_spin(known, stated.mu_m3_s2, stated.spin_rad_s)
     given = Imported(
-        frames, sensor, body, craters, coast(stated.acceleration_density_m_s2_sqrt_hz),
+        frames, sensor, body, craters, stated.motion,
         stated.position_sigma_m, math.radians(stated.attitude_sigma_deg),
     )  # fmt: skip
     _finish(write_imported(output, given, _images(frames, sensor)), as_json)
@@ -218,7 +240,7 @@ def _frames(paths: list[Path], times: Path | None) -> list[ImportedFrame]:
 
 
 def _finish(folder: Path, as_json: bool) -> None:
-    """Open what was written, which checks it, and say what it holds."""
+    """Say what was written."""
     data = Dataset.open(folder)
     if as_json:
         out.print_json(

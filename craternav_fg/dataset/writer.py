@@ -12,6 +12,7 @@ from craternav_fg.dataset.apriori import sigmas_yaml
 from craternav_fg.dataset.description import description_toml
 from craternav_fg.dataset.images import ImageArray, write_image
 from craternav_fg.dataset.measurements import write_measurements
+from craternav_fg.dataset.reader import Dataset
 from craternav_fg.dataset.recording import Recording
 from craternav_fg.dataset.sensor_files import camera_yaml, imu_yaml, intrinsics_problem
 from craternav_fg.errors import InputError
@@ -32,6 +33,8 @@ def write_dataset(
     recording: Recording,
     images: Iterable[ImageArray] | None = None,
     names: Sequence[str] | None = None,
+    *,
+    verified: bool = False,
 ) -> Path:
     """Write a data set that `Dataset.open` reads; numbers read back exactly.
 
@@ -45,6 +48,9 @@ def write_dataset(
         Images of the frames, read one at a time.
     names : sequence of str, optional
         Names of their files, which end in .png; the stamps by default.
+    verified : bool
+        Whether `Dataset.open` must accept what was written before it takes its name: for recordings whose
+        values nobody has checked.
 
     Returns
     -------
@@ -54,7 +60,8 @@ def write_dataset(
     Raises
     ------
     InputError
-        When the folder holds something else, or cannot be written, or the intrinsics do not fit the images.
+        When the folder holds something else, or cannot be written, or the intrinsics do not fit the images;
+        as `Dataset.open`, if that is asked for.
     ValueError
         When there are neither images nor measurements, or both, or not one for each stamp.
     """
@@ -88,7 +95,20 @@ def write_dataset(
             (temporary / layout.APRIORI_SENSOR).write_text(sigmas_yaml(recording.apriori))
         description = description_toml(recording.body, recording.initial, recording.motion)
         (temporary / layout.DESCRIPTION).write_text(description, encoding="utf-8")
+        if verified:
+            _verify(temporary, folder)
     return folder
+
+
+def _verify(temporary: Path, folder: Path) -> None:
+    """Open a data set; errors name its files as those of the folder that it is to become."""
+    try:
+        Dataset.open(temporary)
+    except InputError as error:
+        if not error.path.is_relative_to(temporary):
+            raise
+        path = folder / error.path.relative_to(temporary)
+        raise InputError(path, error.problem, line=error.line, column=error.column) from error
 
 
 def _write_logs(folder: Path, recording: Recording) -> None:

@@ -32,6 +32,7 @@ _RATE_REGULARISATION = 1e-6
 # share of the prior's offset by which its effect at the start is found.
 _START_STEPS, _SETTLED_SIGMAS, _DIFFERENCE = 10, 0.01, 1e-3
 BIAS = slice(12, 18)
+_RATES = np.arange(RATE.start, RATE.stop)
 
 
 @dataclass(frozen=True)
@@ -331,6 +332,13 @@ def _moved(
     added[np.ix_(kept, kept)] = Q
     added[RATE], added[:, RATE] = -added[GYRO_BIAS], -added[:, GYRO_BIAS]
     added[RATE, RATE] = added[GYRO_BIAS, GYRO_BIAS]
+    # The noise of the last row's mean rate is also in what that row turned.
+    variance, dt_s = descent.imu_noise.gyro_density_rad_s_sqrt_hz**2, abs(rows[0][-1])
+    shared = -variance * motion.gyro_entry(gTb, gV)
+    shared[POSITION] = 0.5 * dt_s * shared[VELOCITY]
+    added[np.ix_(kept, _RATES)] += shared
+    added[np.ix_(_RATES, kept)] += shared.T
+    added[RATE, RATE] += variance / dt_s * np.eye(3)
     covariance = covariance + added
     # Without a gyro's noise the angular velocity is known from its bias, and the covariance is singular.
     covariance[RATE, RATE] += _RATE_REGULARISATION * np.diag(np.diag(covariance[GYRO_BIAS, GYRO_BIAS]))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import X, Y
 from scipy.special import chdtri
 
 from craternav_fg.errors import EstimationError
@@ -57,7 +57,8 @@ class GncOptions:
         Factor by which the control parameter grows each round; Yang et al. use 1.4. A smaller one is slower
         and follows the optimum more closely.
     graph : GraphOptions
-        Options of the last optimisation, on the inliers; its loss is not used before.
+        Options of the last optimisation, on the inliers; its loss, time-correlated errors and errors of map
+        and intrinsics are not used before.
     """
 
     inlier_probability: float = 0.999
@@ -227,10 +228,11 @@ def truncated_weights(squared: FloatArray, mu: float, limit2: float) -> FloatArr
 class _Rims:
     """All rims of a descent in the order of its frames: their residuals, and their factors by weight."""
 
-    def __init__(self, problem: Problem, options: GraphOptions, numbers: Sequence[int]) -> None:
+    def __init__(self, problem: Problem, options: BatchOptions, numbers: Sequence[int]) -> None:
         self._problem = problem
         self._options = options
-        self._keys = [X(number) for number in numbers]
+        letter = Y if options.calibration.of_exposure else X
+        self._keys = [letter(number) for number in numbers]
         self._frames = [replace(frame, sun=None, arcs=ArcSet.empty()) for frame in problem.frames]
         self._ends = np.cumsum([len(frame.rims) for frame in self._frames])
         self.count = int(self._ends[-1])

@@ -110,6 +110,7 @@ class OnlineSession:
         self._frame_states = array("q")
         self._stamp_ns = descent.initial.stamp_ns
         self._newest: FilterState | None = None
+        self._ended = ""
         self._log = StateLog(len(self._bank.sigmas))
         self._intervals: list[ImuInterval] = []
         self._corrected = np.zeros(3)
@@ -133,8 +134,10 @@ class OnlineSession:
         Raises
         ------
         EstimationError
-            Before `begin`.
+            Before `begin`, and when the session has ended, see `update`.
         """
+        if self._ended:
+            raise EstimationError(self._ended)
         if self._newest is None:
             raise EstimationError("the session has no frame yet: call begin")
         return self._newest
@@ -254,7 +257,8 @@ class OnlineSession:
         ------
         EstimationError
             When the frame is not later than the last one, or its factors cannot be evaluated. The session
-            then continues without the frame.
+            then continues without the frame. When the frame is taken and its state cannot be computed, the
+            session has ended: it refuses all later frames by the same error.
         """
         self._solver.relinearise_m = self._relinearise_m(self.state.gTb)
         begin_ns = self._stamp_ns
@@ -342,7 +346,13 @@ class OnlineSession:
             if shift_m > MIDPOINT_TOLERANCE_M and shift_m > GRAVITY_SHIFT_SIGMAS * self._position_sigma_m():
                 self._move_gravity(stamp_ns)
                 self._corrected = np.zeros(3)
-        self._newest = self._state(last, stamp_ns)
+        try:
+            self._newest = self._state(last, stamp_ns)
+        except (RuntimeError, ValueError) as error:
+            # The solver holds the frame's variables, and nothing is known from which the next could begin.
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            self._ended = f"the session has ended: no state at the frame of {stamp_ns} ns: {reason}"
+            raise EstimationError(self._ended) from error
         self._log.append(stamp_ns, self._newest)
         self._last, self._stamp_ns = last, stamp_ns
         self._frame_states.append(last)

@@ -39,11 +39,23 @@ def rim_residuals(
     ndarray, shape (n, 5)
         In the order of the frames and of their rims; NaN where the pose cannot see the crater.
     """
-    parts = [np.empty((0, 5))]
+    begin, parts = 0, [np.empty((0, 5))]
+    for segment in trajectory.segments():
+        end = begin + len(segment)
+        parts += _residuals(segment, measured[begin:end], camera, catalog)
+        begin = end
+    return np.concatenate(parts)
+
+
+def _residuals(
+    trajectory: Trajectory, measured: Sequence[FrameMeasurement], camera: Camera, catalog: Catalog
+) -> list[FloatArray]:
+    """Residuals of each frame of a segment, see `rim_residuals`."""
+    parts = []
     found = trajectory.calibrated or Calibrated()
     if found.map_errors is not None:
         catalog = apply_errors(catalog, found.map_errors).catalog
-    for frame, gTb in zip(measured, poses_at_exposure(trajectory), strict=True):
+    for frame, gTb in zip(measured, _poses_at_exposure(trajectory), strict=True):
         rims = frame.rims
         predicted, _ = conic.project_rims(
             gTb, camera.bTc, catalog.centres[rims.craters], catalog.axes[rims.craters]
@@ -51,7 +63,7 @@ def rim_residuals(
         if found.intrinsics is not None:
             predicted = predicted + intrinsic_slopes(predicted, camera) @ found.intrinsics[0]
         parts.append(np.einsum("nij,nj->ni", whitening(rims.covariance), rims.chart - predicted))
-    return np.concatenate(parts)
+    return parts
 
 
 def outlier_share(residuals: FloatArray) -> float | None:
@@ -83,6 +95,11 @@ def poses_at_exposure(trajectory: Trajectory) -> FloatArray:
     ndarray, shape (k, 4, 4)
         In g: a camera mounted as the data set says took the images from there.
     """
+    return np.concatenate([_poses_at_exposure(segment) for segment in trajectory.segments()])
+
+
+def _poses_at_exposure(trajectory: Trajectory) -> FloatArray:
+    """Poses (k, 4, 4) at the exposures of a segment."""
     gTb, found = trajectory.gTb.copy(), trajectory.calibrated
     if found is None:
         return gTb

@@ -14,6 +14,7 @@ from craternav_fg.dataset import Recording, SunVectors, write_dataset
 from craternav_fg.dataset.apriori import AprioriStates
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import InputError
+from craternav_fg.importing.leap_seconds import leap_second_between
 from craternav_fg.motion.coast import coast
 from craternav_fg.motion.model import Motion
 from craternav_fg.trajectory import Trajectory
@@ -103,7 +104,7 @@ def in_order(frames: Sequence[ImportedFrame]) -> list[ImportedFrame]:
     Raises
     ------
     InputError
-        When there is none, two are of one time, or two have one name.
+        When there is none, two are of one time, two have one name, or there is a leap second between them.
     """
     if not frames:
         raise InputError("images", "expected at least one, found none")
@@ -111,6 +112,11 @@ def in_order(frames: Sequence[ImportedFrame]) -> list[ImportedFrame]:
     for one, other in itertools.pairwise(ordered):
         if one.stamp_ns == other.stamp_ns:
             raise InputError(other.path, f"expected each time once, {one.path} has the same")
+        if (day := leap_second_between(one.stamp_ns, other.stamp_ns)) is not None:
+            problem = f"the leap second at the end of {day} is between this image and {one.path}"
+            raise InputError(
+                other.path, f"{problem}: stamps do not count it; import the images before and after it apart"
+            )
     names = [frame.path.stem for frame in ordered]
     for k, name in enumerate(names):
         if name in names[:k]:
@@ -139,7 +145,8 @@ def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) 
     Raises
     ------
     InputError
-        When the frames contradict each other, no sun is known, or the folder cannot be written.
+        When the frames contradict each other, no sun is known, the folder cannot be written, or
+        `Dataset.open` would refuse the data set, which is not kept then.
     """
     frames = in_order(given.frames)
     stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
@@ -161,7 +168,8 @@ def write_imported(folder: Path, given: Imported, images: Iterable[ImageArray]) 
         if states is None
         else AprioriStates(states, given.position_sigma_m, given.attitude_sigma_rad),
     )
-    return write_dataset(folder, recording, images, [f"{frame.path.stem}.png" for frame in frames])
+    names = [f"{frame.path.stem}.png" for frame in frames]
+    return write_dataset(folder, recording, images, names, verified=True)
 
 
 def states_at(frames: Sequence[ImportedFrame], body: Body) -> Trajectory | None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import InputError
+from craternav_fg.importing.leap_seconds import is_leap_second
 from craternav_fg.importing.pds4 import is_label, read_pds4
 from craternav_fg.tables import Column, read_table
 from factors.arrays import FloatArray
@@ -66,7 +67,10 @@ def read_times(path: Path) -> dict[str, int]:
         try:
             out[name] = _stamp_of_text(utc)
         except ValueError:
-            table.fail(row, "utc", f"expected a time as 1971-07-31T01:25:02.243, found {utc!r}")
+            expected = "expected a time as 1971-07-31T01:25:02.243"
+            if is_leap_second(utc):
+                expected = "expected a time outside of leap seconds, of which there are no stamps"
+            table.fail(row, "utc", f"{expected}, found {utc!r}")
     return out
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
-from craternav_fg.dataset import SunVectors, write_dataset
+from craternav_fg.dataset import SunVectors, layout, write_dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.dataset.recording import Recording
 from craternav_fg.errors import InputError
@@ -40,6 +40,13 @@ from factors.arrays import FloatArray, IntArray
 
 # In place of the name of the truth's topic: names begin with a slash.
 _NO_TOPIC = "none"
+# What a topic carries becomes a file of the data set.
+_SOURCES = {
+    layout.IMU_DATA: "imu",
+    layout.TRUTH: "truth",
+    layout.SUN: "sun",
+    layout.CAMERA_SENSOR: "camera",
+}
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,8 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
     Raises
     ------
     InputError
-        When the bag is damaged, or lacks something that a data set needs.
+        When the bag is damaged, or lacks something that a data set needs, or `Dataset.open` would refuse the
+        data set, which is not kept then.
     CraternavError
         When the extra `ros` is not installed.
     """
@@ -165,7 +173,11 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
             stamps_ns=stamps,
             truth=truth,
         )
-        write_dataset(folder, recording, _images(bag, topics["images"], covered, camera))
+        try:
+            images = _images(bag, topics["images"], covered, camera)
+            write_dataset(folder, recording, images, verified=True)
+        except InputError as error:
+            raise _with_topic(error, folder, topics) from error
     dropped = None
     if truth is None:
         dropped, topics["truth"] = topics["truth"], None
@@ -177,6 +189,17 @@ def import_bag(path: Path, folder: Path, options: BagOptions) -> BagReport:
         truth=truth is not None,
         uncovered_truth=dropped,
     )
+
+
+def _with_topic(error: InputError, folder: Path, topics: dict[str, str | None]) -> InputError:
+    """Let an error of a file in the data set name the topic that the file comes from."""
+    what = {folder / name: what for name, what in _SOURCES.items()}.get(error.path, "")
+    topic = topics.get(what)
+    if topic is None:
+        return error
+    remedy = f": --truth-topic {_NO_TOPIC} takes none" if what == "truth" else ""
+    problem = f"{error.problem} (from {topic}{remedy})"
+    return InputError(error.path, problem, line=error.line, column=error.column)
 
 
 def _truth_topic(bag: Bag, wanted: str | None) -> str | None:

@@ -144,3 +144,20 @@ class Motion:
         """
         rows = np.array([seconds]), np.array([self.rate_rad_s])
         return self.transition(body, state, rows, self.noise)
+
+    def gyro_entry(self, gTb: FloatArray, gV: FloatArray) -> FloatArray:
+        """Differentiate the error state's rate by the gyro's noise, see `factors.kernels.motion.gyro_entry`.
+
+        Parameters
+        ----------
+        gTb : ndarray, shape (4, 4)
+            Pose of the body in g.
+        gV : ndarray, shape (3,)
+            Velocity relative to g, in g, m/s.
+
+        Returns
+        -------
+        ndarray, shape (15, 3)
+            Rad/s and m/s^2 per rad/s.
+        """
+        return motion.gyro_entry(self.kind, np.ascontiguousarray(gTb[:3, :3]), gV)

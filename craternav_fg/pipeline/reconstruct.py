@@ -318,6 +318,8 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
         return parts[0]
     values: dict[str, Any] = {}
     for one in fields(Trajectory):
+        if one.name == "calibrated_at":
+            continue
         every = [getattr(part, one.name) for part in parts]
         if any(value is None for value in every):
             values[one.name] = None
@@ -325,6 +327,7 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
             values[one.name] = tuple(of_frame for value in every for of_frame in value)
         elif one.name == "calibrated":
             values[one.name] = every[-1]
+            values["calibrated_at"] = tuple(part.calibrated for part in parts for _ in range(len(part)))
         else:
             values[one.name] = np.concatenate(every)
     return Trajectory(**values)

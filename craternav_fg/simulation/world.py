@@ -226,8 +226,7 @@ def sun_vectors(scenario: Scenario, body: Body, end_ns: int) -> SunVectors:
     level = math.cos(elevation)
     enu = np.array([level * math.sin(azimuth), level * math.cos(azimuth), math.sin(elevation)])
     stamps = np.append(np.arange(0, end_ns, SUN_INTERVAL_NS, dtype=np.int64), end_ns)
-    turned = frames.rotation_exp(np.multiply.outer(-stamps * 1e-9, np.array(body.spin_rad_s)))
-    return SunVectors(stamps, turned @ (_site(scenario.trajectory) @ enu))
+    return SunVectors.among_stars(_site(scenario.trajectory) @ enu, 0, stamps, body.spin_rad_s)
 
 
 def _camera(scenario: Scenario) -> Camera:

@@ -166,6 +166,32 @@ def _acceleration(
 
 
 @njit(cache=True, error_model="numpy")
+def gyro_entry(kind: int, R: FloatArray, V: FloatArray) -> FloatArray:
+    """Differentiate the error state's rate by the error of the gyro's bias, and so by the gyro's noise.
+
+    Parameters
+    ----------
+    kind : int
+        `COAST`, `WHITE_ACCELERATION` or `WHITE_JERK`.
+    R : ndarray, shape (3, 3)
+        Attitude gRb.
+    V : ndarray, shape (3,)
+        Velocity relative to g, in g, m/s.
+
+    Returns
+    -------
+    ndarray, shape (15, 3)
+        A velocity that is constant in b is turned by what turns b.
+    """
+    out = np.zeros((SIZE, 3))
+    for i in range(3):
+        out[i, i] = -1.0
+    if kind != COAST:
+        out[6:9] = _cross_matrix(V) @ R
+    return out
+
+
+@njit(cache=True, error_model="numpy")
 def _derivative(
     kind: int, R: FloatArray, P: FloatArray, V: FloatArray, w: FloatArray, a_b: FloatArray,
     mu: float, spin: FloatArray, radius: float, C: FloatArray, S: FloatArray, A: FloatArray,
@@ -173,8 +199,8 @@ def _derivative(
     """Write the derivative A (15, 15) of the error state's rate in the error state."""
     A[:] = 0.0
     A[0:3, 0:3] = -_cross_matrix(w)
+    A[:, 9:12] = gyro_entry(kind, R, V)
     for i in range(3):
-        A[i, 9 + i] = -1.0
         A[3 + i, 6 + i] = 1.0
     if kind == COAST:
         G = np.empty((3, 3))
@@ -183,10 +209,8 @@ def _derivative(
         A[6:9, 3:6] = G - K @ K
         A[6:9, 6:9] = -2.0 * K
         return
-    VR = _cross_matrix(V) @ R
-    A[6:9, 0:3] = VR @ _cross_matrix(w)
+    A[6:9, 0:3] = (_cross_matrix(V) @ R) @ _cross_matrix(w)
     A[6:9, 6:9] = _cross_matrix(R @ w - spin)
-    A[6:9, 9:12] = VR
     if kind == WHITE_JERK:
         A[6:9, 0:3] -= R @ _cross_matrix(a_b)
         A[6:9, 12:15] = -R
@@ -196,8 +220,7 @@ def _derivative(
 def _white_noise(A: FloatArray, noise: FloatArray, L: FloatArray) -> None:
     """Write the density L (15, 15) of the noise that the error state's rate has, see `_derivative` for A.
 
-    The noise of the angular velocity enters wherever the gyro's bias does: a velocity that is constant in b
-    is turned by what turns b.
+    The noise of the angular velocity enters wherever the gyro's bias does, see `gyro_entry`.
     """
     L[:] = 0.0
     for i in range(9):

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -124,6 +125,11 @@ def test_one_tilt_alone_is_refused(tmp_path):
     for read in (read_catalog, import_catalog):
         with pytest.raises(InputError, match="expected this column beside PLANE_TILT_EAST_DEG"):
             read(path, BODY)
+    store = tmp_path / "c.parquet"
+    write_catalog(store, craters(5))
+    pq.write_table(pq.read_table(store).drop_columns("plane_tilt_east_rad"), store)
+    with pytest.raises(InputError, match="tilt_east_rad: expected this column beside plane_tilt_north_rad"):
+        read_catalog(store, BODY)
 
 
 def test_parts_and_wholes_keep_tilts():

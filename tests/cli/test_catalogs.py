@@ -68,6 +68,24 @@ def test_a_region_and_its_longest_identifier_are_shown_whole(tmp_path):
     assert first == name
 
 
+def test_what_counts_as_exact_is_said(tmp_path):
+    path, rows = tmp_path / "region.csv", ["id,lat,lon,diam_km,target", "B,3,-20,6,Moon"]
+    path.write_text("\n".join(rows) + "\n")
+    assert (
+        "errors      none of each crater: places and sizes count as exact"
+        in call("catalog", "info", path).out
+    )
+    rows = [f"{row},{more}" for row, more in zip(rows, ("RIM_HEIGHT_M", "150"), strict=True)]
+    path.write_text("\n".join(rows) + "\n")
+    assert "none of each crater: places, sizes and heights count" in call("catalog", "info", path).out
+    names = "PLACE_SIGMA_M,SIZE_SIGMA_SHARE,RIM_HEIGHT_SIGMA_M"
+    rows = [f"{row},{more}" for row, more in zip(rows, (names, "20,.01,30"), strict=True)]
+    path.write_text("\n".join(rows) + "\n")
+    shown = call("catalog", "info", path).out
+    assert "exact" not in shown
+    assert "height 30 m" in shown
+
+
 @pytest.mark.parametrize("place", [(), ("--latitude-deg", "-30", "--longitude-deg", "290")])
 def test_plot(imported, place, tmp_path):
     folder, _ = imported

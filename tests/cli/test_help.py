@@ -63,7 +63,7 @@ PLAIN = {
     "--arc-share", "--place-share", "--size-factor", "--min-quality", "--min-diameter-steps",
     "--resolution-steps",
 }  # fmt: skip
-UNIT = re.compile(r"-(px|m|km|deg|percent|m3-s2|rad-s|m-s2-sqrt-hz)$")
+UNIT = re.compile(r"-(px|m|km|deg|percent|m3-s2|rad-s|(m|rad)-s2-sqrt-hz)$")
 
 
 def test_an_option_is_of_one_kind_in_all_commands() -> None:

@@ -13,6 +13,7 @@ from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.batch_options import BatchOptions
 from craternav_fg.estimators.calibration import Calibration
+from craternav_fg.estimators.gnc import GncOptions, GncSmoother
 from craternav_fg.evaluation.metrics import errors, nees
 from craternav_fg.evaluation.residuals import rim_residuals
 from craternav_fg.simulation.scenario_tables import FaultsSection
@@ -95,6 +96,19 @@ def test_a_time_offset_is_found_and_the_pose_is_consistent_again(
     assert np.mean(believed) < interval(1)[1]
     # It is told by the data, not by the prior alone.
     assert max(rms) < 0.9 * DELAY_S
+
+
+def test_gnc_judges_matches_at_the_exposure(tmp_path: Path) -> None:
+    """At the stamp, half a second off, two thirds of the right matches look wrong."""
+    faults = FaultsSection(time_offset_s=0.5, mounting_deg=0.5)
+    p, _ = problem(tmp_path, scenario(duration_s=60.0, faults=faults), 0)
+    options = BatchOptions(calibration=Calibration(np.radians(0.5), 0.5))
+    t = GncSmoother(GncOptions(graph=options)).estimate(p)
+    assert t.rim_weights is not None
+    assert np.mean(np.concatenate(t.rim_weights)) > 0.95
+    assert t.calibrated is not None
+    assert t.calibrated.time_offset_s is not None
+    assert abs(t.calibrated.time_offset_s[0] - 0.5) < 0.03
 
 
 def test_tracked_points_are_seen_from_the_exposure(tmp_path: Path) -> None:

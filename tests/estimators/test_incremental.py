@@ -133,6 +133,33 @@ def test_session_goes_on_after_a_frame_that_failed(
     assert_allclose(W @ lost.state.covariance[POSE, POSE] @ W.T, np.eye(6), atol=1e-3)
 
 
+def test_a_session_without_a_state_has_ended(
+    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver holds the frame's variables, which the next frame would add again."""
+    p, _ = trials[0]
+    session = OnlineSession(p)
+    session.begin(p.frames[0], p.start)
+
+    def fails(*_: object) -> None:
+        raise RuntimeError("Indeterminant linear system.\nMore of it.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "_state", fails)
+        with pytest.raises(
+            EstimationError, match=f"ended: no state at the frame of {p.frames[1].stamp_ns} ns"
+        ):
+            session.update(p.frames[1])
+    for call in (
+        lambda: session.update(p.frames[1]),
+        lambda: session.update(p.frames[2]),
+        lambda: session.predict(p.frames[2].stamp_ns),
+    ):
+        with pytest.raises(EstimationError, match=r"the session has ended.*Indeterminant linear system\.$"):
+            call()
+    assert len(session.states) == 1
+
+
 def test_a_variable_given_twice_is_refused_and_nothing_lost() -> None:
     solver = Isam()
     for number in range(3):

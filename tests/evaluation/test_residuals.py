@@ -12,6 +12,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.residuals import outlier_share, poses_at_exposure, rim_residuals
 from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.pipeline.reconstruct import _joined
 from craternav_fg.trajectory import Calibrated, Trajectory
 from factors.kernels import conic
 
@@ -112,3 +113,21 @@ def test_rims_without_a_residual_are_outliers() -> None:
     residuals[3, 0] = np.inf
     assert outlier_share(residuals) == pytest.approx(3.0 / 5.0)
     assert outlier_share(np.zeros((0, 5))) is None
+
+
+def test_each_segment_has_its_own_calibration(trajectory: Trajectory, catalog: Catalog) -> None:
+    turns = (np.array([2e-3, -1e-3, 3e-3]), np.array([-4e-3, 1e-3, 0.0]))
+    gTb = trajectory.gTb.copy()
+    for rows, turn in zip(([0, 1], [2]), turns, strict=True):
+        gTb[rows, :3, :3] = gTb[rows, :3, :3] @ frames.rotation_exp(turn)
+    parts = [
+        replace(trajectory.take(np.array(rows)), calibrated=Calibrated(mounting_rad=(turn, NONE)))
+        for rows, turn in zip(([0, 1], [2]), turns, strict=True)
+    ]
+    joined = _joined(parts)
+    measured = images(gTb, catalog, np.zeros(5))
+    assert_allclose(poses_at_exposure(joined), gTb, atol=1e-9)
+    assert_allclose(rim_residuals(joined, measured, CAMERA, catalog), 0.0, atol=1e-4)
+    some = joined.take(np.array([1, 2]))
+    assert_allclose(rim_residuals(some, measured[1:], CAMERA, catalog), 0.0, atol=1e-4)
+    assert poses_at_exposure(joined.take(np.arange(0))).shape == (0, 4, 4)

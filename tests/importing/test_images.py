@@ -1,5 +1,7 @@
 """Plain images with a table of times."""
 
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from unicodedata import normalize
 
@@ -15,8 +17,10 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.sensor_files import camera_yaml
 from craternav_fg.errors import InputError
 from craternav_fg.importing import bodies
+from craternav_fg.importing.assemble import CameraState, Imported, ImportedFrame, in_order, write_imported
 from craternav_fg.importing.bodies import with_gravity_and_spin
-from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamps_of
+from craternav_fg.importing.images import grey_images, grey_levels, read_times, stamp_of, stamps_of
+from craternav_fg.motion.coast import coast
 from tests.dataset.samples import recording
 from tests.importing.moon import moon_catalog
 
@@ -43,13 +47,16 @@ def _arguments(folder, paths):
 
 def test_images_become_a_data_set_in_the_order_of_time(tmp_path):
     paths = _given(tmp_path)
-    app(_arguments(tmp_path, paths[::-1]), standalone_mode=False)
+    densities = ("--acceleration-density-m-s2-sqrt-hz", "3e-4", "--rate-walk-rad-s2-sqrt-hz", "2e-4")
+    app([*_arguments(tmp_path, paths[::-1]), *densities], standalone_mode=False)
     data = Dataset.open(tmp_path / "data")
     assert [path.name for path in data.image_paths] == ["0.png", "1.png"]
     assert np.diff(data.stamps_ns).tolist() == [1_000_000_000]
     np.testing.assert_allclose(data.sun.at(int(data.stamps_ns[0])), [0.0, 0.6, 0.8])
     np.testing.assert_array_equal(data.image(1), cv2.imread(str(paths[1]), cv2.IMREAD_GRAYSCALE))
-    assert data.motion.name == "coast"
+    motion = data.motion
+    assert motion.name == "coast"
+    assert (motion.acceleration_density_m_s2_sqrt_hz, motion.rate_walk_rad_s2_sqrt_hz) == (3e-4, 2e-4)
     assert data.apriori is None
 
 
@@ -81,10 +88,33 @@ def test_wrong_images_and_times_are_refused(tmp_path):
     for line, problem in (
         ("a.png,noon", r":2: utc: expected a time"),
         ("a.png,2000-01-01\na.png,2000-01-02", ":3"),
+        ("a.png,2016-12-31T23:59:60.5Z", r":2: utc: expected a time outside of leap seconds"),
     ):
         (tmp_path / "times.csv").write_text(f"filename,utc\n{line}\n")
         with pytest.raises(InputError, match=problem):
             read_times(tmp_path / "times.csv")
+
+
+def test_states_that_do_not_open_leave_the_former_data_set(tmp_path):
+    given = recording(np.random.default_rng(1))
+    catalog = moon_catalog()
+
+    def written(distance_m):
+        gTc = np.eye(4)
+        gTc[0, 3] = distance_m
+        state = CameraState(gTc, np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        frames = [ImportedFrame(Path("a.png"), 5, state)]
+        body = replace(catalog.body, mu_m3_s2=4.9e12)
+        images = [np.full((48, 64), 99, np.uint8)]
+        write_imported(tmp_path / "data", Imported(frames, given.camera, body, catalog, coast()), images)
+
+    written(1800e3)
+    with pytest.raises(InputError) as told:
+        # Kilometres.
+        written(1800.0)
+    assert str(told.value).startswith(f"{tmp_path / 'data/mav0/state_apriori0/data.csv'}:2: ")
+    assert Dataset.open(tmp_path / "data").apriori.states.gP[0, 0] == 1800e3
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
 def test_times_are_read_to_the_nanosecond(tmp_path):
@@ -94,6 +124,28 @@ def test_times_are_read_to_the_nanosecond(tmp_path):
     path.write_text("\n".join(["filename,utc", *lines, ""]))
     below = [stamp % 1_000_000_000 for stamp in read_times(path).values()]
     assert below == [123456789, 123456700, 123456000, *[123456789] * 3]
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "day"),
+    [
+        ("2016-12-31T23:59:59.9", "2017-01-01T00:00:00", "2016-12-31"),
+        ("1972-06-01", "1999-01-01", "1972-06-30"),
+        ("2017-01-01T00:00:00", "2026-11-01", None),
+        ("2016-06-30T23:00:00", "2016-12-31T23:59:59.9", None),
+    ],
+)
+def test_stamps_on_both_sides_of_a_leap_second_are_refused(begin, end, day):
+    # They are a second less apart than the images: a kilometre and a half in a low orbit of the Moon.
+    frames = [
+        ImportedFrame(Path(f"{name}.png"), stamp_of(datetime.fromisoformat(utc)))
+        for name, utc in (("b", end), ("a", begin))
+    ]
+    if day is None:
+        assert [frame.path.stem for frame in in_order(frames)] == ["a", "b"]
+        return
+    with pytest.raises(InputError, match=f"b.png: the leap second at the end of {day} is between this image"):
+        in_order(frames)
 
 
 @pytest.mark.parametrize(("table", "folder"), [("NFC", "NFD"), ("NFD", "NFC")])

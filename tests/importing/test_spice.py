@@ -98,8 +98,10 @@ def test_the_command_imports_images_with_their_states(kernels, tmp_path):
         "--instrument-frame",
         "CAM",
     ]
-    app([*arguments, "--position-sigma-m", "50"], standalone_mode=False)
+    more = ["--position-sigma-m", "50", "--rate-walk-rad-s2-sqrt-hz", "2e-4"]
+    app([*arguments, *more], standalone_mode=False)
     data = Dataset.open(tmp_path / "data")
+    assert data.motion.rate_walk_rad_s2_sqrt_hz == 2e-4
     states = data.apriori.states
     assert data.apriori.position_sigma_m == 50.0
     np.testing.assert_allclose(np.linalg.norm(states.gP, axis=1), 1850e3, rtol=1e-6)

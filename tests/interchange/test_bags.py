@@ -339,7 +339,7 @@ def first_two(track: Trajectory) -> Trajectory:
     return Trajectory(track.stamps_ns[:2], track.gTb[:2], track.gV[:2], track.bias[:2])
 
 
-def test_import_opens_what_it_wrote(tmp_path: Path) -> None:
+def test_what_does_not_open_is_not_kept(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data")
     # Rates that only the reader of data sets refuses.
     assert data.imu is not None
@@ -350,8 +350,9 @@ def test_import_opens_what_it_wrote(tmp_path: Path) -> None:
     )
     done = call(*command_line(tmp_path, data))
     assert (done.code, done.err.count("\n")) == (2, 1), done.err
-    assert str(tmp_path / "again") in done.err
+    assert f"{tmp_path / 'again/mav0/imu0/data.csv'}:2: " in done.err
     assert "(from /imu0)" in done.err
+    assert not list(tmp_path.glob("*again*"))
 
 
 def test_a_wrong_truth_is_named_by_its_topic(tmp_path: Path) -> None:
@@ -365,7 +366,7 @@ def test_a_wrong_truth_is_named_by_its_topic(tmp_path: Path) -> None:
     done = call(*command_line(tmp_path, data))
     assert (done.code, done.err.count("\n")) == (2, 1), done.err
     assert "(from /ground_truth/odometry: --truth-topic none takes none)" in done.err
-    done = call(*command_line(tmp_path, data), "--truth-topic", "none", "--force")
+    done = call(*command_line(tmp_path, data), "--truth-topic", "none")
     assert done.code == 0, done.err
 
 

@@ -12,13 +12,16 @@ from scipy.special import lpmv
 from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.errors import InputError
-from craternav_fg.imu import ImuNoise
+from craternav_fg.estimators import filter_state
+from craternav_fg.estimators.base import Descent
+from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.linalg import whitening
 from craternav_fg.motion.coast import coast
 from craternav_fg.motion.gravity import GravityField, degree_two, read_gravity
 from craternav_fg.motion.model import Motion
 from craternav_fg.motion.white_acceleration import white_acceleration
 from craternav_fg.motion.white_jerk import white_jerk
+from craternav_fg.trajectory import InitialState
 from factors.checking import numerical_jacobian
 from factors.kernels import motion as kernel
 from factors.motion import motion_factor
@@ -245,6 +248,33 @@ def test_a_gyros_noise_is_what_errors_of_its_readings_do(model):
     # In units of which the variances are 5 to 30; of attitude alone when coasting.
     scale = np.repeat([1e-4, 1.0, 0.1], 3)
     np.testing.assert_allclose((Q[:9, :9] - total) / np.outer(scale, scale), 0.0, atol=0.3)
+
+
+@pytest.mark.parametrize("model", [coast(1e-9), white_acceleration(1e-9), white_jerk(1e-9)])
+def test_a_filters_covariance_is_that_of_runs_with_noise_in_the_gyro(model):
+    """Also of the angular velocity, which a velocimeter beside the centre of rotation measures."""
+    gTb, gV, bias = _state(np.random.default_rng(15))
+    rng, density, dt_ns = np.random.default_rng(16), 1e-4, 200_000_000
+    gyro = rng.normal(scale=0.01, size=(6, 3))
+    noise = replace(model.noise, gyro_density_rad_s_sqrt_hz=density, gyro_walk_rad_s2_sqrt_hz=1e-12)
+    log = ImuLog(dt_ns * np.arange(1, 7), gyro, np.zeros((6, 3)))
+    given = InitialState(0, gTb, gV, 1e-5, 1e-2, 1e-3, 1e-9, 1e-9, 1e-9)
+    descent = Descent(MOON, None, None, log, noise, given, motion=model)
+    begin = replace(filter_state.prior(descent), bias=bias)
+    found = filter_state.propagate(begin, descent, 0, 6 * dt_ns)
+    known = np.r_[0:12]
+    root = np.linalg.cholesky(found.covariance[np.ix_(known, known)])
+    squares = []
+    for _ in range(300):
+        start = begin.corrected(rng.normal(size=18) * np.sqrt(np.diag(begin.covariance)), begin.covariance)
+        quiet = replace(noise, gyro_density_rad_s_sqrt_hz=1e-12)
+        # The true rate is the reading less its noise.
+        readings = gyro - density / np.sqrt(0.2) * rng.normal(size=(6, 3))
+        true = replace(descent, imu=replace(log, gyro_rad_s=readings), imu_noise=quiet)
+        error = filter_state.propagate(start, true, 0, 6 * dt_ns).minus(found)[known]
+        squares.append(np.linalg.solve(root, error) ** 2)
+    # Of 300 squares the mean has a standard deviation of 0.08.
+    np.testing.assert_allclose(np.mean(squares, axis=0), 1.0, atol=0.33)
 
 
 def test_harmonics_are_the_gradient_of_their_potential():

@@ -71,6 +71,13 @@ def test_perfect_points_give_their_ellipse_under_unequal_focal_lengths(b, ratio,
     np.testing.assert_allclose(pixel_chart(fit.chart, WIDE), fit.chart_px, rtol=1e-9, atol=1e-9)
 
 
+def test_scatter_is_that_of_the_points():
+    """Every other point outside by as much as the others are inside: no ellipse follows them."""
+    points, normals = rim(50.0, 40.0, 0.3)
+    fit = fit_rim(points + 0.2 * normals * np.resize([1.0, -1.0], (60, 1)), CAMERA, BARE)
+    assert fit.rms_px == pytest.approx(0.2, rel=1e-3)
+
+
 def squared_distances(errors, covariances):
     """Of estimates from truth (n,), by their covariances."""
     return np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
