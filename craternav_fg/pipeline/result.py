@@ -190,6 +190,7 @@ class Reconstruction:
             *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
+            *input_warnings.unusual_body(descent.catalog),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),

@@ -22,6 +22,8 @@ MAX_OUTLIER_SHARE = 0.5
 MIN_SQUARE, MAX_SQUARE, MAX_SQUARE_IN_IMAGES = 0.6, 1.1, 1.5
 # Mean of a residual's component, in sigmas and in its own standard deviations.
 MAX_MEAN, MAX_MEAN_SIGMAS = 0.5, 6.0
+# Stamps without a fault after which a fault is one that began: not of units or axes.
+_SOUND_STAMPS = 5
 # Distance of an outlier in sigmas, and the largest share of samples that is reported as outliers.
 OUTLIER_SIGMAS, MAX_SENSOR_OUTLIER_SHARE = 7.0, 0.3
 # Share of a sensor's samples that may say nothing of the predicted state.
@@ -44,8 +46,8 @@ _MOTION_CHECKS = (
 _SENSOR_CHECKS = {
     "imu": f"its units and noise, {_PREDICTION_CHECKS}",
     "rims": (
-        "heights, sizes and slopes of the rims in the catalogue, intrinsics, lens and T_BS of the camera, "
-        f"the body's spin, the matches, {_STAMPS}"
+        "the rims' covariances, shapes and angles, their heights, sizes, angles and slopes in the catalogue, "
+        f"intrinsics, lens and T_BS of the camera, the body's spin, the matches, {_STAMPS}"
     ),
     "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
 }
@@ -297,7 +299,7 @@ def _of_innovations(part: Innovations, name: str, *, images: bool, motion: bool)
     if too_large(part.mean, size, images=images):
         return (
             f"contradicts what {name} predicts from the other sensors (NIS per dimension {part.mean:.3g}, "
-            "expected 1)"
+            f"expected 1{_onset(part)})"
         )
     if part.mean < MIN_SQUARE and not images and improbable(part.mean, size):
         too_wide = (
@@ -308,6 +310,18 @@ def _of_innovations(part: Innovations, name: str, *, images: bool, motion: bool)
             f"{part.mean:.3g}, expected 1): {too_wide} is too large or in another unit"
         )
     return ""
+
+
+def _onset(part: Innovations) -> str:
+    """Name the stamp from which innovations are too large, if those before are not."""
+    stamps_ns, rows = np.unique(part.stamps_ns, return_inverse=True)
+    nis, dimension = np.bincount(rows, part.nis), np.bincount(rows, part.dimension)
+    wrong = [n > d > 0 and improbable(n / d, int(d)) for n, d in zip(nis, dimension, strict=True)]
+    first = wrong.index(True) if any(wrong) else 0
+    before = int(dimension[:first].sum())
+    if first < _SOUND_STAMPS or too_large(nis[:first].sum() / max(before, 1), before, images=False):
+        return ""
+    return f", but only from {stamps_ns[first]} ns on"
 
 
 def _of_residuals(summary: ResidualSummary, *, images: bool) -> str:
