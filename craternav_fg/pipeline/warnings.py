@@ -4,7 +4,7 @@ They are computed from numbers that the reconstruction holds. The command line, 
 the same ones, see `Reconstruction.warnings`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -118,13 +118,17 @@ def failed_estimators(failures: Mapping[str, str]) -> list[str]:
     return [f"no trajectory from {message}" for message in failures.values()]
 
 
-def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> list[str]:
+def inconsistent_trajectories(
+    outlier_shares: Mapping[str, float | None], mistake: Callable[[], str] = str
+) -> list[str]:
     """Warn of trajectories at which most rims are outliers.
 
     Parameters
     ----------
     outlier_shares : mapping of str to float or None
         By estimator, see `evaluation.residuals.outlier_share`.
+    mistake : callable, optional
+        Asked for the likely mistake, if there are such trajectories; see `pipeline.rim_mistakes`.
 
     Returns
     -------
@@ -137,9 +141,15 @@ def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> lis
     ]
     if not astray:
         return []
+    likely = mistake()
+    cause = (
+        f"the likely cause, as they agree once it is undone: {likely}"
+        if likely
+        else "check the units and axes of IMU and catalogue, T_BS, the matches"
+    )
     return [
         f"most rims are outliers (beyond 7 sigma) at the poses of {', '.join(astray)}, which cannot be "
-        "trusted; check the units and axes of IMU and catalogue, T_BS, the matches"
+        f"trusted; {cause}"
     ]
 
 
