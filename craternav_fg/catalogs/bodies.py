@@ -167,6 +167,11 @@ def stated_body(
     return None
 
 
+def known_name(name: str) -> str | None:
+    """Return a body's name as `SPHERES_M` has it; None for bodies that are not there."""
+    return _BY_NAME.get(name.strip().lower())
+
+
 def is_body_column(name: str) -> bool:
     """Return whether a column names the body."""
     return re.sub(r"[^a-z]", "", name.lower()) in BODY_NAMES

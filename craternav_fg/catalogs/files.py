@@ -126,6 +126,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         body=body,
         has_heights=HEIGHT in table.columns,
         plane_tilt_rad=_tilts(table),
+        sphere_stated=BODY_RADIUS in table.columns,
     )
 
 

@@ -57,6 +57,8 @@ class Catalog:
     plane_tilt_rad : ndarray, shape (n, 2), or None
         Slopes of the rims' planes towards east and north, positive where the plane rises; None when all are
         level, normal to the radius.
+    sphere_stated : bool
+        False when nobody has said to which sphere the heights refer, and that of `body` was assumed.
     """
 
     identifiers: tuple[str, ...]
@@ -71,6 +73,7 @@ class Catalog:
     has_heights: bool = True
     common_shift: CommonShift | None = None
     plane_tilt_rad: FloatArray | None = None
+    sphere_stated: bool = True
 
     def __len__(self) -> int:
         return len(self.identifiers)
@@ -95,6 +98,7 @@ class Catalog:
             self.has_heights,
             None if self.common_shift is None else self.common_shift.take(rows),
             None if self.plane_tilt_rad is None else self.plane_tilt_rad[rows],
+            self.sphere_stated,
         )
 
     @classmethod
@@ -132,7 +136,8 @@ class Catalog:
             tilt = np.concatenate([part.tilts_rad() for part in parts])
         return cls(
             identifiers, body=parts[0].body, errors=errors, common_shift=shift,
-            has_heights=has_heights, plane_tilt_rad=tilt, **numbers,
+            has_heights=has_heights, plane_tilt_rad=tilt,
+            sphere_stated=all(part.sphere_stated for part in parts), **numbers,
         )  # fmt: skip
 
     def tilts_rad(self) -> FloatArray:

@@ -129,7 +129,7 @@ def read_parquet(path: Path, body: Body | None) -> Catalog:
     # Older files do not say, and have heights.
     has_heights = about.get("has_heights") is not False
     return Catalog(
-        identifiers=tuple(table[_ID].to_pylist()), body=body, has_heights=has_heights,
+        identifiers=tuple(table[_ID].to_pylist()), body=body, has_heights=has_heights, sphere_stated=True,
         errors=None if errors is None else MapErrors(**errors),
         common_shift=_common_shift(path, table), plane_tilt_rad=_tilts(path, table), **values,
     )  # fmt: skip

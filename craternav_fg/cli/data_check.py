@@ -57,6 +57,7 @@ def _summary(data: Dataset) -> dict[str, Any]:
         "truth": data.truth is not None,
         "apriori_states": data.apriori is not None,
         "warnings": [
+            *input_warnings.unusual_body(catalog),
             *input_warnings.unknown_sensors(data.ignored),
             *input_warnings.empty_logs({one.name: len(one) for one in data.sensors}),
             *input_warnings.colour_images(data.in_colour),

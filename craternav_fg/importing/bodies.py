@@ -75,6 +75,18 @@ _ROTATION_DEG_DAY = {
 }
 
 
+def known_mu_m3_s2(name: str) -> float | None:
+    """Look up a body's gravitational parameter; None for bodies that are not known."""
+    known = _GM_KM3_S2.get(name)
+    return None if known is None else 1e9 * known
+
+
+def known_spin_rad_s(name: str) -> float | None:
+    """Look up a body's spin about its pole, retrograde ones negative; None for bodies that are not known."""
+    known = _ROTATION_DEG_DAY.get(name)
+    return None if known is None else math.radians(known) / 86400.0
+
+
 def with_gravity_and_spin(body: Body, mu_m3_s2: float | None, spin_rad_s: float | None) -> Body:
     """Complete a body by its gravity, and by its spin if it has none.
 
@@ -97,13 +109,13 @@ def with_gravity_and_spin(body: Body, mu_m3_s2: float | None, spin_rad_s: float 
     """
     name = body.name or "this body"
     if mu_m3_s2 is None:
-        if body.name not in _GM_KM3_S2:
+        mu_m3_s2 = known_mu_m3_s2(body.name)
+        if mu_m3_s2 is None:
             raise InputError("--mu-m3-s2", f"expected it for {name}, whose gravity is not known")
-        mu_m3_s2 = 1e9 * _GM_KM3_S2[body.name]
     if spin_rad_s is not None or not any(body.spin_rad_s):
         if spin_rad_s is None:
-            if body.name not in _ROTATION_DEG_DAY:
+            spin_rad_s = known_spin_rad_s(body.name)
+            if spin_rad_s is None:
                 raise InputError("--spin-rad-s", f"expected it for {name}, whose spin is not known")
-            spin_rad_s = math.radians(_ROTATION_DEG_DAY[body.name]) / 86400.0
         body = replace(body, spin_rad_s=(0.0, 0.0, spin_rad_s))
     return replace(body, mu_m3_s2=mu_m3_s2)

@@ -5,12 +5,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
 from factors.arrays import FloatArray
 
 # Departure of the sun from its place among the stars that a warning names: what a tilt in the image shows.
 _MAX_DEPARTURE_RAD = math.radians(2.0)
 # Images that a warning names.
 _MAX_LISTED = 5
+# Share by which gravity and spin of a known body may differ from what is known: sources differ by less.
+_SAME_MOTION = 0.005
 # No lander carries a sensor farther than this from its body origin.
 _MAX_LEVER_ARM_M = 50.0
 
@@ -88,6 +93,39 @@ def departing_sun(departure_rad: float) -> list[str]:
         f"sun.csv: at the last frame the sun is {math.degrees(departure_rad):.3g} deg from where the body's "
         "spin takes it from the first one: give a row for each frame, in g, and check spin_rad_s"
     ]
+
+
+def unusual_body(catalog: Catalog) -> list[str]:
+    """Warn of a body that is known by name, and stated with another sphere, gravity or spin.
+
+    Nothing in the images contradicts a wrong sphere: heights and the whole trajectory move with it.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        On the body of `dataset.toml`.
+
+    Returns
+    -------
+    list of str
+    """
+    body, name = catalog.body, known_name(catalog.body.name)
+    if name is None:
+        return []
+    sphere_m, mu, spin = SPHERES_M[name], known_mu_m3_s2(name), known_spin_rad_s(name)
+    found = []
+    if not catalog.sphere_stated and abs(body.radius_m - sphere_m) > SAME_SPHERE * sphere_m:
+        found.append(
+            f"radius_m of [body] is {body.radius_m:.9g}, but that of maps and heights of {name} "
+            f"{sphere_m:.9g}: if the catalogue's heights refer to the latter, all positions are wrong by the "
+            "difference; a column BODY_RADIUS_M in the catalogue says to which"
+        )
+    if mu and abs(body.mu_m3_s2 - mu) > _SAME_MOTION * mu:
+        found.append(f"mu_m3_s2 of [body] is {body.mu_m3_s2:.6g}, but that of {name} {mu:.6g}")
+    if spin and math.dist(body.spin_rad_s, (0.0, 0.0, spin)) > _SAME_MOTION * abs(spin):
+        stated = ", ".join(f"{one:.6g}" for one in body.spin_rad_s)
+        found.append(f"spin_rad_s of [body] is [{stated}], but that of {name} [0, 0, {spin:.6g}]")
+    return found
 
 
 def repeated_images(repeated: Mapping[str, str]) -> list[str]:

@@ -24,6 +24,7 @@ from craternav_fg.evaluation.sensor_consistency import (
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import input_warnings, warnings
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
+from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
 
@@ -158,6 +159,10 @@ class Reconstruction:
         descent, near = self.problems[0], next(iter(self.trajectories.values()))
         return check(self.frames, near.gTb, descent.camera, descent.catalog)
 
+    def _rim_mistake(self) -> str:
+        """Name what explains rims that contradict each other; empty for those measured in images."""
+        return likely_rim_mistake(self.problems[0]) if self.predicted is None else ""
+
     @cached_property
     def outlier_shares(self) -> Mapping[str, float | None]:
         """Share of outliers among all rims, by estimator; None without rims."""
@@ -180,7 +185,7 @@ class Reconstruction:
             *warnings.singular_covariances(
                 {name: t.pose_covariance for name, t in self.trajectories.items()}
             ),
-            *warnings.inconsistent_trajectories(self.outlier_shares),
+            *warnings.inconsistent_trajectories(self.outlier_shares, self._rim_mistake),
             *warnings.contradicted_prior(*self._prior()),
             *of_sensors,
             *warnings.contradicted_intrinsics(
@@ -190,6 +195,7 @@ class Reconstruction:
             *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
+            *input_warnings.unusual_body(descent.catalog),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),
             *input_warnings.colour_images(self.in_colour),

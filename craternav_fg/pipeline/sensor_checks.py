@@ -1,5 +1,6 @@
 """Logs in a wrong unit or order: the other sensors contradict them, and confirm them once corrected."""
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -7,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from craternav_fg.dataset import layout
 from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
@@ -15,16 +15,16 @@ from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.instruments import IMU, RIMS
 from craternav_fg.estimators.sensor_bank import SensorBank, linearise_sample
 from craternav_fg.evaluation.innovations import innovations
-from craternav_fg.imu import ImuLog
 from craternav_fg.linalg import whitening
+from craternav_fg.pipeline import imu_mistakes
+from craternav_fg.pipeline.imu_mistakes import ImuMistake
 from craternav_fg.sensors.files import DATA, folder_of
 from craternav_fg.sensors.protocol import STATE_SIZE, Sensor
 
-# Standard gravity, m/s^2, and columns of the IMU's log.
-_G_M_S2 = 9.80665
-_GYRO, _ACCELEROMETER = "w_RS_S_x", "a_RS_S_x"
 # NIS per dimension, median of a log's samples: above the first it is refuted, below the second confirmed.
 REFUTED, CONFIRMED = 100.0, 9.0
+# Frames with rims on which the axes are tried; what they confirm is tried on all.
+_FEW_FRAMES = 4
 
 
 def check_logs(problems: Sequence[Problem], folder: Path) -> None:
@@ -63,7 +63,7 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
 
 
 def check_imu(problems: Sequence[Problem], folder: Path) -> None:
-    """Refuse an IMU's log in deg/s or in g, judged by what it predicts.
+    """Refuse an IMU's log in another unit or along other axes, judged by what it predicts.
 
     Parameters
     ----------
@@ -76,34 +76,38 @@ def check_imu(problems: Sequence[Problem], folder: Path) -> None:
     InputError
         Naming file and column, what was expected and what was found.
     """
-    imu = problems[0].imu
-    if problems[0].motion is not None or not _median_nis_of_imu(problems, imu) > REFUTED:
+    if problems[0].motion is not None or not _median_nis_of_imu(problems) > REFUTED:
         return
-    in_rad = replace(imu, gyro_rad_s=np.radians(imu.gyro_rad_s))
-    in_m = replace(imu, accelerometer_m_s2=_G_M_S2 * imu.accelerometer_m_s2)
-    for other, column, problem in (
-        (in_rad, _GYRO, "expected rad/s, found deg/s"),
-        (in_m, _ACCELEROMETER, "expected m/s^2, found g"),
-        (
-            replace(in_rad, accelerometer_m_s2=in_m.accelerometer_m_s2),
-            _GYRO,
-            "expected rad/s and m/s^2, found deg/s and g",
-        ),
-    ):
-        if _median_nis_of_imu(problems, other) < CONFIRMED:
+    few = [_beginning(problems[0])]
+    screened = (one for one in imu_mistakes.axes(few[0].camera.bTc[:3, :3]) if _confirmed(one, few))
+    for mistake in itertools.chain(imu_mistakes.units(), screened):
+        if _confirmed(mistake, problems):
             raise InputError(
-                folder / layout.IMU_DATA, f"{problem} (the other sensors confirm it)", column=column
+                folder / mistake.file,
+                f"{mistake.problem} (the other sensors confirm it)",
+                column=mistake.column,
             )
 
 
-def _median_nis_of_imu(problems: Sequence[Problem], imu: ImuLog) -> float:
-    """NIS per dimension of what a log predicts, median over the frames; infinite where the rims are lost."""
+def _beginning(problem: Problem) -> Problem:
+    """Cut a problem after the first frames with rims from which a log can be judged."""
+    first = problem.start.frame + 1
+    with_rims = [k for k, frame in enumerate(problem.frames) if k >= first and len(frame.rims)]
+    return replace(problem, frames=problem.frames[: (with_rims[:_FEW_FRAMES] or [first])[-1] + 1])
+
+
+def _confirmed(mistake: ImuMistake, problems: Sequence[Problem]) -> bool:
+    """Whether the log agrees with the other sensors once a mistake is undone."""
+    return _median_nis_of_imu([mistake.undone(problem) for problem in problems]) < CONFIRMED
+
+
+def _median_nis_of_imu(problems: Sequence[Problem]) -> float:
+    """NIS per dimension of what IMUs predict, median over the frames; infinite where the rims are lost."""
     found: list[float] = []
     for problem in problems:
-        assumed = replace(problem, imu=imu)
         try:
-            run = ekf().run(assumed)
-            every = innovations(assumed, run.states, run.predictions)
+            run = ekf().run(problem)
+            every = innovations(problem, run.states, run.predictions)
         except (EstimationError, *NUMERICAL_ERRORS):
             return float("inf")
         in_sight = Counter(every.of(RIMS).stamps_ns.tolist())

@@ -4,7 +4,7 @@ They are computed from numbers that the reconstruction holds. The command line, 
 the same ones, see `Reconstruction.warnings`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -22,6 +22,8 @@ MAX_OUTLIER_SHARE = 0.5
 MIN_SQUARE, MAX_SQUARE, MAX_SQUARE_IN_IMAGES = 0.6, 1.1, 1.5
 # Mean of a residual's component, in sigmas and in its own standard deviations.
 MAX_MEAN, MAX_MEAN_SIGMAS = 0.5, 6.0
+# Stamps without a fault after which a fault is one that began: not of units or axes.
+_SOUND_STAMPS = 5
 # Distance of an outlier in sigmas, and the largest share of samples that is reported as outliers.
 OUTLIER_SIGMAS, MAX_SENSOR_OUTLIER_SHARE = 7.0, 0.3
 # Share of a sensor's samples that may say nothing of the predicted state.
@@ -44,8 +46,8 @@ _MOTION_CHECKS = (
 _SENSOR_CHECKS = {
     "imu": f"its units and noise, {_PREDICTION_CHECKS}",
     "rims": (
-        "heights, sizes and slopes of the rims in the catalogue, intrinsics, lens and T_BS of the camera, "
-        f"the body's spin, the matches, {_STAMPS}"
+        "the rims' covariances, shapes and angles, their heights, sizes, angles and slopes in the catalogue, "
+        f"intrinsics, lens and T_BS of the camera, the body's spin, the matches, {_STAMPS}"
     ),
     "sun": "sun.csv (from the body to the sun, in g) and the tilts (rad)",
 }
@@ -116,13 +118,17 @@ def failed_estimators(failures: Mapping[str, str]) -> list[str]:
     return [f"no trajectory from {message}" for message in failures.values()]
 
 
-def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> list[str]:
+def inconsistent_trajectories(
+    outlier_shares: Mapping[str, float | None], mistake: Callable[[], str] = str
+) -> list[str]:
     """Warn of trajectories at which most rims are outliers.
 
     Parameters
     ----------
     outlier_shares : mapping of str to float or None
         By estimator, see `evaluation.residuals.outlier_share`.
+    mistake : callable, optional
+        Asked for the likely mistake, if there are such trajectories; see `pipeline.rim_mistakes`.
 
     Returns
     -------
@@ -135,9 +141,15 @@ def inconsistent_trajectories(outlier_shares: Mapping[str, float | None]) -> lis
     ]
     if not astray:
         return []
+    likely = mistake()
+    cause = (
+        f"the likely cause, as they agree once it is undone: {likely}"
+        if likely
+        else "check the units and axes of IMU and catalogue, T_BS, the matches"
+    )
     return [
         f"most rims are outliers (beyond 7 sigma) at the poses of {', '.join(astray)}, which cannot be "
-        "trusted; check the units and axes of IMU and catalogue, T_BS, the matches"
+        f"trusted; {cause}"
     ]
 
 
@@ -297,7 +309,7 @@ def _of_innovations(part: Innovations, name: str, *, images: bool, motion: bool)
     if too_large(part.mean, size, images=images):
         return (
             f"contradicts what {name} predicts from the other sensors (NIS per dimension {part.mean:.3g}, "
-            "expected 1)"
+            f"expected 1{_onset(part)})"
         )
     if part.mean < MIN_SQUARE and not images and improbable(part.mean, size):
         too_wide = (
@@ -308,6 +320,18 @@ def _of_innovations(part: Innovations, name: str, *, images: bool, motion: bool)
             f"{part.mean:.3g}, expected 1): {too_wide} is too large or in another unit"
         )
     return ""
+
+
+def _onset(part: Innovations) -> str:
+    """Name the stamp from which innovations are too large, if those before are not."""
+    stamps_ns, rows = np.unique(part.stamps_ns, return_inverse=True)
+    nis, dimension = np.bincount(rows, part.nis), np.bincount(rows, part.dimension)
+    wrong = [n > d > 0 and improbable(n / d, int(d)) for n, d in zip(nis, dimension, strict=True)]
+    first = wrong.index(True) if any(wrong) else 0
+    before = int(dimension[:first].sum())
+    if first < _SOUND_STAMPS or too_large(nis[:first].sum() / max(before, 1), before, images=False):
+        return ""
+    return f", but only from {stamps_ns[first]} ns on"
 
 
 def _of_residuals(summary: ResidualSummary, *, images: bool) -> str:

@@ -375,7 +375,12 @@ def _focal_limit(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> float:
 
 
 def _percent(fit: IntrinsicsFit) -> str:
-    return f"{100.0 * (fit.focal_scale - 1.0):+.2g} +- {100.0 * fit.focal_scale_sigma:.2g} %"
+    difference, sigma = 100.0 * (fit.focal_scale - 1.0), 100.0 * fit.focal_scale_sigma
+    return f"{difference:+.{_digits(difference)}} +- {sigma:.{_digits(sigma)}} %"
+
+
+def _digits(value: float) -> str:
+    return "2g" if abs(value) < 10.0 else "0f"
 
 
 def _unchecked_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:
@@ -387,11 +392,19 @@ def _unchecked_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple
     moved = moved[free]
     if moved @ np.linalg.solve(fit.covariance[np.ix_(free, free)], moved) < _HARMLESS_SIGMAS**2:
         return ()
+    principal = ""
+    if prior.principal_sigma_px and _widest(fit.principal_covariance_px2) > _UNCHECKED_SIGMA * prior.focal_px:
+        principal = "; nor its principal point, whose error, as in a cropped image, turns the pose"
     return (
         f"these rims cannot check the camera's focal length (theirs differs by {_percent(fit)}): its error "
         "is one of the distance to the ground in the same ratio; --focal-sigma-percent says how well it is "
-        "known",
+        f"known{principal}",
     )
+
+
+def _widest(covariance: FloatArray) -> float:
+    """Largest standard deviation along an axis; inf when one is."""
+    return float(np.sqrt(np.diag(covariance).max()))
 
 
 def _contradicted_principal_point(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple[str, ...]:

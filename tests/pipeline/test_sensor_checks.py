@@ -15,6 +15,7 @@ from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.estimators.intrinsics import RADIAL, intrinsic_slopes
 from craternav_fg.evaluation.metrics import metrics
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.imu_mistakes import axes
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
@@ -391,6 +392,65 @@ def test_an_imu_in_another_unit_is_refused(
         with pytest.raises(InputError) as caught:
             reconstruct(replace(data, imu=imu), ["dead_reckoning"])
         assert f"mav0/imu0/data.csv: {said} (the other sensors confirm it)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("gyro", "accelerometer", "said"),
+    [
+        (
+            np.diag([1, -1, -1]),
+            np.diag([1, -1, -1]),
+            "w_RS_S_x: {} x, -y, -z of the log, or the camera's T_BS",
+        ),
+        (np.eye(3)[[1, 2, 0]], np.eye(3), "w_RS_S_x: {} z, x, y of the gyro"),
+        (np.eye(3), -np.eye(3), "a_RS_S_x: {} -x, -y, -z of the accelerometer"),
+    ],
+)
+def test_an_imu_along_other_axes_is_refused(
+    few: tuple[Dataset, Dataset], gyro: np.ndarray, accelerometer: np.ndarray, said: str
+) -> None:
+    """The smoother was 8 km off and warned of units, axes, matches, attitude, longitudes and the lens."""
+    # Only the longer descent shows its forces.
+    data = few["accelerometer" in said]
+    assert data.imu is not None
+    imu = replace(
+        data.imu,
+        gyro_rad_s=data.imu.gyro_rad_s @ gyro.T,
+        accelerometer_m_s2=data.imu.accelerometer_m_s2 @ accelerometer.T,
+    )
+    text = said.format("expected the axes x, y, z of b, found them as")
+    with pytest.raises(InputError, match=f"imu0/data.csv: {text}.* \\(the other sensors confirm it\\)"):
+        reconstruct(replace(data, imu=imu), ["dead_reckoning"])
+
+
+def test_accelerations_without_gravity_are_refused(few: tuple[Dataset, Dataset]) -> None:
+    data = few[1]
+    assert data.imu is not None
+    assert data.truth is not None
+    inside = data.imu.stamps_ns.clip(data.truth.stamps_ns[0], data.truth.stamps_ns[-1])
+    gTb = data.truth_at(inside).gTb
+    gravity = np.einsum("nji,nj->ni", gTb[:, :3, :3], data.body.gravity(gTb[:, :3, 3]))
+    imu = replace(data.imu, accelerometer_m_s2=data.imu.accelerometer_m_s2 + gravity)
+    with pytest.raises(InputError, match="a_RS_S_x: expected specific force, found acceleration, from which"):
+        reconstruct(replace(data, imu=imu), ["dead_reckoning"])
+
+
+@pytest.mark.parametrize("said", ["found its inverse", "turned by 180 deg", "found those of the camera"])
+def test_a_mounting_that_is_wrong_turns_the_log_back(said: str) -> None:
+    stated = frames.rotation_exp(np.array([0.3, -1.2, 0.4]))
+    true = {
+        "found its inverse": stated.T,
+        "turned by 180 deg": stated @ np.diag([-1.0, -1.0, 1.0]),
+        "found those of the camera": stated,
+    }[said]
+    log = np.array([0.1, -0.2, 0.3])
+    # In b as the stated mounting turns it against the camera, which is what the images show.
+    shown = stated @ true.T @ log
+    if true is stated:
+        log, shown = stated.T @ log, log
+    agree = [one for one in axes(stated) if np.allclose(one.gyro @ log, shown)]
+    assert any(said in one.problem for one in agree)
+    assert all((one.gyro == one.accelerometer).all() for one in agree)
 
 
 def accelerometer_offset(data: Dataset) -> Dataset:

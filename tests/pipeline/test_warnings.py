@@ -1,11 +1,15 @@
 """Warnings: what is wrong is named, and nothing is said when all is as it should be."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary
 from craternav_fg.pipeline import input_warnings, warnings
+from craternav_fg.simulation.scenes import MOON
 
 
 def innovations(**nis: float) -> Innovations:
@@ -41,6 +45,38 @@ def test_the_sensor_that_contradicts_the_rest_is_named() -> None:
     assert text.startswith("sun: ")
     assert "NIS per dimension 12.3, expected 1" in text
     assert "sun.csv" in text
+
+
+@pytest.mark.parametrize(("first", "said"), [(30, True), (2, False)])
+def test_the_stamp_from_which_a_sensor_contradicts_the_rest_is_named(first: int, said: bool) -> None:
+    """A frozen or spiking IMU is sound before; wrong units or axes are wrong from the start."""
+    nis = np.where(np.arange(100) < first, 6.0, 90.0)
+    stamps_ns = 10**9 * np.arange(100)
+    imu = Innovations(("imu",) * 100, stamps_ns, nis, np.full(100, 6))
+    (text,) = warnings.inconsistent_sensors("ekf", imu, {}, images=False)
+    assert ("expected 1, but only from 30000000000 ns on)" in text) == said
+    assert ("from" in text.split(";")[0].replace("from the other", "")) == said
+
+
+def test_a_known_body_with_another_sphere_gravity_or_spin_is_told() -> None:
+    """Images do not show heights above 1738 km for 1737.4 km: all positions were 600 m off, unsaid."""
+
+    def told(stated: bool = False, **of_body: object) -> list[str]:
+        body = dataclasses.replace(MOON, **of_body)
+        nothing = np.zeros(0)
+        catalog = Catalog((), *(nothing,) * 6, body, sphere_stated=stated)
+        return input_warnings.unusual_body(catalog)
+
+    assert told() == []
+    (text,) = told(name="moon", radius_m=1738000.0)
+    assert "radius_m of [body] is 1738000, but that of maps and heights of Moon 1737400" in text
+    assert told(stated=True, radius_m=1738000.0) == []
+    (text,) = told(mu_m3_s2=1.01 * MOON.mu_m3_s2)
+    assert text == "mu_m3_s2 of [body] is 4.95183e+12, but that of Moon 4.9028e+12"
+    for spin in ((0.0, 0.0, 0.0), (0.0, 0.0, -2.6617e-6), (2.6617e-6, 0.0, 0.0)):
+        (text,) = told(spin_rad_s=spin)
+        assert text.startswith("spin_rad_s of [body] is [")
+    assert told(name="Planet Nine", radius_m=1.0, spin_rad_s=(0.0, 0.0, 0.0)) == []
 
 
 def test_camera_and_stamps_are_among_the_things_to_check() -> None:

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.resection.efficient import solve
 from craternav_fg.resection.intrinsics import (
+    IntrinsicsFit,
     IntrinsicsPrior,
     fit_intrinsics,
     intrinsics_warnings,
@@ -210,6 +211,24 @@ def test_intrinsics_that_do_not_converge_leave_the_pose_and_are_said(catalog: Ca
     np.testing.assert_array_equal(fit.gTb, view.gTb)
     (warning,) = intrinsics_warnings(fit, prior)
     assert "did not converge" in warning
+
+
+@pytest.mark.parametrize(
+    ("principal_sigma_px", "spread_px", "said"), [(0.5, 50.0, True), (0.5, 2.0, False), (0.0, np.nan, False)]
+)
+def test_a_principal_point_that_the_rims_cannot_check_is_named_beside_the_focal_length(
+    principal_sigma_px: float, spread_px: float, said: bool
+) -> None:
+    """As of a photograph that was cropped: 155 px beside the stated one, the pose was 38 km off unsaid."""
+    fit = IntrinsicsFit(
+        gTb=np.eye(4), covariance=np.eye(6), effect=np.full((6, 3), 1e5), unknowns=np.zeros(3),
+        unknowns_covariance=np.eye(3), focal_scale=2.09, focal_scale_sigma=0.417,
+        principal_shift_px=np.zeros(2), principal_covariance_px2=spread_px**2 * np.eye(2), cost=0.0,
+        converged=True,
+    )  # fmt: skip
+    (warning,) = intrinsics_warnings(fit, IntrinsicsPrior(700.0, principal_sigma_px=principal_sigma_px))
+    assert "focal length (theirs differs by +109 +- 42 %)" in warning
+    assert ("its principal point" in warning) == said
 
 
 def test_unknown_intrinsics_keep_the_covariance_consistent(catalog: Catalog) -> None:
