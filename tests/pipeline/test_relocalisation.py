@@ -69,6 +69,7 @@ def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, 
         ellipses_px=np.column_stack([charts[:, :2], a, b, np.arctan2(turns[:, 1], turns[:, 0])]),
         charts_px=charts,
         covariance_px=np.tile(0.01 * np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]), (len(charts), 1, 1)),
+        traced=np.ones(len(charts), bool),
     )
     data = dataclasses.replace(lost, path=tmp_path, catalog=catalog, measurements=None)
     monkeypatch.setattr(Relocaliser, "_rims", lambda self, number: found)
@@ -89,12 +90,13 @@ def test_identification_knows_how_well_the_camera_is(folders, monkeypatch):
     camera = dataclasses.replace(lost.camera, focal_sigma_percent=2.0, principal_sigma_px=7.0)
     asked = []
 
-    def spy(ellipses_px, camera, index, *, options):
+    def spy(ellipses_px, camera, index, *, options, traced):
+        assert len(traced) == len(ellipses_px)
         asked.append(options)
         return SimpleNamespace(identified=False)
 
     monkeypatch.setattr(relocalisation, "identify", spy)
-    none = SimpleNamespace(ellipses_px=np.empty((0, 5)))
+    none = SimpleNamespace(ellipses_px=np.empty((0, 5)), traced=np.empty(0, bool))
     for data in (lost, dataclasses.replace(lost, camera=camera)):
         assert Relocaliser(data)._identified(none) is None
     assert (asked[0].focal_sigma_share, asked[0].principal_sigma_px, asked[0].focal_stated) == (

@@ -60,7 +60,7 @@ class View(NamedTuple):
     quality: FloatArray
     """Probability of each rim to be a crater's, shape (n,)."""
     traced: npt.NDArray[np.bool_]
-    """Whether each ellipse shows the rim's shape, else only its place and size, shape (n,)."""
+    """Array of bool: whether each ellipse shows the rim's shape, else only place and size, shape (n,)."""
 
 
 def view_of(
