@@ -10,6 +10,7 @@ from craternav_fg.measurements import KnownAttitude
 from craternav_fg.resection.bounds import cramer_rao
 from craternav_fg.resection.edge_fit import fit_covariance, fit_edges
 from craternav_fg.resection.problem import MatchedRims, PosePrior, ResectionProblem
+from craternav_fg.resection.solve_kernel import covariance_and_log_det
 from factors.kernels.conic import project_rims
 from tests.resection.scenes import CAMERA, camera_pose, level_axes
 
@@ -164,3 +165,18 @@ def test_fits_to_small_rims_scatter_as_they_say_and_more_than_the_bound(size_px:
 def test_points_on_a_line_are_no_ellipse() -> None:
     line = np.column_stack([np.linspace(100.0, 200.0, 20), np.linspace(100.0, 200.0, 20)])
     assert fit_edges(line, CAMERA, 1.0) is None
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_information_is_inverted_with_its_determinant(first: int) -> None:
+    """Of radians and metres that differ by orders of magnitude."""
+    root = np.random.default_rng(4).normal(size=(6, 6)) * np.array([1e4, 3e4, 2e4, 0.1, 0.02, 0.3])
+    N, covariance = root.T @ root, np.empty((6, 6))
+    log_det = covariance_and_log_det(N, first, covariance)
+    estimated = N[first:, first:]
+    assert log_det == pytest.approx(np.linalg.slogdet(estimated)[1], rel=1e-9)
+    np.testing.assert_allclose(covariance[first:, first:] @ estimated, np.eye(6 - first), atol=1e-6)
+    assert not covariance[:first].any()
+    assert not covariance[:, :first].any()
+    N[3, 3] = -N[3, 3]
+    assert np.isnan(covariance_and_log_det(N, first, covariance))
