@@ -130,6 +130,11 @@ class BatchSmoother:
         self.name = name
         self.own_factors = own_factors
 
+    @property
+    def estimates_map(self) -> bool:
+        """Whether errors of the map are unknowns, which then must not be in the rims' covariances as well."""
+        return bool(self.options.calibration.map_sigmas.any())
+
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from all data, with marginal covariances.
 

@@ -30,7 +30,7 @@ class ImuMistake:
     file : Path
         File of the data set, relative to its folder.
     gyro, accelerometer : ndarray, shape (3, 3)
-        Matrices that make of the log's rows what they should be.
+        Matrices from the axes and units of the log to those of b.
     has_gravity : bool
         False when the log's accelerations are those in space, without the reaction to gravity.
     """
@@ -65,7 +65,12 @@ class ImuMistake:
 
 
 def units() -> Iterator[ImuMistake]:
-    """Yield logs in deg/s, in g, or without the reaction to gravity."""
+    """Yield logs in deg/s, in g, or without the reaction to gravity.
+
+    Yields
+    ------
+    ImuMistake
+    """
     same = np.eye(3)
     yield ImuMistake("expected rad/s, found deg/s", _GYRO, np.radians(same), same)
     yield ImuMistake("expected m/s^2, found g", _ACCELEROMETER, same, _G_M_S2 * same)
@@ -82,6 +87,10 @@ def axes(bRc: FloatArray) -> Iterator[ImuMistake]:
     ----------
     bRc : ndarray, shape (3, 3)
         Attitude of the camera in b, as stated.
+
+    Yields
+    ------
+    ImuMistake
     """
     same = np.eye(3)
     for order in itertools.permutations(range(3)):

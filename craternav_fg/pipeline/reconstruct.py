@@ -18,6 +18,7 @@ from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.map_errors import lack_map_errors, with_map_errors, with_white_map_errors
 from craternav_fg.pipeline.map_shift import with_common_shift
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
 from craternav_fg.pipeline.relocalisation import Relocaliser
@@ -127,18 +128,28 @@ def reconstruct(
     descent = Descent.of(dataset, initial)
     if dataset.features is None and measured.limits is not None and measured.limits.points.count:
         descent = replace(descent, features=_tracks(dataset, measured, measured.limits, report))
+    as_read = measured.frames
+    lacking = dataset.measurements is not None and lack_map_errors(as_read, descent.catalog)
+    if lacking:
+        measured = replace(measured, frames=with_white_map_errors(as_read, descent.catalog))
     try:
         problems = _problems(descent, measured)
         # Where a wrong IMU led, the rims of its frames are those that were left out.
         check_imu(_problems(descent, measured.every), dataset.path)
         check_logs(problems, dataset.path)
+        if lacking:
+            measured = replace(measured, frames=with_map_errors(as_read, problems))
+            problems = _problems(descent, measured)
     except NUMERICAL_ERRORS as error:
         raise EstimationError(f"start: {_one_line(error)}") from error
     times_s = {"front_end": time.perf_counter() - began}
     lowered = heights_of_points(problems)
     if lowered:
         problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
-    trajectories, failures, estimation_s = _run(chosen, problems, measured.frames, report)
+    bare = problems
+    if lacking:
+        bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=as_read))
+    trajectories, failures, estimation_s = _run(chosen, problems, bare, measured.frames, report)
     searched = None if RIMS in without else measured.limits
     return Reconstruction(
         frames=measured.frames,
@@ -165,10 +176,13 @@ def reconstruct(
 def _run(
     chosen: Sequence[Estimator],
     problems: Sequence[Problem],
+    bare: Sequence[Problem],
     frames: Sequence[FrameMeasurement],
     report: Progress,
 ) -> tuple[dict[str, Trajectory], dict[str, str], dict[str, float]]:
     """Run estimators: trajectories, why others failed, and how long each took, s.
+
+    Those that estimate the errors of the map get the problems whose rims do not contain them.
 
     Raises
     ------
@@ -184,7 +198,7 @@ def _run(
         report(f"estimator {one.name}", done, len(chosen))
         began = time.perf_counter()
         try:
-            estimated = _estimate(one, problems, stamps_ns)
+            estimated = _estimate(one, bare if getattr(one, "estimates_map", False) else problems, stamps_ns)
             trajectories[one.name] = with_common_shift(one.name, estimated, catalog, frames)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"

@@ -1,0 +1,133 @@
+"""Errors of the catalogue in rims that another program has measured, whose file may leave them out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from craternav_fg.camera import Camera
+from craternav_fg.catalogs.model import Catalog
+from craternav_fg.ellipse import relative_covariance
+from craternav_fg.errors import EstimationError
+from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
+from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.measurements import FrameMeasurement, RimSet
+from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, map_variances
+from factors.arrays import FloatArray, IntArray
+from factors.kernels.rim_errors import ground_slopes
+
+# Columns of `ground_slopes` in the order of `RimSet.correlated`: in the rim's plane, then the height.
+_COLUMNS = [0, 1, 3, 4, 5, 2]
+
+
+def lack_map_errors(frames: Sequence[FrameMeasurement], catalog: Catalog) -> bool:
+    """Whether the catalogue states errors and measured rims do not say what their craters keep.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+    catalog : Catalog
+
+    Returns
+    -------
+    bool
+    """
+    every = np.arange(len(catalog))
+    return (
+        catalog.errors is not None
+        and all(frame.rims.correlated is None for frame in frames)
+        and bool(_variances(every, catalog).any())
+    )
+
+
+def with_white_map_errors(
+    frames: Sequence[FrameMeasurement], catalog: Catalog
+) -> tuple[FrameMeasurement, ...]:
+    """Add the catalogue's errors to rims as if they were new in each frame: no pose is needed for it.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+    catalog : Catalog
+
+    Returns
+    -------
+    tuple of FrameMeasurement
+    """
+
+    def widened(rims: RimSet) -> RimSet:
+        share2 = _variances(rims.craters, catalog).max(axis=1)[:, None, None]
+        return replace(rims, covariance=rims.covariance + share2 * relative_covariance(rims.chart, 1.0))
+
+    return tuple(replace(frame, rims=widened(frame.rims)) for frame in frames)
+
+
+def with_map_errors(
+    frames: Sequence[FrameMeasurement], problems: Sequence[Problem]
+) -> tuple[FrameMeasurement, ...]:
+    """Add the catalogue's errors to rims as what their craters keep.
+
+    Covariances that are large enough to hold these errors already are only split.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+        As the data set holds them.
+    problems : sequence of Problem
+        With the same frames after `with_white_map_errors`.
+
+    Returns
+    -------
+    tuple of FrameMeasurement
+        Those of the problems, where the filter does not find poses.
+    """
+    camera, catalog = problems[0].camera, problems[0].catalog
+    try:
+        poses = _poses(problems)
+    except (EstimationError, *NUMERICAL_ERRORS):
+        return with_white_map_errors(frames, catalog)
+    roots = [_roots(frame, poses, camera, catalog) for frame in frames]
+    held = [_held(frame.rims, root) for frame, root in zip(frames, roots, strict=True)]
+    added = np.mean(np.concatenate([*held, [0.0]])) <= 0.5
+    return tuple(
+        replace(
+            frame,
+            rims=replace(
+                frame.rims,
+                covariance=frame.rims.covariance + added * (root @ np.swapaxes(root, 1, 2)),
+                correlated=root,
+            ),
+        )
+        for frame, root in zip(frames, roots, strict=True)
+    )
+
+
+def _variances(rows: IntArray, catalog: Catalog) -> FloatArray:
+    return map_variances(rows, catalog, CorrelatedErrorOptions())
+
+
+def _poses(problems: Sequence[Problem]) -> dict[int, FloatArray]:
+    """Poses gTb by stamp, from the filter."""
+    return {
+        frame.stamp_ns: state.gTb
+        for problem in problems
+        for frame, state in zip(problem.frames, ekf().states(problem), strict=True)
+    }
+
+
+def _roots(
+    frame: FrameMeasurement, poses: Mapping[int, FloatArray], camera: Camera, catalog: Catalog
+) -> FloatArray:
+    """Roots (n, 5, 6) of the errors that craters keep."""
+    rows = frame.rims.craters
+    gTb = np.ascontiguousarray(poses[frame.stamp_ns])
+    slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    return np.asarray((slopes * np.sqrt(_variances(rows, catalog))[:, None])[:, :, _COLUMNS])
+
+
+def _held(rims: RimSet, root: FloatArray) -> FloatArray:
+    """Whether (n,) covariances are larger than the errors whose root is given, in each direction."""
+    if not len(rims):
+        return np.zeros(0)
+    whitened = np.linalg.solve(np.linalg.cholesky(rims.covariance), root)
+    return np.asarray(np.linalg.norm(whitened, ord=2, axis=(1, 2)) < 1.0)

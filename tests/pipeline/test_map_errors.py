@@ -1,0 +1,64 @@
+"""Errors that the catalogue states count for rims of another program, too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from craternav_fg.catalogs.map_errors import MapErrors
+from craternav_fg.dataset import Dataset
+from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.pipeline.map_errors import lack_map_errors
+from craternav_fg.pipeline.reconstruct import reconstruct
+from craternav_fg.simulation.scenario import simulate
+from tests.descents import scenario
+
+PLACE_M, SIZE_SHARE, HEIGHT_M = 20.0, 0.005, 8.0
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A descent whose catalogue is wrong by what it states, and whose rims do not know of it."""
+    data = Dataset.open(simulate(scenario(duration_s=60.0), tmp_path_factory.mktemp("few") / "d"))
+    true, rng = data.catalog, np.random.default_rng(3)
+    n = len(true)
+    north, east = PLACE_M / true.body.radius_m * rng.normal(size=(2, n))
+    stated = replace(
+        true,
+        latitude_rad=true.latitude_rad + north,
+        longitude_rad=true.longitude_rad + east / np.cos(true.latitude_rad),
+        semi_major_m=true.semi_major_m * (1.0 + SIZE_SHARE * rng.normal(size=n)),
+        semi_minor_m=true.semi_minor_m * (1.0 + SIZE_SHARE * rng.normal(size=n)),
+        height_m=true.height_m + HEIGHT_M * rng.normal(size=n),
+        errors=MapErrors(np.full(n, PLACE_M), np.full(n, SIZE_SHARE), np.full(n, HEIGHT_M)),
+    )
+    return replace(data, catalog=stated)
+
+
+def test_stated_errors_of_the_map_are_in_the_covariances(data: Dataset) -> None:
+    """Unknown to the estimators, they gave an ANEES of a thousand."""
+    run = reconstruct(data, ["smoother", "online", "ekf", "map_refining_smoother"])
+    assert not any("outliers" in text for text in run.warnings)
+    assert data.truth is not None
+    for name, trajectory in run.trajectories.items():
+        found = metrics(trajectory, data.truth)
+        assert found.anees is not None, name
+        assert found.anees < 15.0, name
+    exact = reconstruct(replace(data, catalog=replace(data.catalog, errors=None)), ["smoother"])
+    known = metrics(exact.trajectories["smoother"], data.truth)
+    assert known.anees is not None
+    assert known.anees > 50.0
+
+
+def test_covariances_that_hold_the_errors_of_the_map_are_not_enlarged(data: Dataset) -> None:
+    """Rims that say what their craters keep are left as they are; white errors that are large are split."""
+    assert data.measurements is not None
+    once = reconstruct(data, ["dead_reckoning"])
+    assert not lack_map_errors(once.frames, data.catalog)
+    whole = tuple(replace(one, rims=replace(one.rims, correlated=None)) for one in once.frames)
+    assert lack_map_errors(whole, data.catalog)
+    again = reconstruct(replace(data, measurements=whole), ["dead_reckoning"])
+    for first, second, read in zip(once.frames, again.frames, data.measurements, strict=True):
+        assert second.rims.correlated is not None
+        np.testing.assert_array_equal(second.rims.covariance, first.rims.covariance)
+        assert (np.linalg.eigvalsh(first.rims.covariance - read.rims.covariance) > -1e-12).all()
