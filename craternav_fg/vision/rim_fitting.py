@@ -209,7 +209,13 @@ class RimFitter:
             edges.motion, opt.brightness_sigma_share, slope_sigma, rims.contrast_px[i]
         )
         return refine_rim(
-            edges.points_px, rims.charts_px[i], self._camera, options, edges.sigma_ratio, brightness
+            edges.points_px,
+            rims.charts_px[i],
+            self._camera,
+            options,
+            edges.sigma_ratio,
+            brightness,
+            edges.crest_sigma_px,
         )
 
 
