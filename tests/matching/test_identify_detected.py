@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify import detected
 from craternav_fg.matching.identify.detected import identify_detected
 from craternav_fg.matching.identify.options import Effort, IdentifyOptions
@@ -94,6 +95,15 @@ def test_circles_say_nothing_of_the_foreshortening(index):
     np.testing.assert_allclose(poses[2], poses[1], rtol=1e-9, atol=1e-3)
     without_m, misled_m = (np.linalg.norm(poses[k][:3, 3] - poses[0][:3, 3]) for k in (2, 3))
     assert without_m < 0.3 * misled_m
+
+
+@pytest.mark.parametrize("value", [np.nan, -3.0])
+def test_impossible_ellipses_are_refused_also_where_they_were_not_traced(index, view, value):
+    coarse = view.ellipses_px.copy()
+    traced = np.arange(len(coarse)) != 2
+    coarse[2, 3] = value
+    with pytest.raises(EstimationError, match="expected finite numbers and positive axes"):
+        identify_detected(coarse, traced, view.camera, index)
 
 
 def test_no_rims(index, view):

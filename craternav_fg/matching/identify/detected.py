@@ -49,6 +49,11 @@ def identify_detected(
     -------
     Identification
         With one row for each of the n ellipses.
+
+    Raises
+    ------
+    EstimationError
+        When an ellipse has a number that is not finite or an axis that is not positive.
     """
     if options.effort is not Effort.PLAIN:
         # The traced ones alone would take as long, and rarely answer where the others do not.

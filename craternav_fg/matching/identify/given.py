@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
+from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.expansion import Expanded, Search
 from craternav_fg.matching.identify.options import IdentifyOptions
 from craternav_fg.matching.identify.triple_index import TripleIndex
@@ -30,6 +31,11 @@ class Given:
     quality : ndarray, shape (n,), or None
     maps : ShadingMaps
     traced : ndarray of bool, shape (n,), or None
+
+    Raises
+    ------
+    EstimationError
+        When an ellipse has a number that is not finite or an axis that is not positive.
     """
 
     ellipses_px: FloatArray
@@ -40,6 +46,10 @@ class Given:
     quality: FloatArray | None = None
     maps: ShadingMaps = NO_SHADING
     traced: npt.NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.ellipses_px).all() and (self.ellipses_px[:, 2:4] > 0.0).all()):
+            raise EstimationError("ellipses: expected finite numbers and positive axes")
 
     @cached_property
     def once(self) -> npt.NDArray[np.int64]:

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.camera import Camera
-from craternav_fg.errors import EstimationError
 from craternav_fg.matching.identify.answer import answer
 from craternav_fg.matching.identify.expansion import MIN_RIMS, PROMISING, Expanded, Search
 from craternav_fg.matching.identify.given import Given
@@ -134,8 +133,6 @@ def identify(
     """
     began = time.perf_counter()
     ellipses = np.asarray(ellipses_px, dtype=np.float64).reshape(-1, 5)
-    if not (np.isfinite(ellipses).all() and (ellipses[:, 2:4] > 0.0).all()):
-        raise EstimationError("ellipses: expected finite numbers and positive axes")
     n = len(ellipses)
     given = Given(ellipses, camera, index, attitude, options, quality, maps, traced)
     if len(given.once) < MIN_RIMS:
