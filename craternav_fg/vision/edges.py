@@ -49,18 +49,7 @@ class EdgeOptions:
         return self.step_sigmas * float(np.sqrt(2.0)) * noise
 
     def crest_table(self, psf_px: float) -> FloatArray:
-        """Compute what edges say about rim crests under a blur.
-
-        Parameters
-        ----------
-        psf_px : float
-            Standard deviation of the point-spread function.
-
-        Returns
-        -------
-        ndarray, shape (8, 7)
-            See `crest_family.crest_table`.
-        """
+        """Return what edges say about rim crests (8, 7), see `crest_family`, under a blur."""
         return crest_family.crest_table(psf_px, self.smoothing_px, self.smoothing_share)
 
 

@@ -18,9 +18,9 @@ from factors.kernels.compiled import njit
 
 # Lengths of the stretches that are tried, as shares of the points.
 _LENGTHS = (0.16, 0.22, 0.28, 0.34, 0.4)
-# Squared offset over its variance that the best of all stretches reaches by chance: of 300 simulated rims,
-# 5 % of those with an outline that is irregular by 1 % have more, and none with 0.3 % or a smooth one.
-_CHANCE_OFFSET2 = 12.0
+# Squared offset over its variance that the best of all stretches reaches by chance on one rim in ten whose
+# outline is smooth.
+_CHANCE_OFFSET2 = 8.0
 # An outline's deviation has about so many independent values along the rim, see `ellipse_kernel`.
 _INDEPENDENT_VALUES = 12.0
 # Iterations of the robust fit, and its scale in standard deviations.
