@@ -90,7 +90,7 @@ class BlindFitter:
             None where no rim can be traced, or it is of no use.
         """
         sun = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
-        ok, points, ratio, motion, tried, chart, minor, rms, kept, arc, crest_sigma = traced_rim(
+        ok, points, ratio, motion, tried, chart, minor, rms, kept, arc = traced_rim(
             self.pixels, start_px, sun, self._tracing
         )
         if not ok:
@@ -100,8 +100,8 @@ class BlindFitter:
         evidence = np.array([kept / tried, scatter, arc])
         if worth is not None and not worth(evidence):
             return None
-        brightness = BrightnessUnknown(motion, BRIGHTNESS_SIGMA)
-        outlined = refine_rim(points, chart, self._camera, self.options, ratio, brightness, crest_sigma)
+        brightness_unknown = BrightnessUnknown(motion, BRIGHTNESS_SIGMA)
+        outlined = refine_rim(points, chart, self._camera, self.options, ratio, brightness_unknown)
         return None if isinstance(outlined, FitFailure) else BlindFit(outlined, evidence)
 
     @cached_property
@@ -117,6 +117,6 @@ class BlindFitter:
             self.contrast, edges.noise_step(self.noise), self.psf_px, edges.smoothing_share,
             edges.smoothing_px, edges.min_slope_contrast, edges.min_step_share,
             crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
-            edges.crest_table(self.psf_px), self._camera.lens, fit.min_points, fit.min_arc_share,
-            fit.max_gap_rad, fit.max_sigma_share, fit.min_scatter_px, BRIGHTNESS_SIGMA,
+            self._camera.lens, fit.min_points, fit.min_arc_share, fit.max_gap_rad, fit.max_sigma_share,
+            fit.min_scatter_px, BRIGHTNESS_SIGMA,
         )  # fmt: skip

@@ -48,8 +48,6 @@ class Tracing(NamedTuple):
         Blur in radii.
     table_contrast : ndarray, shape (k,)
         Slope contrast, dimensionless.
-    crest_table : ndarray, shape (m, 7)
-        See `crest_family.crest_table`.
     lens : ndarray, shape (14,)
         Of a camera whose pixels are its coordinates.
     min_points : int
@@ -69,7 +67,6 @@ class Tracing(NamedTuple):
     crossing_offset: FloatArray
     table_blur: FloatArray
     table_contrast: FloatArray
-    crest_table: FloatArray
     lens: FloatArray
     min_points: int
     min_arc_share: float
@@ -113,7 +110,7 @@ def ring_brightness(image: ImageArray, chart_px: FloatArray) -> float:
 @njit(cache=True, error_model="numpy")
 def traced_rim(
     image: ImageArray, start_px: FloatArray, sun: FloatArray, given: Tracing
-) -> tuple[bool, FloatArray, FloatArray, FloatArray, int, FloatArray, float, float, int, float, float]:
+) -> tuple[bool, FloatArray, FloatArray, FloatArray, int, FloatArray, float, float, int, float]:
     """Trace a rim and fit an ellipse to it, twice: the second time from the first, along shorter normals.
 
     Parameters
@@ -140,45 +137,43 @@ def traced_rim(
         Its semi-minor axis.
     rms_px, kept, arc_share : float, int, float
         See `ellipse_kernel.fit`.
-    crest_sigma_px : float
-        See `edge_kernel.trace_rim`.
     """
     chart = start_px
     points, ratio, motion = np.empty((0, 2)), np.empty(0), np.empty((0, 2))
-    tried, kept, rms, arc, minor, crest_sigma = 0, 0, 0.0, 0.0, 0.0, 0.0
+    tried, kept, rms, arc, minor = 0, 0, 0.0, 0.0, 0.0
     no_sun = np.zeros(2)
     for turn in range(len(_NORMAL_REACHES)):
         size = np.exp(0.5 * (chart[2] + chart[4]))
         reference = ring_brightness(image, chart)
         if not reference > MIN_REFERENCE_BRIGHTNESS:
-            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc, crest_sigma
+            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc
         # The crater's radius towards the sun, in the image.
         u, v = whiten_kernel(
             chart[0] + sun[0], chart[1] + sun[1], chart[0], chart[1], chart[2], chart[3], chart[4]
         )
         reach_px = _NORMAL_REACHES[turn, 0] + _NORMAL_REACHES[turn, 1] * size
         normals = normal_count(size)
-        points, ratio, motion, tried, _, _, _, crest_sigma = trace_rim(
+        points, ratio, motion, tried, _, _, _ = trace_rim(
             image, chart, given.contrast / np.hypot(u, v) * sun, reference, reach_px, given.smoothing_share,
             given.smoothing_px, given.psf_px, given.min_slope_contrast, given.min_step,
             given.noise_step / reference, normals, given.crossing_offset, given.table_blur,
-            given.table_contrast, given.lens, np.zeros(LEVEL_TERMS), given.crest_table,
+            given.table_contrast, given.lens, np.zeros(LEVEL_TERMS),
         )  # fmt: skip
         found = len(points)
         if tried < _MIN_TRIED_SHARE * normals or found < max(_MIN_FOUND_SHARE * tried, given.min_points):
-            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc, crest_sigma
+            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc
         ok, fitted, cov, _, _, rms, kept, arc, _ = ellipse_kernel.fit(
             points, ratio, motion, given.brightness_sigma, 0.0, no_sun, chart, given.min_scatter_px,
             given.max_gap_rad, 0.0,
         )  # fmt: skip
         if not ok or np.sqrt(max(cov[2, 2], cov[4, 4])) > given.max_sigma_share:
-            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc, crest_sigma
+            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc
         if kept < given.min_points or arc < given.min_arc_share:
-            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc, crest_sigma
+            return False, points, ratio, motion, tried, chart, minor, rms, kept, arc
         chart = fitted
     sxx, sxy, syy = moments_kernel(chart[2], chart[3], chart[4])
     _, minor = semi_axes_kernel(sxx, sxy, syy, np.exp(chart[2] + chart[4]))
     radius = np.exp(0.5 * (start_px[2] + start_px[4]))
     moved = np.hypot(chart[0] - start_px[0], chart[1] - start_px[1])
     near = minor >= _MIN_MINOR_RADII * radius and moved <= _MAX_SHIFT_RADII * radius
-    return near, points, ratio, motion, tried, chart, minor, rms, kept, arc, crest_sigma
+    return near, points, ratio, motion, tried, chart, minor, rms, kept, arc

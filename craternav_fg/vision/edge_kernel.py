@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from craternav_fg.vision.crest_sharpness import crest_displacement
 from craternav_fg.vision.ground_level import evidence_of_level, level_at, levels_of_flanks
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, cubic
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
@@ -14,7 +13,7 @@ from factors.kernels.compiled import njit
 _NORMALS_PER_PX = 2.0
 _MIN_NORMALS, _MAX_NORMALS = 56, 160
 # Width of the second smoothing over that of the first: the crossing's displacement between them is observed.
-SECOND_SMOOTHING_FACTOR = 2.2
+_SECOND_SMOOTHING_FACTOR = 2.2
 # Share of a rim's largest slope contrast below which errors of the reference brightness and of the rim's own
 # slope direction, which the prediction does not know, outweigh the noise of the pixels. Chosen on rendered
 # ground.
@@ -22,12 +21,12 @@ _FLAT_CONTRAST_SHARE = 0.35
 # Prior weight of the canonical crater's displacement against the observed one, px^2.
 _BLUNTNESS_PRIOR_PX2 = 0.1
 # The inner wall and the outer slope are judged over this length, px, at least, and this share of the radius.
-MIN_SIDE_PX, SIDE_SHARE = 2.0, 0.12
+_MIN_SIDE_PX, _SIDE_SHARE = 2.0, 0.12
 # These lengths are never more samples than this, given how the distance of the samples grows.
 _MAX_SIDE_SAMPLES = 12
 # The flanks of the crest begin one standard deviation of the whole blur from the crossing; with that of the
 # pixels, px^2. They are as long as the sides above.
-PIXEL_VARIANCE_PX2 = 0.1
+_PIXEL_VARIANCE_PX2 = 0.1
 # Distance of the samples along a normal on small rims, px; it grows with the radius above 50 px.
 _SAMPLE_STEP_PX = 0.5
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
@@ -160,8 +159,8 @@ def trace_rim(
     image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float, reach_px: float,
     smoothing_share: float, smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float,
     noise_step: float, count: int, crossing_offset: FloatArray, table_blur: FloatArray,
-    table_contrast: FloatArray, lens: FloatArray, ground: FloatArray, crest_table: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray, float]:  # fmt: skip
+    table_contrast: FloatArray, lens: FloatArray, ground: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
     Parameters
@@ -200,8 +199,6 @@ def trace_rim(
     ground : ndarray, shape (5,)
         Level of the ground around the rim that the edge is searched at, see `ground_level.smooth_level`; zero
         for the reference all around.
-    crest_table : ndarray, shape (m, 7)
-        See `crest_family.crest_table`.
 
     Returns
     -------
@@ -221,9 +218,6 @@ def trace_rim(
         `ground_level`. Times `motion` it takes the points to where the brightness crosses that level.
     evidence : ndarray, shape (2,)
         See `ground_level.evidence_of_level`.
-    crest_sigma_px : float
-        Standard deviation of an outward shift that all points have in common, as it is not known how sharp
-        the crest is.
     """
     points = np.empty((count, 2))
     ratio = np.empty(count)
@@ -232,7 +226,6 @@ def trace_rim(
     first = np.empty(count)
     contrasts = np.empty(count)
     more = np.empty(count)
-    widths = np.empty(count)
     angles = np.empty(count)
     flanks = np.empty((count, 2))
     near = np.empty((count, 2 * _MAX_SIDE_SAMPLES + 2))
@@ -257,7 +250,7 @@ def trace_rim(
             shrinks = through_lens(q, lens)
             h = q[4]
         smooth = max(smoothing_px, smoothing_share * h)
-        side = max(MIN_SIDE_PX, SIDE_SHARE * h)
+        side = max(_MIN_SIDE_PX, _SIDE_SHARE * h)
         step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
         half = int(np.ceil((reach_px + side + 4.0 * smooth) / step))
         if 2 * half + 1 > len(samples):
@@ -280,7 +273,7 @@ def trace_rim(
         best, second, where, fall = 0.0, 0.0, 0.0, 0.0
         if smooth / step != width:
             width = smooth / step
-            kernel, wide_kernel = _gaussian(width), _gaussian(SECOND_SMOOTHING_FACTOR * smooth / step)
+            kernel, wide_kernel = _gaussian(width), _gaussian(_SECOND_SMOOTHING_FACTOR * smooth / step)
         _smooth(raw, half - n_reach - n_side, half + n_reach + n_side + 1, kernel, soft)
         here = soft[half - n_reach]
         for i in range(half - n_reach, half + n_reach):
@@ -313,7 +306,7 @@ def trace_rim(
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
         shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast)
-        wide = SECOND_SMOOTHING_FACTOR * smooth
+        wide = _SECOND_SMOOTHING_FACTOR * smooth
         again = _crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
         if not np.isnan(again):
             blur = np.sqrt(wide * wide + psf_px * psf_px) / h
@@ -335,8 +328,7 @@ def trace_rim(
         motion[found, 1] = -sign * q[3] / fall
         angles[found] = 2.0 * np.pi * (k + 0.5) / count
         middle = int(where)
-        widths[found] = np.sqrt(smooth * smooth + psf_px * psf_px + PIXEL_VARIANCE_PX2)
-        gap = int(widths[found] / step + 0.5)
+        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
         flanks[found, 0] = sign * _mean(raw, middle - gap - n_side + 1, middle - gap + 1)
         flanks[found, 1] = sign * _mean(raw, middle + 1 + gap, middle + 1 + gap + n_side)
         for j in range(2 * n_side + 2):
@@ -349,15 +341,7 @@ def trace_rim(
     bluntness = dot / square
     level = np.zeros(found)
     evidence = np.zeros(2)
-    outward, crest_sigma = bluntness, 0.0
     if found > 0:
-        radius = np.exp(0.5 * (chart_px[2] + chart_px[4]))
-        factor, factor_sigma, family_sigma = crest_displacement(
-            angles[:found], contrasts[:found], falls[:found], flanks[:found], widths[:found], radius,
-            crest_table,
-        )  # fmt: skip
-        outward *= factor
-        crest_sigma = np.hypot(bluntness * factor_sigma * np.mean(more[:found]), family_sigma)
         found_level = levels_of_flanks(flanks[:found], contrasts[:found])
         contrasts = np.abs(contrasts)
         shifts = np.zeros(found)
@@ -367,18 +351,18 @@ def trace_rim(
             shifts[i] = steps[i] * _moved_crossing(
                 near[i, : 2 * sides[i] + 2], sides[i] + offsets[i], sign * found_level[i]
             )
-            crossings[i] = first[i] - outward * more[i]
+            crossings[i] = first[i] - bluntness * more[i]
             level[i] = -falls[i] * shifts[i]
         evidence = evidence_of_level(angles[:found], contrasts[:found], crossings, shifts)
     for i in range(found):
         flat = _FLAT_CONTRAST_SHARE * largest / contrasts[i]
         ratio[i] *= np.sqrt(1.0 + flat * flat) / contrasts[i]
-        t = first[i] - outward * more[i]
+        t = first[i] - bluntness * more[i]
         points[i, 0] += t * normal[i, 0]
         points[i, 1] += t * normal[i, 1]
         if bent:
             back_through_lens(points[i], motion[i], lens)
-    return points[:found], ratio[:found], motion[:found], tried, bluntness, level, evidence, crest_sigma
+    return points[:found], ratio[:found], motion[:found], tried, bluntness, level, evidence
 
 
 @njit(cache=True, error_model="numpy")
@@ -436,8 +420,8 @@ def flanks_around(
         h = q[4]
         smooth = max(smoothing_px, smoothing_share * h)
         step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
-        n_side = int(max(MIN_SIDE_PX, SIDE_SHARE * h) / step + 0.5)
-        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + PIXEL_VARIANCE_PX2) / step + 0.5)
+        n_side = int(max(_MIN_SIDE_PX, _SIDE_SHARE * h) / step + 0.5)
+        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
         half = gap + n_side
         if 2 * half + 1 > len(samples):
             samples = np.empty(4 * half)

@@ -5,8 +5,7 @@ brightness crosses that reference, between the inner wall and the outer slope. T
 inside the crest, further inside for larger craters. The slope contrast (see `photometry`) gives the side that
 is the bright one. Where it runs along the rim there is no contrast across the rim, and no edge point.
 
-Blurring moves the crossing, as the inner wall is steeper than the outer slope; see `crater_profile`, and
-`crest_sharpness` for crests unlike that of the canonical crater.
+Blurring moves the crossing, as the inner wall is steeper than the outer slope; see `crater_profile`.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, crest_family, edge_kernel
+from craternav_fg.vision import crater_profile, edge_kernel
 from craternav_fg.vision.ground_level import LEVEL_TERMS, smooth_level
 from factors.arrays import FloatArray, ImageArray
 
@@ -48,10 +47,6 @@ class EdgeOptions:
         # The difference of two pixels has twice the variance of one.
         return self.step_sigmas * float(np.sqrt(2.0)) * noise
 
-    def crest_table(self, psf_px: float) -> FloatArray:
-        """Return what edges say about rim crests (8, 7), see `crest_family`, under a blur."""
-        return crest_family.crest_table(psf_px, self.smoothing_px, self.smoothing_share)
-
 
 @dataclass(frozen=True)
 class EdgePoints:
@@ -70,8 +65,6 @@ class EdgePoints:
         crest show it; see `ground_level`.
     evidence : ndarray, shape (2,)
         How much the levels explain, see `ground_level.evidence_of_level`.
-    crest_sigma_px : float
-        Standard deviation of an outward shift that all points have in common; see `crest_sharpness`.
     tried : int
         Normals with enough contrast that lie in the image.
     normals : int
@@ -83,7 +76,6 @@ class EdgePoints:
     motion: FloatArray
     level: FloatArray
     evidence: FloatArray
-    crest_sigma_px: float
     tried: int
     normals: int
 
@@ -143,14 +135,13 @@ def find_edge_points(
     """
     count = edge_kernel.normal_count(radius_px)
     noise_step = options.noise_step(noise) / reference
-    points, ratio, motion, tried, _, level, evidence, crest_sigma = edge_kernel.trace_rim(
+    points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
         image, chart_px, contrast_px, reference, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step_share, noise_step, count,
         crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
         camera.lens, np.zeros(LEVEL_TERMS) if ground is None else ground,
-        options.crest_table(camera.psf_sigma_px),
     )  # fmt: skip
-    return EdgePoints(points, ratio, motion, level, evidence, crest_sigma, tried, count)
+    return EdgePoints(points, ratio, motion, level, evidence, tried, count)
 
 
 def level_around(

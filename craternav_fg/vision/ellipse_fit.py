@@ -30,8 +30,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.ellipse import chart_of_axes, normalised_chart, pixel_chart
 from craternav_fg.vision import ellipse_kernel
-from craternav_fg.vision.error_model.systematic import RimErrors, floor_covariance, outward_slope
-from craternav_fg.vision.wrong_stretch import move_without_stretch
+from craternav_fg.vision.error_model.systematic import RimErrors, floor_covariance
 from factors.arrays import FloatArray
 
 
@@ -183,7 +182,6 @@ def refine_rim(
     options: FitOptions,
     sigma_ratio: FloatArray,
     brightness: BrightnessUnknown | None = None,
-    crest_sigma_px: float = 0.0,
 ) -> RimFit | FitFailure:
     """Fit an ellipse to edge points from a given start.
 
@@ -200,8 +198,6 @@ def refine_rim(
         Standard deviations of the points relative to one another.
     brightness : BrightnessUnknown, optional
         Unknown that is estimated beside the ellipse.
-    crest_sigma_px : float
-        Standard deviation of an outward shift that all points have in common.
 
     Returns
     -------
@@ -226,10 +222,5 @@ def refine_rim(
     chart, scale = normalised_chart(y, camera)
     units = np.outer(scale, scale)
     floor = floor_covariance(pixel_chart(chart, camera), options.floor_px, options.floor_share)
-    wider = crest_sigma_px * outward_slope(y)
-    moved = move_without_stretch(
-        points_px, sigma_ratio, brightness.motion, brightness.sigma, y, options.min_scatter_px
-    )
-    floor += np.outer(wider, wider) + np.outer(moved, moved)
     errors = RimErrors.of_fit((cov - of_outline) * units, of_outline * units, root * scale, floor * units)
     return RimFit(chart, errors, y, rms, kept, arc, outline)

@@ -209,13 +209,7 @@ class RimFitter:
             edges.motion, opt.brightness_sigma_share, slope_sigma, rims.contrast_px[i]
         )
         return refine_rim(
-            edges.points_px,
-            rims.charts_px[i],
-            self._camera,
-            options,
-            edges.sigma_ratio,
-            brightness,
-            edges.crest_sigma_px,
+            edges.points_px, rims.charts_px[i], self._camera, options, edges.sigma_ratio, brightness
         )
 
 

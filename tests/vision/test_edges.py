@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, crest_family, edge_kernel, rim_geometry, shift_kernel
+from craternav_fg.vision import crater_profile, edge_kernel, rim_geometry, shift_kernel
 
 REFERENCE = 100.0
 CENTRE = np.array([61.3, 58.8])
@@ -14,7 +14,6 @@ NO_OFFSET = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_C
 NO_OFFSET.flags.writeable = False
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 EVEN = np.zeros(5)
-CRESTS = crest_family.crest_table(0.0, 0.4, 0.02)
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
@@ -50,7 +49,6 @@ def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE, grou
         crater_profile.SLOPE_CONTRASTS,
         PLAIN,
         ground,
-        CRESTS,
     )[:5]
 
 
@@ -67,7 +65,7 @@ def test_no_smoothing_is_the_limit_of_little():
     found = [
         edge_kernel.trace_rim(
             rim_image(), CHART, CONTRAST_PX, REFERENCE, 4.0, 0.0, smoothing_px, 0.0, 0.12, 0.02, 0.0, 72,
-            NO_OFFSET, crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, PLAIN, EVEN, CRESTS,
+            NO_OFFSET, crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, PLAIN, EVEN,
         )[0]
         for smoothing_px in (0.01, 0.0)
     ]  # fmt: skip

@@ -7,11 +7,10 @@ import pytest
 from scipy.stats import norm
 
 from craternav_fg.catalogs.map_errors import MapErrors
-from craternav_fg.ellipse import chart_of_axes
 from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.error_model.outline import unseen_deviation
-from craternav_fg.vision.error_model.systematic import RimErrors, outward_slope
+from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.kernels.conic import project_rims
 from tests.vision import scene
 
@@ -168,10 +167,3 @@ def test_scatter_of_a_frame_adds_white_variance_for_estimators_alone(view):
     added = options.excess_white_share * 0.5 * errors.systematic
     np.testing.assert_allclose(told[1.5][3] - white, added, rtol=1e-9, atol=1e-18)
     np.testing.assert_array_equal(told[30.0][3], told[3.0][3])
-
-
-@pytest.mark.parametrize("axes", [[3.0, 4.0, 20.0, 11.0, 0.7], [3.0, 4.0, 15.0, 15.0, 0.2]])
-def test_an_outward_shift_is_equal_growth_of_both_axes(axes):
-    step = np.array([0.0, 0.0, 1e-4, 1e-4, 0.0])
-    expected = (chart_of_axes(axes + step) - chart_of_axes(axes - step)) / 2e-4
-    np.testing.assert_allclose(outward_slope(chart_of_axes(axes)), expected, rtol=1e-6, atol=1e-9)

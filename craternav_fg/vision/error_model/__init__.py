@@ -17,11 +17,8 @@ In one image, for one rim:
    step 1 claims: `ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE`.
 4. Systematic floor. `error_model.systematic.floor_covariance`, applied by `ellipse_fit.refine_rim`, adds what
    no number of points averages out: the fit's residuals do not show a rim crest that is displaced as a whole.
-   How sharp the rim crest is displaces all points alike; `crest_sharpness` says by how much, and
-   `systematic.outward_slope` what that does to the ellipse. `wrong_stretch` adds what a stretch that is
-   another rim or a shadow may have done to it. From here on a rim carries
-   `error_model.systematic.RimErrors`: the whole covariance, the systematic part of it (steps 2 to 4), and the
-   root of what step 3 contributes to that.
+   From here on a rim carries `error_model.systematic.RimErrors`: the whole covariance, the systematic part of
+   it (steps 2 to 4), and the root of what step 3 contributes to that.
 
 In one image, for all its rims:
 

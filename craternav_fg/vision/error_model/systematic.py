@@ -98,30 +98,3 @@ def floor_covariance(y: FloatArray, floor_px: float, floor_share: float) -> Floa
     sxx, sxy, syy = moments_kernel(y[2], y[3], y[4])
     _, minor_px = semi_axes_kernel(sxx, sxy, syy, np.exp(y[2] + y[4]))
     return axes_covariance(y, floor_px + floor_share * minor_px)
-
-
-@njit(cache=True, error_model="numpy")
-def outward_slope(y: FloatArray) -> FloatArray:
-    """Differentiate a chart for an outward shift of the whole rim: equal growth of both semi-axes.
-
-    Parameters
-    ----------
-    y : ndarray, shape (5,)
-        Chart in pixels.
-
-    Returns
-    -------
-    ndarray, shape (5,)
-        Per px.
-    """
-    beta = y[3]
-    sxx, sxy, syy = moments_kernel(y[2], beta, y[4])
-    product, schur = np.exp(y[2] + y[4]), np.exp(2.0 * y[4])
-    # S = A A changes by 2 A when its symmetric root A = (S + ab I) / (a + b) changes by I.
-    total = 0.5 * np.sqrt(sxx + syy + 2.0 * product)
-    dxx, dxy, dyy = (sxx + product) / total, sxy / total, (syy + product) / total
-    out = np.zeros(5)
-    out[2] = 0.5 * dxx / sxx
-    out[3] = (dxy - beta * dxx) / sxx
-    out[4] = 0.5 * (dyy - 2.0 * beta * dxy + beta * beta * dxx) / schur
-    return out
