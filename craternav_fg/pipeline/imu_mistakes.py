@@ -93,6 +93,7 @@ def axes(bRc: FloatArray) -> Iterator[ImuMistake]:
     ImuMistake
     """
     same = np.eye(3)
+    about_axis = {90 * turns: _about_optical_axis(bRc, turns) for turns in (1, 2, 3)}
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             M = np.diag(signs)[:, np.argsort(order)]
@@ -100,7 +101,11 @@ def axes(bRc: FloatArray) -> Iterator[ImuMistake]:
                 continue
             names = [f"{'-' if sign < 0.0 else ''}{_AXES[k]}" for sign, k in zip(signs, order, strict=True)]
             found = f"expected the axes x, y, z of b, found them as {', '.join(names)} of"
-            yield ImuMistake(f"{found} the log, or the camera's T_BS turned as much", _GYRO, M, M)
+            other = "or the camera's T_BS turned as much"
+            for turn_deg, turn in about_axis.items():
+                if np.allclose(M, turn):
+                    other = f"or the camera or its images turned by {turn_deg} deg about the optical axis"
+            yield ImuMistake(f"{found} the log, {other}", _GYRO, M, M)
             # Seldom are axes both interchanged and reversed in one of the two sensors alone.
             if order == (0, 1, 2) or min(signs) > 0.0:
                 yield ImuMistake(f"{found} the gyro", _GYRO, M, same)
@@ -109,8 +114,14 @@ def axes(bRc: FloatArray) -> Iterator[ImuMistake]:
     # A camera that is mounted otherwise than stated turns b against the IMU.
     M = bRc @ bRc
     yield ImuMistake("expected bTc, found its inverse", _MOUNTING, M, M, Path(layout.CAMERA_SENSOR))
-    for turns in (1, 2, 3):
-        turned = np.linalg.matrix_power(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), turns)
-        M = bRc @ turned @ bRc.T
-        found = f"the camera is turned by {90 * turns} deg about its optical axis against the IMU"
+    for turn_deg, M in about_axis.items():
+        found = (
+            f"the camera or its images are turned by {turn_deg} deg about the optical axis against the IMU"
+        )
         yield ImuMistake(found, _MOUNTING, M, M, Path(layout.CAMERA_SENSOR))
+
+
+def _about_optical_axis(bRc: FloatArray, turns: int) -> FloatArray:
+    """Rotation (3, 3) in b by some quarter turns about the camera's optical axis."""
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(bRc @ np.linalg.matrix_power(quarter, turns) @ bRc.T)
