@@ -147,7 +147,7 @@ def identify(
         singles = attitude is not None and factor == options.size_factors[0]
         wide = options.effort is Effort.WIDE
         found = _widely(search, depth) if wide else _expanded(search, depth, singles)
-        if found and PROMISING < found[0].log_ratio < threshold:
+        if options.fine_size_factors and found and PROMISING < found[0].log_ratio < threshold:
             more = given.at_other_sizes(found[0].gTc, found[0].match, found[0].sigma[0])
             if more is not None and more[0].log_ratio > found[0].log_ratio:
                 found[0], search = more
