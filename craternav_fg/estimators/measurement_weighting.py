@@ -67,14 +67,20 @@ def noise_inflation(
     squared = filter_kernel.squared_innovations(A, residual, covariance)
     factor = np.ones(len(A))
     k = A.shape[2]
-    for i in np.flatnonzero(squared > limit * limit):
-        values, vectors = np.linalg.eigh(A[i] @ covariance[:k, :k] @ A[i].T)
-        values = np.maximum(values, 0.0)
-        parts = (vectors.T @ residual[i]) ** 2
-        # Convex and falling in the factor: Newton from the left cannot overshoot.
-        for _ in range(50):
-            excess = float(np.sum(parts / (values + factor[i]))) - limit * limit
-            if excess <= 1e-9 * limit * limit:
-                break
-            factor[i] += excess / float(np.sum(parts / (values + factor[i]) ** 2))
+    beyond = np.flatnonzero(squared > limit * limit)
+    values, vectors = np.linalg.eigh(A[beyond] @ covariance[:k, :k] @ np.swapaxes(A[beyond], 1, 2))
+    values = np.maximum(values, 0.0)
+    parts = np.einsum("nji,nj->ni", vectors, residual[beyond]) ** 2
+    # What all parts are at least, or one alone, bounds the factor from below. The sum is convex and falls as
+    # the factor grows: Newton from the left cannot overshoot.
+    allowed = parts / (limit * limit)
+    least = np.maximum(allowed.sum(axis=1) - values.max(axis=1), (allowed - values).max(axis=1))
+    factor[beyond] = np.maximum(least, 1.0)
+    for _ in range(50):
+        noise = values + factor[beyond, None]
+        excess = np.sum(parts / noise, axis=1) - limit * limit
+        high = excess > 1e-9 * limit * limit
+        if not high.any():
+            break
+        factor[beyond[high]] += excess[high] / np.sum(parts[high] / noise[high] ** 2, axis=1)
     return np.sqrt(squared), factor

@@ -211,12 +211,14 @@ def test_inflated_noise_meets_the_limit():
     rng = np.random.default_rng(3)
     A, P = rng.normal(size=(5, 6)), np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     r = 20.0 * rng.normal(size=5)
-    (sigmas, sound), (factor, untouched) = noise_inflation(np.stack([A, A]), np.stack([r, 0.01 * r]), P, 4.5)
-    assert sigmas == pytest.approx(np.sqrt(r @ np.linalg.solve(A @ P @ A.T + np.eye(5), r)))
-    limited = r @ np.linalg.solve(A @ P @ A.T + factor * np.eye(5), r)
-    assert np.sqrt(limited) == pytest.approx(4.5)
-    assert sound == pytest.approx(0.01 * sigmas)
-    assert untouched == 1.0
+    scales = np.array([1.0, 0.01, 1e4, 1e9])
+    sigmas, factors = noise_inflation(np.stack([A] * 4), scales[:, None] * r, P, 4.5)
+    assert sigmas == pytest.approx(scales * np.sqrt(r @ np.linalg.solve(A @ P @ A.T + np.eye(5), r)))
+    assert factors[1] == 1.0
+    for k in (0, 2, 3):
+        left = scales[k] * r
+        limited = left @ np.linalg.solve(A @ P @ A.T + factors[k] * np.eye(5), left)
+        assert np.sqrt(limited) == pytest.approx(4.5)
 
 
 # ---------------------------------------------------------------- whole descents

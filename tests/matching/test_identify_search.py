@@ -210,7 +210,7 @@ def test_an_answer_may_need_finer_sizes(synthetic, monkeypatch) -> None:
     monkeypatch.setattr(Given, "at_other_sizes", noted)
     assert identify(view.ellipses_px, view.camera, synthetic).identified
     assert not asked
-    high = IdentifyOptions(log_chance=-1000.0, fine_size_factors=(1.1,))
+    high = IdentifyOptions(log_chance=-1000.0, fine_size_factors=(1.1,), effort=Effort.PLAIN)
     none = replace(high, fine_size_factors=())
     assert not identify(view.ellipses_px, view.camera, synthetic, options=none).identified
     assert not asked
