@@ -35,8 +35,14 @@ class World:
     images: list[ImageArray]
 
 
-def draw_world(seed: int, kind: str, optics: Optics | None = None, frames: int = FRAMES) -> World:
-    """Draw and render a descent; takes some seconds."""
+def draw_world(
+    seed: int,
+    kind: str,
+    optics: Optics | None = None,
+    frames: int = FRAMES,
+    ground: GroundKind | None = None,
+) -> World:
+    """Draw and render a descent, over the kind's ground or another; takes some seconds."""
     rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
     law = LAWS[int(rng.integers(len(LAWS)))]
     height, azimuth = np.radians(rng.uniform(22.0, 50.0)), rng.uniform(0.0, 2.0 * np.pi)
@@ -48,8 +54,8 @@ def draw_world(seed: int, kind: str, optics: Optics | None = None, frames: int =
         jpeg=None if rng.uniform() < 0.7 else 92, vignetting=float(rng.uniform(0.0, 0.25)),
         noise=float(rng.uniform(0.5, 2.0)),
     )  # fmt: skip
-    ground = make_ground(rng, KINDS[kind], _SIDE, _CELL_M, _SIZES_M, _CRATERS)
-    photographer = Photographer(ground, sun, law, optics or drawn)
+    made = make_ground(rng, ground or KINDS[kind], _SIDE, _CELL_M, _SIZES_M, _CRATERS)
+    photographer = Photographer(made, sun, law, optics or drawn)
     times_s = np.linspace(0.0, DURATION_S, frames)
     images = [photographer.take(rng, motion.position(t), motion.attitude(t) @ BODY_CAMERA) for t in times_s]
-    return World(kind, law, optics or drawn, ground, sun, motion, times_s, images)
+    return World(kind, law, optics or drawn, made, sun, motion, times_s, images)

@@ -7,14 +7,17 @@ scatter, and the focal length if it is estimated.
 import re
 import sys
 import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from craternav_fg.dataset import Dataset
-from craternav_fg.evaluation.offsets import offsets
+from craternav_fg.evaluation.offsets import Offsets, leave_one_out, offsets
 from craternav_fg.pipeline.options_file import OptionsFile
 from craternav_fg.pipeline.reconstruct import reconstruct
+from factors.arrays import FloatArray
 from tests.cli.calls import call
 from tests.shared_data import shared
 
@@ -67,27 +70,77 @@ def options_with(folder: Path, key: str, value: str) -> OptionsFile:
     return OptionsFile(path)
 
 
-def scatter_and_drift(data: Dataset, options: OptionsFile) -> str:
-    """Scatter of the smoother's offsets from SPICE and their drift, as a row of the table has them."""
-    result = reconstruct(data, [options.estimator("smoother")], front_end=options.front_end)
+@dataclass(frozen=True)
+class Outcome:
+    """What a reconstruction says of itself.
+
+    `offsets` are those of the smoother from SPICE; `left_out` is the mean squared error, over its variance,
+    of frames that the others predict.
+    """
+
+    offsets: Offsets
+    drift_m_s: FloatArray
+    rims: int
+    left_out: float
+    focal: str
+
+    @property
+    def scatter_m(self) -> float:
+        """Scatter of the positions about their mean offset, all three axes together."""
+        return float(np.linalg.norm(self.offsets.scatter_m))
+
+
+def outcome(data: Dataset, options: OptionsFile) -> Outcome:
+    """Reconstruct the photographs with the smoother and compare it with SPICE and with itself."""
+    smoother = options.estimator("smoother")
+    result = reconstruct(data, [smoother], front_end=options.front_end)
     trajectory = result.trajectories["smoother"]
     assert data.apriori is not None
     found = offsets(trajectory, data.apriori.states)
     seconds = 1e-9 * (trajectory.stamps_ns - trajectory.stamps_ns[0])
-    east, north = np.polyfit(seconds, found.enu_m[:, :2], 1)[0]
-    rims = sum(len(frame.rims) for frame in result.frames)
-    scatter = ", ".join(f"{one:.0f}" for one in found.scatter_m)
-    mean = ", ".join(f"{one:.0f}" for one in found.enu_m.mean(axis=0))
-    told = f"{rims} rims, mean offset {mean} m, sigma up {np.median(found.sigma_m[:, 2]):.0f} m"
+    drift = np.polyfit(seconds, found.enu_m[:, :2], 1)[0]
+    left = leave_one_out(result.problems, smoother, trajectory.stamps_ns)
+    focal = ""
     if trajectory.calibrated is not None and trajectory.calibrated.intrinsics is not None:
         (share, *_), (sigma, *_) = trajectory.calibrated.intrinsics
-        told += f", focal length {100.0 * share:.1f} ± {100.0 * sigma:.1f} % longer"
-    return f"{scatter} m | {east:.1f}, {north:.1f} m/s | {told}"
+        focal = f", focal length {100.0 * share:.1f} ± {100.0 * sigma:.1f} % longer"
+    rims = sum(len(frame.rims) for frame in result.frames)
+    return Outcome(found, drift, rims, float(np.mean((left.enu_m / left.sigma_m) ** 2)), focal)
+
+
+def altered(data: Dataset, folder: Path, seed: int) -> Dataset:
+    """Copy of the data set in whose images one pixel in fifty differs by one grey level."""
+    folder.mkdir(exist_ok=True)
+    paths = []
+    for k, path in enumerate(data.image_paths):
+        rng = np.random.default_rng(1000 * seed + k)
+        image = data.image(k)
+        hit = rng.random(image.shape) < 0.02
+        step = np.where(rng.random(image.shape) < 0.5, 1, -1)
+        most = np.iinfo(image.dtype).max
+        changed = np.clip(image.astype(np.int64) + hit * step, 0, most).astype(image.dtype)
+        paths.append(folder / f"{seed}_{path.name}")
+        cv2.imwrite(str(paths[-1]), changed)
+    return replace(data, image_paths=tuple(paths))
+
+
+def row_of(first: Outcome, copies: list[Outcome]) -> str:
+    """The table's row of a variant: the photographs, and several altered copies of them."""
+    cells = [", ".join(f"{one:.0f}" for one in first.offsets.scatter_m) + " m"]
+    for name, digits, unit in (("scatter_m", 0, " m"), ("left_out", 2, "")):
+        values = [getattr(one, name) for one in copies]
+        cells.append(f"{np.mean(values):.{digits}f} ± {np.std(values, ddof=1):.{digits}f}{unit}")
+    mean = ", ".join(f"{one:.0f}" for one in first.offsets.enu_m.mean(axis=0))
+    told = f"{first.rims} rims, drift {first.drift_m_s.round(1)} m/s, mean offset {mean} m{first.focal}"
+    return " | ".join([*cells, told])
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as work:
         arc = import_arc(Path(work))
+        others = [altered(arc, Path(work) / "altered", seed) for seed in range(1, 9)]
         for name, (key, value) in VARIANTS.items():
-            sys.stdout.write(f"| {name} | {scatter_and_drift(arc, options_with(Path(work), key, value))} |\n")
+            chosen = options_with(Path(work), key, value)
+            row = row_of(outcome(arc, chosen), [outcome(one, chosen) for one in others])
+            sys.stdout.write(f"| {name} | {row} |\n")
             sys.stdout.flush()
