@@ -149,7 +149,11 @@ def reconstruct(
         problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
     bare = problems
     if lacking:
-        bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=as_read))
+        # Only rims have variables for the errors of the map.
+        frames = tuple(
+            replace(frame, rims=read.rims) for frame, read in zip(measured.frames, as_read, strict=True)
+        )
+        bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=frames))
     trajectories, failures, estimation_s = _run(chosen, problems, bare, measured.frames, report)
     searched = None if RIMS in without else measured.limits
     return Reconstruction(
