@@ -31,7 +31,13 @@ from craternav_fg.estimators.incremental import INDEX_BITS, INDEX_MASK, RELINEAR
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.point_features import SETTLED_ATTITUDE_RAD, FeatureStates
-from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovation_weights
+from craternav_fg.estimators.sensor_bank import (
+    SensorBank,
+    add_sensors,
+    gyro_at,
+    gyro_variance,
+    innovation_weights,
+)
 from craternav_fg.estimators.state_log import StateLog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -420,12 +426,14 @@ class OnlineSession:
         joint = tree.jointMarginalCovariance(keys).fullMatrix()
         T = FROM_GTSAM.copy()
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
-        row = int(self._descent.imu.stamps_ns.searchsorted(stamp_ns))
-        rate = self._descent.imu.gyro_rad_s[min(row, len(self._descent.imu.gyro_rad_s) - 1)] - bias[:3]
+        rate = gyro_at(self._descent, stamp_ns) - bias[:3]
+        # What this noise turned in its row is far less than the attitude's own error.
+        of_row = np.zeros((strapdown.SIZE, strapdown.SIZE))
+        of_row[strapdown.RATE, strapdown.RATE] = gyro_variance(self._descent, stamp_ns) * np.eye(3)
         gV = tree.calculateEstimateVector(V(n))
         sigmas = self._bank.sigmas
         if not len(sigmas):
-            return FilterState(gTb, gV, rate, bias, T @ joint @ T.T)
+            return FilterState(gTb, gV, rate, bias, T @ joint @ T.T + of_row)
         # A sensor that has not measured yet has the bias of its prior.
         sensor_bias, measured = np.zeros(len(sigmas)), np.zeros(len(sigmas), dtype=np.bool_)
         for part, key in known:
@@ -435,6 +443,7 @@ class OnlineSession:
         whole[: strapdown.SIZE, :15] = T
         whole[strapdown.SIZE + np.flatnonzero(measured), 15:] = np.diag(sigmas[measured])
         covariance = whole @ joint @ whole.T
+        covariance[: strapdown.SIZE, : strapdown.SIZE] += of_row
         rest = strapdown.SIZE + np.flatnonzero(~measured)
         covariance[rest, rest] = sigmas[~measured] ** 2
         return FilterState(gTb, gV, rate, bias, covariance, sensor_bias)
