@@ -53,8 +53,8 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
     if summary["innovations"]:
         say(_innovations(summary["innovations"]))
     for name, values in summary["estimators"].items():
-        if "calibrated" in values:
-            say(f"{name} estimated {calibration_line(values['calibrated'])}")
+        for line in calibration_lines(values, summary["reinitialised_at_frames"]):
+            say(f"{name} estimated {line}")
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
     say(describe_frames(summary))
     say(f"wall time {summary['wall_s']:.0f} s ({seconds})")
@@ -94,6 +94,27 @@ def show_comparison(compared: Iterable[tuple[str, dict[str, dict[str, Any]]]]) -
         say(folder)
         out.print(_comparison_table(estimators))
     say(f"{_LEGEND}\ndiff: RMS distance between the positions and those of the smoother")
+
+
+def calibration_lines(values: dict[str, Any], reinitialised_at: Iterable[int]) -> list[str]:
+    """Write what an estimator has calibrated, for each segment if there are several.
+
+    Parameters
+    ----------
+    values : dict
+        Entry of the estimator in metrics.json.
+    reinitialised_at : iterable of int
+        First frames of the segments after the first.
+
+    Returns
+    -------
+    list of str
+        Empty when it has calibrated nothing.
+    """
+    if not values.get("calibrated_segments"):
+        return [calibration_line(values["calibrated"])] if values.get("calibrated") else []
+    parts = zip([0, *reinitialised_at], values["calibrated_segments"], strict=True)
+    return [f"from frame {first} on {calibration_line(found)}" for first, found in parts]
 
 
 def calibration_line(found: dict[str, Any]) -> str:
