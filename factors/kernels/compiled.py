@@ -134,6 +134,8 @@ def _no_garbage_search() -> Iterator[None]:
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function with numba when it is first called.
 
+    With `NUMBA_DISABLE_JIT=1` functions stay Python, which a debugger steps through.
+
     Parameters
     ----------
     **options
@@ -149,6 +151,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     options["no_cfunc_wrapper"] = True
 
     def compiled(function: Callable[..., Any]) -> Any:
+        if numba.config.DISABLE_JIT:
+            return function
         dispatcher = numba.njit(**options)(function)
         cache = _Cache(function) if cached else None
         if cache is not None:
@@ -173,7 +177,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def is_cached(kernel: Any) -> bool:
-    """Whether compiled code of a kernel is on disk and fresh.
+    """Whether a kernel need not be compiled: its code is on disk and fresh, or numba is switched off.
 
     Parameters
     ----------
@@ -184,7 +188,7 @@ def is_cached(kernel: Any) -> bool:
     -------
     bool
     """
-    return bool(kernel._cache.filled())
+    return bool(numba.config.DISABLE_JIT or kernel._cache.filled())
 
 
 @functools.cache
