@@ -336,8 +336,29 @@ class OnlineSession:
         self._features.enter(graph, values, int(X(index)), stamp_ns, pose, point)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
-        predicted = position = values.atPose3(X(last)).translation()
+        """Update the solver, and complete the frame or end the session.
+
+        From then on the solver holds the frame's variables: a session that did not would give their keys to
+        the next frame.
+        """
+        predicted = values.atPose3(X(last)).translation()
         self._add(graph, values, stamp_ns)
+        try:
+            self._settle(predicted, last, stamp_ns)
+            state = self._state(last, stamp_ns)
+            self._log.append(stamp_ns, state)
+            self._newest, self._last, self._stamp_ns = state, last, stamp_ns
+            self._frame_states.append(last)
+        except BaseException as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            self._ended = f"the session has ended: no state at the frame of {stamp_ns} ns: {reason}"
+            if not isinstance(error, Exception):
+                raise
+            raise EstimationError(self._ended) from error
+
+    def _settle(self, predicted: FloatArray, last: int, stamp_ns: int) -> None:
+        """Iterate until the newest position, which was predicted, moves no more; then move the gravity."""
+        position = predicted
         # A failure here is taken back: the frame is in, linearised less accurately.
         with suppress(EstimationError):
             settled_m = max(SETTLED_POSITION_M, SETTLED_ALTITUDE_SHARE * self._altitude_m(predicted))
@@ -352,16 +373,6 @@ class OnlineSession:
             if shift_m > MIDPOINT_TOLERANCE_M and shift_m > GRAVITY_SHIFT_SIGMAS * self._position_sigma_m():
                 self._move_gravity(stamp_ns)
                 self._corrected = np.zeros(3)
-        try:
-            self._newest = self._state(last, stamp_ns)
-        except (RuntimeError, ValueError) as error:
-            # The solver holds the frame's variables, and nothing is known from which the next could begin.
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            self._ended = f"the session has ended: no state at the frame of {stamp_ns} ns: {reason}"
-            raise EstimationError(self._ended) from error
-        self._log.append(stamp_ns, self._newest)
-        self._last, self._stamp_ns = last, stamp_ns
-        self._frame_states.append(last)
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
         """Update the solver; the graph begins with the factors of its intervals."""
