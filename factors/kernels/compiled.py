@@ -26,6 +26,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.extending import overload
 from numba.np import arrayobj
 
+# By NUMBA_DISABLE_JIT; numba defines its settings while it is imported.
+_SWITCHED_OFF = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 _ROOT = Path(__file__).resolve().parents[2]
 # `from package.module import names`; what is imported for type checkers only is indented.
 _IMPORT = re.compile(r"^from ((?:craternav_fg|factors)[\w.]*) import (?:\(([^)]*)\)|(.+))", re.MULTILINE)
@@ -151,7 +153,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     options["no_cfunc_wrapper"] = True
 
     def compiled(function: Callable[..., Any]) -> Any:
-        if numba.config.DISABLE_JIT:
+        if _SWITCHED_OFF:
             return function
         dispatcher = numba.njit(**options)(function)
         cache = _Cache(function) if cached else None
@@ -188,7 +190,7 @@ def is_cached(kernel: Any) -> bool:
     -------
     bool
     """
-    return bool(numba.config.DISABLE_JIT or kernel._cache.filled())
+    return bool(_SWITCHED_OFF or kernel._cache.filled())
 
 
 @functools.cache
