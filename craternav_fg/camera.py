@@ -43,6 +43,8 @@ class Camera:
     focal_sigma_percent, principal_sigma_px : float or None
         How well the intrinsics are known: standard deviations of the focal length and of each coordinate of
         the principal point; None where nobody states them.
+    lever_arm_sigma_m : float or None
+        Standard deviation of each coordinate of the camera's position in b, m; None where nobody states it.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Camera:
     lens_model: str = lens.RADIAL_TANGENTIAL
     focal_sigma_percent: float | None = None
     principal_sigma_px: float | None = None
+    lever_arm_sigma_m: float | None = None
 
     def __post_init__(self) -> None:
         # Computed here, so that a camera whose distortion folds is never made.

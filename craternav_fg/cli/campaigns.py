@@ -16,7 +16,7 @@ from craternav_fg.cli.estimator_option import EstimatorOption
 from craternav_fg.cli.option_groups import with_option_groups
 from craternav_fg.cli.options import JsonOption, WorkerOptions, names_of, require_free
 from craternav_fg.cli.scenario_options import DataOption, ScenarioArgument, SeedOption, chosen
-from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, three_digits, warn
+from craternav_fg.cli.terminal import out, progress_bars, say, table_of_numbers, tell, three_digits, warn
 from craternav_fg.errors import CraternavError
 from craternav_fg.estimators.registry import DEFAULT
 from craternav_fg.simulation.scenario_file import Scenario
@@ -113,8 +113,8 @@ def _show(folder: Path, summary: dict[str, Any]) -> None:
     for name, values in summary["estimators"].items():
         count = values["trajectories"]
         if count != trials:
-            say(f"{name}: statistics of the {count} of {trials} trials that produced a trajectory")
+            tell(f"{name}: statistics of the {count} of {trials} trials that produced a trajectory")
         if 0 < values["anees_trials"] < count:
-            say(f"{name}: ANEES of the {values['anees_trials']} trials without a singular covariance")
-    say(_LEGEND)
+            tell(f"{name}: ANEES of the {values['anees_trials']} trials without a singular covariance")
+    tell(_LEGEND)
     say(f"{trials} trials, {summary['wall_s']:.0f} s: {folder}")

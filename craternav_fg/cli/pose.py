@@ -28,6 +28,7 @@ from craternav_fg.errors import EstimationError, InputError
 from craternav_fg.pipeline.input_warnings import long_lever_arms
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
 from craternav_fg.resection.intrinsics import IntrinsicsPrior, with_unknown_intrinsics
+from craternav_fg.resection.map_errors import solve_with_map_errors
 from craternav_fg.resection.problem import ResectionResult, Status
 from craternav_fg.resection.robust import solve_all, solve_robustly
 
@@ -116,12 +117,12 @@ def pose(
     problem = resection_problem(
         matched, craters, sensor, attitude_wxyz=wxyz, attitude_sigma_deg=sigma_deg, sun=light.values()
     )
-    result = solve_robustly(problem) if robust else solve_all(problem)
+    problem, result = solve_with_map_errors(problem, craters, solve_robustly if robust else solve_all)
     result = with_unknown_intrinsics(problem, result, IntrinsicsPrior.of(intrinsics.of(sensor)))
     of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
     of_mounting = long_lever_arms({"camera": sensor.bTc})
     result = replace(result, warnings=(*result.warnings, *of_heights, *of_mounting))
-    values = as_plain_data(problem, result, craters)
+    values = as_plain_data(problem, result, craters, sensor.lever_arm_sigma_m or 0.0)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))
     else:

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
-from craternav_fg.cli.terminal import note, out, say, table_of_numbers, three_digits, warn
+from craternav_fg.cli.terminal import note, out, say, table_of_numbers, tell, three_digits, warn
 from craternav_fg.runs.compare import from_reference_m
 from craternav_fg.runs.read import Run, describe_frames
 from craternav_fg.runs.store import FIGURES, METRICS
@@ -46,18 +46,18 @@ def show_run(folder: Path, summary: dict[str, Any], as_json: bool) -> None:
         for name, values in summary["estimators"].items():
             table.add_row(name, *_metrics(values))
         out.print(table)
-        say(_LEGEND)
+        tell(_LEGEND)
     else:
         say("no ground truth, so no errors: figures/sigmas.png shows the stated standard deviations,")
         say(f"craternav compare {folder} shows how far the estimates differ")
     if summary["innovations"]:
-        say(_innovations(summary["innovations"]))
+        tell(_innovations(summary["innovations"]))
     for name, values in summary["estimators"].items():
-        if "calibrated" in values:
-            say(f"{name} estimated {calibration_line(values['calibrated'])}")
+        for line in calibration_lines(values, summary["reinitialised_at_frames"]):
+            tell(f"{name} estimated {line}")
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["times_s"].items())
-    say(describe_frames(summary))
-    say(f"wall time {summary['wall_s']:.0f} s ({seconds})")
+    tell(describe_frames(summary))
+    tell(f"wall time {summary['wall_s']:.0f} s ({seconds})")
     for path in sorted(folder.glob("*")):
         files = sorted(p.name for p in path.iterdir()) if path.name == FIGURES else []
         say(f"  {path}{'/: ' + ', '.join(files) if files else ''}")
@@ -93,7 +93,29 @@ def show_comparison(compared: Iterable[tuple[str, dict[str, dict[str, Any]]]]) -
     for folder, estimators in compared:
         say(folder)
         out.print(_comparison_table(estimators))
-    say(f"{_LEGEND}\ndiff: RMS distance between the positions and those of the smoother")
+    tell(_LEGEND)
+    tell("diff: RMS distance between the positions and those of the smoother")
+
+
+def calibration_lines(values: dict[str, Any], reinitialised_at: Iterable[int]) -> list[str]:
+    """Write what an estimator has calibrated, for each segment if there are several.
+
+    Parameters
+    ----------
+    values : dict
+        Entry of the estimator in metrics.json.
+    reinitialised_at : iterable of int
+        First frames of the segments after the first.
+
+    Returns
+    -------
+    list of str
+        Empty when it has calibrated nothing.
+    """
+    if not values.get("calibrated_segments"):
+        return [calibration_line(values["calibrated"])] if values.get("calibrated") else []
+    parts = zip([0, *reinitialised_at], values["calibrated_segments"], strict=True)
+    return [f"from frame {first} on {calibration_line(found)}" for first, found in parts]
 
 
 def calibration_line(found: dict[str, Any]) -> str:

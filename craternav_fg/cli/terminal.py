@@ -1,5 +1,6 @@
 """What commands print: lines, warnings, tables of numbers, progress bars."""
 
+import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -60,15 +61,31 @@ def say(text: str) -> None:
     out.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
+def tell(text: str) -> None:
+    """Print a sentence, in one line unless in a terminal, where it is wrapped between words."""
+    say(_wrapped(out, text))
+
+
 def warn(text: str) -> None:
-    """Print a warning on stderr, in one line."""
-    err.print(f"craternav: warning: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+    """Print a warning on stderr, as `tell` does."""
+    line = _wrapped(err, f"craternav: warning: {text}")
+    err.print(line, style="yellow", highlight=False, markup=False, soft_wrap=True)
 
 
 def note(text: str) -> None:
-    """Print a remark on stderr, in one line."""
+    """Print a remark on stderr, as `tell` does."""
     if not out.quiet:
-        err.print(f"craternav: {text}", highlight=False, markup=False, soft_wrap=True)
+        line = _wrapped(err, f"craternav: {text}")
+        err.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _wrapped(console: Console, text: str) -> str:
+    """Break a text between words where a terminal is narrower; its other lines are indented."""
+    if not console.is_terminal or len(text) <= console.width:
+        return text
+    return textwrap.fill(
+        text, console.width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
 
 
 def three_digits(value: float | None) -> str:

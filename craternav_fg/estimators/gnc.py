@@ -13,14 +13,17 @@ import numpy as np
 from gtsam.symbol_shorthand import X, Y
 from scipy.special import chdtri
 
+from craternav_fg.ellipse import relative_covariance
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import build_graph, optimum, trajectory
 from craternav_fg.estimators.batch_options import BatchOptions
+from craternav_fg.estimators.calibration import Calibration, map_sigmas
 from craternav_fg.estimators.consensus import Track, robust_track
 from craternav_fg.estimators.filter_state import POSE
 from craternav_fg.estimators.graph import FactorGraph, GraphOptions, ImuInterval, add_frame
 from craternav_fg.estimators.initial_values import initial_values
+from craternav_fg.estimators.intrinsics import intrinsic_slopes
 from craternav_fg.estimators.linearisation import linearise_arcs
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import longest_interval_s
@@ -28,7 +31,7 @@ from craternav_fg.estimators.optimise import LmOptions, levenberg_marquardt
 from craternav_fg.estimators.rim_models import rim_factors
 from craternav_fg.linalg import squared_distance
 from craternav_fg.matching.rematch import NO_CRATER, rematched
-from craternav_fg.measurements import ArcSet, RimSet
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.arrays import FloatArray
 from factors.custom import Loss
@@ -57,8 +60,9 @@ class GncOptions:
         Factor by which the control parameter grows each round; Yang et al. use 1.4. A smaller one is slower
         and follows the optimum more closely.
     graph : GraphOptions
-        Options of the last optimisation, on the inliers; its loss, time-correlated errors and errors of map
-        and intrinsics are not used before.
+        Options of the last optimisation, on the inliers; its loss and time-correlated errors are not used
+        before. Where errors of map or intrinsics are estimated, matches are judged with their prior
+        covariance.
     """
 
     inlier_probability: float = 0.999
@@ -113,6 +117,11 @@ class GncSmoother:
     def __init__(self, options: GncOptions = GncOptions()) -> None:
         self.options = options
 
+    @property
+    def estimates_map(self) -> bool:
+        """Whether errors of the map are unknowns, see `BatchSmoother.estimates_map`."""
+        return bool(BatchOptions.of(self.options.graph).calibration.map_sigmas.any())
+
     def estimate(self, problem: Problem) -> Trajectory:
         """Estimate the state at every frame from all data but outliers.
 
@@ -131,27 +140,31 @@ class GncSmoother:
             When the optimisation does not converge.
         """
         options = BatchOptions.of(self.options.graph)
-        track = robust_track(problem, self._limit2(RESIDUAL_SIZE["chart"]), options)
+        judged = replace(
+            problem, frames=[_with_prior_covariance(problem, f, options.calibration) for f in problem.frames]
+        )
+        track = robust_track(judged, self._limit2(RESIDUAL_SIZE["chart"]), options)
         longest_s = longest_interval_s(problem, options)
         values, numbers = initial_values(problem, track.start, track.states, longest_s)
-        decided = self._decide(problem, track, values, numbers)
+        decided = self._decide(judged, track, values, numbers)
         frames, craters = [], []
         predicted = [track.states[0]] * track.start.frame + track.states
-        for frame, weights, gTb, state in zip(
-            problem.frames, decided.weights, decided.poses, predicted, strict=True
+        for frame, wide, weights, gTb, state in zip(
+            problem.frames, judged.frames, decided.weights, decided.poses, predicted, strict=True
         ):
             taken = rematched(
-                frame.rims, weights > 0.0, gTb, problem.camera, problem.catalog,
+                wide.rims, weights > 0.0, gTb, problem.camera, problem.catalog,
                 self._limit2(RESIDUAL_SIZE["chart"]),
             )  # fmt: skip
             craters.append(taken)
             rims = replace(frame.rims, craters=taken).take(taken != NO_CRATER)
             arcs = self._fitting(problem, frame.arcs, gTb, state.covariance[POSE, POSE])
-            kept = replace(frame, rims=rims, arcs=arcs)
-            frames.append(with_predicted_covariances(kept, gTb, problem.camera, problem.catalog))
-        graph, values = optimum(replace(problem, frames=frames), options, decided.values, decided.intervals)
+            inliers = replace(frame, rims=rims, arcs=arcs)
+            frames.append(with_predicted_covariances(inliers, gTb, problem.camera, problem.catalog))
+        kept = replace(problem, frames=frames)
+        graph, values = optimum(kept, options, decided.values, decided.intervals)
         return replace(
-            trajectory(problem, options, graph, values, numbers),
+            trajectory(kept, options, graph, values, numbers),
             rim_weights=tuple(decided.weights), rim_craters=tuple(craters),
         )  # fmt: skip
 
@@ -199,6 +212,22 @@ class GncSmoother:
             mu *= self.options.growth_factor
         right = rims.split((squared <= limit2).astype(np.float64))
         return _Decided(right, values, rims.poses(values), others.intervals)
+
+
+def _with_prior_covariance(
+    problem: Problem, frame: FrameMeasurement, options: Calibration
+) -> FrameMeasurement:
+    """Add to rims what the errors of map and intrinsics that are estimated may amount to, at any pose."""
+    rims = frame.rims
+    added = np.zeros_like(rims.covariance)
+    if options.map_sigmas.any():
+        shares2 = map_sigmas(problem.catalog, rims.craters, options).max(axis=1, initial=0.0) ** 2
+        added += shares2[:, None, None] * relative_covariance(rims.chart, 1.0)
+    if options.intrinsic_sigmas.any() and len(rims):
+        root = intrinsic_slopes(rims.chart, problem.camera) * options.intrinsic_sigmas
+        added += root @ np.swapaxes(root, 1, 2)
+    fused = None if rims.fused_white is None else rims.fused_white + added
+    return replace(frame, rims=replace(rims, covariance=rims.covariance + added, fused_white=fused))
 
 
 def truncated_weights(squared: FloatArray, mu: float, limit2: float) -> FloatArray:

@@ -31,7 +31,13 @@ from craternav_fg.estimators.incremental import INDEX_BITS, INDEX_MASK, RELINEAR
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import add_motion, longest_interval_s
 from craternav_fg.estimators.point_features import SETTLED_ATTITUDE_RAD, FeatureStates
-from craternav_fg.estimators.sensor_bank import SensorBank, add_sensors, innovation_weights
+from craternav_fg.estimators.sensor_bank import (
+    SensorBank,
+    add_sensors,
+    gyro_at,
+    gyro_variance,
+    innovation_weights,
+)
 from craternav_fg.estimators.state_log import StateLog
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
@@ -330,8 +336,29 @@ class OnlineSession:
         self._features.enter(graph, values, int(X(index)), stamp_ns, pose, point)
 
     def _update(self, graph: FactorGraph, values: gtsam.Values, last: int, stamp_ns: int) -> None:
-        predicted = position = values.atPose3(X(last)).translation()
+        """Update the solver, and complete the frame or end the session.
+
+        From then on the solver holds the frame's variables: a session that did not would give their keys to
+        the next frame.
+        """
+        predicted = values.atPose3(X(last)).translation()
         self._add(graph, values, stamp_ns)
+        try:
+            self._settle(predicted, last, stamp_ns)
+            state = self._state(last, stamp_ns)
+            self._log.append(stamp_ns, state)
+            self._newest, self._last, self._stamp_ns = state, last, stamp_ns
+            self._frame_states.append(last)
+        except BaseException as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            self._ended = f"the session has ended: no state at the frame of {stamp_ns} ns: {reason}"
+            if not isinstance(error, Exception):
+                raise
+            raise EstimationError(self._ended) from error
+
+    def _settle(self, predicted: FloatArray, last: int, stamp_ns: int) -> None:
+        """Iterate until the newest position, which was predicted, moves no more; then move the gravity."""
+        position = predicted
         # A failure here is taken back: the frame is in, linearised less accurately.
         with suppress(EstimationError):
             settled_m = max(SETTLED_POSITION_M, SETTLED_ALTITUDE_SHARE * self._altitude_m(predicted))
@@ -346,16 +373,6 @@ class OnlineSession:
             if shift_m > MIDPOINT_TOLERANCE_M and shift_m > GRAVITY_SHIFT_SIGMAS * self._position_sigma_m():
                 self._move_gravity(stamp_ns)
                 self._corrected = np.zeros(3)
-        try:
-            self._newest = self._state(last, stamp_ns)
-        except (RuntimeError, ValueError) as error:
-            # The solver holds the frame's variables, and nothing is known from which the next could begin.
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            self._ended = f"the session has ended: no state at the frame of {stamp_ns} ns: {reason}"
-            raise EstimationError(self._ended) from error
-        self._log.append(stamp_ns, self._newest)
-        self._last, self._stamp_ns = last, stamp_ns
-        self._frame_states.append(last)
 
     def _add(self, graph: FactorGraph, values: gtsam.Values, stamp_ns: int, drop: Sequence[int] = ()) -> None:
         """Update the solver; the graph begins with the factors of its intervals."""
@@ -420,12 +437,14 @@ class OnlineSession:
         joint = tree.jointMarginalCovariance(keys).fullMatrix()
         T = FROM_GTSAM.copy()
         T[strapdown.POSITION, 3:6] = gTb[:3, :3]
-        row = int(self._descent.imu.stamps_ns.searchsorted(stamp_ns))
-        rate = self._descent.imu.gyro_rad_s[min(row, len(self._descent.imu.gyro_rad_s) - 1)] - bias[:3]
+        rate = gyro_at(self._descent, stamp_ns) - bias[:3]
+        # What this noise turned in its row is far less than the attitude's own error.
+        of_row = np.zeros((strapdown.SIZE, strapdown.SIZE))
+        of_row[strapdown.RATE, strapdown.RATE] = gyro_variance(self._descent, stamp_ns) * np.eye(3)
         gV = tree.calculateEstimateVector(V(n))
         sigmas = self._bank.sigmas
         if not len(sigmas):
-            return FilterState(gTb, gV, rate, bias, T @ joint @ T.T)
+            return FilterState(gTb, gV, rate, bias, T @ joint @ T.T + of_row)
         # A sensor that has not measured yet has the bias of its prior.
         sensor_bias, measured = np.zeros(len(sigmas)), np.zeros(len(sigmas), dtype=np.bool_)
         for part, key in known:
@@ -435,6 +454,7 @@ class OnlineSession:
         whole[: strapdown.SIZE, :15] = T
         whole[strapdown.SIZE + np.flatnonzero(measured), 15:] = np.diag(sigmas[measured])
         covariance = whole @ joint @ whole.T
+        covariance[: strapdown.SIZE, : strapdown.SIZE] += of_row
         rest = strapdown.SIZE + np.flatnonzero(~measured)
         covariance[rest, rest] = sigmas[~measured] ** 2
         return FilterState(gTb, gV, rate, bias, covariance, sensor_bias)

@@ -12,13 +12,14 @@ from craternav_fg.estimators.base import Descent
 from craternav_fg.estimators.filter_state import FilterState
 from craternav_fg.estimators.measurement_weighting import noise_inflation
 from craternav_fg.frames import right_jacobian
+from craternav_fg.linalg import whitening
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.sensors.protocol import Linearisation, Sensor, SensorState
 from craternav_fg.trajectory import Calibrated
 from factors.arrays import FloatArray
 from factors.custom import Loss
 from factors.kernels import robust
-from factors.kernels.strapdown import ATTITUDE, SIZE
+from factors.kernels.strapdown import ATTITUDE, RATE, SIZE
 from factors.state_measurement import state_measurement_factor
 
 # Largest number of biases of a sensor: GTSAM's thresholds go by the letter of a key, each of one length.
@@ -193,6 +194,7 @@ def add_sensors(
     weights : sequence of float, optional
         Weights of the samples, in place of their sensors' robust losses; a sample of weight 0 is left out.
     """
+    gyro, variance = gyro_at(descent, stamp_ns), gyro_variance(descent, stamp_ns)
     for number_of, sample in enumerate(samples):
         root = 1.0 if weights is None else float(np.sqrt(weights[number_of]))
         if root == 0.0:
@@ -214,11 +216,10 @@ def add_sensors(
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
             sigmas = sample.sensor.bias_sigmas
             state = SensorState(stamp_ns, gTb, gV, rate)
-            found = sample.sensor.linearise(sample.row, state, sigmas * z)
+            found = with_gyro_noise(sample.sensor.linearise(sample.row, state, sigmas * z), variance)
             return root * found.error, root * found.jacobian, root * found.bias_jacobian * sigmas
 
         loss = Loss() if weights is not None else Loss(LOSSES[settings.loss], settings.loss_sigmas)
-        gyro = gyro_at(descent, stamp_ns)
         keys = (int(X(index)), int(V(index)), int(B(index)))
         graph.push_back(state_measurement_factor(keys, gyro, sensor.rows, measure, key, loss))
 
@@ -238,6 +239,47 @@ def gyro_at(descent: Descent, stamp_ns: int) -> FloatArray:
     """
     row = int(np.searchsorted(descent.imu.stamps_ns, stamp_ns))
     return np.asarray(descent.imu.gyro_rad_s[min(row, len(descent.imu.gyro_rad_s) - 1)])
+
+
+def gyro_variance(descent: Descent, stamp_ns: int) -> float:
+    """Variance per axis of what `gyro_at` gives, beside that of the bias.
+
+    Parameters
+    ----------
+    descent : Descent
+    stamp_ns : int
+
+    Returns
+    -------
+    float
+        (rad/s)^2: white noise, the mean over a row of the log.
+    """
+    stamps = descent.imu.stamps_ns
+    row = min(max(int(np.searchsorted(stamps, stamp_ns)), 1), len(stamps) - 1)
+    dt_s = 1e-9 * float(stamps[row] - stamps[row - 1])
+    return float(descent.imu_noise.gyro_density_rad_s_sqrt_hz**2 / dt_s)
+
+
+def with_gyro_noise(found: Linearisation, variance: float) -> Linearisation:
+    """Whiten a sample again whose prediction has the gyro's noise: that of a sensor with a lever arm.
+
+    Estimators without a variable for the angular velocity take the gyro's row, less the bias.
+
+    Parameters
+    ----------
+    found : Linearisation
+    variance : float
+        Of the gyro's row per axis, (rad/s)^2.
+
+    Returns
+    -------
+    Linearisation
+    """
+    of_rate = found.jacobian[:, RATE]
+    if not of_rate.any():
+        return found
+    W = whitening(np.eye(len(of_rate)) + variance * of_rate @ of_rate.T)
+    return Linearisation(W @ found.error, W @ found.jacobian, W @ found.bias_jacobian)
 
 
 def linearise_sample(

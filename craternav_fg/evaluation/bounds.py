@@ -23,7 +23,13 @@ from craternav_fg.estimators.correlated_errors import transition as transition_o
 from craternav_fg.estimators.linearisation import linearise_arcs, linearise_rims, linearise_sun
 from craternav_fg.estimators.measurement_weighting import with_predicted_covariances
 from craternav_fg.estimators.motion import transition
-from craternav_fg.estimators.sensor_bank import Sample, SensorBank, gyro_at
+from craternav_fg.estimators.sensor_bank import (
+    Sample,
+    SensorBank,
+    gyro_at,
+    gyro_variance,
+    with_gyro_noise,
+)
 from craternav_fg.evaluation.track_information import POINT_SIZE, TrackInformation
 from craternav_fg.linalg import square_root, whitening
 from craternav_fg.measurements import SHARED_SIZE, FrameMeasurement
@@ -136,7 +142,9 @@ def posterior_bound(
         information = _information(descent, frame, truth.gTb[k], sigmas, augmented)
         rate = gyro_at(descent, frame.stamp_ns) - truth.bias[k, :3]
         state = SensorState(frame.stamp_ns, truth.gTb[k], truth.gV[k], rate)
-        for J in (_of_sample(sample, state, bank, sigmas, augmented) for sample in bank.at(frame.stamp_ns)):
+        variance = gyro_variance(descent, frame.stamp_ns)
+        for sample in bank.at(frame.stamp_ns):
+            J = _of_sample(sample, state, variance, bank, sigmas, augmented)
             information = information + J.T @ J
         if tracks is not None:
             tracks.add(information, k, augmented.first_of_point, sigmas)
@@ -277,10 +285,15 @@ def _information(
 
 
 def _of_sample(
-    sample: Sample, state: SensorState, bank: SensorBank, sigmas: FloatArray, augmented: _AugmentedState
+    sample: Sample,
+    state: SensorState,
+    variance: float,
+    bank: SensorBank,
+    sigmas: FloatArray,
+    augmented: _AugmentedState,
 ) -> FloatArray:
-    """Whitened derivatives (m, n) of a sample in the augmented state, at the truth."""
-    found = sample.linearise(state, np.zeros(len(bank.sigmas)))
+    """Whitened derivatives (m, n) of a sample in the augmented state, at the truth; variance of the gyro."""
+    found = with_gyro_noise(sample.linearise(state, np.zeros(len(bank.sigmas))), variance)
     J = np.zeros((len(found.error), augmented.size))
     whole = found.jacobian.copy()
     # The angular velocity is the gyro's less its bias.

@@ -14,7 +14,7 @@ from craternav_fg import frames
 from craternav_fg.estimators.base import Descent, Problem
 from craternav_fg.estimators.instruments import RIMS, SUN
 from craternav_fg.estimators.linearisation import linearise_sun
-from craternav_fg.estimators.sensor_bank import SensorBank, gyro_at
+from craternav_fg.estimators.sensor_bank import SensorBank, gyro_at, gyro_variance, with_gyro_noise
 from craternav_fg.evaluation.residuals import poses_at_exposure, rim_residuals
 from craternav_fg.sensors.protocol import SensorState
 from craternav_fg.trajectory import InitialState, Trajectory
@@ -111,7 +111,8 @@ def _of_other_sensors(descent: Descent, at: Trajectory) -> dict[str, FloatArray]
         found = []
         for k, stamp in enumerate(at.stamps_ns.tolist()):
             state = SensorState(stamp, at.gTb[k], at.gV[k], gyro_at(descent, stamp) - at.bias[k, :3])
-            samples = [sample.linearise(state, np.zeros(len(bank.sigmas))) for sample in bank.at(stamp)]
+            variance, none = gyro_variance(descent, stamp), np.zeros(len(bank.sigmas))
+            samples = [with_gyro_noise(one.linearise(state, none), variance) for one in bank.at(stamp)]
             found += [sample for sample in samples if sample.informative]
         if not found:
             continue

@@ -1,4 +1,4 @@
-"""What users get wrong in an IMU's log and the camera's mounting beside it, and how to undo it."""
+"""What users get wrong in an IMU's log, the camera's mounting and the body's spin, and how to undo it."""
 
 import itertools
 from collections.abc import Iterator
@@ -7,19 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
+from craternav_fg import frames
 from craternav_fg.dataset import layout
 from craternav_fg.estimators.base import Problem
+from craternav_fg.resection.efficient import solve
+from craternav_fg.resection.problem import MatchedRims, ResectionProblem
 from factors.arrays import FloatArray
 
 # Standard gravity, m/s^2, and columns of the IMU's log.
 _G_M_S2 = 9.80665
 _GYRO, _ACCELEROMETER, _MOUNTING = "w_RS_S_x", "a_RS_S_x", "T_BS"
 _AXES = "xyz"
+# Rims that determine a pose and check it, and images from whose poses the body's spin is found.
+_POSE_RIMS, _POSES = 3, 24
 
 
 @dataclass(frozen=True)
 class ImuMistake:
-    """A mistake that an IMU's log or the camera's mounting may hold.
+    """A mistake that makes an IMU's log contradict the images.
 
     Attributes
     ----------
@@ -33,6 +38,8 @@ class ImuMistake:
         Matrices from the axes and units of the log to those of b.
     has_gravity : bool
         False when the log's accelerations are those in space, without the reaction to gravity.
+    spin_rad_s : tuple of float or None
+        Angular velocity of the body in g, where that was stated wrongly.
     """
 
     problem: str
@@ -41,6 +48,7 @@ class ImuMistake:
     accelerometer: FloatArray
     file: Path = Path(layout.IMU_DATA)
     has_gravity: bool = True
+    spin_rad_s: tuple[float, float, float] | None = None
 
     def undone(self, problem: Problem) -> Problem:
         """Return a problem as it is without the mistake.
@@ -61,7 +69,10 @@ class ImuMistake:
         )
         # What acts on such a log is no field; a body of no mass has none.
         mu = problem.body.mu_m3_s2 if self.has_gravity else np.finfo(np.float64).tiny
-        return replace(problem, imu=imu, body=replace(problem.body, mu_m3_s2=float(mu)))
+        spin_rad_s = self.spin_rad_s or problem.body.spin_rad_s
+        return replace(
+            problem, imu=imu, body=replace(problem.body, mu_m3_s2=float(mu), spin_rad_s=spin_rad_s)
+        )
 
 
 def units() -> Iterator[ImuMistake]:
@@ -119,6 +130,52 @@ def axes(bRc: FloatArray) -> Iterator[ImuMistake]:
             f"the camera or its images are turned by {turn_deg} deg about the optical axis against the IMU"
         )
         yield ImuMistake(found, _MOUNTING, M, M, Path(layout.CAMERA_SENSOR))
+
+
+def spin(problem: Problem) -> Iterator[ImuMistake]:
+    """Yield the spin that gyro and rims show: the lander turns in space by one and against g by the other.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Yields
+    ------
+    ImuMistake
+        None when fewer than two frames have a pose of their own.
+    """
+    of_rims = _attitudes(problem)
+    if len(of_rims) < 2:
+        return
+    first_ns = of_rims[0][0]
+    turns, times_s, G = [], [], np.eye(3)
+    for (begin_ns, _), (end_ns, gRb) in itertools.pairwise(of_rims):
+        dt_s, gyro, _ = problem.imu.between(begin_ns, end_ns)
+        for turn in frames.rotation_exp(gyro * dt_s[:, None]):
+            G = G @ turn
+        # By the spin the other way.
+        turns.append(gRb @ (of_rims[0][1] @ G).T)
+        times_s.append(1e-9 * (end_ns - first_ns))
+    rate = np.zeros(3)
+    # The first turn is unambiguous, and each gives the spin well enough for the next.
+    for turn, time_s in zip(turns, times_s, strict=True):
+        rate = rate - frames.rotation_log(frames.rotation_exp(rate * time_s) @ turn) / time_s
+    x, y, z = (float(one) for one in rate)
+    same, stated = np.eye(3), ", ".join(f"{one:.4g}" for one in problem.body.spin_rad_s)
+    found = f"expected about [{x:.4g}, {y:.4g}, {z:.4g}] by gyro and rims, found [{stated}]"
+    yield ImuMistake(found, "spin_rad_s", same, same, Path(layout.DESCRIPTION), spin_rad_s=(x, y, z))
+
+
+def _attitudes(problem: Problem) -> list[tuple[int, FloatArray]]:
+    """Stamps of some frames spread over a descent, and their attitudes gRb by their rims alone."""
+    enough = [frame for frame in problem.frames if len(frame.rims) >= _POSE_RIMS]
+    out = []
+    for k in np.unique(np.linspace(0, len(enough) - 1, _POSES).astype(int)) if enough else ():
+        rims = MatchedRims.of(enough[k].rims, problem.catalog)
+        found = solve(ResectionProblem(rims, problem.camera.bTc, sun=enough[k].sun)).poses
+        if found:
+            out.append((enough[k].stamp_ns, found[0].gTb[:3, :3]))
+    return out
 
 
 def _about_optical_axis(bRc: FloatArray, turns: int) -> FloatArray:

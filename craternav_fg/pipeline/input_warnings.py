@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from craternav_fg.camera import Camera
 from craternav_fg.catalogs.bodies import SAME_SPHERE, SPHERES_M, known_name
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.importing.bodies import known_mu_m3_s2, known_spin_rad_s
@@ -18,6 +19,8 @@ _MAX_LISTED = 5
 _SAME_MOTION = 0.005
 # No lander carries a sensor farther than this from its body origin.
 _MAX_LEVER_ARM_M = 50.0
+# Lever arms of cameras on landers are of this order: one that was left out shows in smaller errors than that.
+_USUAL_LEVER_ARM_M = 1.0
 
 
 def unknown_sensors(ignored: Sequence[str]) -> list[str]:
@@ -194,4 +197,28 @@ def long_lever_arms(mountings: Mapping[str, FloatArray]) -> list[str]:
         f"{name}: its lever arm in T_BS is {arm:.4g} m; expected metres, is it in millimetres?"
         for name, arm in arms_m.items()
         if arm > _MAX_LEVER_ARM_M
+    ]
+
+
+def missing_lever_arm(camera: Camera, position_sigma_m: float) -> list[str]:
+    """Warn of a camera at the body's origin, as it is where nobody gave its lever arm.
+
+    Parameters
+    ----------
+    camera : Camera
+    position_sigma_m : float
+        Smallest standard deviation of a position that was estimated.
+
+    Returns
+    -------
+    list of str
+        None where the lever arm's standard deviation is stated, or would not matter.
+    """
+    stated = camera.bTc[:3, 3].any() or camera.lever_arm_sigma_m is not None
+    if stated or not position_sigma_m < _USUAL_LEVER_ARM_M:
+        return []
+    return [
+        f"camera: its lever arm in T_BS is zero, and positions are stated to {position_sigma_m:.2g} m: a "
+        "lever arm that is left out shifts them, and nothing else shows it; give it, or lever_arm_sigma_m "
+        "(0 if the IMU is in the camera)"
     ]

@@ -11,9 +11,15 @@ from craternav_fg.ellipse import relative_covariance
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Problem
 from craternav_fg.estimators.ekf.filter import ekf
-from craternav_fg.measurements import FrameMeasurement, RimSet
-from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, map_variances
+from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
+from craternav_fg.vision.arcs import across_sigma
+from craternav_fg.vision.error_model.correlated import (
+    CorrelatedErrorOptions,
+    map_covariance,
+    map_variances,
+)
 from factors.arrays import FloatArray, IntArray
+from factors.kernels.conic import project_rims
 from factors.kernels.rim_errors import ground_slopes
 
 # Columns of `ground_slopes` in the order of `RimSet.correlated`: in the rim's plane, then the height.
@@ -45,6 +51,8 @@ def with_white_map_errors(
 ) -> tuple[FrameMeasurement, ...]:
     """Add the catalogue's errors to rims as if they were new in each frame: no pose is needed for it.
 
+    For arcs it is, so they are left out.
+
     Parameters
     ----------
     frames : sequence of FrameMeasurement
@@ -59,15 +67,16 @@ def with_white_map_errors(
         share2 = _variances(rims.craters, catalog).max(axis=1)[:, None, None]
         return replace(rims, covariance=rims.covariance + share2 * relative_covariance(rims.chart, 1.0))
 
-    return tuple(replace(frame, rims=widened(frame.rims)) for frame in frames)
+    return tuple(replace(frame, rims=widened(frame.rims), arcs=ArcSet.empty()) for frame in frames)
 
 
 def with_map_errors(
     frames: Sequence[FrameMeasurement], problems: Sequence[Problem]
 ) -> tuple[FrameMeasurement, ...]:
-    """Add the catalogue's errors to rims as what their craters keep.
+    """Add the catalogue's errors to rims and arcs as what their craters keep.
 
-    Covariances that are large enough to hold these errors already are only split.
+    Covariances that are large enough to hold these errors already are only split. Arcs that state what their
+    points have in common are left as they are.
 
     Parameters
     ----------
@@ -92,6 +101,7 @@ def with_map_errors(
     return tuple(
         replace(
             frame,
+            arcs=_with_common_sigmas(frame.arcs, poses[frame.stamp_ns], camera, catalog),
             rims=replace(
                 frame.rims,
                 covariance=frame.rims.covariance + added * (root @ np.swapaxes(root, 1, 2)),
@@ -123,6 +133,16 @@ def _roots(
     gTb = np.ascontiguousarray(poses[frame.stamp_ns])
     slopes = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
     return np.asarray((slopes * np.sqrt(_variances(rows, catalog))[:, None])[:, :, _COLUMNS])
+
+
+def _with_common_sigmas(arcs: ArcSet, gTb: FloatArray, camera: Camera, catalog: Catalog) -> ArcSet:
+    """Let the points of an arc share what the errors of its crater move it across its outline."""
+    if arcs.correlated_sigmas is not None or not len(arcs):
+        return arcs
+    rows, gTb = arcs.craters, np.ascontiguousarray(gTb)
+    charts, _ = project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    of_map = map_covariance(rows, gTb, camera, catalog, CorrelatedErrorOptions())
+    return replace(arcs, correlated_sigmas=np.array(list(map(across_sigma, arcs.points, charts, of_map))))
 
 
 def _held(rims: RimSet, root: FloatArray) -> FloatArray:

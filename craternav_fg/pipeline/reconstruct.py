@@ -18,6 +18,7 @@ from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.lever_arm import with_lever_arm_error
 from craternav_fg.pipeline.map_errors import lack_map_errors, with_map_errors, with_white_map_errors
 from craternav_fg.pipeline.map_shift import with_common_shift
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
@@ -148,7 +149,11 @@ def reconstruct(
         problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
     bare = problems
     if lacking:
-        bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=as_read))
+        # Only rims have variables for the errors of the map.
+        frames = tuple(
+            replace(frame, rims=read.rims) for frame, read in zip(measured.frames, as_read, strict=True)
+        )
+        bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=frames))
     trajectories, failures, estimation_s = _run(chosen, problems, bare, measured.frames, report)
     searched = None if RIMS in without else measured.limits
     return Reconstruction(
@@ -199,7 +204,8 @@ def _run(
         began = time.perf_counter()
         try:
             estimated = _estimate(one, bare if getattr(one, "estimates_map", False) else problems, stamps_ns)
-            trajectories[one.name] = with_common_shift(one.name, estimated, catalog, frames)
+            shifted = with_common_shift(one.name, estimated, catalog, frames)
+            trajectories[one.name] = with_lever_arm_error(one.name, shifted, problems[0], frames)
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began

@@ -154,6 +154,13 @@ class Reconstruction:
             found = {name: value for name, value in found.items() if "bias" not in name}
         return found, reordered["attitude"]
 
+    def _least_position_sigma_m(self) -> float:
+        """Smallest standard deviation of a position of the first trajectory; infinite without covariances."""
+        covariances = next(iter(self.trajectories.values())).pose_covariance
+        if covariances is None:
+            return np.inf
+        return float(np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2).min()))
+
     def _contradicted(self, check: Callable[..., bool]) -> bool:
         """Whether rims contradict the camera, each frame's by themselves, near the first trajectory."""
         descent, near = self.problems[0], next(iter(self.trajectories.values()))
@@ -195,6 +202,7 @@ class Reconstruction:
             *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
             ),
+            *input_warnings.missing_lever_arm(descent.camera, self._least_position_sigma_m()),
             *input_warnings.unusual_body(descent.catalog),
             *input_warnings.unknown_sensors(self.ignored),
             *input_warnings.empty_logs({one.name: len(one) for one in descent.sensors}),

@@ -63,7 +63,7 @@ def check_logs(problems: Sequence[Problem], folder: Path) -> None:
 
 
 def check_imu(problems: Sequence[Problem], folder: Path) -> None:
-    """Refuse an IMU's log in another unit or along other axes, judged by what it predicts.
+    """Refuse an IMU's log in another unit or along other axes, and a wrong spin, judged by what they predict.
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ def check_imu(problems: Sequence[Problem], folder: Path) -> None:
         return
     few = [_beginning(problems[0])]
     screened = (one for one in imu_mistakes.axes(few[0].camera.bTc[:3, :3]) if _confirmed(one, few))
-    for mistake in itertools.chain(imu_mistakes.units(), screened):
+    # A spin makes up for a gyro's wrong unit or axes while a lander turns steadily: it comes last.
+    for mistake in itertools.chain(imu_mistakes.units(), screened, imu_mistakes.spin(problems[0])):
         if _confirmed(mistake, problems):
             raise InputError(
                 folder / mistake.file,

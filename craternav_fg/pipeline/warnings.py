@@ -63,7 +63,7 @@ _PRIOR_CHECKS = {
         "its frame (it is relative to the rotating body) and its sigma, intrinsics and lens of the camera, "
         f"{_STAMPS}"
     ),
-    "gyro bias": f"unit and scale of the gyro, T_BS and lens of the camera, {_STAMPS}",
+    "gyro bias": f"unit and scale of the gyro, the body's spin, T_BS and lens of the camera, {_STAMPS}",
     "accelerometer bias": (
         f"unit and scale of the accelerometer, gravity, T_BS, intrinsics and lens of the camera, {_STAMPS}"
     ),

@@ -211,7 +211,9 @@ def _direction(expected: str, values: Sequence[float]) -> FloatArray:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def as_plain_data(problem: ResectionProblem, result: ResectionResult, catalog: Catalog) -> dict[str, Any]:
+def as_plain_data(
+    problem: ResectionProblem, result: ResectionResult, catalog: Catalog, lever_arm_sigma_m: float = 0.0
+) -> dict[str, Any]:
     """Convert a result to lists, numbers and texts for JSON.
 
     Parameters
@@ -220,6 +222,8 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, catalog: C
     result : ResectionResult
     catalog : Catalog
         The rims' craters, in their order: for altitudes, and for the shift that they have in common.
+    lever_arm_sigma_m : float
+        Standard deviation of each coordinate of the camera's position in b.
 
     Returns
     -------
@@ -238,7 +242,9 @@ def as_plain_data(problem: ResectionProblem, result: ResectionResult, catalog: C
         "sigma_scale": result.sigma_scale,
         "focal_scale": _number(result.focal_scale),
         "focal_scale_sigma": _number(result.focal_scale_sigma),
-        "poses": [_pose(problem, pose, catalog, weights) for pose in result.poses] if usable else [],
+        "poses": [_pose(problem, pose, catalog, weights, lever_arm_sigma_m) for pose in result.poses]
+        if usable
+        else [],
     }
 
 
@@ -248,7 +254,11 @@ def _number(value: float) -> float | None:
 
 
 def _pose(
-    problem: ResectionProblem, pose: PoseSolution, catalog: Catalog, weights: FloatArray
+    problem: ResectionProblem,
+    pose: PoseSolution,
+    catalog: Catalog,
+    weights: FloatArray,
+    lever_arm_sigma_m: float,
 ) -> dict[str, Any]:
     """Return one solution as plain data; the weights (n,) of the rims are 0 for those that were rejected."""
     gP = pose.gTb[:3, 3]
@@ -260,6 +270,7 @@ def _pose(
     of_map = catalog.image_covariance(pose.gTb, weights, share)
     # As in a run's files: positions in g.
     covariance = frames.rotate_position_block(pose.covariance, pose.gTb[:3, :3]) + of_map
+    covariance[3:, 3:] += lever_arm_sigma_m**2 * np.eye(3)
     latitude, longitude = frames.latitude_longitude(gP)
     return {
         "probability": pose.probability,

@@ -47,6 +47,7 @@ class _EstimatorMetrics(ResultSection):
     attitude_final_deg: float | None
     anees: float | None
     calibrated: dict[str, Any] | None = None
+    calibrated_segments: list[dict[str, Any]] | None = None
 
 
 class _Nis(ResultSection):
@@ -173,16 +174,18 @@ def read_map_errors(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
         When no estimator has estimated them, or numbers are wrong.
     """
     path = run.path / store.METRICS
-    parts = [values.get("calibrated") or {} for values in run.metrics["estimators"].values()]
-    found = next((part["map_errors"] for part in parts if part.get("map_errors")), None)
+    every = [_map_errors(values) for values in run.metrics["estimators"].values()]
+    found = next((parts for parts in every if parts), None)
     if found is None:
         problem = "expected errors of the map, found none: reconstruct with -e map_refining_smoother"
         raise InputError(path, problem)
+    errors: dict[str, tuple[FloatArray, FloatArray]] = {}
     try:
-        errors = {
-            str(name): (np.array(one["error"], dtype=np.float64), np.array(one["sigma"], dtype=np.float64))
-            for name, one in found.items()
-        }
+        for name, one in (item for part in found for item in part.items()):
+            error, sigma = (np.array(one[key], dtype=np.float64) for key in ("error", "sigma"))
+            # Segments know nothing of each other: a crater's errors are those of the one that saw it best.
+            if name not in errors or np.sum(sigma**2) < np.sum(errors[name][1] ** 2):
+                errors[str(name)] = (error, sigma)
     except (TypeError, ValueError, KeyError, AttributeError):
         raise InputError(
             path, "expected six errors and six sigmas for each crater", column="map_errors"
@@ -193,6 +196,12 @@ def read_map_errors(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
             problem = f"crater {name}: expected six finite errors and six sigmas of 0 or more"
             raise InputError(path, problem, column="map_errors")
     return errors
+
+
+def _map_errors(values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Errors of the map that an estimator found in each segment."""
+    parts = values.get("calibrated_segments") or [values.get("calibrated") or {}]
+    return [part["map_errors"] for part in parts if part.get("map_errors")]
 
 
 def read_residuals(folder: Path) -> pa.Table:

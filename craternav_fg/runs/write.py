@@ -63,7 +63,10 @@ def write_run(
     for name, trajectory in result.trajectories.items():
         estimators[name]["rim_outlier_share"] = result.outlier_shares[name]
         if trajectory.calibrated is not None:
-            estimators[name]["calibrated"] = _calibrated(trajectory.calibrated, catalog)
+            each = [_calibrated(part.calibrated or Calibrated(), catalog) for part in trajectory.segments()]
+            estimators[name]["calibrated"] = each[-1]
+            if len(each) > 1:
+                estimators[name]["calibrated_segments"] = each
     summary = {
         "wall_s": wall_s,
         "times_s": dict(times_s),

@@ -51,16 +51,16 @@ class ArcOptions:
     margin_px: float = 400.0
 
 
-def across_sigma_px(points_px: FloatArray, chart_px: FloatArray, covariance_px: FloatArray) -> float:
+def across_sigma(points: FloatArray, chart: FloatArray, covariance: FloatArray) -> float:
     """Compute how far a rim that is off moves across its outline, where points of an arc are.
 
     Parameters
     ----------
-    points_px : ndarray, shape (n, 2)
-        Points along the rim.
-    chart_px : ndarray, shape (5,)
-        Chart of the rim in pixels.
-    covariance_px : ndarray, shape (5, 5)
+    points : ndarray, shape (n, 2)
+        Points along the rim, in pixels or in normalised image coordinates.
+    chart : ndarray, shape (5,)
+        Chart of the rim in the same unit.
+    covariance : ndarray, shape (5, 5)
         Covariance of the chart.
 
     Returns
@@ -69,11 +69,11 @@ def across_sigma_px(points_px: FloatArray, chart_px: FloatArray, covariance_px: 
         Root mean square over the points of the standard deviation along the rim's normal; 0 without points.
     """
     normal, derivative = np.empty(2), np.empty(5)
-    variances = np.zeros(len(points_px))
-    for i, (x, y) in enumerate(points_px):
-        signed_distance(x, y, chart_px, normal, derivative)
-        variances[i] = derivative @ covariance_px @ derivative
-    return float(np.sqrt(variances.mean())) if len(points_px) else 0.0
+    variances = np.zeros(len(points))
+    for i, (x, y) in enumerate(points):
+        signed_distance(x, y, chart, normal, derivative)
+        variances[i] = derivative @ covariance @ derivative
+    return float(np.sqrt(variances.mean())) if len(points) else 0.0
 
 
 def judge(

@@ -16,7 +16,7 @@ from craternav_fg.ellipse import normalised_chart, pixel_chart, points_on
 from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
-from craternav_fg.vision.arcs import across_sigma_px, judge
+from craternav_fg.vision.arcs import across_sigma, judge
 from craternav_fg.vision.error_model.correlated import arc_sigma_px, map_covariance, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
@@ -240,7 +240,7 @@ class GuidedFrontEnd:
             correlated_px = float(
                 np.hypot(
                     arc_sigma_px(minor_px, outline, opt.correlated_errors),
-                    across_sigma_px(edges.points_px, rims.charts_px[i], of_map_px[i]),
+                    across_sigma(edges.points_px, rims.charts_px[i], of_map_px[i]),
                 )
             )
             arc = judge(

@@ -26,6 +26,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.extending import overload
 from numba.np import arrayobj
 
+# By NUMBA_DISABLE_JIT; numba defines its settings while it is imported.
+_SWITCHED_OFF = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 _ROOT = Path(__file__).resolve().parents[2]
 # `from package.module import names`; what is imported for type checkers only is indented.
 _IMPORT = re.compile(r"^from ((?:craternav_fg|factors)[\w.]*) import (?:\(([^)]*)\)|(.+))", re.MULTILINE)
@@ -134,6 +136,8 @@ def _no_garbage_search() -> Iterator[None]:
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function with numba when it is first called.
 
+    With `NUMBA_DISABLE_JIT=1` functions stay Python, which a debugger steps through.
+
     Parameters
     ----------
     **options
@@ -149,6 +153,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     options["no_cfunc_wrapper"] = True
 
     def compiled(function: Callable[..., Any]) -> Any:
+        if _SWITCHED_OFF:
+            return function
         dispatcher = numba.njit(**options)(function)
         cache = _Cache(function) if cached else None
         if cache is not None:
@@ -173,7 +179,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def is_cached(kernel: Any) -> bool:
-    """Whether compiled code of a kernel is on disk and fresh.
+    """Whether a kernel need not be compiled: its code is on disk and fresh, or numba is switched off.
 
     Parameters
     ----------
@@ -184,7 +190,7 @@ def is_cached(kernel: Any) -> bool:
     -------
     bool
     """
-    return bool(kernel._cache.filled())
+    return bool(_SWITCHED_OFF or kernel._cache.filled())
 
 
 @functools.cache

@@ -71,6 +71,15 @@ def test_a_pose_from_files(files: Files, run: Run) -> None:
     assert f"position in g {pose['position_m'][0]:.2f}" in shown.out
 
 
+def test_an_error_of_the_lever_arm_is_in_the_covariance(files: Files, run: Run) -> None:
+    (alone,) = json.loads(run("--json", *EXACT).out)["poses"]
+    stated = camera_yaml(replace(CAMERA, lever_arm_sigma_m=30.0), 1.0)
+    (files.folder / "sensor.yaml").write_text(stated)
+    (pose,) = json.loads(run("--json", *EXACT).out)["poses"]
+    added = np.array(pose["covariance"]) - np.array(alone["covariance"])
+    np.testing.assert_allclose(added, np.diag([0.0, 0.0, 0.0, 900.0, 900.0, 900.0]), atol=1e-6)
+
+
 def test_a_common_shift_of_the_map_is_in_the_covariance(files: Files, run: Run) -> None:
     (alone,) = json.loads(run("--json", *EXACT).out)["poses"]
     shift = CommonShift.of_source(len(files.catalog), 300.0, 200.0)

@@ -203,15 +203,16 @@ def test_charts_and_covariances_alone_are_enough(rims_folder):
         exact_all(found.arcs, whole.arcs)
 
 
-def test_how_well_the_intrinsics_are_known_survives(tmp_path):
+def test_how_well_the_camera_is_known_survives(tmp_path):
     rng = np.random.default_rng(7)
     given = recording(rng)
-    for focal_percent, principal_px in ((0.3, None), (None, 0.0), (0.0, 2.5)):
-        sigmas = {"focal_sigma_percent": focal_percent, "principal_sigma_px": principal_px}
+    names = ("focal_sigma_percent", "principal_sigma_px", "lever_arm_sigma_m")
+    for values in ((0.3, None, 0.0), (None, 0.0, None), (0.0, 2.5, 0.02)):
+        sigmas = dict(zip(names, values, strict=True))
         camera = replace(given.camera, **sigmas)
         write_dataset(tmp_path / "data", replace(given, camera=camera), random_images(rng))
         found = Dataset.open(tmp_path / "data").camera
-        assert (found.focal_sigma_percent, found.principal_sigma_px) == (focal_percent, principal_px)
+        assert tuple(getattr(found, name) for name in names) == values
 
 
 def test_truth_at_other_times_is_interpolated(folder):

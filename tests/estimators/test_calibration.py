@@ -111,6 +111,32 @@ def test_gnc_judges_matches_at_the_exposure(tmp_path: Path) -> None:
     assert abs(t.calibrated.time_offset_s[0] - 0.5) < 0.03
 
 
+def test_gnc_judges_matches_by_the_errors_of_the_map_that_it_estimates(tmp_path: Path) -> None:
+    """By the rims' errors alone a right match looked wrong, and a crater without rims ended in a crash."""
+    p, _ = problem(tmp_path, scenario(duration_s=60.0), 0)
+    rng, true, share = np.random.default_rng(0), p.catalog, 0.02
+    radius_m = np.sqrt(true.semi_major_m * true.semi_minor_m)
+    north, east = share * radius_m / true.body.radius_m * rng.normal(size=(2, len(true)))
+    catalog = replace(
+        true,
+        latitude_rad=true.latitude_rad + north,
+        longitude_rad=true.longitude_rad + east / np.cos(true.latitude_rad),
+    )
+    wrong = 4
+    seen = []
+    for frame in p.frames:
+        moved = 0.1 * (frame.rims.craters == wrong)[:, None] * np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+        seen.append(replace(frame, rims=replace(frame.rims, chart=frame.rims.chart + moved)))
+    options = BatchOptions(calibration=Calibration(map_place_sigma_share=share))
+    t = GncSmoother(GncOptions(graph=options)).estimate(replace(p, catalog=catalog, frames=seen))
+    assert t.rim_weights is not None
+    for frame, weights in zip(seen, t.rim_weights, strict=True):
+        np.testing.assert_array_equal(weights, frame.rims.craters != wrong)
+    assert t.calibrated is not None
+    assert t.calibrated.map_errors is not None
+    assert set(t.calibrated.map_errors) == {0, 1, 2, 3}
+
+
 def test_tracked_points_are_seen_from_the_exposure(tmp_path: Path) -> None:
     """Seen with the stated mounting, they would hold its error at zero against the rims."""
     faults = FaultsSection(mounting_deg=MOUNTING_DEG, time_offset_s=DELAY_S)

@@ -133,8 +133,13 @@ def test_session_goes_on_after_a_frame_that_failed(
     assert_allclose(W @ lost.state.covariance[POSE, POSE] @ W.T, np.eye(6), atol=1e-3)
 
 
+@pytest.mark.parametrize("failure", [RuntimeError, IndexError, KeyboardInterrupt])
+@pytest.mark.parametrize("step", ["_state", "_move_gravity", "_altitude_m"])
 def test_a_session_without_a_state_has_ended(
-    trials: list[tuple[Problem, Trajectory]], monkeypatch: pytest.MonkeyPatch
+    trials: list[tuple[Problem, Trajectory]],
+    monkeypatch: pytest.MonkeyPatch,
+    step: str,
+    failure: type[BaseException],
 ) -> None:
     """The solver holds the frame's variables, which the next frame would add again."""
     p, _ = trials[0]
@@ -142,13 +147,16 @@ def test_a_session_without_a_state_has_ended(
     session.begin(p.frames[0], p.start)
 
     def fails(*_: object) -> None:
-        raise RuntimeError("Indeterminant linear system.\nMore of it.")
+        raise failure("Indeterminant linear system.\nMore of it.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(session, "_state", fails)
-        with pytest.raises(
-            EstimationError, match=f"ended: no state at the frame of {p.frames[1].stamp_ns} ns"
-        ):
+        patch.setattr(session, step, fails)
+        patch.setattr(session, "_relinearise_m", lambda _: 1.0)
+        patch.setattr("craternav_fg.estimators.online_session.MIDPOINT_TOLERANCE_M", -1.0)
+        patch.setattr("craternav_fg.estimators.online_session.GRAVITY_SHIFT_SIGMAS", -1.0)
+        told = f"ended: no state at the frame of {p.frames[1].stamp_ns} ns"
+        end, message = (EstimationError, told) if issubclass(failure, Exception) else (failure, "More of it")
+        with pytest.raises(end, match=message):
             session.update(p.frames[1])
     for call in (
         lambda: session.update(p.frames[1]),

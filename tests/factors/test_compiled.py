@@ -1,5 +1,6 @@
 """Compiled code on disk follows the sources of all that a kernel calls."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -132,3 +133,27 @@ def test_a_slice_of_another_size_is_refused() -> None:
     assert target.tolist() == [1.0, 2.0, 0.0, 0.0]
     with pytest.raises(ValueError, match="cannot assign slice from input of different size"):
         assign(np.zeros(3), target)
+
+
+def test_kernels_stay_python_where_numba_is_switched_off() -> None:
+    """So that a debugger steps through them: imports used to end in an AttributeError."""
+    program = (
+        "import numpy as np; import craternav_fg.pipeline.reconstruct\n"
+        "from factors.kernels.conic import project_rims\n"
+        "axes = np.array([[[900.0, 0.0, 0.0], [0.0, 700.0, 0.0]]])\n"
+        "gTb = np.diag([1.0, -1.0, -1.0, 1.0]); gTb[2, 3] = 1e4\n"
+        "charts, seen = project_rims(gTb, np.eye(4), np.zeros((1, 3)), axes)\n"
+        "print(type(project_rims).__name__, *charts[0], seen[0])"
+    )
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    kind, *chart, seen = done.stdout.split()
+    assert (kind, seen) == ("function", "True")
+    # The crater straight below, 0.09 by 0.07 of the distance.
+    np.testing.assert_allclose(
+        np.array(chart, dtype=float), [0.0, 0.0, np.log(0.09), 0.0, np.log(0.07)], atol=1e-12
+    )

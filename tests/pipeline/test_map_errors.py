@@ -7,20 +7,28 @@ import pytest
 
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.dataset import Dataset
+from craternav_fg.ellipse import pixel_chart, points_and_normals
 from craternav_fg.evaluation.metrics import metrics
+from craternav_fg.measurements import ArcSet
 from craternav_fg.pipeline.map_errors import lack_map_errors
 from craternav_fg.pipeline.reconstruct import reconstruct
 from craternav_fg.simulation.scenario import simulate
+from factors.kernels.conic import project_rims
 from tests.descents import scenario
 
 PLACE_M, SIZE_SHARE, HEIGHT_M = 20.0, 0.005, 8.0
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """A descent whose catalogue is wrong by what it states, and whose rims do not know of it."""
-    data = Dataset.open(simulate(scenario(duration_s=60.0), tmp_path_factory.mktemp("few") / "d"))
-    true, rng = data.catalog, np.random.default_rng(3)
+def exact(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A descent over a catalogue without errors."""
+    return Dataset.open(simulate(scenario(duration_s=60.0), tmp_path_factory.mktemp("few") / "d"))
+
+
+@pytest.fixture(scope="module")
+def data(exact: Dataset) -> Dataset:
+    """The same with a catalogue that is wrong by what it states, of which the rims do not know."""
+    true, rng = exact.catalog, np.random.default_rng(3)
     n = len(true)
     north, east = PLACE_M / true.body.radius_m * rng.normal(size=(2, n))
     stated = replace(
@@ -32,7 +40,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
         height_m=true.height_m + HEIGHT_M * rng.normal(size=n),
         errors=MapErrors(np.full(n, PLACE_M), np.full(n, SIZE_SHARE), np.full(n, HEIGHT_M)),
     )
-    return replace(data, catalog=stated)
+    return replace(exact, catalog=stated)
 
 
 def test_stated_errors_of_the_map_are_in_the_covariances(data: Dataset) -> None:
@@ -62,3 +70,34 @@ def test_covariances_that_hold_the_errors_of_the_map_are_not_enlarged(data: Data
         assert second.rims.correlated is not None
         np.testing.assert_array_equal(second.rims.covariance, first.rims.covariance)
         assert (np.linalg.eigvalsh(first.rims.covariance - read.rims.covariance) > -1e-12).all()
+
+
+def test_arcs_hold_the_stated_errors_of_the_map(exact: Dataset, data: Dataset) -> None:
+    """Two of five rims are arcs: without the errors of their craters the ANEES was in the thousands."""
+    assert data.measurements is not None
+    assert data.truth is not None
+    rng, frames = np.random.default_rng(4), []
+    for frame, gTb in zip(data.measurements, data.truth.gTb, strict=True):
+        whole = frame.rims.craters < 3
+        rows = frame.rims.craters[~whole]
+        charts, _ = project_rims(gTb, data.camera.bTc, exact.catalog.centres[rows], exact.catalog.axes[rows])
+        points, sigmas = [], []
+        for chart in pixel_chart(charts, data.camera):
+            angles = rng.uniform(0.0, 2.0 * np.pi) + np.linspace(0.0, 0.5 * np.pi, 15)
+            on_rim, normal = points_and_normals(chart, angles)
+            points.append(data.camera.normalised(on_rim + 0.3 * rng.normal(size=(15, 1)) * normal))
+            sigmas.append(np.full(15, 0.3 / data.camera.focal_px))
+        arcs = ArcSet(rows, tuple(points), tuple(sigmas))
+        frames.append(replace(frame, rims=frame.rims.take(whole), arcs=arcs))
+    seen = replace(data, measurements=tuple(frames))
+    run = reconstruct(seen, ["smoother", "online", "ekf", "map_refining_smoother"])
+    for name, trajectory in run.trajectories.items():
+        found = metrics(trajectory, data.truth)
+        assert found.anees is not None, name
+        assert found.anees < 20.0, name
+    # An arc that says what its points share is left as it is.
+    first = run.frames[0].arcs
+    assert first.correlated_sigmas is not None
+    told = [replace(frame, arcs=new.arcs) for frame, new in zip(frames, run.frames, strict=True)]
+    again = reconstruct(replace(data, measurements=tuple(told)), ["dead_reckoning"])
+    np.testing.assert_array_equal(again.frames[0].arcs.correlated_sigmas, first.correlated_sigmas)

@@ -14,12 +14,13 @@ from craternav_fg import frames
 from craternav_fg.body import Body
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.cli.run_summary import calibration_lines
 from craternav_fg.errors import InputError
 from craternav_fg.estimators.base import Problem, Start
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import FrameMeasurement, RimSet
 from craternav_fg.pipeline.result import Reconstruction
-from craternav_fg.runs.read import describe_frames, read_residuals, read_run
+from craternav_fg.runs.read import describe_frames, read_map_errors, read_residuals, read_run
 from craternav_fg.runs.write import write_run
 from craternav_fg.trajectory import Calibrated, InitialState, Trajectory
 from factors.kernels.conic import project_rims
@@ -177,6 +178,33 @@ def test_residuals_are_at_the_calibrated_camera(tmp_path: Path) -> None:
         summary = write_run(tmp_path, turned, dataset="", truth=None, times_s={}, wall_s=0.0)
         shares[name] = summary["estimators"]["smoother"]["rim_outlier_share"]
     assert shares == {"with": 0.0, "without": 1.0}
+
+
+def test_the_calibration_of_every_segment_is_written(tmp_path: Path) -> None:
+    """That of the last one alone hid the first one's."""
+
+    def found(turn_rad: float, errors: dict[int, tuple[float, float]]) -> Calibrated:
+        of_map = {row: (np.full(6, e), np.full(6, sigma)) for row, (e, sigma) in errors.items()}
+        return Calibrated(mounting_rad=(np.full(3, turn_rad), np.full(3, 1e-4)), map_errors=of_map)
+
+    parts = found(0.0, {0: (0.1, 0.01), 1: (0.2, 0.05)}), found(0.01, {1: (0.3, 0.02)})
+    estimate = replace(trajectory(20e3, sigma=0.5), calibrated=parts[1], calibrated_at=parts)
+    begun_anew = {"trajectories": {"smoother": estimate}, "reinitialised_at": (1,)}
+    result = Reconstruction(**{**vars(reconstruction()), **begun_anew})
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_run(folder, result, dataset="", truth=None, times_s={}, wall_s=0.0)
+    run = read_run(folder)
+    values = run.metrics["estimators"]["smoother"]
+    turns = [one["mounting_deg"][0] for one in values["calibrated_segments"]]
+    assert turns == pytest.approx([0.0, np.degrees(0.01)])
+    assert values["calibrated"] == values["calibrated_segments"][1]
+    assert [line.split(" a correction")[0] for line in calibration_lines(values, [1])] == [
+        "from frame 0 on", "from frame 1 on",
+    ]  # fmt: skip
+    # Each crater's by the segment that saw it best.
+    errors = read_map_errors(run)
+    assert {name: float(error[0]) for name, (error, _) in errors.items()} == {"A": 0.1, "B\nnew line": 0.3}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""Where the camera is on the lander: what an error of it adds to the covariance of a trajectory.
+
+Rims tell where the camera is; the lander is that less the lever arm. An error of the lever arm shifts a
+lander that does not turn by the same vector in every frame, which no measurement contradicts. Landers turn
+too little to show it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from craternav_fg.estimators.base import Descent
+from craternav_fg.estimators.dead_reckoning import DeadReckoning
+from craternav_fg.estimators.sensor_bank import gyro_at
+from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.trajectory import Trajectory
+
+
+def with_lever_arm_error(
+    name: str, trajectory: Trajectory, descent: Descent, frames: Sequence[FrameMeasurement]
+) -> Trajectory:
+    """Add the stated error of the camera's lever arm to the covariances of positions and velocities.
+
+    Parameters
+    ----------
+    name : str
+        Name of the estimator.
+    trajectory : Trajectory
+    descent : Descent
+    frames : sequence of FrameMeasurement
+        What the trajectory rests on.
+
+    Returns
+    -------
+    Trajectory
+        As it is without a stated error, and without rims.
+    """
+    variance = (descent.camera.lever_arm_sigma_m or 0.0) ** 2
+    poses, velocities = trajectory.pose_covariance, trajectory.velocity_covariance
+    seen = any(len(frame.rims) or len(frame.arcs) for frame in frames)
+    if not variance or not seen or name == DeadReckoning.name:
+        return trajectory
+    if poses is not None:
+        poses = poses.copy()
+        poses[:, 3:, 3:] += variance * np.eye(3)
+    if velocities is not None:
+        # The lever arm's end moves against b by the product of the angular velocity relative to g and it.
+        gyro = np.array([gyro_at(descent, int(stamp_ns)) for stamp_ns in trajectory.stamps_ns])
+        of_b = np.einsum("kij,kj->ki", trajectory.gRb, gyro - trajectory.bias[:, :3])
+        rate = of_b - np.array(descent.body.spin_rad_s)
+        across = np.sum(rate**2, axis=1)[:, None, None] * np.eye(3) - rate[:, :, None] * rate[:, None, :]
+        velocities = velocities + variance * across
+    return replace(trajectory, pose_covariance=poses, velocity_covariance=velocities)
