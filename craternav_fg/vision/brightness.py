@@ -60,7 +60,7 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     with np.errstate(over="ignore"):
         values = raw.reshape(*raw.shape[:2], channels).astype(np.float32)
     # NaN compares as false.
-    holes = ~(np.abs(values) < MAX_VALUE).all(axis=2)
+    holes: BoolArray = ~np.all(np.abs(values) < MAX_VALUE, axis=2)
     if channels in (2, 4):
         holes |= values[..., -1] == 0.0
     if raw.dtype.kind in "if":
