@@ -55,6 +55,9 @@ SPHERES_M = {
     "Bennu": 245.03,
     "Ryugu": 448.0,
 }
+# Bodies whose planetographic latitudes are of an ellipsoid; on the others' reference spheres they are
+# planetocentric ones.
+FLATTENED = ("Earth", "Mars", "Ceres", "Vesta")
 _ALSO_CALLED = {"lunar": "Moon", "luna": "Moon"}
 _BY_NAME = {**{name.lower(): name for name in SPHERES_M}, **_ALSO_CALLED}
 # Identifiers of craters in Robbins (2018), a catalogue of the Moon.

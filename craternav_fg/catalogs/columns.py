@@ -49,7 +49,11 @@ _DIAMETERS = (
 _ANGULAR_RADII = ("radiusdeg", "rdeg")
 _RADII = ("radius", "radiuskm", "radiusm", "rkm")
 _IDENTIFIERS = ("craterid", "id", "identifier")
-_WEST = {"w", "west"}
+_WEST, _EAST = {"w", "west", "lonw"}, {"e", "east", "lone"}
+# Words of a name that says radius, and that says another unit than km and m.
+_RADIUS = {*_RADII, "radii", "r"}
+_DEGREES = {"deg", "degree", "degrees"}
+_OTHER_UNITS = {"mi", "mile", "miles", "ft", "feet", "px", "pixel", "pixels", "rad", "arcsec", *_DEGREES}
 # Words of a name that says planetographic.
 _GRAPHIC = {"planetographic", "graphic", "geodetic"}
 # The USGS Gazetteer's column of what coordinates mean, such as "Planetographic, +West, 0 - 360".
@@ -59,7 +63,7 @@ _MAX_LISTED = 30
 # Letters of a column name that an error shows.
 _MAX_NAME = 40
 _METRES_PER = {"km": 1000.0, "m": 1.0}
-_METRES = {"m", "metre", "metres", "meter", "meters"}
+_METRES = {"m", "metre", "metres", "meter", "meters", "diamm", "diameterm", "radiusm"}
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,8 @@ def recognise(path: Path, names: Sequence[str], options: ImportOptions, line: in
     ------
     InputError
         When a named column is not there, when one is missing (the error lists what was found), when
-        longitudes count to the west without `options` saying so, or when latitudes are planetographic.
+        longitudes count to the west without `options` saying so or the other way round, when latitudes are
+        planetographic, or when sizes are in other units than km, m, or degrees of radius.
     """
     tilts = all_or_none(path, names, TILTS, line)
     sigmas = [
@@ -259,23 +264,31 @@ def _rims(path: Path, names: Sequence[str], options: ImportOptions, line: int) -
     where = path, names, line
     latitude = _column(*where, "latitude", options.latitude, _LATITUDES)
     longitude = _column(*where, "longitude", options.longitude, _LONGITUDES)
-    if _GRAPHIC.intersection(re.split(r"[^a-z]+", latitude.lower())):
+    if _GRAPHIC & _words(latitude):
         problem = (
             "expected planetocentric latitudes, this column's name says planetographic: convert them; on a "
             "sphere they are the same: rename it"
         )
         raise InputError(path, problem, line=line, column=latitude)
-    if not options.west_longitudes and _WEST.intersection(re.split(r"[^a-z]+", longitude.lower())):
+    if options.west_longitudes and _EAST & _words(longitude):
+        problem = "expected longitudes positive west, as --west-longitudes says, this column's name says east"
+        raise InputError(path, problem, line=line, column=longitude)
+    if not options.west_longitudes and _WEST & _words(longitude):
         problem = (
             "expected longitudes positive east, this column's name says positive west: --west-longitudes?"
         )
         raise InputError(path, problem, line=line, column=longitude)
     size = _column(*where, "diameter", options.diameter, (*_DIAMETERS, *_ANGULAR_RADII, *_RADII))
     circle = (latitude, longitude, size)
-    if _plain(size) in _ANGULAR_RADII:
+    radius = _RADIUS & {*_words(size), _plain(size)}
+    other = _OTHER_UNITS & _words(size)
+    if _plain(size) in _ANGULAR_RADII or (radius and other and other <= _DEGREES and unit is None):
         return Columns((), circle, *others, 2.0 * float(np.radians(1.0)), angular=True)
+    if other and unit is None:
+        problem = f"expected sizes in km or m, this column's name says {min(other)}: convert them (--unit)"
+        raise InputError(path, problem, line=line, column=size)
     size_m = unit or _METRES_PER[_unit_in(size)]
-    return Columns((), circle, *others, 2.0 * size_m if _plain(size) in _RADII else size_m)
+    return Columns((), circle, *others, 2.0 * size_m if radius else size_m)
 
 
 def _column(
@@ -310,9 +323,12 @@ def _one_of(names: Sequence[str], known: Sequence[str]) -> str | None:
     return next((names[plain.index(name)] for name in known if name in plain), None)
 
 
+def _words(name: str) -> set[str]:
+    return set(re.split(r"[^a-z]+", name.lower()))
+
+
 def _unit_in(name: str) -> str:
-    words = re.split(r"[^a-z]+", name.lower())
-    return "m" if _METRES.intersection(words) else "km"
+    return "m" if _METRES & _words(name) else "km"
 
 
 def _listed(names: Sequence[str]) -> str:

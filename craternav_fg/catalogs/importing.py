@@ -38,6 +38,8 @@ PARQUET = ".parquet"
 _COMMON_FAULT_MIN_ROWS, _COMMON_FAULT_SHARE = 20, 0.5
 # Largest number of a source: whole numbers up to it are exact as floating-point ones.
 _MAX_SOURCE = 2.0**53
+# What descriptions of tables and labels of PDS say of longitudes that count to the west.
+_POSITIVE_WEST = re.compile(r"positive[\s_-]*west|west[\s_-]*positive|\+\s*west", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     Raises
     ------
     InputError
-        When the file is not such a table or of another body, when latitude and longitude are swapped, when
+        When the file is not such a table or of another body, when latitude and longitude are swapped or, by
+        its own words, counted in another way, when
         the sizes make no sense for the body, or when no row is left.
     """
     if path.suffix == PARQUET:
@@ -115,7 +118,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
         table = read_columns(path, header, found.numbers, found.texts)
     identifiers = table.columns[found.identifier] if found.identifier else []
     body, body_by = bodies.resolve_body(path, body, bodies.stated_body(path, table.columns, identifiers))
-    _check_system(table, found)
+    _check_system(table, found, body)
     shown = found.shown
     if found.angular:
         found = replace(found, size_m=found.size_m * body.radius_m)
@@ -177,22 +180,39 @@ def _header(path: Path, options: ImportOptions) -> tuple[Header, Columns]:
     except InputError:
         for header in others:
             with contextlib.suppress(InputError):
-                return header, columns.recognise(path, header.names, options, header.line)
-        raise
+                found = columns.recognise(path, header.names, options, header.line)
+                break
+        else:
+            raise
+        _check_preamble(path, [first, *others[: others.index(header)]], found)
+        return header, found
     refuse_doubled(path, first)
     return first, found
 
 
-def _check_system(table: ForeignTable, found: Columns) -> None:
-    """Refuse longitudes that the table itself says to be counted the other way."""
+def _check_preamble(path: Path, lines: Sequence[Header], found: Columns) -> None:
+    """Refuse longitudes that the text above the table says to be positive west."""
+    for line in lines:
+        said = _POSITIVE_WEST.search(" ".join(line.names))
+        if said is not None and not found.west:
+            problem = f"expected longitudes positive east, found {said[0]!r}: --west-longitudes?"
+            raise InputError(path, problem, line=line.line)
+
+
+def _check_system(table: ForeignTable, found: Columns, body: Body) -> None:
+    """Refuse what the table itself says to be counted the other way, or from an ellipsoid."""
     if found.system is None:
         return
     for row, text in enumerate(table.columns[found.system]):
-        way = re.search(r"\+\s*(west|east)", text or "", re.IGNORECASE)
-        if way is not None and (way[1].lower() == "west") != found.west:
+        said = (text or "").lower()
+        ways = set(re.findall(r"\b(?:west|east)", said))
+        if ways == {"east" if found.west else "west"}:
             expected = "positive west, as --west-longitudes says" if found.west else "positive east"
             hint = "" if found.west else ": --west-longitudes?"
             table.fail(row, found.system, f"expected longitudes {expected}, found {text!r}{hint}")
+        if "planetographic" in said and body.name in bodies.FLATTENED:
+            problem = f"expected planetocentric latitudes, found {text!r}: convert them"
+            table.fail(row, found.system, problem)
 
 
 def _heights(table: ForeignTable, found: Columns) -> FloatArray | None:

@@ -179,7 +179,7 @@ def _detect_one(
     for path in (output, overlay):
         require_free(path, force=force)
     try:
-        pixels = read_foreign_image(image)
+        pixels = read_foreign_image(image, opacity=True)
     except TooManyPixelsError as error:
         raise CraternavError(f"{error}, or name a folder (-o FOLDER) to read it in windows") from None
     began_s = time.perf_counter()

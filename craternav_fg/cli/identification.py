@@ -159,7 +159,7 @@ def _read(
 
 def _image(path: Path, camera: Camera) -> npt.NDArray[np.generic]:
     """Read an image of the camera."""
-    pixels = read_foreign_image(path)
+    pixels = read_foreign_image(path, opacity=True)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width_px, camera.height_px):
         size = f"{camera.width_px} x {camera.height_px}"

@@ -17,6 +17,8 @@ MAX_PIXELS = 25_000_000
 _PLAIN = ("1", "L", "LA", "I", "I;16", "I;16B", "I;16L", "F", "RGB", "RGBA")
 # The tag of EXIF that says how an image is to be turned and mirrored; 1 if not at all.
 _ORIENTATION = 0x0112
+# The tag of GDAL that says which value marks missing pixels, as text.
+_NO_DATA = 42113
 # What Pillow raises on damaged files besides its own errors: its readers trust what the tags say.
 _DAMAGED = (ArithmeticError, EOFError, LookupError, OSError, SyntaxError, TypeError, ValueError, struct.error)
 
@@ -25,13 +27,16 @@ class TooManyPixelsError(InputError):
     """An image is too large to be read as one array."""
 
 
-def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
+def read_foreign_image(path: Path, *, opacity: bool = False) -> npt.NDArray[np.generic]:
     """Read an image file: PNG, TIFF, JPEG or another format that Pillow knows.
 
     Parameters
     ----------
     path : Path
         The first image is read when the others are of another size, as thumbnails are.
+    opacity : bool
+        Add an opacity to an image without one, 0 where all channels have the value that a TIFF declares to
+        mark missing pixels, else 1.
 
     Returns
     -------
@@ -63,7 +68,8 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
                 if count > 1:
                     raise InputError(path, f"expected one image, found {count}: save each as a file")
                 mode = "RGBA" if image.mode == "P" and "transparency" in image.info else "RGB"
-                return np.asarray(image if image.mode in _PLAIN else image.convert(mode))
+                pixels = np.asarray(image if image.mode in _PLAIN else image.convert(mode))
+                return _with_opacity(image, pixels) if opacity else pixels
     except Image.DecompressionBombError as error:
         raise TooManyPixelsError(path, f"more than {MAX_PIXELS // 10**6} million pixels: crop it") from error
     except UnidentifiedImageError as error:
@@ -71,6 +77,22 @@ def read_foreign_image(path: Path) -> npt.NDArray[np.generic]:
         raise InputError(path, "cannot be read as an image: unknown format") from error
     except _DAMAGED as error:
         raise InputError(path, f"cannot be read as an image: {error}") from error
+
+
+def _with_opacity(image: Image.Image, pixels: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    """Add an opacity to pixels whose file declares which value marks missing ones, and has such."""
+    try:
+        void = float(getattr(image, "tag_v2", {}).get(_NO_DATA, "nan"))
+    except (TypeError, ValueError):
+        return pixels
+    layers = pixels.reshape(*pixels.shape[:2], -1)
+    if layers.shape[2] not in (1, 3) or pixels.dtype.kind not in "uif":
+        return pixels
+    # Compared as the file has it: 1e-8 in float32 is not 1e-8 in float64.
+    with np.errstate(over="ignore"):
+        held = np.float32(void) if pixels.dtype == np.float32 else void
+    missing = (layers == held).all(axis=2, keepdims=True)
+    return np.concatenate([layers, (~missing).astype(pixels.dtype)], axis=2) if missing.any() else pixels
 
 
 def _stacked(image: Image.Image) -> int:

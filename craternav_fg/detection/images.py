@@ -158,7 +158,7 @@ def _detect(task: _Task) -> _Result:
     path = Path(task.path)
     try:
         source = source_of(path)
-        pixels = read_foreign_image(path)
+        pixels = read_foreign_image(path, opacity=True)
         began_s = time.perf_counter()
         rims = task.settings.detect(pixels, task.settings.sun_rad)
         seconds = time.perf_counter() - began_s

@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
-from factors.arrays import ImageArray
+from factors.arrays import BoolArray, ImageArray
 
 # Brightness of saturated pixels, and the largest of others: safely below what counts as saturated.
 _SATURATED_MARK = 255.0
@@ -18,6 +18,10 @@ _DIM_BRIGHTNESS, _STRETCHED_BRIGHTNESS = 100.0, 200.0
 _DARK_PERCENTILE, _BRIGHT_PERCENTILE = 0.5, 99.5
 # Magnitude of a float from which it is no brightness: ISIS writes missing and saturated pixels as -3.4e38.
 MAX_VALUE = 1e38
+# Values that mark missing pixels in signed images without the file's saying so, and how many values from
+# there on do: ISIS has five for missing and saturated pixels. Brightness begins by the share above them.
+_VOIDS = {-9999.0: 1, -32768.0: 5, -32767.0: 4}
+_VOID_MARGIN = 0.1
 # Pixels sampled for the percentiles.
 _MAX_SAMPLED_PIXELS = 40_000
 # Pixels at the maximum, as a number and as a share of the image, above which they count as saturated.
@@ -41,7 +45,8 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     Returns
     -------
     ndarray of float32, shape (H, W)
-        0 to 255; 255 where saturated, NaN where there is no data, as where floats are 1e38 and more.
+        0 to 255; 255 where saturated, NaN where there is no data: where floats are 1e38 and more, or signed
+        numbers -9999 or -32768 to -32764 and none is near.
 
     Raises
     ------
@@ -55,9 +60,11 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
     with np.errstate(over="ignore"):
         values = raw.reshape(*raw.shape[:2], channels).astype(np.float32)
     # NaN compares as false.
-    holes = ~(np.abs(values) < MAX_VALUE).all(axis=2)
+    holes: BoolArray = ~np.all(np.abs(values) < MAX_VALUE, axis=2)
     if channels in (2, 4):
         holes |= values[..., -1] == 0.0
+    if raw.dtype.kind in "if":
+        holes |= _void(values[..., : channels - (channels in (2, 4))], holes)
     out = values[..., :3] @ _RGB_WEIGHTS if channels >= 3 else values[..., 0]
     out = np.ascontiguousarray(np.where(holes, np.float32(np.nan), out))
     valid = out[~holes]
@@ -79,6 +86,18 @@ def brightness(image: npt.NDArray[np.generic]) -> ImageArray:
             saturated[:] = False
     out[saturated] = _SATURATED_MARK
     return np.asarray(out, dtype=np.float32)
+
+
+def _void(values: npt.NDArray[np.float32], holes: BoolArray) -> BoolArray:
+    """Find values that stand for no data, apart from all others."""
+    lowest = float(np.min(values, initial=np.inf, where=~holes[..., None]))
+    count = _VOIDS.get(lowest)
+    if count is None:
+        return np.zeros_like(holes)
+    marked = (values < lowest + count).any(axis=2) & ~holes
+    rest = ~(holes | marked)
+    apart = np.min(values, initial=np.inf, where=rest[..., None]) > (1.0 - _VOID_MARGIN) * lowest
+    return marked if apart else np.zeros_like(holes)
 
 
 def filled(image: ImageArray) -> tuple[ImageArray, ImageArray]:

@@ -32,6 +32,7 @@ from craternav_fg.vision.detect import (
     candidates_in,
     require_finite_angle,
 )
+from craternav_fg.vision.graphics import on_ground
 from craternav_fg.vision.image_sampling import noise_level
 from craternav_fg.vision.proposal_fit import MIN_ARC_SHARE, MeasuredRims, measured
 from craternav_fg.vision.proposals import QUARTERS, SURE_LOG_ODDS, Proposals, SunQuarter
@@ -156,6 +157,7 @@ def find_rims_network(
     noise = noise_level(everywhere) if min(pixels.shape) > 2 else 0.0
     lit = [one.likely(options.min_quality) for one in lit]
     rims = _gathered(lit, [_measured(pixels, one, noise, options) for one in lit])
+    rims = rims.take(on_ground(pixels, rims.charts_px))
     if sun_angle_rad is None:
         towards = lit[0].sun_angle_rad if len(lit) == 1 else float("nan")
         return replace(

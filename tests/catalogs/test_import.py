@@ -125,6 +125,16 @@ def test_what_the_gazetteer_says_of_longitudes(tmp_path):
     east = written(tmp_path, header + rows.format('"Planetocentric, +East, 0 - 360"'))
     assert len(import_catalog(east, MOON)[0]) == 2
     refused(east, "expected longitudes positive west, as --west-longitudes says", west_longitudes=True)
+    refused(written(tmp_path, header + rows.format("IAU 1980 West")), "found 'IAU 1980 West'")
+
+
+def test_the_gazetteer_counts_latitudes_from_an_ellipsoid(tmp_path):
+    # On Mars up to 0.34 deg, 20 km, from planetocentric ones; on the Moon they are the same.
+    header = "Center_Latitude,Center_Longitude,Diameter,Coordinate_System\n"
+    path = written(tmp_path, f'{header}10,20,5,"Planetographic, +East, 0 - 360"\n')
+    mars = Body("Mars", 3396190.0, 4.2828e13, (0.0, 0.0, 7.088e-5))
+    refused(path, r"craters\.csv:2: Coordinate_System: .*planetocentric.*'Planetographic", mars)
+    assert len(import_catalog(path, MOON)[0]) == 1
 
 
 def test_planetographic_latitudes(tmp_path):
@@ -145,6 +155,34 @@ def test_longitudes_to_the_west(tmp_path):
     catalog, report = import_catalog(path, MOON, ImportOptions(longitude="Lon_W", west_longitudes=True))
     np.testing.assert_allclose(np.degrees(catalog.longitude_rad), [160.0])
     assert "Lon_W (west)" in report.columns
+    both = written(tmp_path, "id,lat,Lon_E,Lon_W,diam_km\nA,20,160,200,12\n")
+    refused(both, r"craters\.csv:1: Lon_E: expected .* positive west, .* says east", west_longitudes=True)
+
+
+def test_a_preamble_says_that_longitudes_count_to_the_west(tmp_path):
+    for words in ("Longitudes are west-positive", "positive_longitude_direction, POSITIVE_WEST"):
+        path = written(tmp_path, f"# Craters\n# {words}\nlat,lon,diam_km\n20,200,12\n")
+        refused(path, r"craters\.csv:2: expected longitudes positive east, found '.*': --west-longitudes\?")
+        catalog, _ = import_catalog(path, MOON, ImportOptions(west_longitudes=True))
+        np.testing.assert_allclose(np.degrees(catalog.longitude_rad), [160.0])
+
+
+@pytest.mark.parametrize("name", ["R", "Crater radius (km)", "mean_radius"])
+def test_sizes_that_are_named_are_radii_if_they_say_so(tmp_path, name):
+    path = written(tmp_path, f"lat,lon,{name}\n20,200,6\n")
+    catalog, report = import_catalog(path, MOON, ImportOptions(diameter=name))
+    assert catalog.semi_major_m[0] == 6000.0
+    assert report.columns.endswith("(km of radius)")
+
+
+def test_sizes_in_other_units(tmp_path):
+    for name in ("diam_mi", "diam_deg", "Diameter (px)"):
+        path = written(tmp_path, f"lat,lon,{name}\n20,200,6\n")
+        refused(path, "expected sizes in km or m, this column's name says", diameter=name)
+    catalog, _ = import_catalog(path, MOON, ImportOptions(diameter=name, unit="km"))
+    assert catalog.semi_major_m[0] == 3000.0
+    catalog, _ = import_catalog(written(tmp_path, "lat,lon,diamm\n20,200,6000\n"), MOON)
+    assert catalog.semi_major_m[0] == 3000.0
 
 
 def test_columns_of_robbins_in_small_letters(tmp_path):

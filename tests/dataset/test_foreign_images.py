@@ -5,6 +5,7 @@ import contextlib
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from craternav_fg.dataset.foreign_images import read_foreign_image
 from craternav_fg.errors import InputError
@@ -51,15 +52,37 @@ def test_a_stack_of_images_and_one_to_be_shown_turned_are_refused(tmp_path):
         read_foreign_image(tmp_path / "6.jpg")
 
 
-@pytest.mark.parametrize("name", ["stack.tif", "one.tif", "one.png", "one.jpg", "one.gif"])
+@pytest.mark.parametrize(
+    ("dtype", "void"), [(np.uint8, 255), (np.uint16, 0), (np.int32, -9999), (np.float32, -1e-8)]
+)
+def test_the_value_that_a_tiff_declares_to_mark_missing_pixels(tmp_path, dtype, void):
+    pixels = np.arange(1, 49).reshape(6, 8).astype(dtype)
+    pixels[2:4, 5:] = void
+    image, tags = Image.fromarray(pixels), ImageFileDirectory_v2()
+    for name, text in {"declared": str(void), "other": "77", "wrong": "none"}.items():
+        tags[42113] = text
+        image.save(tmp_path / f"{name}.tif", tiffinfo=tags)
+    read = read_foreign_image(tmp_path / "declared.tif", opacity=True)
+    assert read.dtype == dtype
+    np.testing.assert_array_equal(read[..., 0], pixels)
+    np.testing.assert_array_equal(read[..., 1] == 0, pixels == dtype(void))
+    for name, opacity in (("declared", False), ("other", True), ("wrong", True)):
+        plain = read_foreign_image(tmp_path / f"{name}.tif", opacity=opacity)
+        np.testing.assert_array_equal(plain, pixels)
+
+
+@pytest.mark.parametrize("name", ["stack.tif", "void.tif", "one.tif", "one.png", "one.jpg", "one.gif"])
 def test_any_byte_may_be_wrong(tmp_path, name):
     path = tmp_path / name
     image = Image.fromarray(np.full((6, 8), 7, np.uint8))
     others = {"save_all": True, "append_images": [image]} if name.startswith("stack") else {}
+    if name == "void.tif":
+        others["tiffinfo"] = ImageFileDirectory_v2()
+        others["tiffinfo"][42113] = "7"
     image.save(path, **others)
     sound = path.read_bytes()
     for place in range(len(sound)):
         for value in (0, 255, sound[place] ^ 1, sound[place] ^ 128):
             path.write_bytes(sound[:place] + bytes([value]) + sound[place + 1 :])
             with contextlib.suppress(InputError):
-                read_foreign_image(path)
+                read_foreign_image(path, opacity=True)

@@ -173,6 +173,23 @@ def test_values_that_no_brightness_has_are_holes(one, dtype):
     np.testing.assert_array_equal(brightness(special), brightness(image))
 
 
+@pytest.mark.parametrize("void", [-9999, -32768, -32767])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_numbers_that_stand_for_no_data_without_the_files_saying_so(void, dtype):
+    image = np.random.default_rng(3).integers(-400, 3000, (60, 80)).astype(dtype)
+    holes = np.zeros(image.shape, dtype=bool)
+    holes[:, :20] = True
+    marked = np.where(holes, dtype(void), image)
+    # What ISIS writes for pixels below what the instrument could measure.
+    marked[:5, :5] = void if void == -9999 else -32766
+    out = brightness(marked)
+    np.testing.assert_array_equal(np.isnan(out), holes)
+    np.testing.assert_allclose(out[~holes], brightness(image[:, 20:]).ravel(), atol=1.0)
+    # Heights, or any numbers that go down to there.
+    marked[30:] = np.linspace(void, 0, 80)
+    assert not np.isnan(brightness(marked)).any()
+
+
 def test_night_and_sky_hold_no_rims(one):
     image = one.image.copy()
     image[:, 600:] = np.random.default_rng(2).integers(0, 5, image[:, 600:].shape)
