@@ -17,7 +17,8 @@ from craternav_fg.frames import rotate_position_block
 from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import across_sigma, judge
-from craternav_fg.vision.error_model.correlated import arc_sigma_px, map_covariance, split
+from craternav_fg.vision.error_model.common_growth import common_growth, without_growth
+from craternav_fg.vision.error_model.correlated import arc_sigma_px, map_covariance, radii_px, split
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -232,17 +233,23 @@ class GuidedFrontEnd:
         reach_px = _reach_px(rims, opt.second_reach_px, opt.second_reach_share)
         scale = normalised_chart(rims.charts_px, self.camera)[1]
         of_map_px = self._of_map(rims.rows, result.gTb) / np.outer(scale, scale)
+        growth = common_growth(
+            result.rims, result.gTb, frame.gTb, frame.prior, self.camera, self.catalog
+        ).shares(radii_px(rims.rows, result.gTb, self.camera, self.catalog))
         for i in range(len(rims)):
             edges = fitter.trace(rims, i, float(reach_px[i]))
             if len(edges) < opt.arcs.min_found_share * edges.tried:
                 continue
             minor_px = rims.smallest_radius_px(i)
-            correlated_px = float(
-                np.hypot(
-                    arc_sigma_px(minor_px, outline, opt.correlated_errors),
-                    across_sigma(edges.points_px, rims.charts_px[i], of_map_px[i]),
-                )
+            edges = replace(
+                edges, points_px=without_growth(edges.points_px, rims.charts_px[i, :2], growth[0][i])
             )
+            parts_px = (
+                arc_sigma_px(minor_px, outline, opt.correlated_errors),
+                across_sigma(edges.points_px, rims.charts_px[i], of_map_px[i]),
+                growth[1][i] * minor_px,
+            )
+            correlated_px = float(np.linalg.norm(parts_px))
             arc = judge(
                 edges, rims.charts_px[i], minor_px, correlated_px, float(predicted_px[i]), opt.arcs
             )  # fmt: skip

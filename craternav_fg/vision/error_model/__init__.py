@@ -52,7 +52,8 @@ In an estimator:
    inflated covariance, in `factors.conic_shape`; its robust loss bounds the influence of wrong matches.
 
 Arcs of rims, of which too little is seen for an ellipse, take the same way with one standard deviation per
-point: `vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` (step 6),
+point: `error_model.common_growth` takes from them the growth that the whole rims of the frame show, then
+`vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` (step 6),
 `ArcSet.inflate_correlated` (step 10).
 """
 

@@ -159,6 +159,28 @@ def in_plane_slopes(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Ca
     return ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])[:, :, _IN_PLANE]
 
 
+def radii_px(rows: IntArray, gTb: FloatArray, camera: Camera, catalog: Catalog) -> FloatArray:
+    """Compute the mean radii of rims as seen face on.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (n,)
+        The rims' craters in the catalogue.
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g.
+    camera : Camera
+    catalog : Catalog
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        px.
+    """
+    radius_m = np.sqrt(np.linalg.norm(catalog.axes[rows], axis=-1).prod(axis=-1))
+    range_m = np.linalg.norm(camera.gTc(gTb)[:3, 3] - catalog.centres[rows], axis=-1)
+    return np.asarray(camera.focal_px * radius_m / range_m)
+
+
 def correlated_roots(
     errors: RimErrors,
     rows: IntArray,
@@ -218,7 +240,6 @@ def _shared_on_ground(
     length_m = np.linalg.norm(axes, axis=-1)
     view = camera.gTc(gTb)[:3, 3] - centres
     range_m = np.linalg.norm(view, axis=-1)
-    radius_px = camera.focal_px * np.sqrt(length_m.prod(axis=-1)) / range_m
     # Unit vectors towards the camera and the sun: components along l1 and l2.
     along = axes / length_m[:, :, None]
     camera_l = np.einsum("nki,ni->nk", along, view / range_m[:, None])
@@ -227,7 +248,7 @@ def _shared_on_ground(
     x, y = camera_l.T
     # A stretch t along c is the map 1 + t c c': growth along l1, shear, growth along l2.
     stretch = np.stack([x * x, x * y, y * y], axis=-1)
-    px = 1.0 / radius_px[:, None]
+    px = 1.0 / radii_px(rows, gTb, camera, catalog)[:, None]
     roots = np.zeros((len(rows), 5, SHARED_SIZE))
     roots[:, :2, 0] = options.camera_shift_px * px * camera_l
     roots[:, :2, 1] = options.camera_shift_px * px * sine2 * camera_l
