@@ -168,11 +168,17 @@ def spin(problem: Problem) -> Iterator[ImuMistake]:
 
 def _attitudes(problem: Problem) -> list[tuple[int, FloatArray]]:
     """Stamps of some frames spread over a descent, and their attitudes gRb by their rims alone."""
-    enough = [frame for frame in problem.frames if len(frame.rims) >= _POSE_RIMS]
+    enough = []
+    for frame in problem.frames:
+        # Of two rims of one crater, nothing tells here which is the wrong match.
+        _, first, count = np.unique(frame.rims.craters, return_index=True, return_counts=True)
+        rims = frame.rims.take(np.sort(first[count == 1]))
+        if len(rims) >= _POSE_RIMS:
+            enough.append(replace(frame, rims=rims))
     out = []
     for k in np.unique(np.linspace(0, len(enough) - 1, _POSES).astype(int)) if enough else ():
-        rims = MatchedRims.of(enough[k].rims, problem.catalog)
-        found = solve(ResectionProblem(rims, problem.camera.bTc, sun=enough[k].sun)).poses
+        matched = MatchedRims.of(enough[k].rims, problem.catalog)
+        found = solve(ResectionProblem(matched, problem.camera.bTc, sun=enough[k].sun)).poses
         if found:
             out.append((enough[k].stamp_ns, found[0].gTb[:3, :3]))
     return out
