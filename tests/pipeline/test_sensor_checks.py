@@ -423,17 +423,6 @@ def test_an_imu_along_other_axes_is_refused(
         reconstruct(replace(data, imu=imu), ["dead_reckoning"])
 
 
-def test_a_wrong_spin_of_the_body_is_refused_by_what_gyro_and_rims_show(measured: Dataset) -> None:
-    """The smoother searched for minutes, and its message did not name the spin."""
-    spin = np.array(measured.body.spin_rad_s)
-    x, y, z = (float(one) for one in spin + np.array([0.0, 1e-3, 0.0]))
-    wrong = replace(measured, body=replace(measured.body, spin_rad_s=(x, y, z)))
-    with pytest.raises(InputError, match=r"dataset\.toml: spin_rad_s: expected about \[(.*)\] by") as refused:
-        reconstruct(wrong, ["smoother"])
-    found = str(refused.value).split("[")[1].split("]")[0]
-    np.testing.assert_allclose([float(one) for one in found.split(",")], spin, atol=3e-5)
-
-
 def test_accelerations_without_gravity_are_refused(few: tuple[Dataset, Dataset]) -> None:
     data = few[1]
     assert data.imu is not None
