@@ -34,8 +34,8 @@ class Camera:
     distortion : tuple of float
         Coefficients of the lens, see `lens`: k1, k2, p1, p2, k3 unless `lens_model` says otherwise.
     psf_sigma_px : float
-        Standard deviation of the point-spread function. The default is typical of optics whose resolution
-        matches the pixels.
+        Standard deviation of the point-spread function, with the pixels' own blur. The default is typical of
+        optics whose resolution matches the pixels.
     bit_depth : int
         Bits of a grey level.
     lens_model : str

@@ -81,3 +81,13 @@ class ImuLog:
         edges[0], edges[1:-1], edges[-1] = begin_ns, self.stamps_ns[lo:hi], end_ns
         dt_s = (edges[1:] - edges[:-1]).astype(np.float64) * 1e-9
         return dt_s, self.gyro_rad_s[lo : hi + 1], self.accelerometer_m_s2[lo : hi + 1]
+
+    def row_s(self, stamp_ns: int) -> float:
+        """Duration of the row that holds a stamp, s: the last row's after the log, the first one's before it.
+
+        Parameters
+        ----------
+        stamp_ns : int
+        """
+        row = min(max(int(self.stamps_ns.searchsorted(stamp_ns)), 1), len(self.stamps_ns) - 1)
+        return 1e-9 * float(self.stamps_ns[row] - self.stamps_ns[row - 1])

@@ -268,12 +268,16 @@ class ArcSet:
     correlated_sigmas : ndarray, shape (n,), optional
         Standard deviation of each arc's time-correlated error, normalised: an outward shift that its points
         share and that hardly changes from frame to frame. None when no such part is known.
+    shared : ndarray, shape (n, 5, 8), optional
+        Roots of the error that all rims of a descent share, of the arcs' rims: what it adds to their charts,
+        as in `RimSet`. None when no such part is known.
     """
 
     craters: IntArray
     points: tuple[FloatArray, ...]
     sigmas: tuple[FloatArray, ...]
     correlated_sigmas: FloatArray | None = None
+    shared: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.craters)
@@ -292,6 +296,7 @@ class ArcSet:
             tuple(self.points[i] for i in chosen),
             tuple(self.sigmas[i] for i in chosen),
             None if self.correlated_sigmas is None else self.correlated_sigmas[rows],
+            None if self.shared is None else self.shared[rows],
         )
 
     @classmethod
@@ -303,7 +308,8 @@ class ArcSet:
         """Treat the time-correlated error as white, with its variance multiplied by a factor.
 
         The points' errors are then independent, and so much larger that the variance of their mean is what it
-        was with the shared error.
+        was with the shared error. `shared` is kept as it is: it is small beside it, and counts only where it
+        is a variable.
 
         Parameters
         ----------
@@ -316,7 +322,7 @@ class ArcSet:
             np.sqrt(sigma**2 + factor * len(sigma) * shared**2)
             for sigma, shared in zip(self.sigmas, self.correlated_sigmas, strict=True)
         )
-        return ArcSet(self.craters, self.points, sigmas)
+        return ArcSet(self.craters, self.points, sigmas, shared=self.shared)
 
 
 @dataclass(frozen=True)

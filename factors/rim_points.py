@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from factors import validation
 from factors.arrays import FloatArray
-from factors.custom import Loss, pose_factor
+from factors.custom import Loss, constant_mounting, packed_pose_factor_with_errors, pose_factor
 from factors.errors import FactorError
 from factors.kernels import rim
 
@@ -32,6 +32,7 @@ def rim_points_factor(
     loss: Loss = Loss(),
     *,
     mounting_key: int | None = None,
+    error: tuple[int, npt.ArrayLike] | None = None,
 ) -> gtsam.CustomFactor:
     """Build a factor of the body's pose from edge points of a frame's rims.
 
@@ -56,11 +57,15 @@ def rim_points_factor(
         distances exceeds `loss.scale_sigmas`.
     mounting_key : int, optional
         Key of the mounting as a variable (`Pose3`), to be estimated.
+    error : (int, array_like of shape (n, 5, k)), optional
+        Key of an error that all the rims share, a vector to be estimated, and its roots: it adds roots @
+        vector to the predicted charts. Not beside `mounting_key`.
 
     Returns
     -------
     gtsam.CustomFactor
-        With one whitened row per point, in the order of the craters.
+        With one whitened row per point, in the order of the craters; of the pose, then of the mounting or the
+        error if it is a variable.
 
     Raises
     ------
@@ -86,8 +91,37 @@ def rim_points_factor(
     u = np.concatenate(stacked_points)
     sigma_u = np.concatenate(stacked_sigmas)
     kind, scale = loss.kind, loss.scale_sigmas
+    if error is not None:
+        error_key, roots = error
+        constant = constant_mounting(key, bTc, mounting_key)
+        if mounting_key is not None:
+            raise FactorError("error: expected a known mounting beside it")
+        size = np.shape(roots)[-1] if np.ndim(roots) == 3 else 0
+        roots = validation.array("error", roots, (n, 5, max(size, 1)))
+        slopes = np.zeros((len(u), 6 + size))
+
+        def kernel_with_error(
+            gTb: FloatArray, z: FloatArray, _: FloatArray, linearise: bool, out: FloatArray
+        ) -> float:
+            rim.rim_residuals(
+                gTb, constant, centres, axes, offsets, u, sigma_u, roots, z, kind, scale, linearise, out[6],
+                slopes,
+            )  # fmt: skip
+            if linearise:
+                out[:6], out[7:] = slopes[:, :6].T, slopes[:, 6:].T
+            written = out.reshape(-1)
+            # One sum of squares finds NaN and infinity.
+            return float(written @ written)
+
+        return packed_pose_factor_with_errors(
+            key, len(u), kernel_with_error, np.empty(0), [(error_key, size)]
+        )
+
+    no_roots, no_error = np.empty((n, 5, 0)), np.empty(0)
 
     def kernel(gTb: FloatArray, bTc: FloatArray, linearise: bool, e: FloatArray, J: FloatArray) -> None:
-        rim.rim_residuals(gTb, bTc, centres, axes, offsets, u, sigma_u, kind, scale, linearise, e, J)
+        rim.rim_residuals(
+            gTb, bTc, centres, axes, offsets, u, sigma_u, no_roots, no_error, kind, scale, linearise, e, J
+        )
 
     return pose_factor(key, len(u), kernel, bTc, mounting_key)

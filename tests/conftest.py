@@ -36,12 +36,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # Files that take longest: begun first, so that no worker is left alone with one at the end. The second one
 # compiles other kernels than the first: of two workers that need the same ones, one waits.
 LONGEST = (
-    "test_notebooks.py", "test_identify.py", "test_detect.py", "test_command_line.py", "test_fuzz.py",
-    "test_refine.py", "test_network_detect.py", "test_hard_cases.py", "test_orbit.py", "test_run.py",
-    "test_mosaics.py", "test_sensor_checks.py", "test_cluster.py", "test_gate.py", "test_late_rims.py",
-    "test_consensus.py", "test_posed_images.py", "test_calibration.py", "test_wrong_answers.py",
-    "test_plugins.py", "test_guided.py", "test_isis.py", "test_sun.py", "test_identify_apollo.py",
-    "test_monte_carlo.py", "test_killed.py",
+    "test_notebooks.py", "test_identify.py", "test_command_line.py", "test_detect.py",
+    "test_sensor_checks.py", "test_pose.py", "test_network_detect.py", "test_own_sensor.py",
+    "test_hard_cases.py", "test_mosaics.py",
+    "test_fuzz.py", "test_refine.py", "test_orbit.py", "test_consensus.py", "test_render.py",
+    "test_posed_images.py", "test_guided.py", "test_gate.py", "test_run.py", "test_plugins.py",
+    "test_wrong_answers.py", "test_identify_apollo.py", "test_identify_search.py", "test_bags.py",
+    "test_calibration.py", "test_sun.py", "test_isis.py", "test_monte_carlo.py", "test_killed.py",
+    "test_compiled.py", "test_late_rims.py",
 )  # fmt: skip
 
 pytest_plugins = ("pytester", "tests.slow_budget")

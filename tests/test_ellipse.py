@@ -195,7 +195,7 @@ def test_covariance_is_that_of_fits_to_noisy_points() -> None:
 
     def nearest_px(y: np.ndarray) -> np.ndarray:
         """Signed distance of each point from a dense outline, along its normal."""
-        outline = ellipse.points_on(ellipse.pixel_chart(y, camera), 200_000)
+        outline = ellipse.points_on(ellipse.pixel_chart(y, camera), 50_000)
         at = [np.argmin(np.sum((outline - point) ** 2, axis=1)) for point in points]
         return np.sum((points - outline[at]) * normals, axis=1)
 

@@ -46,13 +46,17 @@ def test_arcs_keep_their_correlated_errors_when_some_are_taken() -> None:
     """Without it the rest would count as far better than they are."""
     points = tuple(np.full((n, 2), 0.1 * n) for n in (3, 4, 5))
     sigmas = tuple(np.full(n, 1e-4) for n in (3, 4, 5))
-    arcs = ArcSet(np.array([7, 8, 9]), points, sigmas, np.array([1e-3, 2e-3, 3e-3]))
+    roots = np.arange(120.0).reshape(3, 5, 8)
+    arcs = ArcSet(np.array([7, 8, 9]), points, sigmas, np.array([1e-3, 2e-3, 3e-3]), roots)
     some = arcs.take(np.array([True, False, True]))
     assert some.correlated_sigmas is not None
     assert_allclose(some.correlated_sigmas, [1e-3, 3e-3])
     every = arcs.inflate_correlated(2.0).sigmas
     for one, whole in zip(some.inflate_correlated(2.0).sigmas, (every[0], every[2]), strict=True):
         assert_allclose(one, whole)
+    for kept in (some, some.inflate_correlated(2.0)):
+        assert kept.shared is not None
+        assert_allclose(kept.shared, roots[[0, 2]])
 
 
 def test_estimators_that_fuse_frames_take_more_white_variance_than_rims_state() -> None:

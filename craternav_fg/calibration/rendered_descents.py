@@ -11,10 +11,11 @@ from functools import cache
 import numpy as np
 
 from craternav_fg import frames
+from craternav_fg.calibration.single_rims import SingleRims, fitted_alone
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray
-from craternav_fg.ellipse import axes_covariance, pixel_chart, semi_minor
+from craternav_fg.ellipse import pixel_chart, semi_minor
 from craternav_fg.measurements import ArcSet, RimSet
 from craternav_fg.simulation.scenario_file import load_scenario
 from craternav_fg.simulation.world import World, make_world
@@ -65,10 +66,6 @@ class MeasuredRims:
         Roots of the errors that all rims share, of size 1, without that from the brightness.
     excess : ndarray, shape (n, 5, 5)
         White covariance that is added for an `excess_white_share` of 1.
-    unit_floor : ndarray, shape (n, 5, 5)
-        Covariance of a systematic floor of 1 px.
-    minor_px : ndarray, shape (n,)
-        True semi-minor axes.
     outline_share : ndarray, shape (n,)
         See `RimQuality`.
     """
@@ -82,8 +79,6 @@ class MeasuredRims:
     brightness: FloatArray
     shared: FloatArray
     excess: FloatArray
-    unit_floor: FloatArray
-    minor_px: FloatArray
     outline_share: FloatArray
 
     @property
@@ -116,16 +111,18 @@ class MeasuredArcs:
 
 @dataclass(frozen=True)
 class MeasuredDescent:
-    """Rims and arcs of the frames of one descent that show any.
+    """Rims and arcs of the frames of one descent that show any, and the errors of single rims.
 
     Attributes
     ----------
     rims : tuple of MeasuredRims
     arcs : tuple of MeasuredArcs
+    single : tuple of SingleRims
     """
 
     rims: tuple[MeasuredRims, ...]
     arcs: tuple[MeasuredArcs, ...]
+    single: tuple[SingleRims, ...]
 
 
 @cache
@@ -154,7 +151,7 @@ def _world(name: str, trial: int) -> World:
 def _measured(world: World, trial: int) -> MeasuredDescent:
     rng = np.random.default_rng([trial, 1])
     renderer, poses = world.renderer(), world.descent.evaluate(np.multiply(world.stamps_ns, 1e-9)).gTb
-    rims, arcs = [], []
+    rims, arcs, single = [], [], []
     for stamp, gTb in zip(world.stamps_ns.tolist(), poses, strict=True):
         sun_g = world.sun.at(stamp)
         image = renderer.render(gTb, sun_g, rng)
@@ -162,13 +159,14 @@ def _measured(world: World, trial: int) -> MeasuredDescent:
         sigma = np.repeat([_ATTITUDE_SIGMA_RAD, sigma_m], 3)
         off = sigma * rng.standard_normal(6)
         predicted = frames.pose(gTb[:3, :3] @ frames.rotation_exp(off[:3]), gTb[:3, 3] + off[3:])
+        single.append(fitted_alone(image, world.camera, world.catalog, (predicted, gTb), sun_g))
         frame, excess = _measure(world, image, predicted, sigma, sun_g)
         if len(frame[0]):
             rims.append(_rims(frame[0], excess, gTb, world.camera, world.catalog))
         if len(frame[1]):
             outline = float(np.median(rims[-1].outline_share))
             arcs.append(_arcs(frame[1], outline, gTb, world.camera, world.catalog))
-    return MeasuredDescent(tuple(rims), tuple(arcs))
+    return MeasuredDescent(tuple(rims), tuple(arcs), tuple(single))
 
 
 def _measure(
@@ -188,9 +186,6 @@ def _rims(
     assert rims.quality is not None
     rows = rims.craters
     chart = project_rims(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])[0]
-    chart_px = pixel_chart(chart, camera)
-    scale = np.array([1.0 / camera.fx_px, 1.0 / camera.fy_px, 1.0, 1.0, 1.0])
-    floor_px = np.array([axes_covariance(one, 1.0) for one in chart_px]).reshape(-1, 5, 5)
     return MeasuredRims(
         rows,
         rims.chart - chart,
@@ -201,8 +196,6 @@ def _rims(
         rims.shared[:, :, _BRIGHTNESS],
         rims.shared[:, :, :_BRIGHTNESS],
         excess,
-        floor_px * np.outer(scale, scale),
-        semi_minor(chart_px),
         rims.quality.outline_share,
     )
 

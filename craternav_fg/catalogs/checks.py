@@ -80,7 +80,7 @@ def row_faults(
     major_km, minor_km, largest_km = 1e-3 * major, 1e-3 * minor, 2e-3 * radius_m
     tests = [
         (names[0], np.abs(latitude) <= 90.0, "expected -90 to 90 deg", latitude),
-        (names[1], (longitude >= -180.0) & (longitude <= 360.0), "expected -180 to 360 deg", longitude),
+        (names[1], (longitude >= -360.0) & (longitude <= 540.0), "expected -360 to 540 deg", longitude),
         (names[4], np.abs(angle) <= 360.0, "expected -360 to 360 deg", angle),
         (names[2], (major > 0.0) & (major_km < largest_km), f"expected 0 to {largest_km:g} km", major_km),
         (names[3], minor > 0.0, "expected a positive diameter", minor_km),
@@ -93,6 +93,23 @@ def row_faults(
             shown = "none" if np.isnan(found[row]) else f"{found[row]:g}"
             faults.setdefault(row, (column, f"{expected}, found {shown}"))
     return faults
+
+
+def wrapped_deg(longitude: FloatArray) -> FloatArray:
+    """Wrap longitudes that are outside -180 to 360 deg, as in tables of -360 to 0 or of 180 to 540 deg.
+
+    Parameters
+    ----------
+    longitude : ndarray, shape (n,)
+        deg.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        deg.
+    """
+    usual = (longitude >= -180.0) & (longitude <= 360.0)
+    return np.where(usual, longitude, np.mod(longitude, 360.0))
 
 
 def tilt_fault(tilts_deg: FloatArray) -> tuple[int, str] | None:

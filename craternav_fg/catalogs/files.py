@@ -118,7 +118,7 @@ def read_catalog(path: Path, body: Body) -> Catalog:
         common_shift=_common_shift(table),
         identifiers=tuple(table.columns[ID]),
         latitude_rad=np.radians(latitude),
-        longitude_rad=np.radians(longitude),
+        longitude_rad=np.radians(checks.wrapped_deg(longitude)),
         semi_major_m=major_km * 500.0,
         semi_minor_m=minor_km * 500.0,
         angle_rad=np.radians(angle),
@@ -131,13 +131,13 @@ def read_catalog(path: Path, body: Body) -> Catalog:
 
 
 def import_catalog(
-    path: Path, body: Body | None = None, options: ImportOptions | None = None
+    path: Path | str, body: Body | None = None, options: ImportOptions | None = None
 ) -> tuple[Catalog, ImportReport]:
     """Read a catalogue of any origin, and skip the rows that are no rims.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         Our own store (`.parquet`), a table with the columns of Robbins (2018), or a table of circles; tables
         as text or as Parquet.
     body : Body, optional
@@ -159,6 +159,7 @@ def import_catalog(
         When the file is not such a table, is of another body, its sizes make no sense for the body, or no row
         is left.
     """
+    path = Path(path)
     if path.suffix == SUFFIX and is_store(path):
         catalog = read_parquet(path, body)
         return catalog, ImportReport(len(catalog), 0, False, (), "", "its metadata say")

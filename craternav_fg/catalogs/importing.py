@@ -140,6 +140,7 @@ def import_table(path: Path, body: Body | None, options: ImportOptions) -> tuple
     latitude, longitude, major, minor, angle, height = (column[keep] for column in values)
     if found.west:
         longitude = np.mod(-longitude, 360.0)
+    longitude = checks.wrapped_deg(longitude)
     odd = checks.implausible_sizes(latitude, longitude, major, body.radius_m)
     if odd is not None:
         raise InputError(path, odd, column=used[2])

@@ -86,7 +86,9 @@ def _tilt(latitude: float, longitude: float, tilt: FloatArray, normal: FloatArra
     tilted[1] = up * (level[1] - east * cos_lon + north * sin_lat * sin_lon)
     tilted[2] = up * (level[2] - north * cos_lat)
     for j in range(2):
-        along = np.dot(tilted, axes[j]) / (1.0 + up)
+        along = 0.0
+        for k in range(3):
+            along += tilted[k] * axes[j, k] / (1.0 + up)
         for k in range(3):
             axes[j, k] -= along * (level[k] + tilted[k])
     normal[:] = tilted

@@ -217,7 +217,7 @@ def _detect_many(
         with progress_bars() as report:
             rows = detect_images(images, folder, settings, where, force=force, progress=report)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("finished images are kept; the same command resumes") from None
+        raise KeyboardInterrupt(f"finished images are kept; {_resuming(force=force)} resumes") from None
     for row in rows:
         if row["warning"] is not None:
             warn(f"{row['image']}: {row['warning']}")
@@ -250,7 +250,7 @@ def _detect_mosaic(
         with progress_bars() as report:
             found = detect_mosaic(image, folder, settings, where, body=body, force=force, progress=report)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("finished windows are kept; the same command resumes") from None
+        raise KeyboardInterrupt(f"finished windows are kept; {_resuming(force=force)} resumes") from None
     for error in found.errors:
         warn(error)
     if found.contradicted:
@@ -276,6 +276,11 @@ def _detect_mosaic(
             say(f"{catalog}")
     if found.errors:
         raise CraternavError(f"{len(found.errors)} of {found.windows} windows failed; the others are done")
+
+
+def _resuming(*, force: bool) -> str:
+    """Name the command that goes on with what is done."""
+    return "the same command without --force" if force else "the same command"
 
 
 def _why_none(pixels: npt.NDArray[np.generic], options: BlindOptions) -> str:

@@ -40,7 +40,7 @@ from craternav_fg.matching.identify.detected import identify_detected
 from craternav_fg.matching.identify.from_image import identify_image
 from craternav_fg.matching.identify.search import Identification, IdentifyOptions, KnownAttitude
 from craternav_fg.matching.identify.triple_index import load_or_build
-from craternav_fg.pipeline.input_warnings import long_lever_arms
+from craternav_fg.pipeline.input_warnings import mounting_of_image
 from craternav_fg.pipeline.relocalisation import index_path
 from factors.arrays import FloatArray
 
@@ -111,7 +111,8 @@ def identify(
         ellipses = detected.ellipses_px
     if found.identified:
         of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
-        of_mounting = long_lever_arms({"camera": sensor.bTc})
+        sigma_m = float(np.sqrt(np.diag(found.covariance)[3:].min()))
+        of_mounting = mounting_of_image(sensor, sigma_m)
         found = replace(found, warnings=(*found.warnings, *of_heights, *of_mounting))
     values = _plain(found, ellipses, craters.body)
     if output is not None and found.identified:

@@ -1,6 +1,7 @@
 """Command that computes a pose from the matched rims of one image."""
 
 import json
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,7 +26,7 @@ from craternav_fg.cli.terminal import out, say, warn
 from craternav_fg.dataset.ellipses import SIGMA_RANGE_PX
 from craternav_fg.dataset.sensor_files import read_camera
 from craternav_fg.errors import EstimationError, InputError
-from craternav_fg.pipeline.input_warnings import long_lever_arms
+from craternav_fg.pipeline.input_warnings import mounting_of_image
 from craternav_fg.resection.files import as_plain_data, read_rims, resection_problem
 from craternav_fg.resection.intrinsics import IntrinsicsPrior, with_unknown_intrinsics
 from craternav_fg.resection.map_errors import solve_with_map_errors
@@ -120,15 +121,16 @@ def pose(
     problem, result = solve_with_map_errors(problem, craters, solve_robustly if robust else solve_all)
     result = with_unknown_intrinsics(problem, result, IntrinsicsPrior.of(intrinsics.of(sensor)))
     of_heights = unknown_height_warnings(craters.unknown_height_sigma_m)
-    of_mounting = long_lever_arms({"camera": sensor.bTc})
-    result = replace(result, warnings=(*result.warnings, *of_heights, *of_mounting))
+    result = replace(result, warnings=(*result.warnings, *of_heights))
     values = as_plain_data(problem, result, craters, sensor.lever_arm_sigma_m or 0.0)
+    sigma_m = min((min(found["position_sigma_m"]) for found in values["poses"]), default=math.inf)
+    values["warnings"] += mounting_of_image(sensor, sigma_m)
     if as_json:
         out.print_json(json.dumps(values, allow_nan=False))
     else:
         _show(values)
     _require_pose(result)
-    for warning in result.warnings:
+    for warning in values["warnings"]:
         warn(warning)
 
 

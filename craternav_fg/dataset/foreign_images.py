@@ -88,10 +88,9 @@ def _with_opacity(image: Image.Image, pixels: npt.NDArray[np.generic]) -> npt.ND
     layers = pixels.reshape(*pixels.shape[:2], -1)
     if layers.shape[2] not in (1, 3) or pixels.dtype.kind not in "uif":
         return pixels
-    # Compared as the file has it: 1e-8 in float32 is not 1e-8 in float64.
+    # Compared in the type of the pixels, as a float of Python is: 1e-8 in float32 is not 1e-8 in float64.
     with np.errstate(over="ignore"):
-        held = np.float32(void) if pixels.dtype == np.float32 else void
-    missing = (layers == held).all(axis=2, keepdims=True)
+        missing = (layers == void).all(axis=2, keepdims=True)
     return np.concatenate([layers, (~missing).astype(pixels.dtype)], axis=2) if missing.any() else pixels
 
 

@@ -128,7 +128,7 @@ may be null for all rims of a frame.
 `arcs.parquet` (optional, beside it): edge points of rims that are seen in part, one row per rim. Columns:
 `timestamp`, `crater_id`, `points_normalised` (a list of pairs of doubles, image coordinates),
 `sigmas_normalised` (a list of doubles, one for each point) and, optionally, `correlated_sigma_normalised`
-(double), see `ArcSet`.
+(double) and `shared` (5 x 8 doubles, as of rims), see `ArcSet`.
 
 `sun_tilts.csv` (optional, beside it), at most one row for a frame: the tilt of the sun's direction along the
 ground, its standard deviation, the image point, normalised, at which it holds, and the direction in g whose

@@ -60,7 +60,7 @@ _ARCS = pa.schema(
         filled(_SIGMAS, pa.list_(pa.float64())),
     ]
 )
-_ARC_PARTS = pa.schema([(_SHARED_SIGMA, pa.float64())])
+_ARC_PARTS = pa.schema([(_SHARED_SIGMA, pa.float64()), ("shared", pa.list_(pa.float64(), 5 * SHARED_SIZE))])
 # Largest asymmetry of a covariance, in products of standard deviations: components that are nearly
 # independent have cross terms of rounding errors.
 _MAX_ASYMMETRY = 1e-9
@@ -201,6 +201,13 @@ def write_arcs(path: Path, frames: Sequence[FrameMeasurement], catalog: Catalog)
         ]
         mask = _unknown(sets, shared)
         columns[_SHARED_SIGMA] = pa.array(np.concatenate(values), pa.float64(), mask=mask)
+    roots = [arcs.shared for arcs in sets]
+    if any(A is not None for A in roots):
+        full = [
+            np.zeros((len(arcs), 5, SHARED_SIZE)) if A is None else A
+            for arcs, A in zip(sets, roots, strict=True)
+        ]
+        columns["shared"] = _vectors(np.concatenate(full), 5 * SHARED_SIZE, _unknown(sets, roots))
     write_parquet(path, pa.table(columns))
 
 
@@ -240,19 +247,28 @@ def read_arcs(path: Path, stamps_ns: IntArray, catalog: Catalog, camera: Camera)
     if points:
         low, high = (np.array([end(one, axis=0) for one in points]) for end in (np.min, np.max))
         _check_inside(path, _POINTS, low, high, camera)
-    shared = None
-    if _SHARED_SIGMA in table.column_names:
-        shared = _part(path, table, _SHARED_SIGMA, (), rows)
-        _require(path, _SHARED_SIGMA, shared.values >= 0.0, shared.values, "at least 0")
-    return [
-        ArcSet(
-            craters[own],
-            tuple(points[i] for i in own),
-            tuple(sigmas[i].ravel() for i in own),
-            shared.values[own] if shared is not None and shared.known[own].any() else None,
+    shapes: dict[str, tuple[int, ...]] = {_SHARED_SIGMA: (), "shared": (5, SHARED_SIZE)}
+    parts = {
+        name: _part(path, table, name, shape, rows)
+        for name, shape in shapes.items()
+        if name in table.column_names
+    }
+    if _SHARED_SIGMA in parts:
+        values = parts[_SHARED_SIGMA].values
+        _require(path, _SHARED_SIGMA, values >= 0.0, values, "at least 0")
+    out = []
+    for own in _rows_of_frames(path, rows, craters, len(stamps_ns)):
+        seen = {name: part.values[own] for name, part in parts.items() if part.known[own].any()}
+        out.append(
+            ArcSet(
+                craters[own],
+                tuple(points[i] for i in own),
+                tuple(sigmas[i].ravel() for i in own),
+                seen.get(_SHARED_SIGMA),
+                seen.get("shared"),
+            )
         )
-        for own in _rows_of_frames(path, rows, craters, len(stamps_ns))
-    ]
+    return out
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class DetectionFolder:
     options : mapping
         Everything but the images that determines a result; JSON.
     force : bool
-        Remove what was detected with other options.
+        Remove what was detected before, with the same options or with others.
 
     Raises
     ------
@@ -57,11 +57,11 @@ class DetectionFolder:
             if any(not entry.name.startswith(".") for entry in entries(self.path)):
                 raise InputError(self.path, f"is not empty and holds no {MARKER}: it is not overwritten")
             return False
+        if self._force:
+            return True
         found = read_record(marker)
         if found == self._options:
             return False
-        if self._force:
-            return True
         if found is None:
             raise InputError(marker, "is damaged: use --force to detect anew")
         names = [*self._options, *(name for name in found if name not in self._options)]

@@ -80,7 +80,7 @@ def detect_images(
     settings : DetectionSettings
     where : Where
     force : bool
-        Replace the results of other options.
+        Replace all results of the folder, whatever their options.
     progress : callable, optional
 
     Returns

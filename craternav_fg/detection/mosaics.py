@@ -116,7 +116,7 @@ def detect_mosaic(
     body : Body, optional
         Body of the mosaic; without it that of its coordinates.
     force : bool
-        Replace the results of other options.
+        Replace all results of the folder, whatever their options.
     progress : callable, optional
     core_px : int, optional
         Side of the windows' cores; without it `vision.mosaic.core_side_px`.

@@ -81,13 +81,18 @@ SUSPECT_CHI2_RATIO, SUSPECT_SIGMAS = 1.3, 6.0
 
 
 @dataclass(frozen=True)
-class _Optimum:
-    """An optimum, and what it is judged by.
+class _Start:
+    """Where the last optimisation starts, and what it is judged by.
 
     Attributes
     ----------
-    graph : FactorGraph
+    problem : Problem
+        With the covariances of that optimisation.
     values : gtsam.Values
+    state_indices : sequence of int
+        States of the frames.
+    intervals : sequence of ImuInterval
+        See `build_graph`.
     stated_error : float
         Half the sum of squares where all covariances are as stated, at the optimum of these: in the graph,
         craters that an optimum contradicts have larger ones, the larger the worse it is.
@@ -95,10 +100,12 @@ class _Optimum:
         Whether this error is so large that the optimum may be a local one.
     """
 
-    graph: FactorGraph
+    problem: Problem
     values: gtsam.Values
-    stated_error: float
-    suspect: bool
+    state_indices: Sequence[int]
+    intervals: Sequence[ImuInterval] = ()
+    stated_error: float = 0.0
+    suspect: bool = False
 
 
 class BatchSmoother:
@@ -155,27 +162,32 @@ class BatchSmoother:
         with suppress(EstimationError, np.linalg.LinAlgError):
             states = ekf().states(problem)[problem.start.frame :]
             longest_s = longest_interval_s(problem, self.options)
-            guess, state_indices = initial_values(problem, problem.start, states, longest_s)
-            found.append(self._optimum(problem, guess, state_indices))
-            if self.options.rims == "centre" or not found[0].suspect:
-                return trajectory(problem, self.options, found[0].graph, found[0].values, state_indices)
+            start = self._start(problem, *initial_values(problem, problem.start, states, longest_s))
+            if not start.suspect:
+                return self._finished(problem, start)
+            found.append(start)
         session = OnlineSmoother(self.options).run(problem)
         try:
-            found.append(self._optimum(problem, session.smoothed_values(), session.frame_state_indices))
+            found.append(self._start(problem, session.smoothed_values(), session.frame_state_indices))
         except EstimationError:
             if not found:
                 raise
-        best = min(found, key=lambda one: one.stated_error)
-        return trajectory(problem, self.options, best.graph, best.values, session.frame_state_indices)
+        # The last optimisation takes long where the data contradict each other: only the better one is made.
+        better, *other = sorted(found, key=lambda one: one.stated_error)
+        try:
+            return self._finished(problem, better)
+        except EstimationError:
+            if not other:
+                raise
+        return self._finished(problem, other[0])
 
-    def _optimum(self, problem: Problem, values: gtsam.Values, state_indices: Sequence[int]) -> _Optimum:
-        """Optimise roughly, then with the covariances evaluated at the rims that the result predicts.
+    def _start(self, problem: Problem, values: gtsam.Values, state_indices: Sequence[int]) -> _Start:
+        """Optimise roughly, and evaluate the covariances at the rims that the result predicts.
 
         Craters that the result contradicts get larger ones.
         """
         if self.options.rims == "centre":
-            graph, values = optimum(problem, self.options, values, own_factors=self.own_factors)
-            return _Optimum(graph, values, graph.error(values), suspect=False)
+            return _Start(problem, values, state_indices)
         graph = build_graph(problem, self.options, values, own_factors=self.own_factors)
         rough = levenberg_marquardt(graph, values, _solved_for(ROUGH_LM, problem, self.options))
         values, suspect = rough.values, _suspect(graph, rough)
@@ -191,8 +203,12 @@ class BatchSmoother:
             factors = variance_factors(frames, poses, problem.camera, problem.catalog, freedom)
             frames = [with_variance_factors(frame, factors) for frame in frames]
         weighted = replace(problem, frames=frames)
-        best = optimum(weighted, self.options, values, graph.intervals, self.own_factors)
-        return _Optimum(*best, rough.error, suspect=suspect)
+        return _Start(weighted, values, state_indices, graph.intervals, rough.error, suspect)
+
+    def _finished(self, problem: Problem, start: _Start) -> Trajectory:
+        """Optimise with the covariances of a start."""
+        graph, values = optimum(start.problem, self.options, start.values, start.intervals, self.own_factors)
+        return trajectory(problem, self.options, graph, values, start.state_indices)
 
 
 def _solved_for(lm: LmOptions, problem: Problem, options: BatchOptions) -> LmOptions:
@@ -417,7 +433,7 @@ def trajectory(
     options: BatchOptions,
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    state_indices: list[int],
+    state_indices: Sequence[int],
 ) -> Trajectory:
     """Read the states of the frames and their marginal covariances from an optimum.
 
@@ -432,7 +448,7 @@ def trajectory(
         Graph of the whole descent.
     values : gtsam.Values
         Its optimum.
-    state_indices : list of int
+    state_indices : sequence of int
         Indices of the frames' states.
 
     Returns

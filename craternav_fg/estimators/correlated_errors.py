@@ -4,8 +4,9 @@ A rim's image deviates from the prediction by the ground's deviation from an ell
 by the illumination. This error is nearly the same in the next frame, and less and less so as the rim is seen
 in another size and from another side. A measurement says how large this part is. Here it becomes a
 Gauss-Markov process of unit variance for each crater (`RimSet.correlated`) and one constant vector for what
-all rims of a descent share (`RimSet.shared`). Errors without such a variable are treated as white and their
-variance is inflated: those of arcs, and all of them in estimators that have no such variables.
+all rims of a descent share (`RimSet.shared`), arcs too (`ArcSet.shared`). Errors without such a variable are
+treated as white and their variance is inflated: those that the crater of an arc keeps, and all of them in
+estimators that have no such variables.
 
 The error of a rim's place drifts smoothly, as shading moves along a crest: its process is a Matern process
 of order 3/2, which has a derivative. If it had none, its drift from frame to frame would count as
@@ -22,7 +23,7 @@ import numpy as np
 
 from craternav_fg.ellipse import shape_change
 from craternav_fg.errors import EstimationError
-from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, RimSet
+from craternav_fg.measurements import CORRELATED_SIZE, SHARED_SIZE, FrameMeasurement, RimSet
 from factors.arrays import FloatArray
 from factors.conic_shape import ChartError
 from factors.kernels.compiled import njit
@@ -42,7 +43,7 @@ SHARED_FRAMES, _EQUAL = 8, 1e-5
 # Inflation of the variance of time-correlated errors where they are treated as white: they do not average out
 # over the frames that show a crater. Half of some ten frames, as the errors of neighbouring rims differ.
 # Fitted by `craternav_fg.calibration.variance_inflation`.
-VARIANCE_INFLATION = 5.0
+VARIANCE_INFLATION = 4.4
 
 
 @dataclass(frozen=True)
@@ -207,6 +208,34 @@ class RimErrorStates:
         if rims.shared is not None and len(rims):
             out.append(ChartError([self._of_all(graph, values, holds)] * len(rims), rims.shared))
         return out
+
+    def enter_arcs(
+        self,
+        frame: FrameMeasurement,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        holds: Callable[[int], bool] | None = None,
+    ) -> tuple[int, FloatArray] | None:
+        """Add the variable that a frame's arcs share with all rims, unless it is there.
+
+        Parameters
+        ----------
+        frame : FrameMeasurement
+            Its rims have entered.
+        graph, values, holds
+            See `enter`.
+
+        Returns
+        -------
+        (int, ndarray of shape (n, 5, 8)) or None
+            Key of the variable, and its roots: for the arcs' factor. None where nothing is shared.
+        """
+        roots = frame.arcs.shared
+        if roots is None or not len(frame.arcs):
+            return None
+        if frame.rims.shared is None or not len(frame.rims):
+            return self._of_all(graph, values, holds), roots
+        return gtsam.symbol(SHARED_LETTER, self._shared - 1), roots
 
     def _of_all(
         self,

@@ -280,10 +280,10 @@ def propagate(state: FilterState, descent: Descent, begin_ns: int, end_ns: int) 
     ValueError
         When the IMU log does not cover the interval.
     """
-    return propagate_through(state, descent, descent.imu.between(begin_ns, end_ns))
+    return propagate_through(state, descent, descent.imu.between(begin_ns, end_ns), end_ns)
 
 
-def propagate_through(state: FilterState, descent: Descent, rows: ImuRows) -> FilterState:
+def propagate_through(state: FilterState, descent: Descent, rows: ImuRows, end_ns: int) -> FilterState:
     """Propagate a state through rows of the IMU log.
 
     Parameters
@@ -292,18 +292,21 @@ def propagate_through(state: FilterState, descent: Descent, rows: ImuRows) -> Fi
     descent : Descent
     rows : (ndarray, ndarray, ndarray)
         What `ImuLog.between` gives.
+    end_ns : int
+        Stamp at which they end.
 
     Returns
     -------
     FilterState
     """
+    row_s = descent.imu.row_s(end_ns)
     if descent.motion is not None:
-        return _moved(state, descent, descent.motion, rows[:2])
+        return _moved(state, descent, descent.motion, rows[:2], row_s)
     body = descent.body.mu_m3_s2, np.array(descent.body.spin_rad_s)
     densities = descent.imu_noise.densities
     core = np.ascontiguousarray(state.covariance[:SIZE, :SIZE])
     gTb, gV, rate, covariance = strapdown.propagate(
-        state.gTb, state.gV, state.bias, core, *rows, *body, densities
+        state.gTb, state.gV, state.bias, core, *rows, *body, densities, row_s
     )
     if len(state.sensor_bias):
         whole = np.empty_like(state.covariance)
@@ -318,7 +321,7 @@ def propagate_through(state: FilterState, descent: Descent, rows: ImuRows) -> Fi
 
 
 def _moved(
-    state: FilterState, descent: Descent, motion: Motion, rows: tuple[FloatArray, FloatArray]
+    state: FilterState, descent: Descent, motion: Motion, rows: tuple[FloatArray, FloatArray], row_s: float
 ) -> FilterState:
     """Propagate a state by a motion model; the angular velocity is that of the last row less the bias."""
     of = state.gTb, state.gV, state.bias
@@ -332,13 +335,13 @@ def _moved(
     added[np.ix_(kept, kept)] = Q
     added[RATE], added[:, RATE] = -added[GYRO_BIAS], -added[:, GYRO_BIAS]
     added[RATE, RATE] = added[GYRO_BIAS, GYRO_BIAS]
-    # The noise of the last row's mean rate is also in what that row turned.
-    variance, dt_s = descent.imu_noise.gyro_density_rad_s_sqrt_hz**2, abs(rows[0][-1])
-    shared = -variance * motion.gyro_entry(gTb, gV)
+    # The noise of the last row's mean rate is also in what that row turned until the end.
+    variance, dt_s = descent.imu_noise.gyro_density_rad_s_sqrt_hz**2, rows[0][-1]
+    shared = -variance * dt_s / row_s * motion.gyro_entry(gTb, gV)
     shared[POSITION] = 0.5 * dt_s * shared[VELOCITY]
     added[np.ix_(kept, _RATES)] += shared
     added[np.ix_(_RATES, kept)] += shared.T
-    added[RATE, RATE] += variance / dt_s * np.eye(3)
+    added[RATE, RATE] += variance / row_s * np.eye(3)
     covariance = covariance + added
     # Without a gyro's noise the angular velocity is known from its bias, and the covariance is singular.
     covariance[RATE, RATE] += _RATE_REGULARISATION * np.diag(np.diag(covariance[GYRO_BIAS, GYRO_BIAS]))

@@ -267,7 +267,11 @@ def add_frame(
     if len(arcs) and options.rims in ("chart", "points"):
         centres, axes = descent.catalog.centres[arcs.craters], descent.catalog.axes[arcs.craters]
         sigmas = [noise_scale * sigma for sigma in arcs.sigmas]
-        graph.push_back(rim_points_factor(key, bTc, centres, axes, arcs.points, sigmas, ARC_LOSS))
+        shared = None
+        if variables is not None and states is not None and options.rims == "chart":
+            shared = states.enter_arcs(frame, graph, variables.values, variables.holds)
+        factor = rim_points_factor(key, bTc, centres, axes, arcs.points, sigmas, ARC_LOSS, error=shared)
+        graph.push_back(factor)
     if frame.sun is not None:
         sun = frame.sun
         sigma_rad = noise_scale * sun.sigma_rad

@@ -169,7 +169,8 @@ def linearise_arcs(
         e, J = np.empty(len(points)), np.zeros((len(points), 6))
         rim.rim_residuals(
             gTb, camera.bTc, catalog.centres[row : row + 1], catalog.axes[row : row + 1],
-            np.array([0, len(points)]), points, sigmas, robust.NONE, 1.0, True, e, J,
+            np.array([0, len(points)]), points, sigmas, np.empty((1, 5, 0)), np.empty(0),
+            robust.NONE, 1.0, True, e, J,
         )  # fmt: skip
         if J.any():
             J[:, 3:] = J[:, 3:] @ gTb[:3, :3].T

@@ -293,7 +293,7 @@ class OnlineSession:
         longest_s = longest_interval_s(self._descent, self._options)
         for end_ns in state_stamps(begin_ns, frame.stamp_ns, longest_s):
             rows = self._descent.imu.between(begin_ns, int(end_ns))
-            ahead = filter_state.propagate_through(state, self._descent, rows)
+            ahead = filter_state.propagate_through(state, self._descent, rows, int(end_ns))
             if self._descent.motion is not None:
                 here = state.gTb, state.gV, state.bias
                 add_motion(graph, self._descent, last, begin_ns, int(end_ns), here)

@@ -254,10 +254,7 @@ def gyro_variance(descent: Descent, stamp_ns: int) -> float:
     float
         (rad/s)^2: white noise, the mean over a row of the log.
     """
-    stamps = descent.imu.stamps_ns
-    row = min(max(int(np.searchsorted(stamps, stamp_ns)), 1), len(stamps) - 1)
-    dt_s = 1e-9 * float(stamps[row] - stamps[row - 1])
-    return float(descent.imu_noise.gyro_density_rad_s_sqrt_hz**2 / dt_s)
+    return float(descent.imu_noise.gyro_density_rad_s_sqrt_hz**2 / descent.imu.row_s(stamp_ns))
 
 
 def with_gyro_noise(found: Linearisation, variance: float) -> Linearisation:

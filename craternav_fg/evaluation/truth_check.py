@@ -1,5 +1,6 @@
 """Mistakes of a ground truth that look like a failed estimator, recognised by the pattern of the errors."""
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -31,7 +32,10 @@ def doubted_truth(
     list of str
         Warnings: mistakes that explain nearly all of the errors.
     """
-    return [*_attitudes(estimate, truth), *_positions(estimate, truth, np.array(spin_rad_s))]
+    found = [*_positions(estimate, truth, np.array(spin_rad_s)), *_axes(estimate, truth)]
+    # A short path that is mirrored looks turned, too, but not to the metre.
+    best = sorted(found, key=lambda one: one[0])[:1]
+    return [*_attitudes(estimate, truth), *(text for _, text in best)]
 
 
 def _attitudes(estimate: Trajectory, truth: Trajectory) -> Iterator[str]:
@@ -51,7 +55,8 @@ def _attitudes(estimate: Trajectory, truth: Trajectory) -> Iterator[str]:
             )
 
 
-def _positions(estimate: Trajectory, truth: Trajectory, spin: FloatArray) -> Iterator[str]:
+def _positions(estimate: Trajectory, truth: Trajectory, spin: FloatArray) -> Iterator[tuple[float, str]]:
+    """Frames that turn with a body or do not: the distance that is left, m, and what to say."""
     rate = float(np.linalg.norm(spin))
     # At a single time, a turn about the axis is any error in longitude.
     if rate == 0.0 or len(truth) < 2:
@@ -71,11 +76,29 @@ def _positions(estimate: Trajectory, truth: Trajectory, spin: FloatArray) -> Ite
         # What tells one from the other must be larger than what is left, too.
         told_rad = turned_rad[-1] or (abs(offset_rad) if abs(offset_rad) > _MIN_TURN_RAD else 0.0)
         if _CERTAIN * left_m < min(found_m, from_axis_m * told_rad):
-            yield (
+            text = (
                 f"the truth, not the estimate, seems to {mistake}: turned back about the body's axis, its "
                 f"positions differ by {left_m:.3g} m RMS instead of {found_m:.3g} m"
             )
+            yield left_m, text
             return
+
+
+def _axes(estimate: Trajectory, truth: Trajectory) -> Iterator[tuple[float, str]]:
+    """Columns that are interchanged, or a frame that is left-handed: as `_positions`."""
+    found_m = _rms_m(truth.gP - estimate.gP)
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            left_m = _rms_m(truth.gP[:, order] * signs - estimate.gP)
+            if _CERTAIN * left_m < found_m:
+                names = [
+                    f"{'-' if sign < 0.0 else ''}{'xyz'[k]}" for sign, k in zip(signs, order, strict=True)
+                ]
+                text = (
+                    f"the truth, not the estimate, seems to have other axes: with its {', '.join(names)} for "
+                    f"x, y, z, its positions differ by {left_m:.3g} m RMS instead of {found_m:.3g} m"
+                )
+                yield left_m, text
 
 
 def _lead_rad(gP: FloatArray, true_gP: FloatArray, axis: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """A data set of imported images: frames in the order of time, a motion model, states that come along."""
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,7 +87,7 @@ class Imported:
     catalog: Catalog
     motion: Motion
     position_sigma_m: float = 1000.0
-    attitude_sigma_rad: float = 2e-3
+    attitude_sigma_rad: float = math.radians(0.1)
     sun: FloatArray | None = None
 
 

@@ -222,3 +222,22 @@ def missing_lever_arm(camera: Camera, position_sigma_m: float) -> list[str]:
         "lever arm that is left out shifts them, and nothing else shows it; give it, or lever_arm_sigma_m "
         "(0 if the IMU is in the camera)"
     ]
+
+
+def mounting_of_image(camera: Camera, position_sigma_m: float) -> list[str]:
+    """Warn of the camera's mounting where it gives the pose of a single image.
+
+    Parameters
+    ----------
+    camera : Camera
+        Where T_BS is the identity, b is the camera: nothing is left out.
+    position_sigma_m : float
+        See `missing_lever_arm`.
+
+    Returns
+    -------
+    list of str
+    """
+    turned = not np.array_equal(camera.bTc[:3, :3], np.eye(3))
+    missing = missing_lever_arm(camera, position_sigma_m) if turned else []
+    return [*long_lever_arms({"camera": camera.bTc}), *missing]

@@ -18,8 +18,9 @@ _MIN_RIMS, _MIN_FRAMES = 6, 4
 # Deviation of a pooled intrinsic, in standard deviations. Neither the scatter between frames nor their
 # covariances show errors that their rims share unstated.
 _MAX_SIGMAS = 6.0
-# Frames, evenly spaced, that are asked for the lens at most: neighbours see the same craters, and err alike.
-_LENS_FRAMES = 40
+# Frames, evenly spaced, that are asked at most, for the intrinsics and for the lens: neighbours see the same
+# craters, and err alike.
+_FRAMES, _LENS_FRAMES = 120, 40
 
 
 def contradicted_intrinsics(
@@ -46,7 +47,8 @@ def contradicted_intrinsics(
     prior = IntrinsicsPrior.of(camera)
     if not all(prior.sigmas):
         return False
-    return contradicted_by([fit for _, fit in _fits(frames, gTb, camera, catalog, prior)])
+    some = _spread(len(frames), _FRAMES)
+    return contradicted_by([fit for _, fit in _fits(frames[some], gTb[some], camera, catalog, prior)])
 
 
 def contradicted_lens(
@@ -71,7 +73,7 @@ def contradicted_lens(
         False also when it does not show.
     """
     prior = IntrinsicsPrior.of(camera)
-    some = slice(None, None, 1 + len(frames) // _LENS_FRAMES)
+    some = _spread(len(frames), _LENS_FRAMES)
     found = [
         further_error(problem, fit, prior, intrinsic_slopes(problem.rims.chart, camera)[..., RADIAL])
         for problem, fit in _fits(frames[some], gTb[some], camera, catalog, prior)
@@ -107,6 +109,11 @@ def _is_off(values: FloatArray, sigmas: FloatArray) -> bool:
     scatter = np.sum(weights * (values - mean) ** 2, axis=0) / (len(values) - 1)
     sigma = np.sqrt(np.maximum(scatter, 1.0) / weights.sum(axis=0))
     return bool((np.abs(mean) > _MAX_SIGMAS * sigma).any())
+
+
+def _spread(count: int, most: int) -> slice:
+    """Select frames, evenly spaced."""
+    return slice(None, None, 1 + count // most)
 
 
 def _fits(

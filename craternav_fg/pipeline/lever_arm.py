@@ -5,41 +5,32 @@ lander that does not turn by the same vector in every frame, which no measuremen
 too little to show it.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from craternav_fg.estimators.base import Descent
-from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.sensor_bank import gyro_at
-from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.trajectory import Trajectory
 
 
-def with_lever_arm_error(
-    name: str, trajectory: Trajectory, descent: Descent, frames: Sequence[FrameMeasurement]
-) -> Trajectory:
+def with_lever_arm_error(trajectory: Trajectory, descent: Descent) -> Trajectory:
     """Add the stated error of the camera's lever arm to the covariances of positions and velocities.
 
     Parameters
     ----------
-    name : str
-        Name of the estimator.
     trajectory : Trajectory
+        By rims.
     descent : Descent
-    frames : sequence of FrameMeasurement
-        What the trajectory rests on.
 
     Returns
     -------
     Trajectory
-        As it is without a stated error, and without rims.
+        As it is without a stated error.
     """
     variance = (descent.camera.lever_arm_sigma_m or 0.0) ** 2
     poses, velocities = trajectory.pose_covariance, trajectory.velocity_covariance
-    seen = any(len(frame.rims) or len(frame.arcs) for frame in frames)
-    if not variance or not seen or name == DeadReckoning.name:
+    if not variance:
         return trajectory
     if poses is not None:
         poses = poses.copy()

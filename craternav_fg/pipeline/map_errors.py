@@ -1,4 +1,4 @@
-"""Errors of the catalogue in rims that another program has measured, whose file may leave them out."""
+"""Errors of the map in measured rims: added where a file lacks them, taken out where they are unknowns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,6 +17,7 @@ from craternav_fg.vision.error_model.correlated import (
     CorrelatedErrorOptions,
     map_covariance,
     map_variances,
+    without_map,
 )
 from factors.arrays import FloatArray, IntArray
 from factors.kernels.conic import project_rims
@@ -110,6 +111,46 @@ def with_map_errors(
         )
         for frame, root in zip(frames, roots, strict=True)
     )
+
+
+def without_map_errors(
+    frames: Sequence[FrameMeasurement], problems: Sequence[Problem], options: CorrelatedErrorOptions
+) -> tuple[FrameMeasurement, ...]:
+    """Take the catalogue's errors out of rims that hold them as what their craters keep.
+
+    For estimators that have variables for them. Arcs have none, and keep theirs.
+
+    Parameters
+    ----------
+    frames : sequence of FrameMeasurement
+    problems : sequence of Problem
+        With the same frames.
+    options : CorrelatedErrorOptions
+        Those with which the rims were measured.
+
+    Returns
+    -------
+    tuple of FrameMeasurement
+        As they are, where the filter does not find poses.
+    """
+    camera, catalog = problems[0].camera, problems[0].catalog
+    if not map_variances(np.arange(len(catalog)), catalog, options).any():
+        return tuple(frames)
+    try:
+        poses = _poses(problems)
+    except (EstimationError, *NUMERICAL_ERRORS):
+        return tuple(frames)
+
+    def freed(frame: FrameMeasurement) -> FrameMeasurement:
+        rims = frame.rims
+        if rims.correlated is None or not len(rims):
+            return frame
+        gTb = np.ascontiguousarray(poses[frame.stamp_ns])
+        left = without_map(rims.correlated, rims.craters, gTb, camera, catalog, options)
+        taken = rims.correlated @ np.swapaxes(rims.correlated, 1, 2) - left @ np.swapaxes(left, 1, 2)
+        return replace(frame, rims=replace(rims, covariance=rims.covariance - taken, correlated=left))
+
+    return tuple(map(freed, frames))
 
 
 def _variances(rows: IntArray, catalog: Catalog) -> FloatArray:

@@ -12,14 +12,22 @@ from craternav_fg.dataset import Dataset
 from craternav_fg.dataset.images import ImageArray
 from craternav_fg.errors import EstimationError
 from craternav_fg.estimators.base import NUMERICAL_ERRORS, Descent, Estimator, Problem
+from craternav_fg.estimators.dead_reckoning import DeadReckoning
 from craternav_fg.estimators.instruments import CAMERA_AND_IMU, IMU, RIMS, SUN
 from craternav_fg.estimators.registry import DEFAULT, estimator
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import make_problem
 from craternav_fg.measurements import FrameMeasurement
+from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.initial_state import find_initial
+from craternav_fg.pipeline.intrinsics_error import with_intrinsics_error
 from craternav_fg.pipeline.lever_arm import with_lever_arm_error
-from craternav_fg.pipeline.map_errors import lack_map_errors, with_map_errors, with_white_map_errors
+from craternav_fg.pipeline.map_errors import (
+    lack_map_errors,
+    with_map_errors,
+    with_white_map_errors,
+    without_map_errors,
+)
 from craternav_fg.pipeline.map_shift import with_common_shift
 from craternav_fg.pipeline.mistakes import likely_mistake, turned_about_axis
 from craternav_fg.pipeline.relocalisation import Relocaliser
@@ -28,6 +36,7 @@ from craternav_fg.pipeline.result import Reconstruction
 from craternav_fg.pipeline.rim_planes import heights_of_points, lowered_to_planes
 from craternav_fg.pipeline.sensor_checks import check_imu, check_logs
 from craternav_fg.pipeline.tracking import Segment, Tracker
+from craternav_fg.pipeline.warnings import MAX_POSITION_SIGMAS
 from craternav_fg.sensors.point_features import NAME as FEATURES
 from craternav_fg.sensors.point_features import FeatureTracks
 from craternav_fg.sensors.protocol import Sensor
@@ -148,11 +157,15 @@ def reconstruct(
     if lowered:
         problems = _problems(replace(descent, catalog=lowered_to_planes(descent.catalog)), measured)
     bare = problems
-    if lacking:
-        # Only rims have variables for the errors of the map.
-        frames = tuple(
-            replace(frame, rims=read.rims) for frame, read in zip(measured.frames, as_read, strict=True)
-        )
+    if any(getattr(one, "estimates_map", False) for one in chosen):
+        if lacking:
+            # Only rims have variables for the errors of the map.
+            frames = tuple(
+                replace(frame, rims=read.rims) for frame, read in zip(measured.frames, as_read, strict=True)
+            )
+        else:
+            limits = measured.limits or GuidedOptions()
+            frames = without_map_errors(measured.frames, problems, limits.correlated_errors)
         bare = _problems(replace(descent, catalog=problems[0].catalog), replace(measured, frames=frames))
     trajectories, failures, estimation_s = _run(chosen, problems, bare, measured.frames, report)
     searched = None if RIMS in without else measured.limits
@@ -173,6 +186,7 @@ def reconstruct(
         sun_departure_rad=dataset.sun_departure_rad,
         repeated={_name(dataset, k): _name(dataset, first) for k, first in repeated.items()},
         disbelieved={k: _name(dataset, k) for k in measured.disbelieved},
+        displaced=_displaced(dataset, measured.segments),
         lowered=lowered,
         mistake="" if searched is None else _mistake(dataset, descent, measured),
     )
@@ -196,6 +210,7 @@ def _run(
     """
     stamps_ns = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
     catalog = problems[0].catalog
+    seen = any(len(frame.rims) or len(frame.arcs) for frame in frames)
     trajectories: dict[str, Trajectory] = {}
     failures: dict[str, str] = {}
     times_s: dict[str, float] = {}
@@ -204,8 +219,11 @@ def _run(
         began = time.perf_counter()
         try:
             estimated = _estimate(one, bare if getattr(one, "estimates_map", False) else problems, stamps_ns)
-            shifted = with_common_shift(one.name, estimated, catalog, frames)
-            trajectories[one.name] = with_lever_arm_error(one.name, shifted, problems[0], frames)
+            found = with_common_shift(one.name, estimated, catalog, frames)
+            if seen and one.name != DeadReckoning.name:
+                found = with_lever_arm_error(found, problems[0])
+                found = with_intrinsics_error(found, problems[0])
+            trajectories[one.name] = found
         except (EstimationError, *NUMERICAL_ERRORS) as error:
             failures[one.name] = f"{one.name}: {_one_line(error)}"
         times_s[one.name] = time.perf_counter() - began
@@ -389,6 +407,16 @@ def _origin(dataset: Dataset, segments: Sequence[Segment]) -> Literal["given", "
     if dataset.initial is None:
         return "found"
     return "given" if segments[0].initial is dataset.initial else "replaced"
+
+
+def _displaced(dataset: Dataset, segments: Sequence[Segment]) -> str:
+    """Tell where the first position is from the data set's, if they contradict each other."""
+    given, first = dataset.initial, segments[0].initial
+    if given is None or given.stamp_ns != first.stamp_ns:
+        return ""
+    before, after = given.gTb[:3, 3], first.gTb[:3, 3]
+    apart = np.linalg.norm(after - before) > MAX_POSITION_SIGMAS * given.position_sigma_m
+    return displacement(before, after) if apart else ""
 
 
 def _expected_rims(

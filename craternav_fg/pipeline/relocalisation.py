@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
+from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset import Dataset, layout
 from craternav_fg.ellipse import normalised_chart
 from craternav_fg.frames import rotate_position_block
@@ -21,7 +22,7 @@ from craternav_fg.resection.robust import solve_robustly
 from craternav_fg.vision.detect import FoundRims, find_rims
 from craternav_fg.vision.grey import GreyArray, on_8_bit_scale, undistorted
 from craternav_fg.vision.network_detect import find_rims_network
-from factors.arrays import FloatArray
+from factors.arrays import FloatArray, IntArray
 
 # Fewer matched rims may agree by chance.
 _MIN_RIMS = 3
@@ -88,17 +89,22 @@ class Relocaliser:
         if self._dataset.measurements is None:
             _ = self._triples
 
+    @property
+    def _map(self) -> Catalog:
+        # Poses that guide the front end are relative to the map: the error of the map as a whole is left out.
+        return replace(self._dataset.catalog, common_shift=None, has_heights=True)
+
     @cached_property
     def _triples(self) -> TripleIndex:
-        # Poses that guide the front end are relative to the map: the error of the map as a whole is left out.
-        catalog = replace(self._dataset.catalog, common_shift=None, has_heights=True)
         large = self._dataset.path / layout.LARGE_CRATERS
         if large.is_file():
-            index, self.index_note = load_or_build(index_path(large), catalog)
+            index, self.index_note = load_or_build(index_path(large), self._map)
             return index
-        return TripleIndex.build(catalog)
+        return TripleIndex.build(self._map)
 
-    def locate(self, index: int, sun_angle_rad: float | None = None) -> PoseFix | None:
+    def locate(
+        self, index: int, sun_angle_rad: float | None = None, among: IntArray | None = None
+    ) -> PoseFix | None:
         """Find the pose of a frame without a prediction.
 
         Clear rims are enough where the image shows them. On worn ground only the crater network finds enough,
@@ -110,6 +116,8 @@ class Relocaliser:
             Index of the frame. Its image is used, or its rims when the data set holds the measurements.
         sun_angle_rad : float, optional
             Direction towards the sun in the image, see `sun_in_image`; found in the image if not given.
+        among : ndarray of int, shape (k,), optional
+            Rows of the catalogue's craters that the image may show; all if not given.
 
         Returns
         -------
@@ -118,22 +126,26 @@ class Relocaliser:
         """
         if self._dataset.measurements is not None:
             return self._resected(self._dataset.measurements[index].rims)
-        return self._identified(self._rims(index)) or self._identified(
-            find_rims_network(self._image(index), sun_angle_rad)
+        if among is not None and not len(among):
+            return None
+        return self._identified(self._rims(index), among) or self._identified(
+            find_rims_network(self._image(index), sun_angle_rad), among
         )
 
-    def _identified(self, found: FoundRims) -> PoseFix | None:
+    def _identified(self, found: FoundRims, among: IntArray | None = None) -> PoseFix | None:
         """Pose of the image whose rims were detected; None when their craters are not identified."""
         data = self._dataset
+        triples = self._triples if among is None else TripleIndex.build(self._map.take(among))
         answer = identify(
-            found.ellipses_px, data.camera.pinhole, self._triples, options=IdentifyOptions.of(data.camera),
+            found.ellipses_px, data.camera.pinhole, triples, options=IdentifyOptions.of(data.camera),
             traced=found.traced,
         )  # fmt: skip
         if not answer.identified:
             return None
         charts, covariances = self._normalised(found)
         matched = np.flatnonzero(answer.rows >= 0)
-        fix = self._resected(RimSet(answer.rows[matched], charts[matched], covariances[matched]))
+        rows = answer.rows[matched] if among is None else among[answer.rows[matched]]
+        fix = self._resected(RimSet(rows, charts[matched], covariances[matched]))
         if fix is not None:
             return fix
         return PoseFix(answer.gTb, rotate_position_block(answer.covariance, answer.gTb[:3, :3]), len(matched))

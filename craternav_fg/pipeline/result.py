@@ -23,6 +23,7 @@ from craternav_fg.evaluation.sensor_consistency import (
 )
 from craternav_fg.measurements import FrameMeasurement
 from craternav_fg.pipeline import input_warnings, warnings
+from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.pipeline.intrinsics_check import contradicted_intrinsics, contradicted_lens
 from craternav_fg.pipeline.rim_mistakes import likely_rim_mistake
 from craternav_fg.trajectory import Trajectory
@@ -79,6 +80,8 @@ class Reconstruction:
     mistake : str
         Where no rim was found in any image, or only from a camera that is turned: the mistake that would
         explain it, see `pipeline.mistakes`.
+    displaced : str
+        Where the initial position was replaced by one that contradicts it: where it is from it.
     lowered : bool
         Whether the catalogue's heights were taken for those of the rims' points, see `pipeline.rim_planes`.
     """
@@ -100,6 +103,7 @@ class Reconstruction:
     repeated: Mapping[str, str] = field(default_factory=dict)
     disbelieved: Mapping[int, str] = field(default_factory=dict)
     mistake: str = ""
+    displaced: str = ""
     lowered: bool = False
 
     @cached_property
@@ -154,6 +158,23 @@ class Reconstruction:
             found = {name: value for name, value in found.items() if "bias" not in name}
         return found, reordered["attitude"]
 
+    def _displaced(self) -> str:
+        """Where the smoothed first position is from the initial one; empty without a smoother."""
+        smoothed = self.trajectories.get(SMOOTHER)
+        return "" if smoothed is None else displacement(self.problems[0].initial.gTb[:3, 3], smoothed.gP[0])
+
+    @property
+    def initial_position(self) -> dict[str, Any] | None:
+        """Where the smoothed first position is from the initial one, and how many sigmas of it.
+
+        What moves the whole catalogue, such as another prime meridian, moves the trajectory along, and shows
+        here alone. None without a smoother, or where the images gave the initial state.
+        """
+        sigmas = self._prior()[0].get("position")
+        if sigmas is None or self.origin != "given":
+            return None
+        return {"sigmas": sigmas, "smoothed": self._displaced()}
+
     def _least_position_sigma_m(self) -> float:
         """Smallest standard deviation of a position of the first trajectory; infinite without covariances."""
         covariances = next(iter(self.trajectories.values())).pose_covariance
@@ -193,11 +214,9 @@ class Reconstruction:
                 {name: t.pose_covariance for name, t in self.trajectories.items()}
             ),
             *warnings.inconsistent_trajectories(self.outlier_shares, self._rim_mistake),
-            *warnings.contradicted_prior(*self._prior()),
+            *warnings.contradicted_prior(*self._prior(), self._displaced()),
             *of_sensors,
-            *warnings.contradicted_intrinsics(
-                bool(of_sensors) and self._contradicted(contradicted_intrinsics)
-            ),
+            *warnings.contradicted_intrinsics(self._contradicted(contradicted_intrinsics)),
             *warnings.contradicted_lens(self._contradicted(contradicted_lens)),
             *input_warnings.long_lever_arms(
                 {"camera": descent.camera.bTc, **{one.name: one.bTs for one in descent.sensors}}
@@ -213,7 +232,7 @@ class Reconstruction:
             # A catalogue without heights says itself that its rims lie on the sphere.
             *warnings.lowered_rims(self.lowered and descent.catalog.has_heights),
             *unknown_height_warnings(descent.catalog.unknown_height_sigma_m),
-            *warnings.replaced_states(self.origin, self.reinitialised_at, self.mistake),
+            *warnings.replaced_states(self.origin, self.reinitialised_at, self.mistake, self.displaced),
             *warnings.frames_without_rims(
                 [len(frame.rims) for frame in self.frames],
                 self.expected_rims,

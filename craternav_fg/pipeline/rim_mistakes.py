@@ -78,6 +78,14 @@ def _mistakes() -> Iterator[_Mistake]:
         ("is counted from north, or is that of the minor axis", 0.5 * np.pi, 1.0),
     ):
         yield _Mistake(f"DIAM_ELLI_ANGLE_IMG {what}", catalog=partial(_turned_on_ground, offset, sign))
+    yield _Mistake(
+        "the catalogue's longitudes are positive west",
+        catalog=lambda c: replace(c, longitude_rad=np.mod(-c.longitude_rad, 2.0 * np.pi)),
+    )
+    yield _Mistake(
+        "the catalogue's latitudes are positive south",
+        catalog=lambda c: replace(c, latitude_rad=-c.latitude_rad),
+    )
     yield _Mistake("RIM_HEIGHT_M is positive downwards", catalog=lambda c: replace(c, height_m=-c.height_m))
     yield _Mistake("RIM_HEIGHT_M is in km", catalog=lambda c: replace(c, height_m=1e3 * c.height_m))
 

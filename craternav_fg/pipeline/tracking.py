@@ -15,7 +15,7 @@ from craternav_fg.estimators.online_session import OnlineSession
 from craternav_fg.estimators.sensor_bank import SensorBank
 from craternav_fg.estimators.start import find_start
 from craternav_fg.linalg import squared_distance
-from craternav_fg.matching.acquire.search import acquire, image_spread_px
+from craternav_fg.matching.acquire.search import acquire, craters_in_reach, image_spread_px
 from craternav_fg.matching.gate import match_rims
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.pipeline.initial_state import initial_from_fix, propagated_back
@@ -24,7 +24,7 @@ from craternav_fg.sun_in_image import sun_angle_in_image
 from craternav_fg.trajectory import InitialState
 from craternav_fg.vision.error_model.pooling import PooledErrors
 from craternav_fg.vision.guided import GuidedFrontEnd
-from factors.arrays import FloatArray
+from factors.arrays import FloatArray, IntArray
 from factors.kernels import strapdown
 
 # Number of rims that agree with a pose by chance only once in very many images.
@@ -345,11 +345,16 @@ class Tracker:
             self._poor_frames = 0
             return None
         self._poor_frames += 1
+        among = None
         # Ground without any known crater is not a lost track: identification is tried at frames 2, 4, 8, ...,
         # and at the first if that is the descent's first.
         if self._poor_frames & (self._poor_frames - 1) or (self._poor_frames == 1 and index > 0):
-            return None
-        fix = self.relocaliser.locate(index, self._sun_angle_rad(index, predicted))
+            if self._guides(predicted):
+                return None
+            # Nothing else leads to rims, and a descent may show enough of them in a few images only. The map
+            # near the prediction is searched in seconds, a large one in minutes.
+            among = self._in_reach(index, predicted)
+        fix = self.relocaliser.locate(index, self._sun_angle_rad(index, predicted), among)
         # An identified pose that agrees with a good prediction confirms it, and is coarser.
         if fix is None or (self._guides(predicted) and not _contradicts(predicted, fix)):
             return None
@@ -361,6 +366,12 @@ class Tracker:
         data, covariance = self.dataset, predicted.covariance[POSE, POSE]
         spread_px = image_spread_px(data.camera, data.body.radius_m, predicted.gTb, covariance)
         return 3.0 * spread_px <= GUIDED_REACH_PX
+
+    def _in_reach(self, index: int, predicted: FilterState) -> IntArray:
+        """Rows of the craters that an image may show, by the prediction."""
+        data, covariance = self.dataset, predicted.covariance[POSE, POSE]
+        sun_g = data.sun.at(int(data.stamps_ns[index]))
+        return craters_in_reach(data.camera, data.catalog, predicted.gTb, covariance, sun_g)
 
     def _sun_angle_rad(self, index: int, predicted: FilterState) -> float | None:
         """Direction towards the sun in an image; None where the predicted attitude does not tell it."""

@@ -31,6 +31,8 @@ MAX_SHARE_WITHOUT = 0.5
 # Norm of the three errors of attitude, position, velocity or a bias, in sigmas of the prior: chance exceeds
 # it once in 70,000.
 MAX_PRIOR_SIGMAS = 5.0
+# The same of the position: a catalogue in another frame shows nowhere else. Chance exceeds it once in 900.
+MAX_POSITION_SIGMAS = 4.0
 # That estimator's prior of the offset is 20 ms: an offset of half a second is not found.
 _STAMPS = (
     "stamps (time offset between camera and IMU; -e self_calibrating_smoother estimates one of tens of ms)"
@@ -344,7 +346,7 @@ def _of_residuals(summary: ResidualSummary, *, images: bool) -> str:
     return ""
 
 
-def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float) -> list[str]:
+def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float, displaced: str = "") -> list[str]:
     """Warn of an initial state, and of biases, that the data contradict.
 
     Parameters
@@ -353,6 +355,8 @@ def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float) -> list[str]
         See `evaluation.sensor_consistency.prior_sigmas`; empty without a smoother.
     as_xyzw : float
         The attitude's, had its quaternion been written with the scalar last.
+    displaced : str
+        Where the smoothed position is from the initial one.
 
     Returns
     -------
@@ -360,14 +364,15 @@ def contradicted_prior(sigmas: Mapping[str, float], as_xyzw: float) -> list[str]
     """
     out = []
     for what, away in sigmas.items():
-        if away <= MAX_PRIOR_SIGMAS:
+        if away <= (MAX_POSITION_SIGMAS if what == "position" else MAX_PRIOR_SIGMAS):
             continue
         check = _PRIOR_CHECKS[what]
         if what == "attitude" and as_xyzw < min(0.6 * away, MAX_PRIOR_SIGMAS):
             check = "the quaternion's order: read as x, y, z, w it agrees, and w, x, y, z is expected"
+        where = f": {displaced}" if displaced and what == "position" else ""
         out.append(
             f"the smoothed trajectory is {away:.2g} sigma from the "
-            f"{'initial ' if 'bias' not in what else 'prior of the '}{what}; check {check}"
+            f"{'initial ' if 'bias' not in what else 'prior of the '}{what}{where}; check {check}"
         )
     return out
 
@@ -391,7 +396,9 @@ def lowered_rims(lowered: bool) -> list[str]:
     ]
 
 
-def replaced_states(origin: str, reinitialised_at: Sequence[int], mistake: str = "") -> list[str]:
+def replaced_states(
+    origin: str, reinitialised_at: Sequence[int], mistake: str = "", displaced: str = ""
+) -> list[str]:
     """Warn of an initial state that was replaced, and of frames at which the track was re-initialised.
 
     Parameters
@@ -402,6 +409,8 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int], mistake: str =
         Indices of frames.
     mistake : str
         What would explain that the images contradict the initial state; empty when nothing is known.
+    displaced : str
+        Where the position is from the initial one, if that contradicts it.
 
     Returns
     -------
@@ -410,6 +419,8 @@ def replaced_states(origin: str, reinitialised_at: Sequence[int], mistake: str =
     out = []
     if origin == "replaced":
         text = "the images contradict the initial state: it was replaced by one from identified craters"
+        if displaced:
+            text += f", {displaced}; check {_PRIOR_CHECKS['position']}"
         out.append(f"{text}; {mistake}" if mistake else text)
     if reinitialised_at:
         out.append(

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from craternav_fg.camera import Camera
-from craternav_fg.resection.problem import ResectionProblem, ResectionResult, Status
+from craternav_fg.resection.problem import MatchedRims, ResectionProblem, ResectionResult, Status
 from craternav_fg.resection.solve_kernel import normal_equations
 from factors.arrays import FloatArray
 from factors.kernels import packed
+from factors.kernels.conic import project_rims
 from factors.kernels.gauss_newton import screw
 from factors.kernels.robust import NONE
 
@@ -25,7 +26,7 @@ FOCAL_SIGMA = 0.003
 PRINCIPAL_SIGMA_PX = 0.5
 # Steps of a fit at most, and predicted decrease of the cost below which it has converged: a step below
 # 1e-3 standard deviations.
-_STEPS, _MIN_GAIN = 30, 1e-6
+_STEPS, _MIN_GAIN = 50, 1e-6
 # A step is shortened so that the focal length's logarithm changes by at most so much.
 _MAX_STEP = 0.1
 # Largest logarithm that is reported.
@@ -34,6 +35,9 @@ _MAX_LOG_SCALE = 2.0
 # the principal point's two coordinates together.
 _MAX_DEVIATION = 3.5
 _MAX_DEVIATION_OF_TWO = 3.9
+# Deviation from which rims that cannot refute a focal length do not agree with it either: chance exceeds it
+# once in 80.
+_DOUBTFUL_SIGMAS = 2.5
 # A principal point that is off by less than so many standard deviations of its prior is as expected.
 _EXPECTED_SIGMAS = 2.0
 # Relative error of the focal length that must not go unnoticed; standard deviation up to which the rims show
@@ -235,6 +239,13 @@ def _corrected(chart: FloatArray, unknowns: FloatArray) -> FloatArray:
     return out
 
 
+def _as_fitted(rims: MatchedRims, unknowns: FloatArray) -> MatchedRims:
+    """Rims as a camera with the true intrinsics would have measured them, given the unknowns (3,)."""
+    shrunk = np.exp(-unknowns[0] * np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
+    covariance = shrunk[:, None] * rims.covariance * shrunk
+    return replace(rims, chart=_corrected(rims.chart, unknowns), covariance=covariance)
+
+
 def _linearised(
     problem: ResectionProblem, gTb: FloatArray, unknowns: FloatArray, sigmas: FloatArray
 ) -> _Linearised:
@@ -242,12 +253,17 @@ def _linearised(
     rims, first = problem.rims, problem.first_free
     prior, weight = problem.prior_arrays()
     out, N, g = np.empty((7, 5 * len(rims))), np.empty((6, 6)), np.empty(6)
+    scale = float(np.exp(unknowns[0]))
+    # The prediction is what follows the intrinsics: corrected rims would agree better the smaller they are.
+    whitening = rims.whitening * np.array([scale, scale, 1.0, 1.0, 1.0])
     chart = _corrected(rims.chart, unknowns)
-    data = packed.pack(problem.bTc, rims.centres, rims.axes, chart, rims.whitening, NONE, 1.0)
+    data = packed.pack(problem.bTc, rims.centres, rims.axes, chart, whitening, NONE, 1.0)
     cost = normal_equations(gTb, problem.bTc, data, prior, weight, problem.sun_array(), 1.0, out, N, g)
+    predicted, seen = project_rims(gTb, problem.bTc, rims.centres, rims.axes)
+    # Where they are measured, columns and residuals would share the rims' errors.
     change = np.zeros((3, len(rims), 5))
-    change[0, :, :2], change[0][:, [2, 4]] = chart[:, :2], 1.0
-    change[1, :, 0] = change[2, :, 1] = np.exp(-unknowns[0])
+    change[0, seen, :2], change[0][np.ix_(seen, [2, 4])] = scale * predicted[seen, :2], 1.0
+    change[1, seen, 0] = change[2, seen, 1] = 1.0
     free = np.flatnonzero(sigmas)
     columns = (rims.whitening @ change[free, ..., None]).reshape(len(free), -1)
     own = 6 - first
@@ -318,9 +334,7 @@ def with_unknown_intrinsics(
     poses = tuple(
         replace(
             pose, gTb=fit.gTb, covariance=fit.covariance, cost=fit.cost,
-            residuals=replace(scaled.rims, chart=_corrected(scaled.rims.chart, fit.unknowns)).residuals(
-                fit.gTb, problem.bTc
-            ),
+            residuals=_as_fitted(scaled.rims, fit.unknowns).residuals(fit.gTb, problem.bTc),
         )
         for pose, fit in zip(result.poses, fits, strict=True)
     )  # fmt: skip
@@ -371,7 +385,12 @@ def _contradicted_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tu
 
 
 def _focal_limit(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> float:
-    return _MAX_DEVIATION * float(np.hypot(fit.focal_scale_sigma, prior.focal_sigma_share))
+    return _MAX_DEVIATION * _focal_sigma(fit, prior)
+
+
+def _focal_sigma(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> float:
+    """Sigma of the logarithm of the rims' focal length over the camera's."""
+    return float(np.hypot(fit.focal_scale_sigma, prior.focal_sigma_share))
 
 
 def _percent(fit: IntrinsicsFit) -> str:
@@ -395,10 +414,18 @@ def _unchecked_focal_length(fit: IntrinsicsFit, prior: IntrinsicsPrior) -> tuple
     principal = ""
     if prior.principal_sigma_px and _widest(fit.principal_covariance_px2) > _UNCHECKED_SIGMA * prior.focal_px:
         principal = "; nor its principal point, whose error, as in a cropped image, turns the pose"
+    known = (
+        "its error is one of the distance to the ground in the same ratio; --focal-sigma-percent says how "
+        f"well it is known{principal}"
+    )
+    doubt = abs(np.log(fit.focal_scale)) / _focal_sigma(fit, prior)
+    if doubt > _DOUBTFUL_SIGMAS:
+        return (
+            f"these rims contradict by {doubt:.2g} sigma, which chance may explain, the camera's focal "
+            f"length (theirs differs by {_percent(fit)}): {known}",
+        )
     return (
-        f"these rims cannot check the camera's focal length (theirs differs by {_percent(fit)}): its error "
-        "is one of the distance to the ground in the same ratio; --focal-sigma-percent says how well it is "
-        f"known{principal}",
+        f"these rims cannot check the camera's focal length (theirs differs by {_percent(fit)}): {known}",
     )
 
 

@@ -73,6 +73,7 @@ def write_run(
         "craters_per_frame": [len(frame.rims) for frame in result.frames],
         "craters_expected_per_frame": result.expected_rims,
         "initial_state": result.origin,
+        "initial_position": result.initial_position,
         "reinitialised_at_frames": list(result.reinitialised_at),
         "failures": dict(result.failures),
         "warnings": [*result.warnings, *_doubted_truth(result, truth)],

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from craternav_fg.config import Direction, Positive
+from craternav_fg.frames import cross_matrix
 from craternav_fg.sensors.protocol import (
     ATTITUDE,
     POSITION,
@@ -93,7 +94,7 @@ class Altimeter(Sensor):
         slope = -normal / (normal @ beam)
         arm, line = self.bTs[:3, 3], state.gTb[:3, :3].T @ slope
         lever = arm + range_m * (state.gTb[:3, :3].T @ beam)
-        J[0, ATTITUDE] = np.cross(lever, line) / sigma
+        J[0, ATTITUDE] = cross_matrix(lever) @ line / sigma
         J[0, POSITION] = slope / sigma
         return Linearisation(np.array([(range_m + bias.sum() - measured) / sigma]), J, J_bias)
 

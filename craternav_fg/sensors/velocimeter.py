@@ -89,7 +89,7 @@ class Velocimeter(Sensor):
         gRb, spin = state.gTb[:3, :3], np.array(self.surroundings.body.spin_rad_s)
         seen, arm = gRb.T @ state.gV, self.bTs[:3, 3]
         turning = gRb.T @ spin
-        predicted = beams @ (seen + np.cross(state.rate_rad_s - turning, arm))
+        predicted = beams @ (seen + _cross(state.rate_rad_s - turning) @ arm)
         J = np.zeros((len(beams), STATE_SIZE))
         # bRg v changes by (bRg v) x dphi; so does the spin seen from b.
         J[:, ATTITUDE] = beams @ (_cross(seen) + _cross(arm) @ _cross(turning))

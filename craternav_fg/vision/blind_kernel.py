@@ -141,7 +141,8 @@ def traced_rim(
     chart = start_px
     points, ratio, motion = np.empty((0, 2)), np.empty(0), np.empty((0, 2))
     tried, kept, rms, arc, minor = 0, 0, 0.0, 0.0, 0.0
-    no_sun = np.zeros(2)
+    no_sun, even = np.zeros(2), np.zeros(2)
+    lambertian = np.empty((2, 2))
     for turn in range(len(_NORMAL_REACHES)):
         size = np.exp(0.5 * (chart[2] + chart[4]))
         reference = ring_brightness(image, chart)
@@ -153,11 +154,14 @@ def traced_rim(
         )
         reach_px = _NORMAL_REACHES[turn, 0] + _NORMAL_REACHES[turn, 1] * size
         normals = normal_count(size)
+        sxx, sxy, syy = moments_kernel(chart[2], chart[3], chart[4])
+        lambertian[0, 0], lambertian[1, 1] = -0.5 * sxx, -0.5 * syy
+        lambertian[0, 1] = lambertian[1, 0] = -0.5 * sxy
         points, ratio, motion, tried, _, _, _ = trace_rim(
-            image, chart, given.contrast / np.hypot(u, v) * sun, reference, reach_px, given.smoothing_share,
-            given.smoothing_px, given.psf_px, given.min_slope_contrast, given.min_step,
-            given.noise_step / reference, normals, given.crossing_offset, given.table_blur,
-            given.table_contrast, given.lens, np.zeros(LEVEL_TERMS),
+            image, chart, reference, even, given.contrast / np.hypot(u, v) * sun, lambertian, reach_px,
+            given.smoothing_share, given.smoothing_px, given.psf_px, given.min_slope_contrast,
+            given.min_step, given.noise_step / reference, normals, given.crossing_offset, given.table_blur,
+            given.table_contrast, given.lens, np.zeros(LEVEL_TERMS), False,
         )  # fmt: skip
         found = len(points)
         if tried < _MIN_TRIED_SHARE * normals or found < max(_MIN_FOUND_SHARE * tried, given.min_points):

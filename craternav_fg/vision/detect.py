@@ -23,7 +23,6 @@ from craternav_fg.vision.candidates import (
     local_sun_angles,
 )
 from craternav_fg.vision.ellipse_fit import FitOptions, RimFit
-from craternav_fg.vision.graphics import on_ground
 from craternav_fg.vision.image_sampling import noise_level
 from factors.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
@@ -305,8 +304,7 @@ def _rims_lit_from(
     fitted = fit_candidates(pixels, lit, sun_angles, noise, options)
     good = [rim for rim in fitted if rim is not None and rim.quality >= least]
     quality, at_rims = [rim.quality for rim in good], [rim.sun_angle_rad for rim in good]
-    rims = gather([rim.fit for rim in good], quality, at_rims, sun_angle_rad)
-    return rims.take(on_ground(pixels, rims.charts_px))
+    return gather([rim.fit for rim in good], quality, at_rims, sun_angle_rad)
 
 
 def fit_candidates(

@@ -3,8 +3,17 @@
 import numpy as np
 
 from craternav_fg.vision.ground_level import evidence_of_level, level_at, levels_of_flanks
-from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS, cubic
+from craternav_fg.vision.image_sampling import SATURATED_BRIGHTNESS
+from craternav_fg.vision.normal_profile import (
+    crossing_near,
+    half_gaussian,
+    mean_between,
+    moved_crossing,
+    sample_normal,
+    smooth_between,
+)
 from craternav_fg.vision.rim_geometry import back_through_lens, distorts, rim_point, through_lens
+from craternav_fg.vision.rim_shading import contrast_across, curvature_across, reference_along
 from factors.arrays import FloatArray, ImageArray
 from factors.kernels.compiled import njit
 
@@ -31,6 +40,10 @@ _PIXEL_VARIANCE_PX2 = 0.1
 _SAMPLE_STEP_PX = 0.5
 # An edge is ambiguous if the second best one on its normal scores more than this share of the best.
 _MAX_SECOND_SCORE = 0.75
+# Share of the step from the outer slope to the inner wall at which an edge is searched without a reference,
+# before the rim's own share is known. How much of such an edge's level may be missing from it, as a share of
+# that of others: the level is known to be large, or the reference would have been crossed.
+_CREST_SHARE, _LOST_SHARE = 0.25, 0.5
 
 
 @njit(cache=True, error_model="numpy")
@@ -46,120 +59,52 @@ def normal_count(radius_px: float) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _gaussian(width: float) -> FloatArray:
-    """Half of a Gaussian kernel (n,) from its centre, not normalised; `width` is in samples."""
-    kernel = np.empty(int(np.ceil(2.5 * width)) + 1)
-    kernel[0] = 1.0
-    for i in range(1, len(kernel)):
-        kernel[i] = np.exp(-0.5 * (i / width) ** 2)
-    return kernel
+def _edge_between_flanks(
+    raw: FloatArray, soft: FloatArray, reach: int, n_side: int, gap: int, deviation: float, least: float
+) -> tuple[float, float, float, float]:
+    """Find the edge of a normal (n,) by its flanks alone, whatever the reference.
 
+    Parameters
+    ----------
+    raw, soft : ndarray, shape (n,)
+        Brightness along the normal, the inner side bright, as it is and smoothed.
+    reach, n_side, gap : int
+        Half length of the search, length of the flanks, and their distance from the edge, in samples.
+    deviation : float
+        Standard deviation, in samples, of the weight of an edge over its distance from the prediction.
+    least : float
+        Least step between the flanks.
 
-@njit(cache=True, error_model="numpy")
-def _sample(image: ImageArray, q: FloatArray, step: float, raw: FloatArray) -> bool:
-    """Sample the brightness along a normal, `q` as `rim_point` writes it; False if it leaves the image.
-
-    The ends alone tell whether all samples lie in the image.
+    Returns
+    -------
+    best, second : float
+        Scores of the best edge and of the next; 0 without one.
+    where, fall : float
+        Place of the best, in samples, and how much the smoothed brightness falls there per sample.
     """
+    best, second, where, fall, here = 0.0, 0.0, 0.0, 0.0, 0.0
     half = len(raw) // 2
-    for i in (0, len(raw) - 1):
-        x, y = q[0] + (i - half) * step * q[2], q[1] + (i - half) * step * q[3]
-        if not (x >= 1.0 and y >= 1.0 and x < image.shape[1] - 2 and y < image.shape[0] - 2):
-            return False
-    x0, y0, dx, dy = q[0], q[1], q[2], q[3]
-    for i in range(len(raw)):
-        t = (i - half) * step
-        x, y = x0 + t * dx, y0 + t * dy
-        raw[i] = cubic(image, int(x), int(y), x - int(x), y - int(y))
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _smoothed(raw: FloatArray, i: int, kernel: FloatArray) -> float:
-    """Sample `i` of a profile (n,) after smoothing, as if it ended where the samples do."""
-    total, mass = kernel[0] * raw[i], kernel[0]
-    for j in range(1, len(kernel)):
-        if i >= j:
-            total += kernel[j] * raw[i - j]
-            mass += kernel[j]
-        if i + j < len(raw):
-            total += kernel[j] * raw[i + j]
-            mass += kernel[j]
-    return total / mass
-
-
-@njit(cache=True, error_model="numpy")
-def _smooth(raw: FloatArray, first: int, last: int, kernel: FloatArray, out: FloatArray) -> None:
-    """Write the samples `first` to `last` of a profile (n,) after smoothing to the same places of `out`.
-
-    As `_smoothed`, several samples at a time where the kernel does not reach beyond the profile's ends.
-    """
-    mass = kernel[0]
-    for j in range(1, len(kernel)):
-        mass += 2.0 * kernel[j]
-    low, high = max(first, len(kernel) - 1), min(last + 1, len(raw) + 1 - len(kernel))
-    n = max(high - low, 0)
-    target, source = out[low : low + n], raw[low : low + n]
-    share = kernel[0] / mass
-    for i in range(n):
-        target[i] = share * source[i]
-    for j in range(1, len(kernel)):
-        share = kernel[j] / mass
-        before, after = raw[low - j : low - j + n], raw[low + j : low + j + n]
-        for i in range(n):
-            target[i] += share * (before[i] + after[i])
-    for i in range(max(first, 0), min(low, last + 1)):
-        out[i] = _smoothed(raw, i, kernel)
-    for i in range(max(high, low), min(last + 1, len(raw))):
-        out[i] = _smoothed(raw, i, kernel)
-
-
-@njit(cache=True, error_model="numpy")
-def _crossing_near(raw: FloatArray, start: float, reach: int, kernel: FloatArray) -> float:
-    """Place, in samples, of the fall of the smoothed profile through zero nearest `start`; NaN if none."""
-    i0 = int(np.floor(start))
-    best = np.nan
-    low, high = max(0, i0 - reach), min(len(raw) - 2, i0 + reach)
-    here = _smoothed(raw, low, kernel)
-    for i in range(low, high + 1):
-        after = _smoothed(raw, i + 1, kernel)
-        if here > 0.0 and after <= 0.0:
-            place = i + here / (here - after)
-            if not np.abs(place - start) > np.abs(best - start):
-                best = place
+    for i in range(half - reach, half + reach + 1):
+        outer = mean_between(raw, i + 1 + gap, i + 1 + gap + n_side)
+        step = mean_between(raw, i - gap - n_side + 1, i - gap + 1) - outer
+        after = soft[i] - outer - _CREST_SHARE * step
+        if here > 0.0 and after <= 0.0 and step > least and soft[i - 1] > soft[i]:
+            place = i - 1 + here / (here - after)
+            score = step * np.exp(-0.5 * ((place - half) / deviation) ** 2)
+            if score > best:
+                best, second, where, fall = score, best, place, soft[i - 1] - soft[i]
+            elif score > second:
+                second = score
         here = after
-    return best
-
-
-@njit(cache=True, error_model="numpy")
-def _moved_crossing(smoothed: FloatArray, start: float, level: float) -> float:
-    """Distance, in samples, from `start` to the nearest fall of a profile through a level; 0 if none."""
-    best = np.inf
-    for i in range(len(smoothed) - 1):
-        here, after = smoothed[i] - level, smoothed[i + 1] - level
-        if here > 0.0 and after <= 0.0:
-            moved = i + here / (here - after) - start
-            if np.abs(moved) < np.abs(best):
-                best = moved
-    return best if np.isfinite(best) else 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def _mean(raw: FloatArray, first: int, end: int) -> float:
-    """Mean of samples `first` to before `end` of a profile (n,), as far as they exist."""
-    first, end = max(first, 0), min(end, len(raw))
-    total = 0.0
-    for i in range(first, end):
-        total += raw[i]
-    return total / max(end - first, 1)
+    return best, second, where, fall
 
 
 @njit(cache=True, error_model="numpy")
 def trace_rim(
-    image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float, reach_px: float,
-    smoothing_share: float, smoothing_px: float, psf_px: float, min_slope_contrast: float, min_step: float,
-    noise_step: float, count: int, crossing_offset: FloatArray, table_blur: FloatArray,
-    table_contrast: FloatArray, lens: FloatArray, ground: FloatArray,
+    image: ImageArray, chart_px: FloatArray, reference: float, gradient: FloatArray, contrast_px: FloatArray,
+    curvature_px: FloatArray, reach_px: float, smoothing_share: float, smoothing_px: float, psf_px: float,
+    min_slope_contrast: float, min_step: float, noise_step: float, count: int, crossing_offset: FloatArray,
+    table_blur: FloatArray, table_contrast: FloatArray, lens: FloatArray, ground: FloatArray, by_flanks: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float, FloatArray, FloatArray]:  # fmt: skip
     """Find the edge points of one rim.
 
@@ -169,11 +114,8 @@ def trace_rim(
         Brightness, 0 to 255.
     chart_px : ndarray, shape (5,)
         Predicted rim, chart in pixels of the camera without distortion, as all results.
-    contrast_px : ndarray, shape (2,)
-        Slope contrast c in the image, per pixel of crater radius: ground that rises outward with slope 1 at a
-        rim point with image normal n and support distance h is brighter by the share -c . n / h.
-    reference : float
-        Reference brightness: that of locally flat terrain.
+    reference, gradient, contrast_px, curvature_px : float, ndarray, shapes (2,), (2,), (2, 2)
+        See `RimShading`.
     reach_px : float
         Half length of the searched normals.
     smoothing_share, smoothing_px : float
@@ -193,12 +135,15 @@ def trace_rim(
     crossing_offset : ndarray, shape (m, k)
         Outward displacement of the crossing in radii, see `crater_profile.crossing_table`.
     table_blur, table_contrast : ndarray, shapes (m,), (k,)
-        The regular grid on which it is given: blur in radii, and slope contrast across the rim.
+        The regular grid on which it is given: blur in radii, and slope contrast across the rim of Lambertian
+        ground. Other ground has the crossings of the contrast at which both orders have the same ratio.
     lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
     ground : ndarray, shape (5,)
         Level of the ground around the rim that the edge is searched at, see `ground_level.smooth_level`; zero
         for the reference all around.
+    by_flanks : bool
+        Whether an edge is searched by its flanks alone where the brightness crosses no reference.
 
     Returns
     -------
@@ -225,6 +170,7 @@ def trace_rim(
     normal = np.empty((count, 2))
     first = np.empty(count)
     contrasts = np.empty(count)
+    curvatures = np.empty(count)
     more = np.empty(count)
     angles = np.empty(count)
     flanks = np.empty((count, 2))
@@ -233,6 +179,7 @@ def trace_rim(
     offsets = np.empty(count)
     steps = np.empty(count)
     falls = np.empty(count)
+    lost = np.zeros(count, np.bool_)
     found, tried, largest = 0, 0, 0.0
     dot, square = _BLUNTNESS_PRIOR_PX2, _BLUNTNESS_PRIOR_PX2
     q = np.empty(6)
@@ -242,13 +189,14 @@ def trace_rim(
     width, kernel, wide_kernel = -1.0, samples, samples
     for k in range(count):
         rim_point(chart_px, 2.0 * np.pi * (k + 0.5) / count, q)
-        h = q[4]
-        contrast = -(contrast_px[0] * q[2] + contrast_px[1] * q[3]) / h
+        contrast = contrast_across(contrast_px, q)
         if np.abs(contrast) < min_slope_contrast:
             continue
+        of_table = -0.5 * contrast / curvature_across(curvature_px, q)
+        local = reference * reference_along(gradient, chart_px, q)
         if bent:
             shrinks = through_lens(q, lens)
-            h = q[4]
+        h = q[4]
         smooth = max(smoothing_px, smoothing_share * h)
         side = max(_MIN_SIDE_PX, _SIDE_SHARE * h)
         step = _SAMPLE_STEP_PX * max(1.0, 0.02 * h)
@@ -258,9 +206,9 @@ def trace_rim(
         raw = samples[: 2 * half + 1]
         inside = True
         sign = 1.0 if contrast > 0.0 else -1.0
-        if not _sample(image, q, step, raw):
+        if not sample_normal(image, q, step, raw):
             continue
-        local = reference * (1.0 + level_at(ground, 2.0 * np.pi * (k + 0.5) / count))
+        local *= 1.0 + level_at(ground, 2.0 * np.pi * (k + 0.5) / count)
         for i in range(2 * half + 1):
             raw[i] = sign * (raw[i] / local - 1.0)
             inside = inside and not np.isnan(raw[i])
@@ -273,8 +221,11 @@ def trace_rim(
         best, second, where, fall = 0.0, 0.0, 0.0, 0.0
         if smooth / step != width:
             width = smooth / step
-            kernel, wide_kernel = _gaussian(width), _gaussian(_SECOND_SMOOTHING_FACTOR * smooth / step)
-        _smooth(raw, half - n_reach - n_side, half + n_reach + n_side + 1, kernel, soft)
+            kernel, wide_kernel = (
+                half_gaussian(width),
+                half_gaussian(_SECOND_SMOOTHING_FACTOR * smooth / step),
+            )
+        smooth_between(raw, half - n_reach - n_side, half + n_reach + n_side + 1, kernel, soft)
         here = soft[half - n_reach]
         for i in range(half - n_reach, half + n_reach):
             after = soft[i + 1]
@@ -297,6 +248,13 @@ def trace_rim(
                     elif score > second:
                         second = score
             here = after
+        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
+        lost[found] = by_flanks and best == 0.0
+        if lost[found]:
+            best, second, where, fall = _edge_between_flanks(
+                raw, soft, n_reach, n_side, gap, reach_px / step, least
+            )
+            fall /= step
         if not (best > 0.0 and second < _MAX_SECOND_SCORE * best):
             continue
         brightest = 0.0
@@ -305,12 +263,12 @@ def trace_rim(
         if brightest > SATURATED_BRIGHTNESS:
             continue
         blur = np.sqrt(smooth * smooth + psf_px * psf_px) / h
-        shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast)
+        shift = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, of_table)
         wide = _SECOND_SMOOTHING_FACTOR * smooth
-        again = _crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
+        again = crossing_near(raw, where, n_side + n_side // 2, wide_kernel)
         if not np.isnan(again):
             blur = np.sqrt(wide * wide + psf_px * psf_px) / h
-            expected = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, contrast) - shift
+            expected = h * _interpolate(crossing_offset, table_blur, table_contrast, blur, of_table) - shift
             moved = (again - where) * step
             if np.abs(moved) < 4.0 * np.abs(expected) + 0.5:
                 dot += contrast * contrast * moved * expected
@@ -323,14 +281,14 @@ def trace_rim(
         more[found] = shift
         ratio[found] = shrinks
         contrasts[found] = contrast
+        curvatures[found] = -0.5 * contrast / of_table
         largest = max(largest, np.abs(contrast))
         motion[found, 0] = -sign * q[2] / fall
         motion[found, 1] = -sign * q[3] / fall
         angles[found] = 2.0 * np.pi * (k + 0.5) / count
         middle = int(where)
-        gap = int(np.sqrt(smooth * smooth + psf_px * psf_px + _PIXEL_VARIANCE_PX2) / step + 0.5)
-        flanks[found, 0] = sign * _mean(raw, middle - gap - n_side + 1, middle - gap + 1)
-        flanks[found, 1] = sign * _mean(raw, middle + 1 + gap, middle + 1 + gap + n_side)
+        flanks[found, 0] = sign * mean_between(raw, middle - gap - n_side + 1, middle - gap + 1)
+        flanks[found, 1] = sign * mean_between(raw, middle + 1 + gap, middle + 1 + gap + n_side)
         for j in range(2 * n_side + 2):
             near[found, j] = soft[middle - n_side + j]
         sides[found] = n_side
@@ -342,18 +300,26 @@ def trace_rim(
     level = np.zeros(found)
     evidence = np.zeros(2)
     if found > 0:
-        found_level = levels_of_flanks(flanks[:found], contrasts[:found])
+        found_level = levels_of_flanks(flanks[:found], contrasts[:found], curvatures[:found])
         contrasts = np.abs(contrasts)
         shifts = np.zeros(found)
         crossings = np.empty(found)
         for i in range(found):
             sign = np.sign(falls[i])
-            shifts[i] = steps[i] * _moved_crossing(
+            shifts[i] = steps[i] * moved_crossing(
                 near[i, : 2 * sides[i] + 2], sides[i] + offsets[i], sign * found_level[i]
             )
+            if lost[i]:
+                # Where the reference would be crossed if the brightness fell on as it does at the crest.
+                first[i] += shifts[i]
+                shifts[i] = -_LOST_SHARE * found_level[i] / falls[i]
+                first[i] -= shifts[i]
             crossings[i] = first[i] - bluntness * more[i]
             level[i] = -falls[i] * shifts[i]
-        evidence = evidence_of_level(angles[:found], contrasts[:found], crossings, shifts)
+        seen = ~lost[:found]
+        evidence = evidence_of_level(
+            angles[:found][seen], contrasts[:found][seen], crossings[seen], shifts[seen]
+        )
     for i in range(found):
         flat = _FLAT_CONTRAST_SHARE * largest / contrasts[i]
         ratio[i] *= np.sqrt(1.0 + flat * flat) / contrasts[i]
@@ -381,9 +347,10 @@ def _interpolate(
 
 @njit(cache=True, error_model="numpy")
 def flanks_around(
-    image: ImageArray, chart_px: FloatArray, contrast_px: FloatArray, reference: float,
-    smoothing_share: float, smoothing_px: float, psf_px: float, count: int, lens: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    image: ImageArray, chart_px: FloatArray, reference: float, gradient: FloatArray, contrast_px: FloatArray,
+    curvature_px: FloatArray, smoothing_share: float, smoothing_px: float, psf_px: float, count: int,
+    lens: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Sample the brightness of the flanks of a known crest, all around the rim.
 
     Parameters
@@ -392,21 +359,23 @@ def flanks_around(
         Brightness, 0 to 255.
     chart_px : ndarray, shape (5,)
         Fitted rim, chart in pixels of the camera without distortion.
-    contrast_px : ndarray, shape (2,)
+    reference, gradient, contrast_px, curvature_px : float, ndarray, shapes (2,), (2,), (2, 2)
         As in `trace_rim`, as all that follow.
-    reference, smoothing_share, smoothing_px, psf_px : float
+    smoothing_share, smoothing_px, psf_px : float
     count : int
     lens : ndarray, shape (14,)
         `Camera.lens`: intrinsics, px, and distortion.
 
     Returns
     -------
-    angles, contrasts : ndarray, shape (n,)
-        Affine angles of the normals that lie in the image, and the slope contrasts across the rim.
+    angles, contrasts, curvatures : ndarray, shape (n,)
+        Affine angles of the normals that lie in the image, and the slope contrasts and second-order changes
+        of brightness across the rim.
     flanks : ndarray, shape (n, 2)
         See `ground_level.levels_of_flanks`.
     """
-    angles, contrasts, flanks = np.empty(count), np.empty(count), np.empty((count, 2))
+    angles, contrasts, curvatures = np.empty(count), np.empty(count), np.empty(count)
+    flanks = np.empty((count, 2))
     q = np.empty(6)
     bent = distorts(lens)
     samples = np.empty(0)
@@ -414,7 +383,8 @@ def flanks_around(
     for k in range(count):
         angle = 2.0 * np.pi * (k + 0.5) / count
         rim_point(chart_px, angle, q)
-        contrast = -(contrast_px[0] * q[2] + contrast_px[1] * q[3]) / q[4]
+        contrast, curvature = contrast_across(contrast_px, q), curvature_across(curvature_px, q)
+        local = reference * reference_along(gradient, chart_px, q)
         if bent:
             through_lens(q, lens)
         h = q[4]
@@ -426,12 +396,12 @@ def flanks_around(
         if 2 * half + 1 > len(samples):
             samples = np.empty(4 * half)
         raw = samples[: 2 * half + 1]
-        if not _sample(image, q, step, raw):
+        if not sample_normal(image, q, step, raw):
             continue
-        inner, outer = _mean(raw, 0, n_side), _mean(raw, half + gap + 1, 2 * half + 1)
+        inner, outer = mean_between(raw, 0, n_side), mean_between(raw, half + gap + 1, 2 * half + 1)
         if np.isnan(inner + outer) or max(inner, outer) > SATURATED_BRIGHTNESS:
             continue
-        angles[found], contrasts[found] = angle, contrast
-        flanks[found, 0], flanks[found, 1] = inner / reference - 1.0, outer / reference - 1.0
+        angles[found], contrasts[found], curvatures[found] = angle, contrast, curvature
+        flanks[found, 0], flanks[found, 1] = inner / local - 1.0, outer / local - 1.0
         found += 1
-    return angles[:found], contrasts[:found], flanks[:found]
+    return angles[:found], contrasts[:found], curvatures[:found], flanks[:found]

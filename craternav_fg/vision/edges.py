@@ -15,6 +15,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.vision import crater_profile, edge_kernel
 from craternav_fg.vision.ground_level import LEVEL_TERMS, smooth_level
+from craternav_fg.vision.rim_shading import RimShading
 from factors.arrays import FloatArray, ImageArray
 
 
@@ -97,13 +98,14 @@ def find_edge_points(
     image: ImageArray,
     camera: Camera,
     chart_px: FloatArray,
-    contrast_px: FloatArray,
-    reference: float,
+    shading: RimShading,
     radius_px: float,
     reach_px: float,
     noise: float,
     options: EdgeOptions,
     ground: FloatArray | None = None,
+    *,
+    by_flanks: bool = False,
 ) -> EdgePoints:
     """Find the edge points of one predicted rim.
 
@@ -114,10 +116,7 @@ def find_edge_points(
     camera : Camera
     chart_px : ndarray, shape (5,)
         Predicted rim, chart in the pixels of `camera.pinhole`.
-    contrast_px : ndarray, shape (2,)
-        Slope contrast in the image, see `edge_kernel.trace_rim`.
-    reference : float
-        Reference brightness.
+    shading : RimShading
     radius_px : float
         Size of the rim: sets the number of normals.
     reach_px : float
@@ -127,6 +126,8 @@ def find_edge_points(
     options : EdgeOptions
     ground : ndarray, shape (5,), optional
         Level of the ground around the rim, see `level_around`; that of the reference if not given.
+    by_flanks : bool
+        Whether an edge is searched by its flanks alone where the brightness crosses no reference.
 
     Returns
     -------
@@ -134,12 +135,12 @@ def find_edge_points(
         Possibly empty.
     """
     count = edge_kernel.normal_count(radius_px)
-    noise_step = options.noise_step(noise) / reference
+    noise_step = options.noise_step(noise) / shading.reference
     points, ratio, motion, tried, _, level, evidence = edge_kernel.trace_rim(
-        image, chart_px, contrast_px, reference, reach_px, options.smoothing_share, options.smoothing_px,
+        image, chart_px, *shading, reach_px, options.smoothing_share, options.smoothing_px,
         camera.psf_sigma_px, options.min_slope_contrast, options.min_step_share, noise_step, count,
         crater_profile.crossing_table(), crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS,
-        camera.lens, np.zeros(LEVEL_TERMS) if ground is None else ground,
+        camera.lens, np.zeros(LEVEL_TERMS) if ground is None else ground, by_flanks,
     )  # fmt: skip
     return EdgePoints(points, ratio, motion, level, evidence, tried, count)
 
@@ -148,8 +149,7 @@ def level_around(
     image: ImageArray,
     camera: Camera,
     chart_px: FloatArray,
-    contrast_px: FloatArray,
-    reference: float,
+    shading: RimShading,
     radius_px: float,
     options: EdgeOptions,
 ) -> FloatArray:
@@ -162,9 +162,8 @@ def level_around(
     camera : Camera
     chart_px : ndarray, shape (5,)
         Fitted rim, chart in the pixels of `camera.pinhole`.
-    contrast_px : ndarray, shape (2,)
-        Slope contrast in the image, see `edge_kernel.trace_rim`.
-    reference, radius_px : float
+    shading : RimShading
+    radius_px : float
         As in `find_edge_points`.
     options : EdgeOptions
 
@@ -173,8 +172,8 @@ def level_around(
     ndarray, shape (5,)
         See `ground_level.smooth_level`.
     """
-    angles, contrasts, flanks = edge_kernel.flanks_around(
-        image, chart_px, contrast_px, reference, options.smoothing_share, options.smoothing_px,
-        camera.psf_sigma_px, edge_kernel.normal_count(radius_px), camera.lens,
+    angles, contrasts, curvatures, flanks = edge_kernel.flanks_around(
+        image, chart_px, *shading, options.smoothing_share, options.smoothing_px, camera.psf_sigma_px,
+        edge_kernel.normal_count(radius_px), camera.lens,
     )  # fmt: skip
-    return smooth_level(angles, contrasts, flanks)
+    return smooth_level(angles, contrasts, curvatures, flanks)

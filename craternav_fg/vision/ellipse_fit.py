@@ -53,7 +53,7 @@ class FitOptions:
         Lower bound of the points' standard deviation: keeps perfect points from an infinite weight.
     floor_px, floor_share : float
         Systematic floor, the standard deviation of centre, semi-axes and rotation: floor_px + floor_share b.
-        Fitted by `craternav_fg.calibration.rim_floor`.
+        That of guided rims follows from the ground instead, see `GuidedOptions.level_scatter_share`.
     outline_share : float
         Expected root mean square deviation of a rim from an ellipse, in radii. How much the rim deviates is
         then estimated, and is uncertainty of its unseen parts; fewer than 25 points give fewer harmonics of
@@ -86,12 +86,16 @@ class BrightnessUnknown:
     sun_px : ndarray, shape (2,), optional
         Direction towards the sun in the image, of any length; needed with a slope. In this direction the
         slope has the effect of a change of size, so it is not estimated and only adds to the covariance.
+    floor_px : float
+        Standard deviation of centre, semi-axes and rotation, px, from what it leaves out: brightness that
+        varies around the rim.
     """
 
     motion: FloatArray
     sigma: float
     slope_sigma: float = 0.0
     sun_px: FloatArray | None = None
+    floor_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -221,6 +225,8 @@ def refine_rim(
         return FitFailure.SHORT_ARC
     chart, scale = normalised_chart(y, camera)
     units = np.outer(scale, scale)
-    floor = floor_covariance(pixel_chart(chart, camera), options.floor_px, options.floor_share)
+    of_chart = pixel_chart(chart, camera)
+    floor = floor_covariance(of_chart, options.floor_px, options.floor_share)
+    floor = floor + floor_covariance(of_chart, brightness.floor_px, 0.0)
     errors = RimErrors.of_fit((cov - of_outline) * units, of_outline * units, root * scale, floor * units)
     return RimFit(chart, errors, y, rms, kept, arc, outline)

@@ -2,6 +2,8 @@
 
 Their black and white areas end within a pixel all around. Those of photographs do not: ground that is
 overexposed, or in shadow, fades into its surroundings at least along a part of its outline.
+
+They deceive the network. The template method finds no rims in them, as their areas have no shading.
 """
 
 import cv2

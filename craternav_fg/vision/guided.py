@@ -18,7 +18,13 @@ from craternav_fg.linalg import squared_distance
 from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
 from craternav_fg.vision.arcs import across_sigma, judge
 from craternav_fg.vision.error_model.common_growth import common_growth, without_growth
-from craternav_fg.vision.error_model.correlated import arc_sigma_px, map_covariance, radii_px, split
+from craternav_fg.vision.error_model.correlated import (
+    arc_sigma_px,
+    map_covariance,
+    radii_px,
+    shared_of_arcs,
+    split,
+)
 from craternav_fg.vision.error_model.frame_scatter import variance_factor
 from craternav_fg.vision.grey import on_8_bit_scale
 from craternav_fg.vision.guided_options import GuidedOptions
@@ -116,7 +122,7 @@ class GuidedFrontEnd:
         pixels = np.ascontiguousarray(grey, dtype=np.float32)
         brightness = ReferenceBrightness(pixels, self.camera, self.catalog.body.radius_m, gTb, sun_g)
         frame = _Frame(pixels, brightness, gTb, prior, sun_g)
-        fitter = RimFitter(pixels, brightness.noise, self.camera, self.options)
+        fitter = RimFitter(pixels, brightness.noise, brightness.scatter, self.camera, self.options)
         result = self._attempt(frame, fitter)
         if 2 * len(result.rims) < result.expected and result.expected >= _MIN_AGREEING_RIMS:
             # The prediction may be worse than its covariance claims; several rims must agree on that.
@@ -259,7 +265,10 @@ class GuidedFrontEnd:
                 sigmas.append(arc[1] / self.camera.focal_px)
                 correlated.append(correlated_px / self.camera.focal_px)
         rows = rims.rows[np.array(found, dtype=np.int64)]
-        return ArcSet(rows, tuple(points), tuple(sigmas), np.array(correlated))
+        shared = shared_of_arcs(
+            rows, result.gTb, frame.sun_g, self.camera, self.catalog, opt.correlated_errors
+        )
+        return ArcSet(rows, tuple(points), tuple(sigmas), np.array(correlated), shared)
 
     def _fitted(self, fitter: RimFitter, rims: PredictedRims, gTb: FloatArray) -> FittedRims:
         """Fit rims; where the map states errors, until they do not depend on where they were searched.

@@ -26,6 +26,12 @@ class GuidedOptions:
     brightness_slope_per_px : float
         Relative standard deviation of its change per pixel: terrain that bends under a crater, large craters
         that distort the map of the reference brightness.
+    level_scatter_share, level_rim_share : float
+        Standard deviation of the level of the ground that an edge is searched at, beside these two: shares of
+        the scatter of the image's brightness (`ReferenceBrightness.scatter`) and of that of the levels found
+        around the rim. It is a systematic error of place, axes and rotation, as large as the edges move with
+        the level: small where the sun is low, and many times that where it is high. Fitted by
+        `craternav_fg.calibration.rim_floor`.
     max_shift_px : float
         Largest common shift that is searched. Also searched when several rims are missing, whatever the
         prediction's covariance claims.
@@ -73,6 +79,8 @@ class GuidedOptions:
     margin_px: float = 3.0
     brightness_sigma_share: float = 0.02
     brightness_slope_per_px: float = 1e-4
+    level_scatter_share: float = 0.12
+    level_rim_share: float = 0.2
     max_shift_px: float = 48.0
     shift_sigmas: float = 3.5
     min_found_share: float = 0.55
@@ -88,7 +96,9 @@ class GuidedOptions:
     gate_probability: float = 0.9999
     full_arc_share: float = 0.5
     edges: EdgeOptions = field(default_factory=EdgeOptions)
-    fit: FitOptions = field(default_factory=lambda: FitOptions(outline_share=0.0003))
+    fit: FitOptions = field(
+        default_factory=lambda: FitOptions(floor_px=0.01, floor_share=0.0, outline_share=0.0003)
+    )
     correlated_errors: CorrelatedErrorOptions = field(default_factory=CorrelatedErrorOptions)
     arcs: ArcOptions = field(default_factory=ArcOptions)
     sun: SunOptions = field(default_factory=SunOptions)

@@ -7,10 +7,14 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.ellipse import pixel_chart, semi_minor_bound
-from craternav_fg.photometry import flat_terrain_brightness
+from craternav_fg.photometry import flat_terrain_brightness, slope_curvature
 from craternav_fg.vision.reference_brightness import MIN_REFERENCE_BRIGHTNESS, ReferenceBrightness
+from craternav_fg.vision.rim_shading import RimShading
 from factors.arrays import FloatArray, IntArray
 from factors.kernels import conic
+
+# Largest diameter of a rim that does not shape the brightness of the whole image, over its shorter side.
+_SMALL_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -29,8 +33,12 @@ class PredictedRims:
         Relative change of brightness per unit slope, see `photometry`.
     contrast_px : ndarray, shape (n, 2)
         The same as a vector in the image, per pixel of crater radius, see `edge_kernel.trace_rim`.
+    curvature_px : ndarray, shape (n, 2, 2)
+        Second-order change of brightness with slope, in the image, per square pixel of crater radius.
     reference : ndarray, shape (n,)
         Reference brightness: that of locally flat terrain there, 0 to 255.
+    gradient : ndarray, shape (n, 2)
+        Relative change of the reference brightness along the image, 1/px.
     jacobians : ndarray, shape (n, 5, 6)
         Derivative of the charts in the right twist of the body's pose (rotation, rad; translation in b, m).
     """
@@ -40,7 +48,9 @@ class PredictedRims:
     charts_px: FloatArray
     slope_contrast: FloatArray
     contrast_px: FloatArray
+    curvature_px: FloatArray
     reference: FloatArray
+    gradient: FloatArray
     jacobians: FloatArray
 
     def __len__(self) -> int:
@@ -55,6 +65,12 @@ class PredictedRims:
             Their indices.
         """
         return PredictedRims(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+    def shading(self, i: int) -> RimShading:
+        """Return what is expected of the brightness around a rim."""
+        return RimShading(
+            float(self.reference[i]), self.gradient[i], self.contrast_px[i], self.curvature_px[i]
+        )
 
     def smallest_radius_px(self, i: int) -> float:
         """Return the approximate semi-minor axis of a rim, px."""
@@ -110,10 +126,11 @@ def predict_rims(
     law, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view)
     centres_c = (centres - gTc[:3, 3]) @ gTc[:3, :3]
     points = centres_c[:, :2] / centres_c[:, 2:]
-    contrast_c = contrast @ gTc[:3, :3]
     radius_m = np.sqrt(catalog.semi_major_m[rows] * catalog.semi_minor_m[rows])
-    contrast_px = (contrast_c[:, :2] - points * contrast_c[:, 2:]) * (radius_m / centres_c[:, 2])[:, None]
-    contrast_px *= [camera.fx_px, camera.fy_px]
+    # From vectors along the ground, in g, to pixels per radius.
+    to_image = gTc[:3, :2].T - points[:, :, None] * gTc[:3, 2]
+    to_image *= (np.array([camera.fx_px, camera.fy_px]) * (radius_m / centres_c[:, 2])[:, None])[:, :, None]
+    curvature = slope_curvature(catalog.normals[rows], sun_g, view)
     reference = law * brightness.ratio(points)
     lit = reference > MIN_REFERENCE_BRIGHTNESS
     return PredictedRims(
@@ -121,7 +138,38 @@ def predict_rims(
         charts[lit],
         pixel_chart(charts[lit], camera),
         np.linalg.norm(contrast[lit], axis=-1),
-        np.ascontiguousarray(contrast_px[lit]),
+        np.einsum("nij,nj->ni", to_image[lit], contrast[lit]),
+        to_image[lit] @ curvature[lit] @ np.swapaxes(to_image[lit], 1, 2),
         reference[lit],
+        _gradient(rows[lit], camera, catalog, gTc, sun_g, brightness) / reference[lit, None],
         H[lit],
     )
+
+
+def _gradient(
+    rows: IntArray,
+    camera: Camera,
+    catalog: Catalog,
+    gTc: FloatArray,
+    sun_g: FloatArray,
+    brightness: ReferenceBrightness,
+) -> FloatArray:
+    """Change (n, 2) of the reference brightness per pixel, from the four ends of each rim's axes.
+
+    Where a rim takes up much of the image, it shapes the ratio itself, and the law alone tells.
+    """
+    centres, axes = catalog.centres[rows], catalog.axes[rows]
+    ends = centres[:, None, None] + np.array([1.0, -1.0])[:, None] * axes[:, :, None]
+    view = gTc[:3, 3] - ends
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    normals = ends / np.linalg.norm(ends, axis=-1, keepdims=True)
+    law, _ = flat_terrain_brightness(normals.reshape(-1, 3), sun_g, view.reshape(-1, 3))
+    ends_c = (ends - gTc[:3, 3]) @ gTc[:3, :3]
+    points = ends_c[..., :2] / ends_c[..., 2:]
+    step_px = (points[:, :, 0] - points[:, :, 1]) * [camera.fx_px, camera.fy_px]
+    length_px = np.linalg.norm(step_px, axis=-1).max(axis=-1)
+    small = length_px < _SMALL_SHARE * min(camera.width_px, camera.height_px)
+    centre = points.mean(axis=(1, 2), keepdims=True)
+    ratio = brightness.ratio(np.where(small[:, None, None, None], points, centre).reshape(-1, 2))
+    values = (law * ratio).reshape(-1, 2, 2)
+    return np.asarray(np.linalg.solve(step_px, (values[:, :, :1] - values[:, :, 1:]))[:, :, 0])

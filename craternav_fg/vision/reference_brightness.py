@@ -16,6 +16,10 @@ MIN_REFERENCE_BRIGHTNESS = 6.0
 _MIN_BLOCKS_PER_SIDE, _MIN_BLOCKS_QUADRATIC = 6, 24
 # Blocks count if the photometric law gives them at least this brightness, which is 1 at the zenith.
 _MIN_LAW = 0.02
+# Scatter of the ground's brightness where too few blocks show it: more than images of rendered ground have.
+_UNKNOWN_SCATTER = 0.1
+# Least ratio to relate the scatter to, of 255.
+_MIN_RATIO = 1.0
 # Iterations of the robust fit, and its cut-off in standard deviations.
 _ITERATIONS, _CUTOFF_SIGMAS = 10, 3.0
 
@@ -45,6 +49,9 @@ class ReferenceBrightness:
     ----------
     noise : float
         Standard deviation of the pixel noise.
+    scatter : float
+        Standard deviation of the blocks' brightness about it, relative to it: slopes and albedo of the ground
+        at the size of a block.
     """
 
     def __init__(
@@ -72,9 +79,11 @@ class ReferenceBrightness:
         law, _ = flat_terrain_brightness(ground / np.linalg.norm(ground, axis=-1, keepdims=True), sun_g, view)
         keep = hit & (law > _MIN_LAW) & (median < SATURATED_BRIGHTNESS)
         self._coefficients = np.zeros(6)
+        self.scatter = _UNKNOWN_SCATTER
         ratio = median[keep] / law[keep]
         if len(ratio) >= _MIN_BLOCKS_QUADRATIC:
             self._coefficients = _robust_quadratic(_powers(points[keep]), ratio)
+            self.scatter = robust_sigma(ratio / np.maximum(self.ratio(points[keep]), _MIN_RATIO) - 1.0)
         elif len(ratio) > 0:
             self._coefficients[0] = np.median(ratio)
 

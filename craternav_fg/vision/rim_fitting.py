@@ -10,7 +10,7 @@ from craternav_fg.vision.edges import EdgePoints, find_edge_points, level_around
 from craternav_fg.vision.ellipse_fit import BrightnessUnknown, FitFailure, FitOptions, RimFit, refine_rim
 from craternav_fg.vision.error_model.outline import unseen_deviation
 from craternav_fg.vision.error_model.systematic import RimErrors
-from craternav_fg.vision.ground_level import common_share, own_share
+from craternav_fg.vision.ground_level import common_share, own_share, smooth_share
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
 from factors.arrays import FloatArray, ImageArray
@@ -55,18 +55,29 @@ class RimFitter:
         Brightness, 0 to 255.
     noise : float
         Standard deviation of the pixel noise.
+    scatter : float
+        Relative standard deviation of the ground's brightness, see `ReferenceBrightness`.
     camera : Camera
     options : GuidedOptions
     """
 
-    def __init__(self, image: ImageArray, noise: float, camera: Camera, options: GuidedOptions) -> None:
+    def __init__(
+        self, image: ImageArray, noise: float, scatter: float, camera: Camera, options: GuidedOptions
+    ) -> None:
         self._image = image
         self._noise = noise
+        self._scatter = scatter
         self._camera = camera
         self._options = options
 
     def trace(
-        self, rims: PredictedRims, i: int, reach_px: float, ground: FloatArray | None = None
+        self,
+        rims: PredictedRims,
+        i: int,
+        reach_px: float,
+        ground: FloatArray | None = None,
+        *,
+        by_flanks: bool = False,
     ) -> EdgePoints:
         """Find the edge points of one rim.
 
@@ -79,19 +90,21 @@ class RimFitter:
             Half length of the searched normals.
         ground : ndarray, shape (5,), optional
             See `find_edge_points`.
+        by_flanks : bool
+            See `find_edge_points`.
         """
         minor_px = rims.smallest_radius_px(i)
         return find_edge_points(
             self._image,
             self._camera,
             rims.charts_px[i],
-            rims.contrast_px[i],
-            rims.reference[i],
+            rims.shading(i),
             minor_px,
             reach_px,
             self._noise,
             self._options.edges,
             ground,
+            by_flanks=by_flanks,
         )
 
     def fit(
@@ -112,8 +125,9 @@ class RimFitter:
         min_found_share : float, optional
             Minimum share of the searched normals with an edge; that of the options if not given.
         rough : bool
-            Whether to leave out the second search of each edge, at the level that the ground has around the
-            rim: where ellipses to correct a pose with are enough, and where rims are searched again anyway.
+            Whether to search edges only at the reference brightness, and not at the level that the ground
+            has around the rim: where ellipses to correct a pose with are enough, and where rims are searched
+            again anyway.
 
         Returns
         -------
@@ -124,13 +138,13 @@ class RimFitter:
         least = opt.min_found_share if min_found_share is None else min_found_share
         enough: list[tuple[int, EdgePoints]] = []
         for i in range(len(rims)):
-            traced = self.trace(rims, i, float(reach_px[i]))
+            traced = self.trace(rims, i, float(reach_px[i]), by_flanks=not rough)
             if traced.tried < _MIN_TRIED_SHARE * traced.normals:
                 continue
             if len(traced) < least * traced.tried:
                 continue
             enough.append((i, traced))
-        found, fits, edges = self._fit_all(rims, enough)
+        found, fits, edges = self._fit_all(rims, enough, rough=rough)
         if not rough:
             found, fits, edges = self._fit_again(rims, reach_px, enough, (found, fits, edges))
         unseen = unseen_deviation(np.array([fit.outline_share for fit in fits]), opt.fit.outline_share)
@@ -150,7 +164,7 @@ class RimFitter:
         return FittedRims(rims.take(rows), charts, RimErrors.stack([f.errors for f in fits]), quality)
 
     def _fit_all(
-        self, rims: PredictedRims, crossings: list[tuple[int, EdgePoints]]
+        self, rims: PredictedRims, crossings: list[tuple[int, EdgePoints]], *, rough: bool
     ) -> tuple[list[int], list[RimFit], list[EdgePoints]]:
         """Fit rims to their edge points, moved to the level of the ground: indices, fits, moved points."""
         opt = self._options
@@ -159,7 +173,8 @@ class RimFitter:
         fits: list[RimFit] = []
         edges: list[EdgePoints] = []
         for i, crossing in crossings:
-            traced = crossing.at_level(own_share(crossing.evidence, common))
+            share = own_share(crossing.evidence, common)
+            traced = crossing.at_level(share if rough else smooth_share(share))
             fit = self._fit_one(rims, i, traced, opt.fit)
             largest_px = opt.max_rms_px + opt.max_rms_share * rims.smallest_radius_px(i)
             if isinstance(fit, FitFailure) or fit.rms_px > largest_px:
@@ -181,19 +196,19 @@ class RimFitter:
         common = _common_share(crossings)
         again: list[tuple[int, EdgePoints]] = []
         for i, fit in zip(first[0], first[1], strict=True):
-            level = own_share(by_rim[i].evidence, common) * level_around(
-                self._image, self._camera, fit.chart_px, rims.contrast_px[i], rims.reference[i],
-                rims.smallest_radius_px(i), self._options.edges,
+            level = smooth_share(own_share(by_rim[i].evidence, common)) * level_around(
+                self._image, self._camera, fit.chart_px, rims.shading(i), rims.smallest_radius_px(i),
+                self._options.edges,
             )  # fmt: skip
             moved_px = np.abs(level).sum() * float(np.median(np.linalg.norm(by_rim[i].motion, axis=1)))
             if moved_px > _MIN_MOVED_PX:
-                traced = self.trace(rims, i, float(reach_px[i]), level)
+                traced = self.trace(rims, i, float(reach_px[i]), level, by_flanks=True)
                 if len(traced) >= _MIN_KEPT_SHARE * len(by_rim[i]):
                     by_rim[i] = traced
                     again.append((i, traced))
         if not again:
             return first
-        second = self._fit_all(rims, [(i, by_rim[i]) for i in first[0]])
+        second = self._fit_all(rims, [(i, by_rim[i]) for i in first[0]], rough=False)
         missing = set(first[0]) - set(second[0])
         both = [one for one in zip(*first, strict=True) if one[0] in missing]
         both += list(zip(*second, strict=True))
@@ -206,11 +221,19 @@ class RimFitter:
         opt = self._options
         slope_sigma = opt.brightness_slope_per_px * rims.smallest_radius_px(i)
         brightness = BrightnessUnknown(
-            edges.motion, opt.brightness_sigma_share, slope_sigma, rims.contrast_px[i]
+            edges.motion, opt.brightness_sigma_share, slope_sigma, rims.contrast_px[i], self._floor_px(edges)
         )
         return refine_rim(
             edges.points_px, rims.charts_px[i], self._camera, options, edges.sigma_ratio, brightness
         )
+
+    def _floor_px(self, edges: EdgePoints) -> float:
+        """Error of a rim from the level of the ground at it, which is as uncertain as it varies."""
+        opt = self._options
+        if len(edges) == 0:
+            return 0.0
+        level = np.hypot(opt.level_scatter_share * self._scatter, opt.level_rim_share * np.std(edges.level))
+        return float(level * np.median(np.linalg.norm(edges.motion, axis=1)))
 
 
 def _common_share(crossings: list[tuple[int, EdgePoints]]) -> float:

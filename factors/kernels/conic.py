@@ -390,4 +390,11 @@ def chart_to_conic_jacobian(y: FloatArray) -> FloatArray:
     q[5] = ixx * mx * mx + 2.0 * ixy * mx * my + iyy * my * my - 1.0
     norm = np.sqrt(np.sum(q * q))
     u = q / norm
-    return (J - np.outer(u, u @ J)) / norm
+    # Written out: numba takes seconds to compile an outer product.
+    for k in range(5):
+        along = 0.0
+        for i in range(6):
+            along += u[i] * J[i, k]
+        for i in range(6):
+            J[i, k] = (J[i, k] - along * u[i]) / norm
+    return J

@@ -76,10 +76,10 @@ def rim_distance(u: float, v: float, y: FloatArray, D: FloatArray) -> float:
 @njit(cache=True, error_model="numpy")
 def rim_residuals(
     gTb: FloatArray, bTc: FloatArray, centres: FloatArray, axes: FloatArray, offsets: IntArray,
-    points: FloatArray, sigmas: FloatArray, kind: int, scale: float, linearise: bool,
-    e: FloatArray, J: FloatArray,
+    points: FloatArray, sigmas: FloatArray, roots: FloatArray, z: FloatArray, kind: int, scale: float,
+    linearise: bool, e: FloatArray, J: FloatArray,
 ) -> None:  # fmt: skip
-    """Rim points: zero when every edge point lies on its predicted rim.
+    """Rim points: zero when every edge point lies on its predicted rim, moved by an error that rims share.
 
     Parameters
     ----------
@@ -91,12 +91,16 @@ def rim_residuals(
         Points offsets[i] to offsets[i + 1] are those of rim i.
     points, sigmas : ndarray, shape (m, 2), (m,)
         Normalised, with standard deviations along the rim's normal.
+    roots : ndarray, shape (n, 5, k)
+        The error adds roots z to the predicted charts.
+    z : ndarray, shape (k,)
+        The error, in the units of its roots; none with k = 0.
     kind, scale : int, float
         Loss, see `robust`: on the norm of a rim's residuals; `scale` refers to their root mean square.
     linearise : bool
         Whether J is written.
-    e, J : ndarray, shape (m,), (m, 6)
-        Written; J for the body's right twist [w, rho].
+    e, J : ndarray, shape (m,), (m, 6 + k)
+        Written; J for the body's right twist [w, rho], then for z.
     """
     R, P = camera_pose(gTb, bTc)
     p = np.empty(3)
@@ -104,7 +108,8 @@ def rim_residuals(
     y = np.empty(5)
     D = np.empty(5)
     Jc = np.empty((5, 6))
-    Jb = np.empty((5, 6))
+    slopes = np.empty((5, J.shape[1]))
+    Jb = slopes[:, :6]
     for i in range(centres.shape[0]):
         begin, end = offsets[i], offsets[i + 1]
         ei, Ji = e[begin:end], J[begin:end]
@@ -117,13 +122,17 @@ def rim_residuals(
             continue
         if linearise:
             body_columns(Jc, bTc, Jb)
+        for k in range(5):
+            for j in range(len(z)):
+                y[k] += roots[i, k, j] * z[j]
+                slopes[k, 6 + j] = roots[i, k, j]
         for k in range(begin, end):
             weight = 1.0 / sigmas[k]
             e[k] = weight * rim_distance(points[k, 0], points[k, 1], y, D)
             if linearise:
-                for j in range(6):
+                for j in range(J.shape[1]):
                     total = 0.0
                     for m in range(5):
-                        total += D[m] * Jb[m, j]
+                        total += D[m] * slopes[m, j]
                     J[k, j] = weight * total
         apply_loss(ei, Ji, kind, rim_scale, linearise)

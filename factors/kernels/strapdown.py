@@ -108,6 +108,7 @@ def _propagate(
     mu: float,
     spin: FloatArray,
     noise: FloatArray,
+    row_s: float,
     transition: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Do what `propagate` does; a transition (15, 15) that is not empty is multiplied by the rows' own."""
@@ -219,7 +220,8 @@ def _propagate(
     for i in range(15):
         for j in range(15):
             out[index[i], index[j]] = 0.5 * (S[i, j] + S[j, i])
-    # Angular velocity: w = gyro - bg - n of the last row; n is also in that row's turn.
+    # Angular velocity: w = gyro - bg - n of the last row, with the mean noise n of the whole row, which is
+    # also in what it turned until the end.
     dt = dt_s[rows - 1]
     for i in range(3):
         for j in range(18):
@@ -229,9 +231,9 @@ def _propagate(
         for j in range(3):
             out[9 + i, 9 + j] = out[12 + i, 12 + j]
     for i in range(3):
-        out[9 + i, 9 + i] += var_g / dt
-        out[9 + i, i] += var_g
-        out[i, 9 + i] += var_g
+        out[9 + i, 9 + i] += var_g / row_s
+        out[9 + i, i] += var_g * dt / row_s
+        out[i, 9 + i] += var_g * dt / row_s
     for i in range(3):
         out[12 + i, 12 + i] += walk_g * dt
         out[15 + i, 15 + i] += walk_a * dt
@@ -260,6 +262,7 @@ def propagate(
     mu: float,
     spin: FloatArray,
     noise: FloatArray,
+    row_s: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Propagate a state and its covariance through rows of an IMU log, eqs. (26), (27).
 
@@ -288,6 +291,8 @@ def propagate(
     noise : ndarray, shape (4,)
         Densities of gyro (rad/s/sqrt(Hz)) and accelerometer (m/s^2/sqrt(Hz)), then of their biases' random
         walks (rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)).
+    row_s : float
+        Duration of the log's row of which the last row is a part: its mean has the noise of all of it.
 
     Returns
     -------
@@ -303,7 +308,9 @@ def propagate(
     Tian et al., J. Navigation 72 (2019) 648, DOI 10.1017/S0373463318000966, eqs. (26)-(28);
     docs/equations.md.
     """
-    return _propagate(gTb, gV, bias, covariance, dt_s, gyro, accelerometer, mu, spin, noise, np.empty((0, 0)))
+    return _propagate(
+        gTb, gV, bias, covariance, dt_s, gyro, accelerometer, mu, spin, noise, row_s, np.empty((0, 0))
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -349,9 +356,9 @@ def transition(
         Covariance of that noise.
     """
     F = np.eye(15)
-    added = _propagate(gTb, gV, bias, np.zeros((SIZE, SIZE)), dt_s, gyro, accelerometer, mu, spin, noise, F)[
-        3
-    ]
+    added = _propagate(
+        gTb, gV, bias, np.zeros((SIZE, SIZE)), dt_s, gyro, accelerometer, mu, spin, noise, dt_s[-1], F
+    )[3]
     Q = np.empty((15, 15))
     for i in range(15):
         for j in range(15):

@@ -40,7 +40,7 @@ def unseen(e: FloatArray, J: FloatArray, kind: int, scale: float, linearise: boo
     ----------
     e : ndarray, shape (m,)
         Written: the whitened residual.
-    J : ndarray, shape (m, 6)
+    J : ndarray, shape (m, k)
         Written: zero.
     kind, scale : int, float
         Loss, see `robust`.
@@ -49,7 +49,7 @@ def unseen(e: FloatArray, J: FloatArray, kind: int, scale: float, linearise: boo
     """
     for i in range(e.shape[0]):
         e[i] = UNSEEN
-        for j in range(6):
+        for j in range(J.shape[1]):
             J[i, j] = 0.0
     apply_loss(e, J, kind, scale, linearise)
 

@@ -73,6 +73,7 @@ def after_trials(folder: Path, count: int, process: subprocess.Popen[str]) -> th
     return thread
 
 
+@pytest.mark.slow
 def test_a_worker_killed_half_way_costs_nothing(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,20 @@ def test_values_in_kilometres_and_degrees(tmp_path):
     assert catalog.axes[0, 0, 2] > 0.0
 
 
+@pytest.mark.parametrize("turn_deg", [-360.0, 0.0, 180.0])
+def test_longitudes_of_any_one_turn(tmp_path, turn_deg):
+    """Of -360 to 0 or of 180 to 540 deg, half of a table was left out, or all of it refused."""
+    longitudes = np.array([0.0, 10.0, 170.0, 190.0, 350.0, 360.0])
+    shifted = (
+        longitudes + turn_deg if turn_deg < 0.0 else np.where(longitudes < turn_deg, 360.0, 0.0) + longitudes
+    )
+    rows = [f"{k},{10 * k},{deg},4.0,3.0,90.0" for k, deg in enumerate(shifted)]
+    for read in (read_catalog, lambda *of: import_catalog(*of)[0]):
+        found = np.degrees(read(written(tmp_path, *rows), MOON).longitude_rad)
+        assert ((found >= -180.0) & (found <= 360.0)).all()
+        np.testing.assert_allclose(np.cos(np.radians(found - longitudes)), 1.0, atol=1e-12)
+
+
 def test_rows_that_are_no_rim_are_reported(tmp_path):
     path = written(
         tmp_path,
@@ -40,7 +54,7 @@ def test_rows_that_are_no_rim_are_reported(tmp_path):
         "outside,95.0,2.0,4.0,3.0,90.0",
         "swapped,1.0,2.0,3.0,4.0,90.0",
         "A,1.0,2.0,4.0,3.0,90.0",
-        "B,1.0,400.0,4.0,3.0,90.0",
+        "B,1.0,541.0,4.0,3.0,90.0",
         "C,1.0,2.0,4.0,0.0,90.0",
         "D,-1.0,-2.0,4.0,3.0,0.0",
     )

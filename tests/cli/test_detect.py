@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from craternav_fg.simulation.scenes import Ground, scene
 from tests.cli.calls import call
@@ -173,6 +174,15 @@ def test_an_empty_result_says_why(tmp_path, method):
         code, output, _ = detect(path, "-o", tmp_path / "rims.csv", "--method", method, "--force")
         assert code == 0
         assert output.startswith(reason)
+
+
+def test_pixels_of_the_declared_value_are_no_data(tmp_path):
+    path, tags = tmp_path / "frame.tif", ImageFileDirectory_v2()
+    tags[42113] = "90"
+    Image.fromarray(np.full((99, 99), 90, np.uint8)).save(path, tiffinfo=tags)
+    code, output, _ = detect(path, "-o", tmp_path / "rims.csv")
+    assert code == 0
+    assert output.startswith("no rims: the image has no data\n")
 
 
 def test_a_palette_is_read_as_grey(one, tmp_path):

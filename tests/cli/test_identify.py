@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from craternav_fg import frames
 from craternav_fg.catalogs.common_shift import CommonShift
 from craternav_fg.catalogs.files import write_catalog
+from craternav_fg.cli import identification
 from craternav_fg.dataset.sensor_files import camera_yaml
+from craternav_fg.errors import EstimationError
 from craternav_fg.simulation.catalog_views import ViewOptions, random_view, synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 from tests.cli.calls import call
@@ -118,6 +122,17 @@ def test_a_common_shift_of_the_map_is_in_the_covariance(case, identify) -> None:
     assert added == pytest.approx(2.0 * (3000.0 * range_radii) ** 2 + 2000.0**2, rel=1e-6)
 
 
+def test_an_error_of_the_lever_arm_is_in_the_covariance(case, identify) -> None:
+    folder, _, scene = case
+    (folder / "stated.yaml").write_text(camera_yaml(replace(scene.camera, lever_arm_sigma_m=40.0), 1.0))
+    alone, stated = (
+        np.array(json.loads(identify(folder / "rims.csv", "--json", *camera)[1])["pose"]["covariance"])
+        for camera in ((), ("--camera", folder / "stated.yaml"))
+    )
+    expected = np.diag([0.0, 0.0, 0.0, 1600.0, 1600.0, 1600.0])
+    np.testing.assert_allclose(stated - alone, expected, atol=1e-6 * alone.max())
+
+
 def test_an_unknown_height_of_the_ground_is_in_the_covariance_and_said(case, identify) -> None:
     folder, catalog, _ = case
     write_catalog(folder / "level.csv", replace(catalog, has_heights=False))
@@ -147,6 +162,22 @@ def test_identified_rims_are_what_pose_reads(case, identify, tmp_path) -> None:
     error = np.array(found["poses"][0]["position_m"]) - scene.gTb[:3, 3]
     assert found["status"] == "solved"
     assert (np.abs(error) < 6.0 * np.array(found["poses"][0]["position_sigma_m"])).all()
+
+
+def test_pixels_of_the_declared_value_are_holes(case, identify, tmp_path, monkeypatch) -> None:
+    camera = case[2].camera
+    image, tags = np.full((camera.height_px, camera.width_px), 90, np.uint8), ImageFileDirectory_v2()
+    image[:100], tags[42113] = 7, "7"
+    Image.fromarray(image).save(tmp_path / "frame.tif", tiffinfo=tags)
+    searched = []
+
+    def spied(pixels, *_):
+        searched.append(pixels)
+        raise EstimationError("not searched")
+
+    monkeypatch.setattr(identification, "identify_image", spied)
+    assert identify(tmp_path / "frame.tif")[2].endswith("not searched\n")
+    np.testing.assert_array_equal(searched[0][..., 1] == 0, image == 7)
 
 
 def test_one_image_needs_neither_pandas_nor_gtsam(case, identify, tmp_path) -> None:

@@ -295,6 +295,22 @@ def test_a_mounting_in_millimetres(files: Files, run: Run) -> None:
     assert "camera: its lever arm in T_BS is 1237 m; expected metres" in run(*EXACT).err
 
 
+def test_a_lever_arm_that_is_left_out_is_told_where_it_matters(files: Files, run: Run) -> None:
+    """Of a camera that is turned against the body: where both have the same axes, b is the camera."""
+    R = CAMERA.bTc[:3, :3]
+    for rotation, sigma_px, sigma_m, told in (
+        (R, "0.001", None, True),
+        (R, "0.001", 0.0, False),
+        (R, "1", None, False),
+        (np.eye(3), "0.001", None, False),
+    ):
+        camera = replace(CAMERA, bTc=frames.pose(rotation, np.zeros(3)), lever_arm_sigma_m=sigma_m)
+        (files.folder / "sensor.yaml").write_text(camera_yaml(camera, 1.0))
+        done = run("--sigma-px", sigma_px, *EXACT)
+        assert done.code == 0
+        assert ("its lever arm in T_BS is zero" in done.err) == told
+
+
 def test_one_of_two_matches_is_wrong_beside_a_vague_attitude(files: Files, run: Run) -> None:
     quaternion = ",".join(map(str, frames.to_quaternion_wxyz(files.gTb[:3, :3])))
     rims = files.rims(files.rows[0], files.rows[1].replace("01-b", "01-d"))

@@ -91,6 +91,7 @@ def random_measurements(rng: np.random.Generator) -> tuple[FrameMeasurement, ...
         if k < 2:
             points = tuple(0.1 * rng.standard_normal((m, 2)) for m in (3 + k,))
             sigmas = tuple(rng.uniform(1e-4, 1e-3, len(one)) for one in points)
-            arcs = ArcSet(np.array([1]), points, sigmas, np.array([2e-4]) if k else None)
+            sigma, roots = np.array([2e-4]), rng.standard_normal((1, 5, 8)) * 1e-3
+            arcs = ArcSet(np.array([1]), points, sigmas, sigma if k else None, roots if k else None)
         out.append(FrameMeasurement(stamp, rims, sun, arcs))
     return tuple(out)

@@ -71,6 +71,16 @@ def test_the_value_that_a_tiff_declares_to_mark_missing_pixels(tmp_path, dtype, 
         np.testing.assert_array_equal(plain, pixels)
 
 
+def test_a_pixel_is_missing_where_all_channels_are(tmp_path):
+    pixels = np.full((6, 8, 3), 90, np.uint8)
+    pixels[1, 1, 0], pixels[2, 2] = 0, 0
+    tags = ImageFileDirectory_v2()
+    tags[42113] = "0"
+    Image.fromarray(pixels).save(tmp_path / "colour.tif", tiffinfo=tags)
+    read = read_foreign_image(tmp_path / "colour.tif", opacity=True)
+    assert np.argwhere(read[..., 3] == 0).tolist() == [[2, 2]]
+
+
 @pytest.mark.parametrize("name", ["stack.tif", "void.tif", "one.tif", "one.png", "one.jpg", "one.gif"])
 def test_any_byte_may_be_wrong(tmp_path, name):
     path = tmp_path / name

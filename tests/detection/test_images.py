@@ -7,6 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from craternav_fg.detection import images
 from craternav_fg.detection.images import Where, detect_images
@@ -95,6 +97,28 @@ def test_what_is_done_is_kept_and_a_changed_image_is_done_again(frames, tmp_path
     assert sorted(asked[1:]) == sorted(map(str, paths))
     assert rows[0]["rims"] == 0
     assert timeless(folder)[0]["rims/frame1.csv"] == whole[0]["rims/frame1.csv"]
+    # By force all that is asked for, and nothing else stays.
+    asked.clear()
+    detect_images(paths[1:], folder, SETTINGS, HERE, force=True)
+    assert asked == [str(paths[1])]
+    assert [path.name for path in (folder / "rims").glob("*.csv")] == ["frame1.csv"]
+
+
+def test_pixels_of_the_declared_value_are_holes(frames, tmp_path, here, monkeypatch):
+    path, tags, searched = tmp_path / "frame.tif", ImageFileDirectory_v2(), []
+    tags[42113] = "0"
+    image = cv2.imread(str(frames[0]), cv2.IMREAD_GRAYSCALE)
+    image[:100] = 0
+    Image.fromarray(image).save(path, tiffinfo=tags)
+    detect = DetectionSettings.detect
+
+    def spied(self, pixels, sun_rad):
+        searched.append(pixels)
+        return detect(self, pixels, sun_rad)
+
+    monkeypatch.setattr(DetectionSettings, "detect", spied)
+    detect_images([path], tmp_path / "out", SETTINGS, HERE)
+    np.testing.assert_array_equal(searched[0][..., 1] == 0, image == 0)
 
 
 def test_other_options_are_refused_in_one_line_without_force(frames, tmp_path, here):

@@ -15,13 +15,15 @@ from craternav_fg.estimators.ekf.filter import ekf
 from craternav_fg.estimators.gnc import GncSmoother
 from craternav_fg.estimators.online import FixedLagSmoother, OnlineSmoother
 from craternav_fg.evaluation.metrics import errors, nees
-from craternav_fg.measurements import ArcSet, FrameMeasurement, RimSet
+from craternav_fg.measurements import SHARED_SIZE, ArcSet, FrameMeasurement, RimSet
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.conic import project_rims
 from tests.descents import problem, scenario
 
 SIGMA_PX = 0.3
 POINTS = 15
+# Of each coordinate, the same for all arcs of a descent.
+SHARED_PX = 1.0
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +124,26 @@ def test_a_frame_with_arcs_alone_measures(trials: list[tuple[Problem, Problem, T
     assert ratio ** (1 / 12) < 0.8
     error = frames.rotation_log(told.gTb[:3, :3].T @ truth.gRb[4]), truth.gP[4] - told.gTb[:3, 3]
     assert nees(np.concatenate(error)[None], told.covariance[None, :6, :6])[0] < chi2.ppf(0.9999, 6)
+
+
+@pytest.mark.parametrize("make", [BatchSmoother, OnlineSmoother, FixedLagSmoother])
+def test_what_all_arcs_share_is_estimated(
+    trials: list[tuple[Problem, Problem, Trajectory]], make: Callable[[], Estimator]
+) -> None:
+    """All arcs of a descent are shifted alike: no number of frames averages that out."""
+    means = {True: [], False: []}
+    for trial, (_, p, truth) in enumerate(trials[:3]):
+        everyone = np.random.default_rng(trial).standard_normal(2)
+        for known, found in means.items():
+            frames = []
+            for frame in p.frames:
+                roots = np.zeros((len(frame.arcs), 5, SHARED_SIZE))
+                roots[:, [0, 1], [0, 1]] = SHARED_PX / p.camera.focal_px
+                points = tuple(one + SHARED_PX / p.camera.focal_px * everyone for one in frame.arcs.points)
+                arcs = replace(frame.arcs, points=points, shared=roots if known else None)
+                frames.append(replace(frame, arcs=arcs))
+            estimate = make().estimate(replace(p, frames=frames))
+            assert estimate.pose_covariance is not None
+            found.append(nees(errors(estimate, truth).pose, estimate.pose_covariance).mean())
+    assert np.mean(means[True]) < 12.0
+    assert np.mean(means[False]) > 2.0 * np.mean(means[True])

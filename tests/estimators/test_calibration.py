@@ -20,7 +20,7 @@ from craternav_fg.simulation.scenario_tables import FaultsSection
 from craternav_fg.trajectory import Trajectory
 from tests.descents import problem, scenario
 
-TRIALS = 8
+TRIALS = 5
 MOUNTING_DEG, DELAY_S = 0.2, 0.02
 # The axis of the mounting's error is at random: so much falls on each of three.
 MOUNTING_SIGMA_RAD = np.radians(MOUNTING_DEG) / np.sqrt(3.0)

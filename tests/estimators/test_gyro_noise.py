@@ -9,9 +9,12 @@ from scipy.stats import chi2
 from craternav_fg.estimators.base import Problem
 from craternav_fg.estimators.batch import BatchSmoother
 from craternav_fg.estimators.ekf.filter import ekf
+from craternav_fg.estimators.filter_state import propagate, states_to_start
 from craternav_fg.estimators.graph import GraphOptions
 from craternav_fg.estimators.online import OnlineSmoother
 from craternav_fg.evaluation.sensor_consistency import smoothed_residuals
+from craternav_fg.motion.model import Motion
+from craternav_fg.motion.white_acceleration import white_acceleration
 from craternav_fg.trajectory import Trajectory
 from factors.kernels.strapdown import GYRO_BIAS, RATE
 from tests.descents import problem, scenario
@@ -63,3 +66,18 @@ def test_the_rate_of_a_session_has_the_noise_of_the_gyro(trials: list[tuple[Prob
     density = p.imu_noise.gyro_density_rad_s_sqrt_hz
     np.testing.assert_allclose(noise, 100.0 * density**2 * np.eye(3), rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(np.diag(P)[RATE], np.diag(filtered.covariance)[RATE], rtol=0.05)
+
+
+@pytest.mark.parametrize("motion", [None, white_acceleration(0.01)])
+@pytest.mark.parametrize("after_ns", [10_000_000, 1_000])
+def test_a_row_that_an_image_cuts_has_the_noise_of_the_whole(
+    trials: list[tuple[Problem, Trajectory]], motion: Motion | None, after_ns: int
+) -> None:
+    """A microsecond after a row began, the angular velocity was uncertain by 1 rad/s."""
+    p = replace(trials[0][0], sensors=(), motion=motion)
+    row_ns = int(p.imu.stamps_ns[100])
+    start = states_to_start(p)[-1]
+    P = propagate(start, p, row_ns - 500_000_000, row_ns + after_ns).covariance
+    noise = P[RATE, RATE] - P[GYRO_BIAS, GYRO_BIAS]
+    density = p.imu_noise.gyro_density_rad_s_sqrt_hz
+    np.testing.assert_allclose(noise, 100.0 * density**2 * np.eye(3), rtol=1e-4, atol=1e-9)

@@ -118,7 +118,7 @@ def test_intrinsics_are_estimated_along_with_an_orbit(data):
     assert stated > 10.0
 
 
-@pytest.mark.parametrize("kind", ["arcs", "tracked points"])
+@pytest.mark.parametrize("kind", ["arcs", pytest.param("tracked points", marks=pytest.mark.slow)])
 def test_arcs_and_tracked_points_of_another_lens_do_no_harm(kind, tmp_path):
     """They are normalised by the stated intrinsics; taken as right, they would contradict the rims."""
     rng, trials = np.random.default_rng(1), 4

@@ -36,8 +36,8 @@ def late(folder: Path, name: str, trial: int, first: int) -> tuple[Problem, Traj
     params=[
         # The prior's mean is 111 km off, and sees none of the ten rims.
         ("measured_descent", 0, 60),
-        ("measured_descent", 2, 60),
-        ("measured_descent", 0, 30),
+        pytest.param(("measured_descent", 2, 60), marks=pytest.mark.slow),
+        pytest.param(("measured_descent", 0, 30), marks=pytest.mark.slow),
         # A star tracker, altimeter and velocimeter measure before the first rims.
         ("lander_full", 0, 40),
     ],

@@ -74,6 +74,24 @@ def test_another_prime_meridian(truth: Trajectory, estimate: Trajectory) -> None
     assert "another prime meridian" in warning
 
 
+@pytest.mark.parametrize(
+    ("order", "signs", "said"),
+    [
+        ([1, 0, 2], [1, 1, 1], "with its y, x, z for x, y, z"),
+        ([0, 1, 2], [1, -1, 1], "with its x, -y, z for"),
+        ([2, 0, 1], [1, 1, -1], "with its y, -z, x for"),
+    ],
+)
+def test_other_axes(
+    truth: Trajectory, estimate: Trajectory, order: list[int], signs: list[int], said: str
+) -> None:
+    """Interchanged columns, velocities alike, passed for an estimator that is 1,000 km off."""
+    gTb = truth.gTb.copy()
+    gTb[:, :3, 3] = truth.gP[:, order] * signs
+    (warning,) = doubted_truth(estimate, replace(truth, gTb=gTb), SPIN)
+    assert said in warning
+
+
 def test_a_single_frame_tells_nothing_of_frames(truth: Trajectory, estimate: Trajectory) -> None:
     other = turned(truth, np.full(33, 0.2))
     first = [

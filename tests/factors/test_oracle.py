@@ -239,7 +239,10 @@ def test_rim_points(case: View) -> None:
     e, J = np.empty(n * m), np.empty((n * m, 6))
     offsets = m * np.arange(n + 1)
     sigmas = np.full(n * m, 0.5)
-    rim.rim_residuals(pose, EYE, c.centres, c.axes, offsets, points, sigmas, robust.NONE, 1.0, True, e, J)
+    roots, z = np.empty((n, 5, 0)), np.empty(0)
+    rim.rim_residuals(
+        pose, EYE, c.centres, c.axes, offsets, points, sigmas, roots, z, robust.NONE, 1.0, True, e, J
+    )
     for k, (flat, motion) in enumerate(rims(case)):
         q, dq = conics(flat, motion)
         for i in range(m * k, m * k + m):

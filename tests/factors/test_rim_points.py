@@ -7,13 +7,17 @@ from gtsam.symbol_shorthand import X
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize_scalar
 
+from craternav_fg.ellipse import points_on
 from factors.custom import Loss
 from factors.errors import FactorError
 from factors.kernels import rim
+from factors.kernels.robust import HUBER
 from factors.rim_points import rim_points_factor
 from tests.factors.conftest import View, make_view, rim_points
 from tests.factors.test_factors import values_at
 from tests.factors.test_robust import ESTIMATORS
+
+ERROR = gtsam.symbol("s", 0)
 
 
 def arcs(view: View, counts: tuple[int, ...] = (4, 7, 60, 1, 12)) -> list[np.ndarray]:
@@ -118,6 +122,60 @@ def test_short_arcs_alone_give_the_pose(view: View) -> None:
     assert np.abs(local[:3]).max() < 1e-8
 
 
+def moved_by(view: View, z: np.ndarray, loss: Loss = Loss()) -> tuple[gtsam.CustomFactor, np.ndarray]:
+    """Factor of arcs of the rims as an error z of two components moves them, and the roots of the error."""
+    rng = np.random.default_rng(4)
+    roots = rng.normal(0.0, 1e-3, (5, 5, 2)) * np.array([0.1, 0.1, 1.0, 1.0, 1.0])[:, None]
+    points = list(points_on(view.charts + roots @ z, 24)[:, :6])
+    c = view.catalog
+    factor = rim_points_factor(
+        X(0), view.bTc, c.centres, c.axes, points, [1e-3] * 5, loss, error=(ERROR, roots)
+    )
+    return factor, roots
+
+
+def both(gTb: np.ndarray, z: np.ndarray) -> gtsam.Values:
+    values = values_at(gTb)
+    values.insert(ERROR, z)
+    return values
+
+
+def test_zero_where_the_error_moves_the_rims_to_the_points(view: View) -> None:
+    z = np.array([1.5, -2.0])
+    factor, _ = moved_by(view, z)
+    assert list(factor.keys()) == [X(0), ERROR]
+    assert_allclose(factor.whitenedError(both(view.gTb, z)), 0.0, atol=1e-7)
+    assert np.abs(factor.whitenedError(both(view.gTb, np.zeros(2)))).max() > 0.1
+
+
+@pytest.mark.parametrize("loss", [Loss(), Loss(HUBER, 0.05)])
+def test_derivative_in_the_error(view: View, loss: Loss) -> None:
+    """Of half the squared norm, which the loss of each rim is part of."""
+    z = np.array([0.4, 0.3])
+    factor, _ = moved_by(view, np.array([1.5, -2.0]), loss)
+    A, b = factor.linearize(both(view.gTb, z)).jacobian()
+    gradient = -A[:, 6:].T @ b
+    for k, step in enumerate(1e-5 * np.eye(2)):
+        ends = [factor.error(both(view.gTb, z + sign * step)) for sign in (1.0, -1.0)]
+        assert_allclose(gradient[k], (ends[0] - ends[1]) / 2e-5, rtol=1e-4)
+
+
+def test_rims_out_of_sight_do_not_constrain_the_error(view: View) -> None:
+    factor, _ = moved_by(view, np.zeros(2))
+    away = view.gTb.copy()
+    away[:3, 3] *= -1.0
+    J = factor.linearize(both(away, np.zeros(2))).jacobian()[0]
+    assert (J == 0.0).all()
+
+
+def test_an_error_beside_a_variable_mounting_is_refused() -> None:
+    with pytest.raises(FactorError, match="error: expected a known mounting"):
+        rim_points_factor(
+            X(0), None, np.zeros((1, 3)), [[[2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]], [np.zeros((3, 2))], [1.0],
+            mounting_key=X(1), error=(ERROR, np.zeros((1, 5, 2))),
+        )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -130,6 +188,9 @@ def test_short_arcs_alone_give_the_pose(view: View) -> None:
         ({"sigmas": [1.0, 1.0]}, "sigmas: expected 1 craters, found 2"),
         ({"axes": [[[0.0, 1.0, 0.0], [2.0, 0.0, 0.0]]]}, r"axes\[0\]"),
         ({"bTc": np.ones((4, 4))}, "bTc"),
+        ({"error": (1, np.zeros((2, 5, 8)))}, r"error: expected shape \(1, 5, 8\), found \(2, 5, 8\)"),
+        ({"error": (1, np.zeros((1, 5, 0)))}, "error"),
+        ({"error": (1, np.full((1, 5, 8), np.nan))}, "error: expected finite"),
         ({"points": [], "sigmas": [], "centres": np.empty((0, 3)), "axes": np.empty((0, 2, 3))}, "rows"),
     ],
 )

@@ -21,14 +21,14 @@ def quiet(gTb: np.ndarray, bTc: np.ndarray, linearise: bool, e: np.ndarray, J: n
 
 
 @pytest.mark.parametrize("mounting", [False, True])
-def test_memory_is_flat_over_100_000_factors(mounting: bool) -> None:
-    """50,000 of each kind, each linearised once; kept, they would hold more than 100 MB."""
+def test_memory_is_flat_over_50_000_factors(mounting: bool) -> None:
+    """25,000 of each kind, each linearised once; kept, they would hold more than 50 MB."""
     values = gtsam.Values()
     values.insert(X(0), gtsam.Pose3())
     values.insert(C(0), gtsam.Pose3())
     sizes = []
     for _ in range(6):
-        for _ in range(10_000):
+        for _ in range(5_000):
             if mounting:
                 factor = pose_factor(X(0), 30, quiet, None, C(0))
             else:
@@ -36,7 +36,7 @@ def test_memory_is_flat_over_100_000_factors(mounting: bool) -> None:
             factor.linearize(values)
         del factor
         sizes.append(resident_kb())
-    assert sizes[-1] - sizes[0] < 10_000
+    assert sizes[-1] - sizes[0] < 5_000
 
 
 def resident_kb() -> int:

@@ -65,7 +65,8 @@ def one_row(
     V, bias = 900.0 * rng.normal(size=3), 1e-3 * rng.normal(size=6)
     w, f = 0.1 * rng.normal(size=3), 3.0 * rng.normal(size=3)
     gyro, force = (w + bias[:3])[None], (f + bias[3:])[None]
-    out = strapdown.propagate(gTb, V, bias, covariance, np.array([dt_s]), gyro, force, MU, SPIN, noise)[3]
+    dt = np.array([dt_s])
+    out = strapdown.propagate(gTb, V, bias, covariance, dt, gyro, force, MU, SPIN, noise, dt_s)[3]
     return out[np.ix_(ROWS, ROWS)], (gTb[:3, :3].ravel(), gTb[:3, 3], V, w, f, SPIN)
 
 
@@ -113,7 +114,7 @@ def test_attitude_of_one_row_is_exact(turn_rad: float) -> None:
     bias = np.array([1e-3, 2e-3, -1e-3, 0.0, 0.0, 0.0])
     found = strapdown.propagate(
         gTb, np.zeros(3), bias, np.eye(18), np.ones(1), (w + bias[:3])[None], np.zeros((1, 3)), MU, spin,
-        np.zeros(4),
+        np.zeros(4), 1.0,
     )[0]  # fmt: skip
     before, after = (expm(np.array(skew(v), dtype=np.float64)) for v in (-spin, w))
     assert_allclose(found[:3, :3], before @ gTb[:3, :3] @ after, rtol=0.0, atol=1e-14)

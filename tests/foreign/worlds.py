@@ -41,11 +41,16 @@ def draw_world(
     optics: Optics | None = None,
     frames: int = FRAMES,
     ground: GroundKind | None = None,
+    sun_deg: float | None = None,
 ) -> World:
-    """Draw and render a descent, over the kind's ground or another; takes some seconds."""
+    """Draw and render a descent, over the kind's ground or another; takes some seconds.
+
+    The sun is 22 to 50 deg high, or `sun_deg`.
+    """
     rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
     law = LAWS[int(rng.integers(len(LAWS)))]
-    height, azimuth = np.radians(rng.uniform(22.0, 50.0)), rng.uniform(0.0, 2.0 * np.pi)
+    drawn_deg, azimuth = rng.uniform(22.0, 50.0), rng.uniform(0.0, 2.0 * np.pi)
+    height = np.radians(drawn_deg if sun_deg is None else sun_deg)
     sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])
     site = Site.at(*np.radians([rng.uniform(-40.0, 40.0), rng.uniform(-180.0, 180.0)]))
     motion = draw_motion(rng, site, HIGH_M, LOW_M, DURATION_S)

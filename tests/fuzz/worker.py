@@ -18,6 +18,9 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from markupsafe import Markup
+
+from craternav_fg.reports import campaign_page
 from tests.cli.calls import call
 from tests.fuzz.mutate import spoil
 from tests.fuzz.target import Target
@@ -25,7 +28,8 @@ from tests.fuzz.targets import make_targets
 
 MEMORY = 2 << 30
 SECONDS = 20.0
-# Figures take most of the time of a reconstruction that succeeds: they are drawn in one case of so many.
+# Figures take most of the time of a reconstruction or a campaign's report that succeeds: they are drawn in
+# one case of so many.
 DRAWN_EVERY = 8
 
 
@@ -37,9 +41,11 @@ def say(what: dict[str, Any]) -> None:
 
 def figures(*, drawn: bool) -> contextlib.AbstractContextManager[object]:
     """Draw the figures of a run, or not."""
-    if drawn:
-        return contextlib.nullcontext()
-    return mock.patch("craternav_fg.runs.execute._figures", return_value={})
+    stack = contextlib.ExitStack()
+    if not drawn:
+        stack.enter_context(mock.patch("craternav_fg.runs.execute._figures", return_value={}))
+        stack.enter_context(mock.patch.object(campaign_page, "inline_svg", return_value=Markup()))
+    return stack
 
 
 def reading(commands: list[list[str]], path: Path) -> list[list[str]]:

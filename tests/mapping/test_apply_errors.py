@@ -109,7 +109,7 @@ def test_others_keep_their_numbers_and_the_common_shift_stays(trials):
 
 
 @pytest.mark.parametrize("sigma", [1e-3, 0.02, 0.3])
-@pytest.mark.parametrize("number", [8, 60])
+@pytest.mark.parametrize("number", [8, pytest.param(60, marks=pytest.mark.slow)])
 def test_corrected_rims_show_how_far_the_others_are_off(number, sigma):
     """Their estimates shrink to the prior the more, the less the images show of them."""
     n, prior = 100, 0.02

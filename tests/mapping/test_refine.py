@@ -279,7 +279,14 @@ def refined_circles(place):
     return mapped, refine_on_dem(mapped, dem)
 
 
-@pytest.mark.parametrize("place", ["imbrium_copernicus", "posidonius", "southern_highlands"])
+# One stands for the others in the quick tests.
+PLACES = (
+    "posidonius",
+    *(pytest.param(place, marks=pytest.mark.slow) for place in ("imbrium_copernicus", "southern_highlands")),
+)
+
+
+@pytest.mark.parametrize("place", PLACES)
 def test_heights_of_a_coarse_model_are_those_of_the_crests(place):
     """At 16 px/deg crests are smoothed away: without a correction rims would lie 20 m low."""
     mapped, rims = refined_circles(place)
@@ -361,7 +368,7 @@ def test_a_model_of_elsewhere_is_one_line(worlds, tmp_path):
     assert not (tmp_path / "x.parquet").exists()
 
 
-@pytest.mark.parametrize("place", ["imbrium_copernicus", "posidonius", "southern_highlands"])
+@pytest.mark.parametrize("place", PLACES)
 def test_real_rims_come_closer_to_those_that_people_traced(place):
     """Circles of LU1319381 against Robbins' ellipses, drawn by hand on other images."""
     mapped, rims = refined_circles(place)

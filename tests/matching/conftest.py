@@ -8,6 +8,6 @@ from craternav_fg.simulation.catalog_views import synthetic_catalog
 from craternav_fg.simulation.scenes import MOON
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def synthetic() -> TripleIndex:
     return TripleIndex.build(synthetic_catalog(MOON, np.random.default_rng(0)))

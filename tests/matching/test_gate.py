@@ -106,7 +106,7 @@ def test_priors_wrong_by_three_sigma(sigma_deg, sigma_m, scenes):
     assert wrong / (right + wrong) <= 0.002
 
 
-@pytest.mark.parametrize("up_m", [-11.5e3, -7e3, 11.5e3])
+@pytest.mark.parametrize("up_m", [-11.5e3, pytest.param(-7e3, marks=pytest.mark.slow), 11.5e3])
 def test_an_altitude_known_to_half_of_itself(up_m):
     """Predicted below the ground, at an eighth of the altitude, or at more than twice it."""
     rng = np.random.default_rng(17)

@@ -38,7 +38,8 @@ from tests.shared_data import shared
 EXACT_CAMERA = IdentifyOptions(focal_sigma_share=0.0, principal_sigma_px=0.0)
 
 
-@pytest.fixture(scope="module", params=["synthetic", "real"])
+# Real photographs on the real catalogue are in test_identify_apollo.py.
+@pytest.fixture(scope="module", params=["synthetic", pytest.param("real", marks=pytest.mark.slow)])
 def index(request: pytest.FixtureRequest, synthetic: TripleIndex) -> TripleIndex:
     if request.param == "synthetic":
         return synthetic

@@ -199,7 +199,7 @@ def test_a_promising_pose_is_expanded_with_finer_sizes(synthetic) -> None:
 
 
 def test_an_answer_may_need_finer_sizes(synthetic, monkeypatch) -> None:
-    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 20))
+    view = random_view(synthetic.catalog, ViewOptions(), np.random.default_rng(8), true_rims=(8, 12))
     asked = []
 
     def noted(given, gTc, match, sigma_px):

@@ -57,10 +57,8 @@ def test_measured_rims_without_an_initial_state(folders):
         assert final_error_m(lost, result, name) < 4.0 * sigma_m
 
 
-def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, monkeypatch):
-    lost = Dataset.open(folders[1])
-    write_catalog(tmp_path / layout.LARGE_CRATERS, lost.catalog)
-    catalog = read_catalog(tmp_path / layout.LARGE_CRATERS, lost.body)
+def detected(lost, monkeypatch):
+    """Let the rims of the first frame be what is detected in its image."""
     chart = lost.measurements[0].rims.chart
     charts = pixel_chart(chart, lost.camera.pinhole)
     S = matrix_of_chart(pixel_chart(chart, lost.camera))
@@ -71,8 +69,29 @@ def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, 
         covariance_px=np.tile(0.01 * np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4]), (len(charts), 1, 1)),
         traced=np.ones(len(charts), bool),
     )
-    data = dataclasses.replace(lost, path=tmp_path, catalog=catalog, measurements=None)
     monkeypatch.setattr(Relocaliser, "_rims", lambda self, number: found)
+    return dataclasses.replace(lost, measurements=None)
+
+
+def test_identification_among_some_craters(folders, monkeypatch):
+    data = detected(Dataset.open(folders[1]), monkeypatch)
+    monkeypatch.setattr(Relocaliser, "_image", lambda self, index: None)
+    monkeypatch.setattr(relocalisation, "find_rims_network", lambda *_: Relocaliser._rims(None, 0))
+    relocaliser, everything = Relocaliser(data), np.arange(len(data.catalog))
+    whole = relocaliser.locate(0)
+    shown = Dataset.open(folders[1]).measurements[0].rims.craters
+    some = relocaliser.locate(0, None, np.union1d(shown, everything[::2]))
+    assert some.rims == whole.rims
+    np.testing.assert_allclose(some.gTb, whole.gTb, rtol=1e-9)
+    assert relocaliser.locate(0, None, np.setdiff1d(everything, shown)) is None
+    assert relocaliser.locate(0, None, everything[:0]) is None
+
+
+def test_the_index_of_a_large_catalogue_is_kept_in_the_cache(folders, tmp_path, monkeypatch):
+    lost = Dataset.open(folders[1])
+    write_catalog(tmp_path / layout.LARGE_CRATERS, lost.catalog)
+    catalog = read_catalog(tmp_path / layout.LARGE_CRATERS, lost.body)
+    data = dataclasses.replace(detected(lost, monkeypatch), path=tmp_path, catalog=catalog)
     relocaliser = Relocaliser(data)
     first = relocaliser.locate(0)
     kept = index_path(tmp_path / layout.LARGE_CRATERS)
@@ -220,7 +239,7 @@ def test_the_network_is_asked_with_the_predicted_sun_where_clear_rims_do_not_tel
     monkeypatch.setattr("craternav_fg.pipeline.relocalisation.find_rims", lambda image: "clear rims")
     monkeypatch.setattr("craternav_fg.pipeline.relocalisation.find_rims_network", network)
     known = "clear rims", "rims of the network"
-    monkeypatch.setattr(Relocaliser, "_identified", lambda self, rims: rims if rims in known else None)
+    monkeypatch.setattr(Relocaliser, "_identified", lambda self, rims, *_: rims if rims in known else None)
     relocaliser = Relocaliser(data)
     assert (relocaliser.locate(0, 0.3), asked) == ("clear rims", [])
     known = ("rims of the network",)

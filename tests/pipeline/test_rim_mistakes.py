@@ -67,5 +67,8 @@ def test_a_mistake_in_the_catalogue_is_named_and_an_unknown_one_is_not(data: Dat
     assert likely(angle_rad=np.pi / 2 - catalog.angle_rad) == (
         "DIAM_ELLI_ANGLE_IMG is counted from north towards east"
     )
+    west = "the catalogue's longitudes are positive west"
+    assert likely(longitude_rad=2.0 * np.pi - catalog.longitude_rad) == west
+    assert likely(latitude_rad=-catalog.latitude_rad) == "the catalogue's latitudes are positive south"
     assert likely(angle_rad=catalog.angle_rad + 0.7) == ""
     assert likely() == ""

@@ -17,6 +17,7 @@ from craternav_fg.pipeline.relocalisation import PoseFix
 from craternav_fg.pipeline.tracking import Tracker, _Guided, _Track
 from craternav_fg.simulation.scenario import simulate
 from craternav_fg.vision.guided_options import GuidedOptions
+from factors.arrays import IntArray
 from tests.descents import scenario
 
 
@@ -73,17 +74,46 @@ def test_an_image_agrees_with_enough_rims(
 
 def test_identification_is_tried_less_and_less_often(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ground without any known crater is no lost track."""
-    asked: list[int] = []
+    # At the first image at once; from 3 on, at the second, fourth and eighth.
+    assert asked(data, monkeypatch, attitude_rad=1e-4, position_m=5.0) == [
+        (k, True) for k in (0, 1, 4, 6, 10)
+    ]
+
+
+def test_identification_is_tried_in_every_image_that_nothing_guides(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Worn ground shows enough rims in a few images only. The whole map is asked less and less often."""
+    tried = asked(data, monkeypatch, attitude_rad=0.02, position_m=4e3)
+    assert [k for k, _ in tried] == [k for k in range(12) if k != 2]
+    assert [k for k, whole in tried if whole] == [0, 1, 4, 6, 10]
+
+
+def asked(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch, attitude_rad: float, position_m: float
+) -> list[tuple[int, bool]]:
+    """Images, of twelve of which only the third agrees, that are identified, and whether by the whole map."""
+    tried: list[tuple[int, bool]] = []
     tracker = tracker_of(data)
-    tracker.relocaliser = SimpleNamespace(locate=lambda index, sun: asked.append(index))
+    craters = len(data.catalog)
+
+    def locate(index: int, sun_angle_rad: float | None, among: IntArray | None) -> None:
+        assert among is None or 0 < len(among) <= craters
+        tried.append((index, among is None))
+
+    tracker.relocaliser = SimpleNamespace(locate=locate)
     monkeypatch.setattr(Tracker, "_expected", lambda self, gTb: 20)
-    state = filter_state.prior(Descent.of(data))
+    prior = filter_state.prior(Descent.of(data))
+    covariance = prior.covariance.copy()
+    covariance[:6, :6] = np.diag(np.repeat([attitude_rad, position_m], 3)) ** 2
+    state = dataclasses.replace(prior, covariance=covariance)
     few, enough = first_frame(data, 4), first_frame(data, 5)
     monkeypatch.setattr(Tracker, "_sun_angle_rad", lambda *_: None)
+    # The clock stands still.
+    tracker.dataset = dataclasses.replace(data, stamps_ns=np.repeat(data.stamps_ns[:1], 12))
     for index in range(12):
         assert tracker._relocalise(index, state, enough if index == 2 else few) is None
-    # At the first image at once; from 3 on, at the second, fourth and eighth.
-    assert asked == [0, 1, 4, 6, 10]
+    return tried
 
 
 def test_an_identified_pose_that_only_confirms_is_not_used(
@@ -109,7 +139,7 @@ def test_an_identified_pose_that_only_confirms_is_not_used(
     ):
         tracker = tracker_of(data)
         fix = PoseFix(gTb, spread, 9)
-        tracker.relocaliser = SimpleNamespace(locate=lambda index, sun, fix=fix: fix)
+        tracker.relocaliser = SimpleNamespace(locate=lambda *_, fix=fix: fix)
         there = _Guided(first_frame(data, shown), gTb)
         monkeypatch.setattr(Tracker, "_guided", lambda *_, there=there: there)
         found = tracker._relocalise(0, state, first_frame(data, had))
@@ -117,6 +147,6 @@ def test_an_identified_pose_that_only_confirms_is_not_used(
         assert found is None or (found[0] is fix and found[1] is there.frame)
     # After a poor prediction any pose helps, also one that agrees.
     covariance[:6, :6] = np.diag(np.repeat([0.1, 5e3], 3)) ** 2
-    tracker.relocaliser = SimpleNamespace(locate=lambda index, sun: PoseFix(state.gTb, spread, 9))
+    tracker.relocaliser = SimpleNamespace(locate=lambda *_: PoseFix(state.gTb, spread, 9))
     poor = dataclasses.replace(state, covariance=covariance)
     assert tracker._relocalise(0, poor, first_frame(data, 1)) is not None

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from craternav_fg import frames
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.evaluation.innovations import Innovations
 from craternav_fg.evaluation.sensor_consistency import ResidualSummary
 from craternav_fg.pipeline import input_warnings, warnings
+from craternav_fg.pipeline.displacement import displacement
 from craternav_fg.simulation.scenes import MOON
 
 
@@ -206,6 +208,9 @@ def test_without_rims_sensors_that_contradict_each_other_are_not_trusted() -> No
 
 def test_a_prior_that_the_data_contradict_is_told_with_what_to_check() -> None:
     assert warnings.contradicted_prior({"attitude": 4.9, "gyro bias": 5.0}, 0.1) == []
+    assert warnings.contradicted_prior({"position": 3.9}, 0.1) == []
+    # Nothing else contradicts a catalogue in another frame.
+    assert len(warnings.contradicted_prior({"position": 4.1}, 0.1)) == 1
     attitude, bias = warnings.contradicted_prior({"attitude": 40.0, "gyro bias": 6.0}, 50.0)
     assert attitude.startswith("the smoothed trajectory is 40 sigma from the initial attitude; check")
     assert "T_BS" in attitude
@@ -215,6 +220,27 @@ def test_a_prior_that_the_data_contradict_is_told_with_what_to_check() -> None:
         assert ("read as x, y, z, w it agrees" in text) == blamed
     (text,) = warnings.contradicted_prior({"attitude": 6.0}, 4.0)
     assert "it agrees" not in text
+
+
+def test_a_position_elsewhere_is_told_in_degrees_and_metres() -> None:
+    """A map in another frame moves all positions by the same angles."""
+
+    def position(latitude_deg: float, longitude_deg: float, radius_m: float) -> np.ndarray:
+        return radius_m * frames.up(*np.radians([latitude_deg, longitude_deg]))
+
+    before = position(10.0, 179.9, 1.8e6)
+    said = displacement(before, position(9.75, -179.6, 1.80002e6))
+    assert said == (
+        "17.4 km from it (0.500 deg of longitude to the east, 0.250 deg of latitude to the south, "
+        "20 m higher)"
+    )
+    assert displacement(before, 0.999 * before).startswith("1800 m from it (0.000 deg")
+    (text,) = warnings.contradicted_prior({"position": 9.0}, np.inf, said)
+    assert text.startswith(
+        f"the smoothed trajectory is 9 sigma from the initial position: {said}; check long"
+    )
+    (text,) = warnings.replaced_states("replaced", (), "", said)
+    assert f"one from identified craters, {said}; check longitudes and latitudes in the catalogue" in text
 
 
 def test_singular_covariances_are_counted() -> None:

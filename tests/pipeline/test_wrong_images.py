@@ -55,14 +55,14 @@ def tracked(
         sun = measured[there].sun if seen and with_sun else None
         return _Guided(FrameMeasurement(int(data.stamps_ns[index]), rims, sun), gTb)
 
-    def locate(index: int, sun_angle_rad: float | None) -> PoseFix | None:
+    def locate(index: int, *_: object) -> PoseFix | None:
         return None if shown[index] == DARK else PoseFix(truth.gTb[shown[index]], SPREAD, 9)
 
     monkeypatch.setattr(Tracker, "_guided", guided)
     monkeypatch.setattr("craternav_fg.pipeline.tracking.acquire", lambda *_: None)
     monkeypatch.setattr(Dataset, "image", lambda self, index: None)
     relocaliser: Any = SimpleNamespace(
-        locate=locate, match=lambda index, *_: locate(index, None) if shown[index] == index else None
+        locate=locate, match=lambda index, *_: locate(index) if shown[index] == index else None
     )
     front_end: Any = SimpleNamespace(options=GuidedOptions())
     return Tracker(data, Descent.of(data), front_end, relocaliser, repeated).run(lambda *_: None)

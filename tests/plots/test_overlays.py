@@ -15,6 +15,8 @@ from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import FrameMeasurement, RimSet, SunTilt
 from craternav_fg.plots import overlays
 from craternav_fg.plots.style import save
+from craternav_fg.workers import processes
+from tests.campaign import inline
 from tests.vision import scene
 
 
@@ -124,7 +126,12 @@ class Frames:
         return self.overlay.image + np.uint8(index)
 
 
-def test_processes_draw_the_same_as_one(one, tmp_path: Path, monkeypatch):
+@pytest.mark.parametrize(
+    "workers",
+    [pytest.param(inline.processes, id="inline"), pytest.param(processes, marks=pytest.mark.slow, id="real")],
+)
+def test_processes_draw_the_same_as_one(one, tmp_path: Path, monkeypatch, workers):
+    monkeypatch.setattr(overlays, "processes", workers)
     overlay = one[0]
     data = Frames(*one)
     frames = [replace(overlay.frame, stamp_ns=int(stamp)) for stamp in data.stamps_ns]

@@ -56,7 +56,7 @@ def test_own_estimators_of_a_run_have_lines_of_their_own() -> None:
         assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 8
 
 
-@pytest.mark.parametrize("frames_count", [1, 2, 9])
+@pytest.mark.parametrize("frames_count", [1, pytest.param(2, marks=pytest.mark.slow), 9])
 def test_a_vertical_descent_and_a_single_frame_are_drawn(tmp_path: Path, frames_count: int) -> None:
     t, truth = straight_down(frames_count, off=1.0), straight_down(frames_count)
     for number, figure in enumerate(

@@ -188,6 +188,8 @@ def test_hard_set_ups_leave_sentences_without_nan(change: dict[str, object], tmp
     assert any("No trial counts" in result.note for result in results)
 
 
+# In the quick tests, test_pool.py sees that tasks done in processes come back as they were.
+@pytest.mark.slow
 def test_processes_change_nothing() -> None:
     seen: list[tuple[int, int]] = []
     shared = fig11_14_trials.simulate(

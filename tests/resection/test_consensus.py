@@ -1,6 +1,7 @@
 """Rims that agree by chance, or are all wrong alike, are no pose; many wrong matches still are one."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -179,6 +180,36 @@ def test_the_focal_length_is_estimated_within_its_sigma(catalog: Catalog, focal_
         fit = fit_intrinsics(problem, view.gTb, IntrinsicsPrior(view.camera.focal_px, 0.05))
         off.append((np.log(fit.focal_scale) + np.log(focal_scale)) / fit.focal_scale_sigma)
     assert np.mean(np.square(off)) == pytest.approx(1.0, abs=0.7)
+
+
+def test_errors_of_rims_do_not_change_the_focal_length_of_many_images(catalog: Catalog) -> None:
+    """Each rim pulled it up: small ones to five standard errors over forty frames of an orbit."""
+    rng = np.random.default_rng(15)
+    estimates, information = [], []
+    for k in range(30):
+        view = draw(catalog, rng, k)
+        rims = matched(catalog, view, rng).rims
+        root = np.linalg.cholesky(rims.covariance)
+        for _ in range(4):
+            # Edges of 6 px in place of 1 px.
+            noise = np.sqrt(35.0) * (root @ rng.normal(size=(len(rims), 5, 1)))[..., 0]
+            noisy = replace(rims, chart=rims.chart + noise, covariance=36.0 * rims.covariance)
+            prior = IntrinsicsPrior(view.camera.focal_px)
+            fit = fit_intrinsics(ResectionProblem(noisy), view.gTb, prior)
+            estimates.append(np.log(fit.focal_scale))
+            information.append(fit.focal_scale_sigma**-2)
+    assert abs(np.dot(information, estimates)) < 3.5 * np.sqrt(np.sum(information))
+
+
+@pytest.mark.parametrize(("focal_scale", "said"), [(1.09, "contradict by 3.4 sigma"), (1.05, "cannot check")])
+def test_a_focal_length_that_is_doubtful_is_said_to_be(focal_scale: float, said: str) -> None:
+    fit = IntrinsicsFit(
+        gTb=np.eye(4), covariance=np.eye(6), effect=np.full((6, 3), 1e5), unknowns=np.zeros(3),
+        unknowns_covariance=np.eye(3), focal_scale=focal_scale, focal_scale_sigma=0.025,
+        principal_shift_px=np.zeros(2), principal_covariance_px2=np.eye(2), cost=0.0, converged=True,
+    )  # fmt: skip
+    (warning,) = intrinsics_warnings(fit, IntrinsicsPrior(700.0))
+    assert f"these rims {said}" in warning
 
 
 def test_a_focal_length_far_off_is_fitted_until_it_converges(catalog: Catalog) -> None:

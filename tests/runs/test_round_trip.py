@@ -187,7 +187,7 @@ def test_the_calibration_of_every_segment_is_written(tmp_path: Path) -> None:
         of_map = {row: (np.full(6, e), np.full(6, sigma)) for row, (e, sigma) in errors.items()}
         return Calibrated(mounting_rad=(np.full(3, turn_rad), np.full(3, 1e-4)), map_errors=of_map)
 
-    parts = found(0.0, {0: (0.1, 0.01), 1: (0.2, 0.05)}), found(0.01, {1: (0.3, 0.02)})
+    parts = found(0.0, {0: (0.1, 0.01), 1: (0.2, 0.05)}), found(0.01, {0: (0.4, 0.03), 1: (0.3, 0.02)})
     estimate = replace(trajectory(20e3, sigma=0.5), calibrated=parts[1], calibrated_at=parts)
     begun_anew = {"trajectories": {"smoother": estimate}, "reinitialised_at": (1,)}
     result = Reconstruction(**{**vars(reconstruction()), **begun_anew})

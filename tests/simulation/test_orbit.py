@@ -86,7 +86,7 @@ def test_other_motion_models_are_consistent_on_orbits_of_their_own(tmp_path, mod
     path.write_text(
         f'{head}[motion]\nmodel = "{model}"\n{text}\nrate_walk = 1e-6\n\n{rest[rest.index("[trajectory]") :]}'
     )
-    trials, nees = 8, {}
+    trials, nees = 4, {}
     for trial in range(trials):
         data = Dataset.open(simulate(path, tmp_path / f"{trial}", trial=trial))
         assert data.motion.name == model

@@ -158,7 +158,7 @@ def test_a_tilt_tells_nothing_of_the_true_position(case3):
 
 
 def test_a_trial_determines_its_data(tmp_path):
-    scenario = shortened(CASE3, 600.0)
+    scenario = shortened(CASE3, 100.0)
     first, again, other = (
         Dataset.open(simulate(scenario, tmp_path / name, trial=trial))
         for name, trial in (("a", 4), ("b", 4), ("c", 5))

@@ -13,11 +13,16 @@ MOON = Body("Moon", 1_737_400.0, 4.9028e12, (0.0, 0.0, 2.66e-6))
 SITE = frames.east_north_up(np.array(0.1), np.array(0.2))
 ALTITUDE_M = 20e3
 SIZE_PX = 512
+# Optics, and the mean of two samples a pixel.
+BLUR_PX, PIXEL_PX = 0.7, 0.25
 
 
 def camera():
     focal = 0.5 * SIZE_PX / np.tan(np.deg2rad(22.0))
-    return Camera(SIZE_PX, SIZE_PX, focal, focal, 0.5 * (SIZE_PX - 1), 0.5 * (SIZE_PX - 1))
+    middle = 0.5 * (SIZE_PX - 1)
+    return Camera(
+        SIZE_PX, SIZE_PX, focal, focal, middle, middle, psf_sigma_px=float(np.hypot(BLUR_PX, PIXEL_PX))
+    )
 
 
 def pose(heading_rad=0.3, tilt_deg=0.0):
@@ -84,7 +89,7 @@ def _around(points, centre, reach_m, step=16):
     return tuple(slices)
 
 
-def render(catalog, gTb, sun_g, rng, *, noise=1.0, blur_px=0.7, roughness=0.0, level=110.0, cam=None):
+def render(catalog, gTb, sun_g, rng, *, noise=1.0, blur_px=BLUR_PX, roughness=0.0, level=110.0, cam=None):
     cam = cam or camera()
     v, u = np.mgrid[0 : 2 * SIZE_PX, 0 : 2 * SIZE_PX]
     rays = np.dstack([cam.normalised(np.dstack([u, v]) / 2.0 - 0.25), np.ones(u.shape)]) @ gTb[:3, :3].T

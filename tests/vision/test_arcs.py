@@ -14,6 +14,12 @@ from craternav_fg.estimators.optimise import levenberg_marquardt
 from craternav_fg.imu import ImuLog, ImuNoise
 from craternav_fg.measurements import ArcSet
 from craternav_fg.trajectory import InitialState
+from craternav_fg.vision.error_model.correlated import (
+    CorrelatedErrorOptions,
+    correlated_roots,
+    shared_of_arcs,
+)
+from craternav_fg.vision.error_model.systematic import RimErrors
 from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.kernels.conic import project_rims
 from tests.vision import scene
@@ -102,6 +108,22 @@ def test_arcs_help_and_are_consistent(frames):
     before, after = np.sqrt(np.mean(np.square(errors), axis=0))
     assert after < 0.6 * before
     assert np.mean(distance2) / 6.0 < 2.0
+
+
+def test_arcs_share_what_the_rims_beside_them_share(frames):
+    """But for the growth, of which they are freed, and the reference brightness."""
+    for catalog, gTb, frame in frames:
+        rows = np.concatenate([frame.arcs.craters, frame.rims.craters])
+        sun_g = scene.sun(35.0)
+        camera, options = scene.camera(), CorrelatedErrorOptions()
+        shared = shared_of_arcs(rows, gTb, sun_g, camera, catalog, options)
+        none = np.zeros((len(rows), 5, 5)) + 1e-9 * np.eye(5)
+        errors = RimErrors(none, none, np.full((len(rows), 5), 1e-5))
+        of_rims = correlated_roots(errors, rows, gTb, sun_g, camera, catalog, options)[1]
+        np.testing.assert_allclose(shared[:, :, :5], of_rims[:, :, :5])
+        assert (shared[:, :, 5:] == 0.0).all()
+        assert frame.arcs.shared.shape == (len(frame.arcs), 5, 8)
+        assert np.abs(frame.arcs.shared[:, :, :5]).max(axis=(1, 2)).min() > 0.0
 
 
 def test_no_arcs_without_whole_rims_to_tell_the_pose():

@@ -4,7 +4,8 @@ import numpy as np
 
 from craternav_fg.ellipse import points_on
 from craternav_fg.measurements import RimSet
-from craternav_fg.vision.error_model.common_growth import common_growth, without_growth
+from craternav_fg.vision import guided
+from craternav_fg.vision.error_model.common_growth import CommonGrowth, common_growth, without_growth
 from craternav_fg.vision.error_model.correlated import radii_px
 from craternav_fg.vision.guided import GuidedFrontEnd
 from factors.kernels.conic import project_rims
@@ -80,3 +81,25 @@ def test_arcs_are_no_larger_where_all_rims_are():
     assert len(arcs_px) >= 12
     assert np.mean(rims_px) > 0.25
     assert abs(np.mean(arcs_px)) < 0.4 * np.mean(rims_px)
+
+
+def test_arcs_are_as_uncertain_as_the_growth(monkeypatch):
+    rng = np.random.default_rng(40)
+    catalog = scene.craters(rng, 26, 14.0, 40.0, half=0.48)
+    gTb, sun_g = scene.pose(1.0), scene.sun(30.0)
+    image = scene.render(catalog, gTb, sun_g, rng)
+    sigmas = []
+    for variance_px2 in (0.0, 1.0):
+        growth = CommonGrowth(np.zeros(2), np.diag([variance_px2, 0.0]))
+        monkeypatch.setattr(guided, "common_growth", lambda *_, growth=growth: growth)
+        arcs = (
+            GuidedFrontEnd(scene.camera(), catalog).measure(image, 0, gTb, scene.covariance(0.5), sun_g).arcs
+        )
+        assert arcs.correlated_sigmas is not None
+        px = scene.camera().focal_px * arcs.correlated_sigmas
+        sigmas.append(dict(zip(arcs.craters.tolist(), px, strict=True)))
+    both = sigmas[0].keys() & sigmas[1].keys()
+    assert len(both) >= 3
+    # Of one pixel along the major axis, less across foreshortened rims.
+    added = [np.sqrt(sigmas[1][row] ** 2 - sigmas[0][row] ** 2) for row in both]
+    assert 0.7 < min(added) <= max(added) < 1.1

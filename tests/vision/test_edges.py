@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from craternav_fg.camera import Camera
-from craternav_fg.vision import crater_profile, edge_kernel, rim_geometry, shift_kernel
+from craternav_fg.vision import crater_profile, edge_kernel, normal_profile, rim_geometry, shift_kernel
 
 REFERENCE = 100.0
 CENTRE = np.array([61.3, 58.8])
@@ -14,6 +14,9 @@ NO_OFFSET = np.zeros((len(crater_profile.BLUR_RADII), len(crater_profile.SLOPE_C
 NO_OFFSET.flags.writeable = False
 PLAIN = Camera(128, 128, 150.0, 150.0, 63.5, 63.5).lens
 EVEN = np.zeros(5)
+# Brightness of level ground does not change along the image, and slopes change it as on Lambertian ground.
+LEVEL = np.zeros(2)
+LAMBERTIAN = -0.5 * np.array([[400.0, 80.0], [80.0, 305.0]])
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
@@ -30,12 +33,22 @@ def rim_image(centre=CENTRE, contrast=0.5):
     return (REFERENCE * (1.0 + contrast * gx / np.hypot(gx, gy) * shape)).astype(np.float32)
 
 
-def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE, ground=EVEN):
+def trace(
+    image,
+    chart=CHART,
+    min_slope_contrast=0.12,
+    reference=REFERENCE,
+    ground=EVEN,
+    by_flanks=False,
+    gradient=LEVEL,
+):
     return edge_kernel.trace_rim(
         image,
         chart,
-        CONTRAST_PX,
         reference,
+        gradient,
+        CONTRAST_PX,
+        LAMBERTIAN,
         4.0,
         0.02,
         0.4,
@@ -49,6 +62,7 @@ def trace(image, chart=CHART, min_slope_contrast=0.12, reference=REFERENCE, grou
         crater_profile.SLOPE_CONTRASTS,
         PLAIN,
         ground,
+        by_flanks,
     )[:5]
 
 
@@ -64,8 +78,9 @@ def test_no_smoothing_is_the_limit_of_little():
     """Both are options that may be zero; without a kernel to read, no edge was found."""
     found = [
         edge_kernel.trace_rim(
-            rim_image(), CHART, CONTRAST_PX, REFERENCE, 4.0, 0.0, smoothing_px, 0.0, 0.12, 0.02, 0.0, 72,
-            NO_OFFSET, crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, PLAIN, EVEN,
+            rim_image(), CHART, REFERENCE, LEVEL, CONTRAST_PX, LAMBERTIAN, 4.0, 0.0, smoothing_px, 0.0, 0.12,
+            0.02, 0.0, 72, NO_OFFSET, crater_profile.BLUR_RADII, crater_profile.SLOPE_CONTRASTS, PLAIN, EVEN,
+            False,
         )[0]
         for smoothing_px in (0.01, 0.0)
     ]  # fmt: skip
@@ -79,6 +94,16 @@ def test_points_lie_on_the_rim_though_predicted_beside_it():
     assert len(points) == len(ratio) == len(motion)
     assert len(points) >= 0.95 * tried >= 55
     assert np.max(np.abs(off_px(points))) < 0.06
+
+
+def test_points_lie_on_the_rim_where_the_ground_gets_brighter_across_it():
+    """As the law and the lens let it; a rim lit along that direction would come out larger."""
+    v, u = np.mgrid[0:128, 0:128]
+    gradient = np.array([0.004, -0.002])
+    image = rim_image() * (1.0 + gradient[0] * (u - CENTRE[0]) + gradient[1] * (v - CENTRE[1]))
+    told, silent = (off_px(trace(image.astype(np.float32), gradient=known)[0]) for known in (gradient, LEVEL))
+    assert np.max(np.abs(told)) < 0.06
+    assert np.abs(np.mean(silent)) > 0.2
 
 
 def test_no_points_where_the_rim_runs_along_the_illumination_direction():
@@ -182,15 +207,15 @@ def test_crossing_table_against_a_rendered_crater(contrast, blur):
 
 def test_smoothing_at_the_ends_of_a_profile():
     """Weights of samples that do not exist are left out, so that what is even stays so."""
-    raw, kernel = np.random.default_rng(0).normal(size=31), edge_kernel._gaussian(2.0)
+    raw, kernel = np.random.default_rng(0).normal(size=31), normal_profile.half_gaussian(2.0)
     away = np.abs(np.subtract.outer(np.arange(31), np.arange(31)))
     weights = np.where(away < len(kernel), kernel[np.minimum(away, len(kernel) - 1)], 0.0)
     expected = weights @ raw / weights.sum(axis=1)
-    single = [edge_kernel._smoothed(raw, i, kernel) for i in range(31)]
+    single = [normal_profile._smoothed(raw, i, kernel) for i in range(31)]
     np.testing.assert_allclose(single, expected, rtol=1e-12)
     for first, last in ((0, 30), (-3, 40), (5, 7), (0, 2), (29, 30)):
         out = np.full(31, np.nan)
-        edge_kernel._smooth(raw, first, last, kernel, out)
+        normal_profile.smooth_between(raw, first, last, kernel, out)
         inside = slice(max(first, 0), last + 1)
         np.testing.assert_allclose(out[inside], expected[inside], rtol=1e-12)
         assert np.isnan(np.delete(out, np.arange(31)[inside])).all()

@@ -25,6 +25,7 @@ def _rows(rims, first, last):
 @pytest.mark.parametrize("back", [0, 255])
 @pytest.mark.parametrize("detector", [find_rims_network, find_rims])
 def test_captions_hold_no_rims(one, detector, back):
+    """The template method finds none there by itself."""
     image = one.image.copy()
     assert image.dtype == np.uint8
     top = image.shape[0] - 70

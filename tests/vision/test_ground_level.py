@@ -12,6 +12,7 @@ from craternav_fg.vision.ground_level import (
     levels_of_flanks,
     own_share,
     smooth_level,
+    smooth_share,
 )
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import PredictedRims
@@ -26,21 +27,32 @@ ANGLE = np.arctan2(V - CENTRE[1], U - CENTRE[0])
 OUTSIDE_PX = np.hypot(U - CENTRE[0], V - CENTRE[1]) - RADIUS_PX
 
 
-def crater(albedo=1.0):
+def predicted(contrast=SLOPE_CONTRAST):
+    """Rim of Lambertian ground that gets nowhere brighter."""
+    # Ground that rises towards the light at +x faces away from it.
+    return PredictedRims(
+        np.array([0]), normalised_chart(CHART, CAMERA)[0][None], CHART[None], np.array([contrast]),
+        np.array([[contrast * RADIUS_PX, 0.0]]), -0.5 * RADIUS_PX**2 * np.eye(2)[None], np.array([REFERENCE]),
+        np.zeros((1, 2)), np.zeros((1, 5, 6)),
+    )  # fmt: skip
+
+
+SHADING = predicted().shading(0)
+
+
+def crater(albedo=1.0, contrast=SLOPE_CONTRAST):
     """Ground of slope 0.6 inside the crest and -0.2 outside it, which is rounded: brightness."""
     # The slope is zero on the crest.
     slope = 0.2 - 0.4 * np.tanh(OUTSIDE_PX / 2.0 + np.arctanh(0.5))
-    light = 1.0 - SLOPE_CONTRAST * np.cos(ANGLE) * slope
+    light = 1.0 - contrast * np.cos(ANGLE) * slope
     return (REFERENCE * albedo * light / np.sqrt(1.0 + slope**2)).astype(np.float32)
 
 
-def trace(image, ground=None):
-    # Slope contrast per pixel of radius; ground that rises towards the light at +x faces away from it.
-    contrast_px = np.array([SLOPE_CONTRAST * RADIUS_PX, 0.0])
+def trace(image, ground=None, *, by_flanks=False):
     options = EdgeOptions(min_slope_contrast=0.4)
     return find_edge_points(
-        image, CAMERA, CHART, contrast_px, REFERENCE, RADIUS_PX, 4.0, 0.0, options, ground
-    )  # fmt: skip
+        image, CAMERA, CHART, SHADING, RADIUS_PX, 4.0, 0.0, options, ground, by_flanks=by_flanks
+    )
 
 
 def scatter_px(edges):
@@ -79,26 +91,25 @@ def test_a_frame_decides_for_rims_that_show_little():
 
 def test_a_smooth_level_is_that_of_the_ground_whatever_a_few_flanks_show():
     angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
-    contrasts = SLOPE_CONTRAST * np.cos(angles)
+    contrasts, lambertian = SLOPE_CONTRAST * np.cos(angles), np.full(60, -0.5)
     # Across the illumination direction, and of the second order: what flanks can tell from their slopes.
     level = -0.1 + 0.08 * np.sin(angles) + 0.05 * np.sin(2.0 * angles)
     inner, outer = 0.4, -0.2
     flanks = np.stack([(1.0 + s * contrasts) / np.hypot(1.0, s) - 1.0 for s in (inner, outer)], axis=-1)
-    found = smooth_level(angles, contrasts, flanks + level[:, None])
+    found = smooth_level(angles, contrasts, lambertian, flanks + level[:, None])
     assert [level_at(found, angle) for angle in angles] == pytest.approx(level, abs=0.02)
     # A neighbour where the light runs along the rim, where it does not touch the slopes of the flanks.
     flanks[13:17] += 0.5
-    found = smooth_level(angles, contrasts, flanks + level[:, None])
+    found = smooth_level(angles, contrasts, lambertian, flanks + level[:, None])
     assert [level_at(found, angle) for angle in angles] == pytest.approx(level, abs=0.03)
-    assert not smooth_level(angles[:8], contrasts[:8], flanks[:8]).any()
+    assert not smooth_level(angles[:8], contrasts[:8], lambertian[:8], flanks[:8]).any()
 
 
 def test_crossings_that_dark_and_bright_ground_hides_are_found_at_the_level_of_the_ground():
     image = crater(1.0 + 0.2 * np.cos(2.0 * ANGLE + 0.6))
     options = EdgeOptions(min_slope_contrast=0.4)
-    contrast_px = np.array([SLOPE_CONTRAST * RADIUS_PX, 0.0])
     first = trace(image)
-    level = level_around(image, CAMERA, CHART, contrast_px, REFERENCE, RADIUS_PX, options)
+    level = level_around(image, CAMERA, CHART, SHADING, RADIUS_PX, options)
     second = trace(image, level)
     assert len(first) < 0.9 * first.tried
     assert len(second) > 0.95 * second.tried
@@ -107,13 +118,45 @@ def test_crossings_that_dark_and_bright_ground_hides_are_found_at_the_level_of_t
     assert mean_px == pytest.approx(RADIUS_PX, abs=0.15)
 
 
+def test_edges_that_a_patch_moves_outwards_are_found_as_those_moved_inwards():
+    """The outer slope is too faint to show the former; rims got too small by what is lost."""
+    patches = 0.25 * np.sign(np.sin(4.0 * ANGLE))
+    image = crater(1.0 + patches)
+
+    def found(edges):
+        """Edges where a patch moves them outwards and inwards, away from the borders of patches."""
+        x = edges.points_px - CENTRE
+        angle = np.arctan2(x[:, 1], x[:, 0])
+        # The wall on the side of the light is the dark one.
+        way = -np.cos(angle) * np.sin(4.0 * angle)
+        clear = np.abs(np.sin(4.0 * angle)) > 0.5
+        off_px = np.hypot(*x.T) - RADIUS_PX
+        return off_px[clear & (way > 0.0)], off_px[clear & (way < 0.0)]
+
+    before, _ = found(trace(image))
+    outwards, inwards = found(trace(image, by_flanks=True).at_level(1.0))
+    assert len(before) < 0.5 * len(outwards)
+    assert len(outwards) > 0.9 * len(inwards)
+    assert np.mean(np.concatenate([outwards, inwards])) == pytest.approx(0.0, abs=0.3)
+
+
+def test_even_ground_needs_no_edges_by_flanks_alone():
+    even, lost = trace(crater()), trace(crater(), by_flanks=True)
+    np.testing.assert_array_equal(lost.points_px, even.points_px)
+
+
+def test_the_smooth_share_is_the_larger_one():
+    shares = np.linspace(0.0, 1.0, 6)
+    smooth = np.array([smooth_share(share) for share in shares])
+    assert smooth[[0, -1]].tolist() == [0.0, 1.0]
+    assert np.all(smooth[1:-1] > shares[1:-1])
+    assert np.all(np.diff(smooth) > 0.0)
+
+
 def test_a_rim_on_patches_is_fitted_at_the_level_of_the_ground():
     image = crater(1.0 + 0.25 * np.cos(2.0 * ANGLE + 0.6))
-    rims = PredictedRims(
-        np.array([0]), normalised_chart(CHART, CAMERA)[0][None], CHART[None], np.array([SLOPE_CONTRAST]),
-        np.array([[SLOPE_CONTRAST * RADIUS_PX, 0.0]]), np.array([REFERENCE]), np.zeros((1, 5, 6)),
-    )  # fmt: skip
-    fitter = RimFitter(image, 0.0, CAMERA, GuidedOptions())
+    rims = predicted()
+    fitter = RimFitter(image, 0.0, 0.0, CAMERA, GuidedOptions())
     rough, fitted = (fitter.fit(rims, np.array([4.0]), rough=only) for only in (True, False))
     off_px = [
         np.abs(np.exp(pixel_chart(one.charts[0], CAMERA)[[2, 4]]) - RADIUS_PX).max()
@@ -129,7 +172,18 @@ def test_flanks_of_no_crest_do_not_extrapolate_the_level():
     contrasts = np.tile([0.5, -0.5], 20)
     for inner, outer, share in ((0.5, 0.4, 0.1), (-0.4, -0.5, 0.9), (0.2, 0.2, 0.5)):
         flanks = contrasts[:, None] * np.array([inner, outer])
-        level = levels_of_flanks(flanks, contrasts)
+        level = levels_of_flanks(flanks, contrasts, np.full(40, -0.5))
         even = 1.0 / np.sqrt(1.0 + np.array([inner, outer]) ** 2) - 1.0
         low, high = flanks[:, 1] - even[1], flanks[:, 0] - even[0]
         np.testing.assert_allclose(level, low + share * (high - low), rtol=1e-9)
+
+
+def test_a_rim_is_as_uncertain_as_its_edges_move_with_the_ground():
+    """On ground of the same scatter, a third of the slope contrast moves the edges three times as far."""
+    sigmas_px = []
+    for contrast in (SLOPE_CONTRAST, SLOPE_CONTRAST / 3.0):
+        fitter = RimFitter(crater(1.0, contrast), 0.0, 0.05, CAMERA, GuidedOptions())
+        fitted = fitter.fit(predicted(contrast), np.array([4.0]))
+        sigmas_px.append(np.sqrt(fitted.errors.systematic[0, 0, 0]) * CAMERA.fx_px)
+    assert sigmas_px[1] > 2.0 * sigmas_px[0]
+    assert sigmas_px[0] > 0.01

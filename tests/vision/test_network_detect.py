@@ -107,9 +107,10 @@ def test_a_given_direction_holds(scenes):
     assert len(wrong) < 0.2 * len(right)
 
 
-def test_noise_shows_neither_craters_nor_the_sun():
-    all_found = [find_rims_network(image) for image in noise_images(np.random.default_rng(0), 512)]
-    assert sum(len(found) for found in all_found) <= 1
+@pytest.mark.parametrize(("size_px", "most"), [(256, 0), pytest.param(512, 1, marks=pytest.mark.slow)])
+def test_noise_shows_neither_craters_nor_the_sun(size_px, most):
+    all_found = [find_rims_network(image) for image in noise_images(np.random.default_rng(0), size_px)]
+    assert sum(len(found) for found in all_found) <= most
     assert all(np.isnan(found.sun_angle_rad) and found.sun_probability < 0.95 for found in all_found)
 
 

@@ -199,6 +199,38 @@ def acquire_from_rims(
     return Acquisition(pose, covariance, score, rows[crater[crater >= 0]])
 
 
+def craters_in_reach(
+    camera: Camera,
+    catalog: Catalog,
+    gTb: FloatArray,
+    pose_covariance: FloatArray,
+    sun_g: FloatArray,
+    options: AcquireOptions | None = None,
+) -> IntArray:
+    """Find the craters that an image from near a predicted pose may show, whatever the attitude.
+
+    Parameters
+    ----------
+    camera : Camera
+    catalog : Catalog
+    gTb : ndarray, shape (4, 4)
+        Predicted pose.
+    pose_covariance : ndarray, shape (6, 6)
+        Its covariance, as for `acquire`: rad and m.
+    sun_g : ndarray, shape (3,)
+        Unit vector towards the sun in g.
+    options : AcquireOptions, optional
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        Rows of the catalogue: craters that are seen, lit and large enough.
+    """
+    return _craters_in_reach(
+        camera, catalog, Prior(gTb, pose_covariance), sun_g, options or AcquireOptions()
+    )[0]
+
+
 def image_spread_px(camera: Camera, radius_m: float, gTb: FloatArray, pose_covariance: FloatArray) -> float:
     """Compute how uncertain a predicted pose leaves places of the ground in the image.
 

@@ -83,6 +83,8 @@ def answer(
         share = share_of_rims(covariance[:3, :3], search.sigma_rad**2 * np.eye(3))
         known = KnownAttitude(search.limits.attitude @ camera.bTc[:3, :3].T, search.sigma_rad)
         warnings = attitude_warnings(known, gTb[:3, :3])
+    of_b = adjoint @ covariance @ adjoint.T
+    of_b[3:, 3:] += (camera.lever_arm_sigma_m or 0.0) ** 2 * np.eye(3)
     of_map = seen.image_covariance(gTb, np.ones(len(seen)), share)
     return Identification(
         status=Status.IDENTIFIED,
@@ -91,7 +93,7 @@ def answer(
         rows=rows,
         gTc=expanded.gTc,
         gTb=gTb,
-        covariance=adjoint @ covariance @ adjoint.T + frames.rotate_position_block(of_map, gTb[:3, :3].T),
+        covariance=of_b + frames.rotate_position_block(of_map, gTb[:3, :3].T),
         log_chance=-expanded.log_ratio,
         sigma_px=float(expanded.sigma[0]),
         seconds=time.perf_counter() - began,

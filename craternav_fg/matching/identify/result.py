@@ -36,7 +36,8 @@ class Identification:
         Pose of the camera and of the body in g; NaN without an answer.
     covariance : ndarray, shape (6, 6)
         Covariance of the body's pose, for its right twist [w, rho] in b, rad and m, with the common shift
-        that the catalogue states; NaN without an answer.
+        that the catalogue states and the error that the camera states of its lever arm; NaN without an
+        answer. The noise of the rims is that of their residuals, which holds the errors of single craters.
     log_chance : float
         Natural logarithm of an upper bound on the probability that chance explains the rims as well, over
         all poses that were searched. Without an answer, that of the best pose found.

@@ -17,6 +17,8 @@ In one image, for one rim:
    step 1 claims: `ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE`.
 4. Systematic floor. `error_model.systematic.floor_covariance`, applied by `ellipse_fit.refine_rim`, adds what
    no number of points averages out: the fit's residuals do not show a rim crest that is displaced as a whole.
+   `rim_fitting.RimFitter` has it from how much the brightness of the ground varies, and how far edges move
+   with it: twice as far with the sun 55 deg high as with 40.
    From here on a rim carries `error_model.systematic.RimErrors`: the whole covariance, the systematic part of
    it (steps 2 to 4), and the root of what step 3 contributes to that.
 
@@ -53,8 +55,8 @@ In an estimator:
 
 Arcs of rims, of which too little is seen for an ellipse, take the same way with one standard deviation per
 point: `error_model.common_growth` takes from them the growth that the whole rims of the frame show, then
-`vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` (step 6),
-`ArcSet.inflate_correlated` (step 10).
+`vision.arcs.judge` (steps 1 to 5), `error_model.correlated.arc_sigma_px` and `shared_of_arcs` (step 6),
+`ArcSet.inflate_correlated` and `RimErrorStates.enter_arcs` (step 10).
 """
 
 from typing import TYPE_CHECKING

@@ -23,10 +23,14 @@ from factors.kernels.rim_errors import ground_slopes
 # Columns of `ground_slopes` that move a rim within its plane: shifts along l1 and l2, growth along l1, shear,
 # growth along l2. The other column is a shift along the normal.
 _IN_PLANE, _HEIGHT = [0, 1, 3, 4, 5], 2
+# Columns of shared errors that make all rims larger.
+_GROWTH = [5, 6]
 # Largest excess of a frame's variance factor over 1 for which white variance is added. The systematic
 # variance is multiplied by the factor already, so without a bound the added one grows with its square: on
 # rough ground of another renderer (`tests/foreign`), with factors of 10 to 25, to ten times the error.
 _MAX_EXCESS = 2.0
+# Share of a variance that is left where all of it is taken away, so that roots exist.
+_LEAST_LEFT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -74,14 +78,14 @@ class CorrelatedErrorOptions:
     """
 
     crater_share: float = 0.7
-    excess_white_share: float = 2.0
-    camera_shift_px: float = 0.1
-    sun_shift_px: float = 0.03
-    stretch_px: float = 0.1
-    stretch_share: float = 0.004
-    size_px: float = 0.05
-    size_share: float = 0.002
-    brightness_share: float = 0.4
+    excess_white_share: float = 0.2
+    camera_shift_px: float = 0.07
+    sun_shift_px: float = 0.02
+    stretch_px: float = 0.035
+    stretch_share: float = 0.0015
+    size_px: float = 0.07
+    size_share: float = 0.003
+    brightness_share: float = 0.6
     arc_px: float = 0.2
     arc_share: float = 0.004
     map_place_share: float = 0.0
@@ -227,6 +231,48 @@ def correlated_roots(
     return correlated, shared
 
 
+def without_map(
+    correlated: FloatArray,
+    rows: IntArray,
+    gTb: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    options: CorrelatedErrorOptions,
+) -> FloatArray:
+    """Take the errors of the map out of the time-correlated errors of a frame's rims.
+
+    Parameters
+    ----------
+    correlated : ndarray, shape (n, 5, m)
+        See `RimSet`.
+    rows : ndarray of int, shape (n,)
+        The rims' craters in the catalogue.
+    gTb : ndarray, shape (4, 4)
+        Pose of the body in g that sees them.
+    camera : Camera
+    catalog : Catalog
+    options : CorrelatedErrorOptions
+
+    Returns
+    -------
+    ndarray, shape (n, 5, m)
+        Nothing is left of what is smaller than the errors of the map.
+    """
+    every = ground_slopes(gTb, camera.bTc, catalog.centres[rows], catalog.axes[rows])
+    slopes, height = every[:, :, _IN_PLANE], every[:, :, [_HEIGHT]]
+    of_map = map_variances(rows, catalog, options)
+    count = len(_IN_PLANE)
+    root = np.linalg.solve(slopes, correlated[:, :, :count])
+    on_ground = root @ np.swapaxes(root, 1, 2)
+    least = _LEAST_LEFT * np.trace(on_ground, axis1=1, axis2=2)
+    values, vectors = np.linalg.eigh(on_ground - of_map[:, _IN_PLANE, None] * np.eye(count))
+    left = np.maximum(values, least[:, None])
+    own = slopes @ np.linalg.cholesky((vectors * left[:, None]) @ np.swapaxes(vectors, 1, 2))
+    squares = [np.sum(part**2, axis=1, keepdims=True) for part in (height, correlated[:, :, count:])]
+    of_height = np.sqrt(np.maximum(squares[1] / squares[0] - of_map[:, [_HEIGHT], None], 0.0))
+    return np.concatenate([own, height * of_height], axis=2)
+
+
 def _shared_on_ground(
     rows: IntArray,
     gTb: FloatArray,
@@ -300,6 +346,34 @@ def split(
     white = covariance - correlated @ np.swapaxes(correlated, 1, 2) - shared @ np.swapaxes(shared, 1, 2)
     added = options.excess_white_share * min(variance_factor - 1.0, _MAX_EXCESS)
     return covariance, correlated, shared, white + added * errors.systematic
+
+
+def shared_of_arcs(
+    rows: IntArray,
+    gTb: FloatArray,
+    sun_g: FloatArray,
+    camera: Camera,
+    catalog: Catalog,
+    options: CorrelatedErrorOptions,
+) -> FloatArray:
+    """Compute the roots of the error that a frame's arcs share with all rims.
+
+    Without the common growth of the radius, of which arcs are freed (`common_growth`), and without the
+    reference brightness, whose error is not estimated where no ellipse is fitted.
+
+    Parameters
+    ----------
+    rows, gTb, sun_g, camera, catalog, options
+        See `correlated_roots`: shapes (n,), (4, 4), (3,).
+
+    Returns
+    -------
+    ndarray, shape (n, 5, 8)
+        As in `RimSet.shared`.
+    """
+    roots = _shared_on_ground(rows, gTb, sun_g, camera, catalog, options)
+    roots[:, :, _GROWTH] = 0.0
+    return np.asarray(in_plane_slopes(rows, gTb, camera, catalog) @ roots)
 
 
 def arc_sigma_px(minor_px: float, outline_share: float, options: CorrelatedErrorOptions) -> float:
