@@ -7,6 +7,7 @@ from scipy.stats import chi2
 from craternav_fg.calibration.pull_of_prediction import View, moved_at_random, pull
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.simulation.scenes import Ground
 from craternav_fg.simulation.scenes import scene as rendered_scene
 from craternav_fg.vision.ellipse_fit import FitOptions
@@ -287,8 +288,13 @@ def test_the_time_correlated_part_is_the_systematic_part_on_the_ground(view):
     assert np.linalg.eigvalsh(rims.uncorrelated_covariance)[:, 0].min() > 0.0
 
 
-def test_shared_errors_follow_camera_and_sun():
-    """Seen from above rims shift towards the sun, seen obliquely towards the camera, too."""
+def _unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("elevation_deg", [20.0, 60.0])
+def test_shared_errors_follow_camera_and_sun(elevation_deg):
+    """Rims shift towards the sun, the farther the less the brightness changes with slope."""
     rng = np.random.default_rng(6)
     catalog = scene.craters(rng)
     options = CorrelatedErrorOptions(
@@ -296,19 +302,30 @@ def test_shared_errors_follow_camera_and_sun():
     )
     rows = np.arange(len(catalog))
     none = np.tile(1e-9 * np.eye(5), (len(rows), 1, 1))
-    gTb, sun_g = scene.pose(0.0, 0.0), scene.sun(20.0, 50.0)
+    gTb, sun_g = scene.pose(0.0, 0.0), scene.sun(elevation_deg, 50.0)
     errors = RimErrors(none, none, np.zeros((len(rows), 5)))
     shared = correlated_roots(errors, rows, gTb, sun_g, scene.camera(), catalog, options)[1]
     # A step on the ground towards the sun, as the camera sees it.
-    ahead = project_rims(gTb, np.eye(4), catalog.centres + 10.0 * sun_g, catalog.axes)[0][:, :2]
+    level = sun_g - (catalog.normals @ sun_g)[:, None] * catalog.normals
+    ahead = project_rims(gTb, np.eye(4), catalog.centres + 10.0 * level, catalog.axes)[0][:, :2]
     step = ahead - project_rims(gTb, np.eye(4), catalog.centres, catalog.axes)[0][:, :2]
     moved = shared[:, :2, 2]
     across = step[:, 0] * moved[:, 1] - step[:, 1] * moved[:, 0]
     lengths = np.linalg.norm(step, axis=1) * np.linalg.norm(moved, axis=1)
     assert np.max(np.abs(across) / lengths) < 0.2
     assert np.all(np.sum(step * moved, axis=1) > 0.0)
+    # Sizes are for a slope contrast of 1: what slopes of 1 % do to the brightness tells it.
+    view = _unit(gTb[:3, 3] - catalog.centres)
+    changes = []
+    for axis in np.moveaxis(catalog.axes, 1, 0):
+        rise = 0.01 * _unit(axis)
+        low, high = (
+            flat_terrain_brightness(_unit(catalog.normals + s * rise), sun_g, view)[0] for s in (-1, 1)
+        )
+        changes.append((high - low) / (high + low))
+    contrast = np.hypot(*changes) / 0.01
     length_px = np.linalg.norm(moved, axis=1) * scene.camera().focal_px
-    np.testing.assert_allclose(length_px, 0.3 * np.cos(np.radians(20.0)), rtol=0.1)
+    np.testing.assert_allclose(length_px, 0.3 * np.cos(np.radians(elevation_deg)) / contrast, rtol=0.12)
     # 1 % larger is 0.01 in the logarithms of both axes.
     np.testing.assert_allclose(shared[:, [2, 4], 6], 0.01, rtol=1e-6)
 

@@ -16,6 +16,7 @@ from craternav_fg.camera import Camera
 from craternav_fg.catalogs.map_errors import MapErrors
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.measurements import SHARED_SIZE
+from craternav_fg.photometry import flat_terrain_brightness
 from craternav_fg.vision.error_model.systematic import RimErrors
 from factors.arrays import FloatArray, IntArray
 from factors.kernels.rim_errors import ground_slopes
@@ -29,6 +30,8 @@ _GROWTH = [5, 6]
 # variance is multiplied by the factor already, so without a bound the added one grows with its square: on
 # rough ground of another renderer (`tests/foreign`), with factors of 10 to 25, to ten times the error.
 _MAX_EXCESS = 2.0
+# Least slope contrast that shared errors are divided by: rims with less are hardly measured.
+_LEAST_CONTRAST = 0.1
 # Share of a variance that is left where all of it is taken away, so that roots exist.
 _LEAST_LEFT = 1e-9
 
@@ -38,7 +41,9 @@ class CorrelatedErrorOptions:
     """Size of the errors of rims that are correlated over frames or over rims.
 
     All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
-    unless they are shares of a variance. Compared with rendered images by
+    unless they are shares of a variance. Those that all rims share are stated for a slope contrast of 1 (see
+    `photometry`) and grow with its inverse: under a high sun, slopes change the brightness less, and an error
+    of the brightness moves edges farther. Compared with rendered images by
     `craternav_fg.calibration.correlated_errors`, the last two by `craternav_fg.calibration.arcs`, which
     determine some of them and hardly the others, see `craternav_fg.calibration`; `excess_white_share` is
     chosen.
@@ -79,11 +84,11 @@ class CorrelatedErrorOptions:
 
     crater_share: float = 0.7
     excess_white_share: float = 0.2
-    camera_shift_px: float = 0.07
-    sun_shift_px: float = 0.02
-    stretch_px: float = 0.035
+    camera_shift_px: float = 0.075
+    sun_shift_px: float = 0.03
+    stretch_px: float = 0.02
     stretch_share: float = 0.0015
-    size_px: float = 0.07
+    size_px: float = 0.05
     size_share: float = 0.003
     brightness_share: float = 0.6
     arc_px: float = 0.2
@@ -294,7 +299,9 @@ def _shared_on_ground(
     x, y = camera_l.T
     # A stretch t along c is the map 1 + t c c': growth along l1, shear, growth along l2.
     stretch = np.stack([x * x, x * y, y * y], axis=-1)
-    px = 1.0 / radii_px(rows, gTb, camera, catalog)[:, None]
+    _, contrast = flat_terrain_brightness(catalog.normals[rows], sun_g, view / range_m[:, None])
+    farther = 1.0 / np.maximum(np.linalg.norm(contrast, axis=-1), _LEAST_CONTRAST)
+    px = (farther / radii_px(rows, gTb, camera, catalog))[:, None]
     roots = np.zeros((len(rows), 5, SHARED_SIZE))
     roots[:, :2, 0] = options.camera_shift_px * px * camera_l
     roots[:, :2, 1] = options.camera_shift_px * px * sine2 * camera_l
