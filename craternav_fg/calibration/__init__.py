@@ -30,21 +30,21 @@ reference_brightness GuidedOptions.brightness_sigma_share          0.02    at le
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
 rim_floor            GuidedOptions.level_scatter_share             0.12    0.119 ± 0.016, confirmed
 ..                   level_rim_share                               0.2     0.265 ± 0.039, confirmed
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.69 ± 0.05, confirmed
-..                   brightness_share                              0.6     0.70 ± 0.14, confirmed
-..                   camera_shift_px, px                           0.07    0.07 ± 0.03, not contradicted
-..                   sun_shift_px, px                              0.02    0.019 ± 0.006, confirmed
-..                   stretch_px, px                                0.035   0.033 ± 0.018, not contradicted
-..                   stretch_share, radii                          0.0015  0.0013 ± 0.0006, not contradicted
-..                   size_px, px                                   0.07    0.088 ± 0.031, not contradicted
-..                   size_share, radii                             0.003   0.0033 ± 0.0011, not contradicted
-..                   RimErrorOptions.decay_shape_change            0.8     1.26 ± 0.49, not contradicted
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.31 ± 0.07, confirmed
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.67 ± 0.05, confirmed
+..                   brightness_share                              0.6     0.72 ± 0.12, confirmed
+..                   camera_shift_px, px                           0.09    0.075 ± 0.034, not contradicted
+..                   sun_shift_px, px                              0.02    0.023 ± 0.010, not contradicted
+..                   stretch_px, px                                0.035   0.031 ± 0.020, not contradicted
+..                   stretch_share, radii                          0.0015  0.0012 ± 0.0005, not contradicted
+..                   size_px, px                                   0.07    0.073 ± 0.025, not contradicted
+..                   size_share, radii                             0.003   0.0035 ± 0.0012, not contradicted
+..                   RimErrorOptions.decay_shape_change            0.8     1.21 ± 0.42, not contradicted
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.38 ± 0.08, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.04 ± 0.07, not contradicted
 ..                   arc_share, radii                              0.004   0.0068 ± 0.0017, not contradicted
 pooling              pooling.MEMORY                                1.0     2.1 ± 1.1, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.04 ± 0.02, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     4.4 ± 0.5, confirmed
+variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     5.2 ± 0.7, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
 ..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63, not contradicted
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed
