@@ -28,23 +28,23 @@ candidates           candidates.TEMPLATE_SIZE_FACTOR               1.07    1.036
 ..                   detect.SUN_VOTE_CHANCE_SHARE                  0.22    at least 0.197 ± 0.001
 reference_brightness GuidedOptions.brightness_sigma_share          0.02    at least 0.011 ± 0.001
 ..                   blind_fit.BRIGHTNESS_SIGMA                    0.05    0.061 ± 0.008, confirmed
-rim_floor            GuidedOptions.level_scatter_share             0.12    0.119 ± 0.016, confirmed
-..                   level_rim_share                               0.2     0.265 ± 0.039, confirmed
-correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.67 ± 0.05, confirmed
-..                   brightness_share                              0.6     0.72 ± 0.12, confirmed
-..                   camera_shift_px, px                           0.09    0.075 ± 0.034, not contradicted
-..                   sun_shift_px, px                              0.02    0.023 ± 0.010, not contradicted
-..                   stretch_px, px                                0.035   0.031 ± 0.020, not contradicted
-..                   stretch_share, radii                          0.0015  0.0012 ± 0.0005, not contradicted
-..                   size_px, px                                   0.07    0.073 ± 0.025, not contradicted
-..                   size_share, radii                             0.003   0.0035 ± 0.0012, not contradicted
-..                   RimErrorOptions.decay_shape_change            0.8     1.21 ± 0.42, not contradicted
-outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.38 ± 0.08, confirmed
+rim_floor            GuidedOptions.level_scatter_share             0.08    0.093 ± 0.014, confirmed
+..                   level_rim_share                               0.2     0.223 ± 0.051, confirmed
+correlated_errors    CorrelatedErrorOptions.crater_share           0.7     0.66 ± 0.05, confirmed
+..                   brightness_share                              0.6     0.72 ± 0.10, confirmed
+..                   camera_shift_px, px                           0.06    0.069 ± 0.025, not contradicted
+..                   sun_shift_px, px                              0.02    0.027 ± 0.013, not contradicted
+..                   stretch_px, px                                0.025   0.022 ± 0.015, not contradicted
+..                   stretch_share, radii                          0.0015  0.0013 ± 0.0004, confirmed
+..                   size_px, px                                   0.06    0.057 ± 0.018, confirmed
+..                   size_share, radii                             0.003   0.0038 ± 0.0013, not contradicted
+..                   RimErrorOptions.decay_shape_change            0.8     0.84 ± 0.24, confirmed
+outline_brightness   ellipse_kernel.BRIGHTNESS_ERROR_PER_OUTLINE   0.5     0.41 ± 0.06, confirmed
 arcs                 CorrelatedErrorOptions.arc_px, px             0.2     0.04 ± 0.07, not contradicted
-..                   arc_share, radii                              0.004   0.0068 ± 0.0017, not contradicted
+..                   arc_share, radii                              0.004   0.0072 ± 0.0018, not contradicted
 pooling              pooling.MEMORY                                1.0     2.1 ± 1.1, not contradicted
 ..                   pooling.PRIOR_FRAMES                          2       0.04 ± 0.02, kept
-variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     5.2 ± 0.7, confirmed
+variance_inflation   correlated_errors.VARIANCE_INFLATION          4.4     4.9 ± 0.6, confirmed
 sun_tilt             SunOptions.crater_floor_rad, squared, deg2    0.09    0.02 ± 0.36, not contradicted
 ..                   crater_floor_oblique_rad, squared, deg2       56      152 ± 63, not contradicted
 ..                   floor_rad, squared, deg2                      4       5.7 ± 1.1, confirmed

@@ -7,6 +7,7 @@ import numpy as np
 from craternav_fg.camera import Camera
 from craternav_fg.catalogs.model import Catalog
 from craternav_fg.dataset.images import ImageArray
+from craternav_fg.vision.error_model.correlated import CorrelatedErrorOptions, correlated_roots
 from craternav_fg.vision.guided_options import GuidedOptions
 from craternav_fg.vision.predicted_rims import predict_rims
 from craternav_fg.vision.reference_brightness import ReferenceBrightness
@@ -24,7 +25,8 @@ class SingleRims:
     error : ndarray, shape (n, 5)
         Measured less true charts.
     rest : ndarray, shape (n, 5, 5)
-        Covariance without the part from the unknown level of the ground.
+        Covariance without the part from the unknown level of the ground, with that of what all rims share:
+        it is in the errors as well.
     of_scatter, of_rim : ndarray, shape (n, 5, 5)
         That part, for a share of 1 of the scatter of the image's brightness and of that of the levels around
         the rim, see `GuidedOptions`.
@@ -79,9 +81,12 @@ def fitted_alone(
     rows = found.predicted.rows
     truth = project_rims(true, camera.bTc, catalog.centres[rows], catalog.axes[rows])[0]
     rest = found.errors.covariance
+    _, shared = correlated_roots(
+        found.errors, rows, true, sun_g, camera, catalog, CorrelatedErrorOptions(brightness_share=0.0)
+    )
     return SingleRims(
         found.charts - truth,
-        rest,
+        rest + shared @ np.swapaxes(shared, 1, 2),
         fitted(1.0, 0.0).errors.covariance - rest,
         fitted(0.0, 1.0).errors.covariance - rest,
     )

@@ -32,8 +32,8 @@ _GROWTH = [5, 6]
 _MAX_EXCESS = 2.0
 # Slope contrast below which shared errors grow with its inverse, and the least that counts: rims with less
 # are hardly measured. Chosen: over descents with the sun 15 to 86 deg high the log-likelihood of the errors
-# is larger by 25 than without, and smaller by 1 with 0.5 or 0.7.
-_WEAK_CONTRAST, _LEAST_CONTRAST = 0.6, 0.1
+# is larger by 35 than without, whether they grow below 0.6 or 1.
+_WEAK_CONTRAST, _LEAST_CONTRAST = 1.0, 0.1
 # Share of a variance that is left where all of it is taken away, so that roots exist.
 _LEAST_LEFT = 1e-9
 
@@ -45,7 +45,7 @@ class CorrelatedErrorOptions:
     All lengths in px are standard deviations at the rim, in the image; all shares are relative to the radius
     unless they are shares of a variance. Where slopes change the brightness little, as under a high sun, an
     error of the brightness moves edges farther: lengths that all rims share are those for a slope contrast
-    (see `photometry`) of 0.6 and more, and grow with the inverse of a smaller one.
+    (see `photometry`) of 1 and more, and grow with the inverse of a smaller one.
 
     Compared with rendered images by `craternav_fg.calibration.correlated_errors`, `arc_px` and `arc_share` by
     `craternav_fg.calibration.arcs`, which determine some of them and hardly the others, see
@@ -87,11 +87,11 @@ class CorrelatedErrorOptions:
 
     crater_share: float = 0.7
     excess_white_share: float = 0.2
-    camera_shift_px: float = 0.09
+    camera_shift_px: float = 0.06
     sun_shift_px: float = 0.02
-    stretch_px: float = 0.035
+    stretch_px: float = 0.025
     stretch_share: float = 0.0015
-    size_px: float = 0.07
+    size_px: float = 0.06
     size_share: float = 0.003
     brightness_share: float = 0.6
     arc_px: float = 0.2
