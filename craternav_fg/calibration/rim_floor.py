@@ -2,8 +2,8 @@
 
 The level of the ground at a rim is as uncertain as it varies, in the image and around the rim; the edges move
 with it. Fitted so that the covariances of single rims are as the errors of rendered rims, Moon and Bennu
-together; what all rims have in common is in the covariances, or it would count twice. The shipped share of the
-scatter is at the low end, as descents to the Moon are too careful otherwise (ANEES below 5).
+together; what all rims have in common is in the covariances, or it would count twice. The shipped share of
+the scatter is at the low end, as descents to the Moon are too careful otherwise (ANEES below 5).
 
 The ground of these renders has one albedo. That of the tests' second simulator has patches, and its rims err
 with heavier tails: a fit wants 0.33 and 0.32 there (`python -m tests.foreign.rim_floor`). What a frame's rims
