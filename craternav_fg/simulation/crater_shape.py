@@ -142,6 +142,34 @@ def crater_profile(rho: float, depth: float, rim: float, crest: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def crest_height(distance_m: float, offset2_m2: float, rho: float, radius_m: float) -> float:
+    """Height over the sphere that the crest has in a direction, bent so that it is level there.
+
+    Level ground is the sphere's: a crest is its highest line, not that over the rim's plane, which lies lower
+    by the radius over the sphere's times the half-width of the crest.
+
+    Parameters
+    ----------
+    distance_m : float
+        Distance of the rim's plane from the centre of the sphere.
+    offset2_m2 : float
+        Square of the distance from the rim's centre to where the direction meets the plane.
+    rho : float
+        The same distance in radii of the crater.
+    radius_m : float
+        The sphere's radius.
+
+    Returns
+    -------
+    float
+        m: that of the rim's plane on the crest, rho = 1, and of the plane at the centre.
+    """
+    # Inside, 1 - (1 - rho^2)^3 of the square of the crest's distance: no edge in slope or curvature.
+    share = 1.0 / (rho * rho) if rho > 1.0 else 3.0 - rho * rho * (3.0 - rho * rho)
+    return np.sqrt(distance_m * distance_m + share * offset2_m2) - radius_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def outline(x: float, y: float, harmonics: FloatArray) -> float:
     """Radius of an irregular crater in the direction (x, y) over that of its ellipse; 1 at the centre.
 
@@ -261,14 +289,15 @@ def ground_levels(
             rho = p / cosine * np.sqrt((X / aa) ** 2 + (Y / bb) ** 2)
             if rho >= REACH:
                 continue
-            plane = p * (1.0 / cosine - 1.0) + heights[j]
+            offset2 = p * p * (1.0 / (cosine * cosine) - 1.0)
             w = coverage(rho)
             share[i] *= 1.0 - w
             rough = tangent[i, 2] - tangent[j, 2]
             for k in range(2):
                 rough -= tangent[j, 3 + k] * (tangent[i, k] - tangent[j, k])
             rough = roughness(rho - 1.0, rough, (aa * bb) ** 0.25)
-            target = plane + crater_profile(rho, shape[j, 0], shape[j, 1], CREST) + rough
+            target = crest_height(p, offset2, rho, radius_m) + rough
+            target += crater_profile(rho, shape[j, 0], shape[j, 1], CREST)
             flank[i] += w * (target - flank[i])
         if np.isnan(heights[i]):
             heights[i] = share[i] * tangent[i, 2] + flank[i] + crest[i]

@@ -21,8 +21,8 @@ def crest_offsets_px(
 ) -> FloatArray:
     """Distance of the rim crest outside the projected rim, along the rim's normals.
 
-    The crest is where the terrain's slope away from the crater's centre changes sign, at the points where
-    rays through the pixels meet the terrain.
+    The crest is where the terrain's slope away from the crater's centre changes sign, over the sphere, at
+    the points where rays through the pixels meet the terrain.
 
     Parameters
     ----------
@@ -58,12 +58,21 @@ def crest_offsets_px(
         normal = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.linalg.norm(along, axis=1)[:, None]
         normal *= np.sign(np.sum(normal * (rim_px - rim_px.mean(axis=0)), axis=1, keepdims=True))
         px = rim_px[:, None] + offsets[:, None] * normal[:, None]
-        _, ground = renderer.ground_points(gTb, px.reshape(-1, 2))
-        local = (ground @ catalog.gRl[row]).reshape(count, _SAMPLES, 3)
-        outward = np.stack(
-            [np.cos(theta) / catalog.semi_major_m[row], np.sin(theta) / catalog.semi_minor_m[row]], axis=-1
+        points, ground = (
+            (of_ground @ catalog.gRl[row]).reshape(count, _SAMPLES, 3)
+            for of_ground in renderer.ground_points(gTb, px.reshape(-1, 2))
         )
-        rise = -np.einsum("aoi,ai->ao", local[:, :, :2], outward) / local[:, :, 2]
+        outward = np.stack(
+            [
+                np.cos(theta) / catalog.semi_major_m[row],
+                np.sin(theta) / catalog.semi_minor_m[row],
+                np.zeros(count),
+            ],
+            axis=-1,
+        )[:, None]
+        up = points / np.linalg.norm(points, axis=-1, keepdims=True)
+        level = outward - np.sum(up * outward, axis=-1, keepdims=True) * up
+        rise = -np.sum(ground * level, axis=-1) / np.sum(ground * up, axis=-1)
         for a in range(count):
             cross = np.flatnonzero((rise[a, :-1] > 0.0) & (rise[a, 1:] <= 0.0))
             if len(cross):

@@ -8,6 +8,7 @@ from craternav_fg.simulation.crater_shape import (
     REACH,
     coverage,
     crater_profile,
+    crest_height,
     outline,
     protection,
     roughness,
@@ -163,12 +164,12 @@ def stamp(
                     raised = share * coverage(rho) * (rim + crater_profile(rho, depth, rim, crest))
                     heights[j, i] += free[j - low, i - left] * raised
                     continue
-                plane = np.sqrt((radius_m + height) ** 2 + X * X + Y * Y) - radius_m
                 clear = protection(rho - 1.0)
                 rough = relief[j - low, i - left] - (
                     c[COL_RELIEF] + c[COL_GRADIENT] * (x - xc) + c[COL_GRADIENT + 1] * (y - yc)
                 )
-                target = plane + crater_profile(rho, depth, rim, crest) + roughness(rho - 1.0, rough, radius)
+                target = crest_height(radius_m + height, X * X + Y * Y, rho, radius_m)
+                target += crater_profile(rho, depth, rim, crest) + roughness(rho - 1.0, rough, radius)
                 if peak > 0.0:
                     target += peak * np.exp(-0.5 * (rho / PEAK_WIDTH) ** 2)
                 weight = share * coverage(rho)

@@ -3,8 +3,8 @@
 Grids lie in the gnomonic plane of the landing site (see `relief`); their points are integer multiples of a
 power of two of metres. A grid of one spacing always samples the same points, however the camera moves.
 
-The crest of a catalogue crater lies exactly on the catalogue's rim: there the surface is tangent to the rim's
-plane, and roughness and the flanks of smaller craters fade out quadratically within a quarter radius of it.
+The crest of a catalogue crater lies exactly on the catalogue's rim: there the surface is level across
+it, and roughness and the flanks of smaller craters fade out quadratically within a quarter radius of it.
 """
 
 import os

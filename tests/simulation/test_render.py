@@ -272,3 +272,20 @@ def test_an_image_does_not_depend_on_the_number_of_cores(monkeypatch: pytest.Mon
         ground.run(lambda low, high, seen=seen: seen.append((low, high)), 1000)
         parts.append(sorted(seen))
     assert parts[0] == parts[1]
+
+
+def test_crests_of_craters_as_large_as_a_tenth_of_the_body_are_its_highest_lines():
+    """Over the sphere, which is level ground: there the plane of the rim rises by a slope of 0.09."""
+    radius_m = 160e3
+    catalog = scene.craters([(0.0, 0.0, radius_m, radius_m, 0.0, 0.0)])
+    smooth = Terrain(catalog, scene.relief(slope=0.0), TerrainOptions(cells=1024, depth_scatter_share=0.0))
+    renderer = Renderer(scene.CAMERA, smooth, RenderOptions())
+    gTb = scene.pose(scene.place(0.0, 0.0, 700e3))
+    rho = np.linspace(0.94, 1.06, 61)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
+        direction = np.cos(angle) * catalog.axes[0, 0] + np.sin(angle) * catalog.axes[0, 1]
+        px = scene.project(gTb, catalog.centres[0] + rho[:, None] * direction)
+        heights_m = np.linalg.norm(renderer.ground_points(gTb, px)[0], axis=1)
+        top = np.polyfit(rho - 1.0, heights_m, 4)
+        fine = np.linspace(-0.05, 0.05, 1001)
+        assert fine[np.argmax(np.polyval(top, fine))] == pytest.approx(0.0, abs=0.004), angle
